@@ -49,7 +49,7 @@ class CameraEndedError(CameraError):
 
 @dataclass(frozen=True, slots=True)
 class ExposureRange:
-    """What a camera lets itself be set to. Without a gain to set, both gains are the same."""
+    """The settable range of a camera. Without a settable gain, both gains are the same."""
 
     shortest_ms: float
     longest_ms: float
@@ -194,13 +194,13 @@ class InclinometerTimeoutError(InclinometerError):
 
 
 class InclinometerDisturbedError(InclinometerError):
-    """What came is no answer to what was asked: damaged, foreign, too long, or the question itself."""
+    """The received bytes are no answer to the request: damaged, foreign, too long, or the request itself."""
 
     quality = Quality.BAD_ANSWER
 
 
 class InclinometerWrongError(InclinometerError):
-    """What answers is not the sensor that it should be, or is set up otherwise."""
+    """The answering device is not the expected sensor, or is set up differently."""
 
     quality = Quality.WRONG_SENSOR
 

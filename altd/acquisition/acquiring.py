@@ -35,7 +35,7 @@ _MAX_AHEAD_NS = 100_000_000
 """Some drivers stamp when the frame is planned to end, and deliver it before (the kernel's vivid, by nearly a
 period); and the length of an exposure may not be known exactly."""
 MAX_AGE_S = 2.0
-"""What lay longer in a buffer, while the computer or the process stood still, shows where the beam was."""
+"""A frame that was longer in a buffer, while the computer or the process was held, shows an old beam."""
 
 
 class StampCheck:
@@ -84,7 +84,7 @@ _KINDS: tuple[tuple[type[CameraError], str], ...] = (
 
 
 class FrameSink(Protocol):
-    """Who takes the frames of a camera from its thread."""
+    """Takes the frames of a camera from its thread."""
 
     def put(self, frame: Frame, wait: bool) -> None:
         """Take a frame; ``wait``: nothing is to be dropped, so keep the thread until there is room for it."""

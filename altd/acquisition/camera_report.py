@@ -1,4 +1,4 @@
-"""What one camera's thread reports, as the camera's health; in the event loop only."""
+"""The reports of one camera's thread, as the camera's health; in the event loop only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOSS_DISPLAY_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Deliveries:
-    """What came from a camera so far, by the clock of the component; a new record after each frame.
+    """A camera's deliveries so far, by the clock of the component; a new record after each frame.
 
     ``mistimed`` frames came with a time that cannot be true, as ``remark`` says of the last one. The driver
     returned last at ``returned_ns``, with a frame at ``frame_ns``; before the first one that is when the
@@ -82,7 +82,7 @@ class CameraReport:
         self._component.set_state(State.ENDED, sentence)
 
     def update(self, deliveries: Deliveries) -> None:
-        """What came meanwhile, and what did not: a driver that does not return is seen here."""
+        """Report new and missing deliveries: a driver that does not return is detected here."""
         self.count(deliveries)
         if not self._is_open:
             return

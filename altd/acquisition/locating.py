@@ -17,7 +17,7 @@ from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
 MAX_WAITING_PAIRS = 8
-"""What was located waits for a loop that comes late, so many frame sets; then the thread waits for it."""
+"""So many located frame sets wait for a loop that is late; then the thread waits for it."""
 _CHECK_INTERVAL_S = 0.25
 _MAX_CHECKS = 20
 """A frame that is still being located after so many checks, 5 s, never ends. Checks are counted, not seconds:
@@ -183,14 +183,14 @@ class _Helper:
         self._frames.put(frame)
 
     def located(self) -> Located:
-        """What the frame that was begun holds, once that is known; raises what the locator raises."""
+        """The result of the frame that was begun, once it is known; raises what the locator raises."""
         located = self._located.get()
         if isinstance(located, BaseException):
             raise located
         return located
 
     def end(self) -> None:
-        """Let the thread end after what it has in hand."""
+        """Let the thread end after its current frame."""
         self._frames.put(None)
 
     def _run(self) -> None:

@@ -119,7 +119,7 @@ class Pictures:
         if self._made_of.get(camera, (0, 0))[0] != seen.number:
             self._made_of[camera] = seen.number, self._clock.monotonic_ns()
             self._made[camera] = made = asyncio.create_task(self._encoded(seen), name=f"picture {camera}")
-            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # who asked may be gone
+            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # its caller may be gone
         return await asyncio.shield(self._made[camera])
 
     async def _encoded(self, seen: _Seen) -> Picture:

@@ -42,7 +42,7 @@ class CameraThermometer:
 
 
 async def watch_temperature(thermometer: Thermometer, component: Component, clock: Clock) -> None:
-    """Keep a component's figure ``celsius`` up to date until cancelled; failures are said there."""
+    """Keep a component's figure ``celsius`` up to date until cancelled; failures are reported there."""
     component.expect(_HEARTBEAT_S)
     thread = DeviceThread(component.name)
     lowest, highest = _POSSIBLE_CELSIUS

@@ -109,7 +109,7 @@ def _wait_until_begun(file: Path) -> None:
 
 
 def _identity(file: Path) -> tuple[int, int] | None:
-    """Of the file that lies there; another one has another. None: there is none."""
+    """(device, inode) of the file; None if it does not exist."""
     try:
         found = file.stat()
     except FileNotFoundError:

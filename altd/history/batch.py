@@ -1,4 +1,4 @@
-"""What the event loop hands to the thread that writes the history: frozen, in the order in which it came."""
+"""Data from the event loop to the thread that writes the history: frozen, in the order of arrival."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class StateSample:
-    """What the unit's state was at this UTC, µs."""
+    """The unit's state at this UTC, µs."""
 
     wall_us: int
     fault: WorstFault

@@ -140,7 +140,7 @@ def open_to_read(path: Path) -> sqlite3.Connection:
 
 
 def set_aside(path: Path, error: Exception) -> Path | None:
-    """Move a file away that is damaged or of another unit, by what was said of it; None: it stays.
+    """Move a file away if ``error`` shows that it is damaged or of another unit; None: it stays.
 
     Raises as ``move_aside`` does.
     """

@@ -80,7 +80,7 @@ class TensorMap:
         return bool(determinant.min() <= 0 <= determinant.max())
 
     def dense_mm(self) -> FloatArray:
-        """Points (n, 2) on a fine grid over the hull, for what is said of all of it."""
+        """Points (n, 2) on a fine grid over the hull, for figures of all of it."""
         x_mm, y_mm = (
             np.linspace(low, high, _POINTS_ACROSS)
             for low, high in zip(self.hull_mm.min(axis=0), self.hull_mm.max(axis=0), strict=True)

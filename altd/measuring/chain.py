@@ -125,7 +125,7 @@ class MeasuringChain:
         self._motion_memory = MotionMemory()
         self._gate = Gate()
         self.correct: Callable[[MeanSpots], MeanSpots] | None = None
-        """What takes a known drift of the cameras out of the mean spots before they are mapped."""
+        """The correction of the mean spots for a known drift of the cameras, before they are mapped."""
         self._breaks_in_window = dict.fromkeys(self._views, 0)
         self._last_frame_set: FrameSet | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
@@ -152,7 +152,7 @@ class MeasuringChain:
         return self.pairer.lost_pairs
 
     def seen(self) -> str:
-        """What each camera saw last, in words: for the technician who aims the beam."""
+        """The last finding of each camera, in words: for the technician who aims the beam."""
         seen = self._last_spots
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
 
@@ -201,7 +201,7 @@ class MeasuringChain:
         return [measurement for measurement in measurements if measurement is not None]
 
     def located(self, frame: Frame) -> Located:
-        """What one frame holds."""
+        """The spot in one frame, or why there is none."""
         return self.locators[frame.camera].locate(frame)
 
     def add(self, pair: Pair[Located]) -> Measurement | None:
@@ -341,7 +341,7 @@ class MeasuringChain:
 
 
 def calibration_faults(calibration: Calibration) -> tuple[Fault, ...]:
-    """What a calibration of simulated frames brings into each measurement."""
+    """The faults that a calibration of simulated frames adds to each measurement."""
     if not calibration.simulated:
         return ()
     return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)

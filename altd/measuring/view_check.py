@@ -49,7 +49,7 @@ class ViewStatus:
     frame_ns: int | None
 
     def figures(self, now_ns: int) -> dict[str, float | str]:
-        """What health shows: whether the view is verified, since when, and the picture's shift.
+        """The figures for health: whether the view is verified, since when, and the picture's shift.
 
         Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
         """

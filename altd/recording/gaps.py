@@ -72,7 +72,7 @@ def gaps(rows: Iterable[Row], cameras: Sequence[str]) -> Iterator[Gap]:
 
 
 def gap_lines(recording: Recording) -> list[str]:
-    """What a table lacks, a line each for the first places and one for the others."""
+    """The missing rows of a table, a line each for the first places and one for the others."""
     table = recording.path / FRAMES_FILE
     cameras = list(recording.header.cameras)
     empty = [camera for camera in cameras if not recording.rows.count[camera]]

@@ -90,7 +90,7 @@ class RecordingWriter:
             raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
 
     def _append(self, row: Iterable[object]) -> None:
-        """A row as a whole; raises OSError, and then there is nothing of it."""
+        """Write a row completely; raises OSError, and then nothing of it remains."""
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerow(row)
         line, before_bytes = text.getvalue().encode(), os.fstat(self._file.fileno()).st_size

@@ -37,7 +37,7 @@ class CameraIdentity:
     driver: str | None = None
 
     def difference_from(self, expected: CameraIdentity) -> str:
-        """What tells this camera from the expected one, in words; empty when nothing does.
+        """The difference between this camera and the expected one, in words; empty when there is none.
 
         What one of the two does not know tells nothing, and another driver names cameras otherwise.
         """

@@ -1,4 +1,4 @@
-"""What sensors beside the cameras say, each at its own time, and how far it can be used."""
+"""Readings of sensors beside the cameras, each at its own time, and how far they can be used."""
 
 from __future__ import annotations
 

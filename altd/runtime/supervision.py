@@ -27,7 +27,7 @@ _FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
 
 
 def _failure_text(error: Exception, place: str) -> str:
-    """What failed; ``place``, of which some errors begin with the address, is not repeated."""
+    """The failure; ``place``, with whose address some errors begin, is not repeated."""
     if isinstance(error, OSError):
         return (error.strerror or str(error)).removeprefix(f"{place.partition(' ')[2]}: ")
     return f"{type(error).__name__}: {error}"

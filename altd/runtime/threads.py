@@ -58,7 +58,7 @@ class DeviceThread:
         return not self._thread.is_alive()
 
     def _came_back(self, result: asyncio.Future[Result]) -> None:
-        """The thread is free; what the call raised is no news where who asked has left."""
+        """The thread is free; an exception of the call is ignored if its caller has left."""
         self._idle.set()
         if not result.cancelled():
             result.exception()
@@ -66,7 +66,7 @@ class DeviceThread:
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
             call()
-            del call  # and what it has in hand, before the next one comes
+            del call  # and its arguments, before the next one comes
 
     def _end_soon(self) -> None:
         self._calls.put(None)

@@ -22,7 +22,7 @@ _RASTER_PX = 0.003
 """How much the raster of the pixels moves an LED's place when it comes to lie otherwise on it: 0.0025 px rms
 over 144 displaced LEDs of two simulated units (docs/selfcheck.md)."""
 _PRIOR_RATIO, _PRIOR_FREEDOM = 1.3, 8.0
-"""Places scatter 1.15 times as much as the frames' noise says; so much is believed before the pairs tell."""
+"""Places scatter 1.15 times as much as the frames' noise predicts; the prior before the pairs are known."""
 _MIN_SEEN_SHARE = 0.8
 _MISFIT_SIGMAS = 4.5
 _MODEL_SHARE = 0.05

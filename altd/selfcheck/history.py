@@ -35,7 +35,7 @@ _NOTHING: Numbers = (0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SlowDrift:
-    """A target whose camera wanders: how far from the calibration it is, and how fast it goes."""
+    """A target whose camera drifts: how far from the calibration it is, and how fast it moves."""
 
     target: str
     shift_px: tuple[float, float]

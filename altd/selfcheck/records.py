@@ -13,7 +13,7 @@ from altd.records import FloatArray, Frame, Value
 
 
 class Verdict(StrEnum):
-    """What a check says of the unit's geometry."""
+    """The result of a check of the unit's geometry."""
 
     GOOD = "good"
     SUSPECT = "suspect"
@@ -155,7 +155,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfCheck:
-    """What one check says.
+    """The result of one check.
 
     ``effects`` holds, by the keys of the beam (``yaw_deg``, ``pitch_deg``, ``x_mm``, ``y_mm``), what the
     drift makes of a measurement at the beam's place, measured minus true, with its sigma; it is empty where

@@ -44,7 +44,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class ExposureFigures:
-    """What health shows of a camera's exposure, of the last frame that tells; None: that is not known."""
+    """A camera's exposure in health, of the last frame that carries it; None: that is not known."""
 
     exposure_control: str
     level: float
@@ -55,7 +55,7 @@ class ExposureFigures:
 
 @dataclass(frozen=True, slots=True)
 class _Ability:
-    """What the camera that is open lets itself be set to: nothing without ``limits`` or when it refuses."""
+    """The possible settings of the open camera: none without ``limits`` or when it refuses."""
 
     limits: ExposureRange | None = None
     refuses: bool = False

@@ -32,7 +32,7 @@ Result = TypeVar("Result")
 
 _LOOK_INTERVAL_S = 0.25
 _GRAVE = (Signal.FAILURE, Signal.OUT_OF_SPECIFICATION)
-"""What is done on purpose, as a self-check, is no fault; nor is what only asks for maintenance."""
+"""An intended state, such as a self-check, is no fault; nor is required maintenance alone."""
 _MAX_PAUSE_S = 0.1
 _DISK_TIMEOUT_S = 120.0
 """A recording is written at half a core's pace: seconds."""
@@ -89,7 +89,7 @@ class FrameKeeper:
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """What there is, the newest first."""
+        """The kept recordings, the newest first."""
         return self._recordings
 
     async def run(self) -> None:
@@ -253,7 +253,7 @@ class FrameKeeper:
 
 
 async def _beside(call: Callable[[], Result]) -> Result:
-    """What the disk says while a recording may be written; raises NotKeptError, also for a disk that hangs.
+    """The disk's answer while a recording may be written; raises NotKeptError, also for a disk that hangs.
 
     In a thread that ends with it: one that hangs holds neither the loop nor the end of the process.
     """

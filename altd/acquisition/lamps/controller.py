@@ -29,7 +29,7 @@ _HEARTBEAT_S = MAX_BACKOFF_S + 5 * CALL_TIMEOUT_S
 
 
 class Openable(Protocol):
-    """What lamps of all kinds have."""
+    """The methods that lamps of all kinds have."""
 
     def open(self) -> None:
         """Open them, dark; raises LampsError."""

@@ -1,4 +1,4 @@
-"""What the lamps on the housing show to the technician beside the unit (App. A.1.4)."""
+"""The lamps on the housing, for the technician beside the unit (App. A.1.4)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Validity(Enum):
 
 
 class Light(Enum):
-    """What one lamp does."""
+    """The state of one lamp."""
 
     DARK = auto()
     BLINKS = auto()

@@ -21,7 +21,7 @@ _REMEMBERED = 8
 
 
 class Light(Enum):
-    """What the frame LEDs did during an exposure."""
+    """The state of the frame LEDs during an exposure."""
 
     OFF = auto()
     ON = auto()
@@ -75,7 +75,7 @@ class LedLog:
         self._end(False, self._clock.monotonic_ns() + DARK_AFTER_FAILURE_NS)
 
     def of(self, frame: Frame) -> Light:
-        """What the LEDs did while a frame was exposed."""
+        """The state of the LEDs while a frame was exposed."""
         half_ns = self._half_ns(frame) + MARGIN_NS
         begin_ns, end_ns = frame.t_ns - half_ns, frame.t_ns + half_ns
         light = Light.OFF

@@ -1,4 +1,4 @@
-"""What the last checks make of a measurement."""
+"""The effect of the last checks on a measurement."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class GeometryState:
 
     @property
     def correct(self) -> Callable[[MeanSpots], MeanSpots] | None:
-        """What takes the drift out of mean spots; None: nothing is to be."""
+        """The correction of the mean spots for the drift; None: no correction."""
         if self._compensation is None:
             return None
         return partial(compensated, compensation=self._compensation)

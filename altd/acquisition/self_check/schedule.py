@@ -14,7 +14,7 @@ FIRST_REPEAT_S = 10.0
 
 
 class Cause(StrEnum):
-    """What a check was made for."""
+    """The cause of a check."""
 
     START = "start"
     SCHEDULE = "schedule"

@@ -40,7 +40,7 @@ class Occasion:
 
 
 def report_of(occasion: Occasion, judged: Judged) -> SelfCheckReport:
-    """What a check said."""
+    """The result of a check."""
     check = judged.check
     return SelfCheckReport(
         occasion.number,
@@ -67,7 +67,7 @@ _LAMPS_ASKED_EVERY_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class CheckParts:
-    """What a check is made with."""
+    """The parts that a check needs."""
 
     leds: LedLog
     schedule: Schedule
@@ -101,7 +101,7 @@ class SelfChecks:
         self._targets = targets
         self._at: dict[str, SpotPx] = {}
         self._is_valid = False
-        """What was passed on last was valid."""
+        """The last measurement was valid."""
         self._has_jumped = False
         """There was a shock since the last check began."""
         self._logged = ""
@@ -171,7 +171,7 @@ class SelfChecks:
             await self._recall()
 
     async def _recall(self) -> None:
-        """What was bad before this start stays bad until a check has a verdict."""
+        """A bad verdict from before this start stays bad until a check has a verdict."""
         if self._geometry.verdict is None and await self._memory.was_bad():
             self._geometry.recall_bad()
             if not self._geometry.awaits_first:

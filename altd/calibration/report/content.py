@@ -1,4 +1,4 @@
-"""What the report says and shows, in the order in which a person asks."""
+"""The contents of the report, in the order in which a person needs them."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from altd.devices.aravis import gvsp
 from altd.records import counted
 
 RETENTION_NS = 100_000_000
-"""A frame that lacks packets is given up so long after the last of them; it holds up those behind it."""
+"""A frame that lacks packets is given up so long after the last of them; it delays those behind it."""
 QUARANTINE_NS = 2_000_000_000
 
 _RESEND_TIMEOUT_NS = 10_000_000

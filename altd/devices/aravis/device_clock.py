@@ -22,7 +22,7 @@ _MIN_SHARE_ON_LINE = 0.75
 _MAX_FALL_NS = 1_000_000
 _MAX_LATE_KEPT = 100
 _STEP_TIMEOUT_NS = 3_000_000_000
-"""Who has come late on a line for so long, without one frame in time, was not held up."""
+"""A delay that grows on a line for so long, without one frame in time, is due to the clock."""
 _ENVELOPE_TIMEOUT_NS = 10_000_000_000
 """An envelope that no frame has met for so long is made again of those that came late."""
 _MAX_BACK_IN_A_ROW = 3

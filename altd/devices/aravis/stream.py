@@ -48,7 +48,7 @@ class Stream:
 
     @property
     def remark(self) -> str:
-        """What is wrong with what comes, as far as anything is known."""
+        """The known faults of the received packets."""
         return self._assembler.last_contradiction if self.quarantined else self._assembler.last_refusal
 
     def pop(self, timeout_s: float) -> Block | None:

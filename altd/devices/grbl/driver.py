@@ -74,7 +74,7 @@ class GrblStage:
         )
 
     def position(self) -> tuple[float, float]:
-        """Where the controller says that the stage is, in the unit frame, mm."""
+        """The position that the controller reports, in the unit frame, mm."""
         x_mm, y_mm = self.controller.position_mm()
         settings = self._settings
         return (

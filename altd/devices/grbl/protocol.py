@@ -1,4 +1,4 @@
-"""What a Grbl 1.1 controller says on its line, as records; no input or output.
+"""The lines of a Grbl 1.1 controller, as records; no input or output.
 
 Source: ``doc/markdown/interface.md`` and ``doc/csv`` of Grbl 1.1h.
 """

@@ -65,7 +65,7 @@ class Line:
         return question.registers(self._exchange(question), place)
 
     def _exchange(self, question: Question) -> bytes:
-        """What comes after a question until the line falls silent; what came before it is dropped."""
+        """The bytes after a request until the line is silent; earlier bytes are dropped."""
         frame = question.frame
         try:
             self._port.reset_input_buffer()

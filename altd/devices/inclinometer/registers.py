@@ -43,7 +43,7 @@ class Kind(StrEnum):
 
 
 class Meaning(StrEnum):
-    """What the driver makes of a register."""
+    """How the driver uses a register."""
 
     ROLL = "roll"
     PITCH = "pitch"
@@ -76,7 +76,7 @@ class Register:
     """A larger word is no value of this register."""
 
     def value(self, word: int) -> float:
-        """What a word of this register says, in its unit."""
+        """The value of a word of this register, in its unit."""
         return self.kind.number(word) * self.scale
 
 

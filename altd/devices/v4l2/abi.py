@@ -1,4 +1,4 @@
-"""What the kernel and a program say to each other about a camera: structures, call numbers, constants.
+"""The interface of kernel and program for a camera: structures, call numbers, constants.
 
 Written from the kernel's user-space headers <linux/videodev2.h> and <linux/v4l2-controls.h>, Copyright (C)
 1999-2012 the contributors, which are "(GPL-2.0+ WITH Linux-syscall-note) OR BSD-3-Clause"; used here under

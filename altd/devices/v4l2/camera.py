@@ -99,7 +99,7 @@ _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = 
 
 @dataclass(slots=True)
 class _Running:
-    """What an open camera consists of."""
+    """The parts of an open camera."""
 
     node: Node
     layout: Layout
