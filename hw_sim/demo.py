@@ -15,7 +15,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 
 from altd.app.daemon import Daemon
-from altd.app.parts import calibration_of, cameras_of
+from altd.app.parts import calibration_of, cameras_of, lamps_of
 from altd.config import (
     Config,
     ConsolePortSettings,
@@ -28,9 +28,9 @@ from altd.config import (
 )
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, unwrap_group
-from altd.ports import Camera
+from altd.ports import Camera, Lamps
 from hw_sim.arguments import natural, seconds
-from hw_sim.camera import make_cameras
+from hw_sim.camera import RealTimeLamps, make_cameras
 from hw_sim.demo_figures import Figures
 from hw_sim.demo_folder import demo_folder
 from hw_sim.demo_gige import served
@@ -136,12 +136,15 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             mqtt=arguments.mqtt,
         )
         config = _config(unit, calibration, faces)
-        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit)}
+        leds = RealTimeLamps()
+        lamps: Lamps | None = leds
+        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit, lamps=leds)}
         if hardware is not None:
             config = config.model_copy(update=hardware.tables)
             cameras = cameras_of(config, Path("--gige"))
+            lamps = lamps_of(config, cameras, Path("--gige"))
         known = calibration_of(config, cameras)
-        daemon = Daemon(config, known, cameras, rehearsal=True)
+        daemon = Daemon(config, known, cameras, lamps=lamps, rehearsal=True)
         daemon.past.keep_as(config, known)
         figures = Figures(daemon, unit, "daemon alone") if hardware else Figures(daemon, unit)
         view = View(daemon, unit, faces, figures)
