@@ -51,31 +51,37 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the demo takes on the command line."""
-    parser.add_argument(
-        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
-    )
+    parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
     parser.add_argument(
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="of that very unit, made by hw_sim scan and altd calibrate (default: made now)",
+        help="calibration of this unit (default: made at the start)",
     )
     parser.add_argument(
         "--keep",
         type=Path,
         metavar="FOLDER",
-        help="keep history, recordings and calibration there (default: they go when it ends)",
+        help="keep history, recordings and calibration there (default: deleted at the end)",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
-    parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
-    parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
     parser.add_argument(
-        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="publish to this MQTT broker (default: to none)"
+        "--http-port", type=_port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
+    )
+    parser.add_argument(
+        "--modbus-port",
+        type=_port,
+        default=0,
+        metavar="PORT",
+        help="port of Modbus TCP (default: a free one)",
+    )
+    parser.add_argument(
+        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="also publish to this MQTT broker"
     )
     parser.add_argument(
         "--gige",
         action="store_true",
-        help="its cameras are on the network, by GigE Vision, in a process of their own (hw_sim gige)",
+        help="read the cameras by GigE Vision, from a second process",
     )
     add_addresses(parser)
 
