@@ -34,6 +34,7 @@ core := tests/unit $(core_system) -m 'not real_time and not alone and not own_ne
 pages := \
     modbus.md:tools.pages.modbus \
     reasons.md:tools.pages.reasons \
+    commands.md:tools.pages.commands \
     states.svg:tools.pages.states_picture \
     coordinates.svg:tools.pages.coordinates \
     telegram.md:tools.pages.telegram \

@@ -15,7 +15,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 
 from altd.app.daemon import Daemon
-from altd.app.parts import calibration_of, cameras_of
+from altd.app.parts import calibration_of, cameras_of, lamps_of
 from altd.config import (
     Config,
     ConsolePortSettings,
@@ -28,9 +28,9 @@ from altd.config import (
 )
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, unwrap_group
-from altd.ports import Camera
+from altd.ports import Camera, Lamps
 from hw_sim.arguments import natural, seconds
-from hw_sim.camera import make_cameras
+from hw_sim.camera import RealTimeLamps, make_cameras
 from hw_sim.demo_figures import Figures
 from hw_sim.demo_folder import demo_folder
 from hw_sim.demo_gige import served
@@ -51,31 +51,37 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the demo takes on the command line."""
-    parser.add_argument(
-        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
-    )
+    parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
     parser.add_argument(
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="of that very unit, made by hw_sim scan and altd calibrate (default: made now)",
+        help="calibration of this unit (default: made at the start)",
     )
     parser.add_argument(
         "--keep",
         type=Path,
         metavar="FOLDER",
-        help="keep history, recordings and calibration there (default: they go when it ends)",
+        help="keep history, recordings and calibration there (default: deleted at the end)",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
-    parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
-    parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
     parser.add_argument(
-        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="publish to this MQTT broker (default: to none)"
+        "--http-port", type=_port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
+    )
+    parser.add_argument(
+        "--modbus-port",
+        type=_port,
+        default=0,
+        metavar="PORT",
+        help="port of Modbus TCP (default: a free one)",
+    )
+    parser.add_argument(
+        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="also publish to this MQTT broker"
     )
     parser.add_argument(
         "--gige",
         action="store_true",
-        help="its cameras are on the network, by GigE Vision, in a process of their own (hw_sim gige)",
+        help="read the cameras by GigE Vision, from a second process",
     )
     add_addresses(parser)
 
@@ -136,12 +142,15 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             mqtt=arguments.mqtt,
         )
         config = _config(unit, calibration, faces)
-        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit)}
+        leds = RealTimeLamps()
+        lamps: Lamps | None = leds
+        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit, lamps=leds)}
         if hardware is not None:
             config = config.model_copy(update=hardware.tables)
             cameras = cameras_of(config, Path("--gige"))
+            lamps = lamps_of(config, cameras, Path("--gige"))
         known = calibration_of(config, cameras)
-        daemon = Daemon(config, known, cameras, rehearsal=True)
+        daemon = Daemon(config, known, cameras, lamps=lamps, rehearsal=True)
         daemon.past.keep_as(config, known)
         figures = Figures(daemon, unit, "daemon alone") if hardware else Figures(daemon, unit)
         view = View(daemon, unit, faces, figures)
