@@ -9,6 +9,8 @@ import sys
 import pytest
 from support.places import ROOT
 
+pytestmark = pytest.mark.timeout(1200)  # minutes of work where other programs keep the cores busy
+
 NODES, FRAMES = (20, 56), (20, 92)
 
 
