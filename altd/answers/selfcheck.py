@@ -1,10 +1,8 @@
-"""``altd selfcheck``: the frame LEDs of a recording against their references, as one JSON object."""
+"""``altd selfcheck``: the frame LEDs of a recording against their references."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +10,12 @@ import numpy as np
 
 from altd.calibration.file import check_recording, load_calibration
 from altd.errors import BadInputError
-from altd.files.documents import line_of
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording, open_recording
 from altd.records import Frame, Origin, Spot
 from altd.selfcheck.history_document import as_object
-from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
+from altd.selfcheck.records import LedView, Limits
 from altd.selfcheck.verdict import judge
 from altd.vision.localise import locate
 
@@ -28,30 +25,11 @@ _SPOT_FRAMES = 3
 """So many frames give the place of the spot; its noise does not change the effect of a drift."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """A check, and whether any frame that it rests on was simulated."""
+def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, Any]:
+    """The result as plain JSON types; raises BadInputError.
 
-    check: SelfCheck
-    is_simulated: bool
-
-
-def answer(recording: Path, calibration: Path, warn: Callable[[str], object]) -> int:
-    """Write the object; the exit status, 0 where all is good, 1 where not.
-
-    Raises BadInputError when recording and calibration cannot be read or do not belong together.
+    The recording and the calibration must be readable and belong together.
     """
-    judged = judge_recording(recording, calibration)
-    origin = Origin.SIMULATED if judged.is_simulated else Origin.CAMERA
-    document: dict[str, Any] = {**as_object(judged.check), "origin": str(origin)}
-    if judged.is_simulated:
-        warn("judged from SIMULATED frames")
-    sys.stdout.write(line_of(document) + "\n")
-    return 0 if judged.check.verdict is Verdict.GOOD else 1
-
-
-def judge_recording(recording_path: Path, calibration_path: Path) -> Judged:
-    """Judge a recording; raises BadInputError."""
     recording = open_recording(recording_path)
     header = recording.header
     if header.kind not in _KINDS:
@@ -77,7 +55,8 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> Judged:
         raise BadInputError(
             recording_path, f"has no frames with the LEDs on and off of {_names(calibration)}"
         )
-    return Judged(judge(views, calibration, at, Limits()), simulated)
+    origin = Origin.SIMULATED if simulated else Origin.CAMERA
+    return {**as_object(judge(views, calibration, at, Limits())), "origin": str(origin)}
 
 
 def _led_rows(recording: Recording, camera: str) -> tuple[list[Row], list[Row]]:

@@ -31,12 +31,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--flat", type=Path, metavar="DIR", help="recording of the evenly lit targets")
     parser.add_argument(
         "--report",
-        type=Path,
+        type=_report_folder,
         nargs="?",
         const=_BESIDE,
         metavar="DIR",
         help="what it rests on, as HTML and PDF under FILE's name; without DIR beside FILE",
     )
+
+
+def _report_folder(text: str) -> Path:
+    """The folder of ``--report``; a recording behind it was meant to be calibrated."""
+    from altd.recording.header import HEADER_FILE
+
+    path = Path(text)
+    if (path / HEADER_FILE).exists():
+        raise argparse.ArgumentTypeError(f"{text} is a recording: write --report after the recordings")
+    return path
 
 
 def run(options: argparse.Namespace) -> int:

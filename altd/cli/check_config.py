@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.cli.options import DEFAULT_CONFIG
+from altd.cli.options import add_config
 from altd.process.standard_streams import complain, say
 
 SUMMARY = "check settings and the files that they name"
@@ -13,9 +13,16 @@ SUMMARY = "check settings and the files that they name"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument(
-        "config", type=Path, nargs="?", metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})"
+    either = parser.add_mutually_exclusive_group()
+    add_config(either)
+    either.add_argument(
+        "config", type=_path, nargs="?", default=argparse.SUPPRESS, metavar="FILE", help="the same"
     )
+
+
+def _path(text: str) -> Path | str:
+    """A path; ``SUPPRESS``, the default, passes through here too."""
+    return text if text is argparse.SUPPRESS else Path(text)
 
 
 def run(options: argparse.Namespace) -> int:

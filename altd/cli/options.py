@@ -18,7 +18,7 @@ def add_credentials(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--remove", action="store_true", help="remove it")
 
 
-def add_config(parser: argparse.ArgumentParser) -> None:
+def add_config(parser: argparse._ActionsContainer) -> None:
     """The settings; without, those of the service."""
     parser.add_argument("--config", type=Path, metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})")
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
+from typing import Any
 
 from altd.cli.options import DEFAULT_CONFIG
 from altd.errors import BadInputError
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import complain, say
 
 SUMMARY = "check that each camera is where it was calibrated: a running unit, or a recording"
 
@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="calibration to compare the recording with"
     )
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     parser.add_argument(
         "--config",
         type=Path,
@@ -36,19 +37,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """One JSON object on standard output; 0 good, 1 not good."""
+    """Print the verdict with its parts; 0 good, 1 not good."""
+    from altd.local_socket import NoAnswerError
+    from altd.terminal.documents import self_check_of
+    from altd.terminal.lines import self_check_table
+
+    try:
+        document = _document(options)
+        check = self_check_of(document)
+    except NoAnswerError as error:
+        complain(f"altd selfcheck: {error}")
+        return 1
+    except ValueError as error:
+        complain(f"altd selfcheck: the answer is no self-check: {error}")
+        return 1
+    if options.json:
+        say(json.dumps(document))
+    else:
+        say(*self_check_table(check))
+    return 0 if check.verdict == "good" else 1
+
+
+def _document(options: argparse.Namespace) -> dict[str, Any]:
     if options.recording is None:
         return _ask_daemon(options)
     if "config" in options:
         raise BadInputError("--config", "asks the running daemon: it goes with no RECORDING")
     if options.calibration is None:
         raise BadInputError(options.recording, "missing: --calibration FILE, to hold the recording against")
-    from altd.answers.selfcheck import answer
+    from altd.answers.selfcheck import judge_recording
 
-    return answer(options.recording, options.calibration, lambda line: complain(f"altd selfcheck: {line}"))
+    return judge_recording(options.recording, options.calibration)
 
 
-def _ask_daemon(options: argparse.Namespace) -> int:
+def _ask_daemon(options: argparse.Namespace) -> dict[str, Any]:
     """Have the running daemon check itself."""
     if options.calibration is not None:
         raise BadInputError("--calibration", "missing: RECORDING, which goes with it")
@@ -56,13 +78,6 @@ def _ask_daemon(options: argparse.Namespace) -> int:
         raise BadInputError("RECORDING", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
     from altd.app.ask_daemon import ask_running_daemon
     from altd.app.settings import load_settings
-    from altd.local_socket import NoAnswerError
 
     place = options.config if "config" in options else DEFAULT_CONFIG
-    try:
-        document = ask_running_daemon(load_settings(place), place)
-    except NoAnswerError as error:
-        complain(f"altd selfcheck: {error}")
-        return 1
-    sys.stdout.write(json.dumps(document) + "\n")
-    return 0 if document["verdict"] == "good" else 1
+    return ask_running_daemon(load_settings(place), place)

@@ -15,7 +15,7 @@ from altd.config.draft import draft_of, draft_without
 from altd.config.places import Place, Places
 from altd.config.rules import RULES, Rule
 from altd.config.whole import Config
-from altd.config.wording import Fault, booleans_as_numbers, faults_of
+from altd.config.wording import Fault, converted_values, faults_of
 from altd.errors import BadInputError
 from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import read_file
@@ -43,7 +43,7 @@ def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Confi
             raise _refusal(path, [Fault(error.keys, str(error))], content) from error
         place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
         raise BadInputError(path, f"{place}{error}") from error
-    found = list(booleans_as_numbers(document))
+    found = list(converted_values(document))
     document = _anchored(document, path.parent)
     config = None
     try:

@@ -60,7 +60,6 @@ WHY = {
     "int_parsing_size": "has too many digits",
     "float_type": "is not a number",
     "float_parsing": "is not a number",
-    "bool_as_number": "is not a number",
     "finite_number": "is not a finite number",
     "greater_than": "is too small",
     "greater_than_equal": "is too small",
@@ -85,18 +84,38 @@ _UNUSABLE = "cannot be used"
 _SECRETS = ("login", "password", "token", "user", "username")
 
 
-def booleans_as_numbers(document: dict[str, Any]) -> Iterator[Fault]:
-    """Where true or false is written for a number: to Python, and so to pydantic, true is 1."""
+def converted_values(document: dict[str, Any]) -> Iterator[Fault]:
+    """Values of another type that pydantic would convert: ``true`` to 1, ``"4"`` to 4, 1 to true."""
     nodes: list[tuple[Keys, Any]] = [((), document)]
     while nodes:
         keys, node = nodes.pop()
         if isinstance(node, dict | list):
             pairs = node.items() if isinstance(node, dict) else enumerate(node)
             nodes += [((*keys, key), below) for key, below in pairs]
-        elif isinstance(node, bool) and (found := field_at(keys, document, Config)) is not None:
+        elif (found := field_at(keys, document, Config)) is not None:
             takes = expected(*found, shown)
-            if ("number" in takes and "true" not in takes) or "1" in takes.split(" or "):
-                yield Fault(keys, f"{shown(node)} {WHY['bool_as_number']}; possible: {takes}")
+            is_number = ("number" in takes and "true" not in takes) or takes.split(" or ")[-1].isdigit()
+            is_boolean = takes == "true or false"
+            why = ""
+            if isinstance(node, str) and (is_number or is_boolean) and _is_unquoted(node, is_boolean):
+                why = f"is text; possible: {takes}; write it without quotes"
+            elif is_number and isinstance(node, bool):
+                why = f"is not a number; possible: {takes}"
+            elif is_boolean and not isinstance(node, bool):
+                why = f"{WHY['bool_type']}; possible: {takes}"
+            if why:
+                yield Fault(keys, f"{shown(node)} {why}")
+
+
+def _is_unquoted(text: str, is_boolean: bool) -> bool:
+    """Whether the text without its quotes would be such a value."""
+    if is_boolean:
+        return text in ("true", "false")
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def faults_of(error: ValidationError, document: dict[str, Any]) -> list[Fault]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from altd.selfcheck.history import DAYS_KEPT, Day, History, TargetHistory
-from altd.selfcheck.records import SelfCheck, TargetDrift
+from altd.selfcheck.records import PartVerdict, SelfCheck, TargetDrift
 
 _DECIMALS = {"x_mm": 4, "y_mm": 4, "yaw_deg": 5, "pitch_deg": 5}
 _KEYS = ("yaw_deg", "pitch_deg", "x_mm", "y_mm")
@@ -24,12 +24,21 @@ def as_object(check: SelfCheck) -> dict[str, Any]:
     return {
         "verdict": str(check.verdict),
         "reasons": list(check.reasons),
+        "parts": [_of_part(part) for part in check.parts],
         "targets": {name: _of_target(drift) for name, drift in check.targets.items()},
         **values,
         "sigma": {
             key: None if sigma is None else round(sigma, _DECIMALS[key]) for key, sigma in sigmas.items()
         },
     }
+
+
+def _of_part(part: PartVerdict) -> dict[str, Any]:
+    known = {
+        key: round(value, 5) if isinstance(value, float) else value for key, value in asdict(part).items()
+    }
+    del known["reason"]
+    return {**known, "verdict": str(part.verdict)}
 
 
 def _of_target(drift: TargetDrift) -> dict[str, Any]:

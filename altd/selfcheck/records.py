@@ -153,6 +153,24 @@ class Limits:
     min_leds: int = 3
 
 
+@dataclass(frozen=True, slots=True)
+class PartVerdict:
+    """The verdict on one part: a target, in mm, or ``yaw, pitch``, in °.
+
+    ``error`` is the largest error anywhere in the calibrated area. Above ``suspect`` and ``bad``
+    it gives that verdict. ``error`` and ``sigma`` are None if too few LEDs were found.
+    """
+
+    of: str
+    verdict: Verdict
+    reason: str
+    unit: str
+    error: float | None
+    sigma: float | None
+    suspect: float
+    bad: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfCheck:
     """The result of one check.
@@ -161,7 +179,7 @@ class SelfCheck:
     drift makes of a measurement at the beam's place, measured minus true, with its sigma; it is empty where
     no two targets could be judged. ``reasons`` says in words what kept it from being good, worst first.
     ``is_whole`` is False where of a target, or of the direction, nothing is known: the verdict is then that
-    of the rest.
+    of the rest. ``parts`` are the parts of the verdict, the worst first.
     """
 
     verdict: Verdict
@@ -169,3 +187,4 @@ class SelfCheck:
     effects: Mapping[str, Value]
     reasons: tuple[str, ...] = ()
     is_whole: bool = True
+    parts: tuple[PartVerdict, ...] = ()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 from altd.measuring.calibration import Calibration
 from altd.records import Value
 from altd.selfcheck.compensation import WorstEffect, beam_effects, place_effect, worst_effect
 from altd.selfcheck.drift import drift_of
-from altd.selfcheck.records import LedState, LedView, Limits, SelfCheck, TargetDrift, Verdict
+from altd.selfcheck.records import LedState, LedView, Limits, PartVerdict, SelfCheck, TargetDrift, Verdict
 
 NOT_LOOKED_AT = "no frames with the LEDs on and off"
 SIGNIFICANT = 7.0
@@ -19,14 +19,6 @@ still below 1 in 10,000 where the noise is known to 15 % only (``benchmarks.self
 _SIGMAS = 3.0
 """A limit must be so many sigmas away from what is not seen, for the verdict to be good."""
 _ORDER = (Verdict.GOOD, Verdict.UNKNOWN, Verdict.SUSPECT, Verdict.BAD)
-
-
-@dataclass(frozen=True, slots=True)
-class _Opinion:
-    """A verdict and why it is not good."""
-
-    verdict: Verdict
-    reason: str = ""
 
 
 def judge(
@@ -58,7 +50,7 @@ def judge(
         for name, drift in drifts.items()
         if drift.similarity is not None
     }
-    opinions = [
+    parts = [
         opinion
         for name, drift in drifts.items()
         for opinion in _of_target(drift, worst.get(name), limits, previous)
@@ -66,20 +58,21 @@ def judge(
     if len(worst) >= 2:
         z_mm = [known[name].z_mm for name in worst]
         significant = any(_is_significant(drifts[name]) for name in worst)
-        opinions.append(
+        parts.append(
             _of_direction(list(worst.values()), max(z_mm) - min(z_mm), significant, limits, previous)
         )
-    opinions.sort(key=lambda opinion: -_ORDER.index(opinion.verdict))
-    verdict = opinions[0].verdict
-    is_whole = all(opinion.verdict is not Verdict.UNKNOWN for opinion in opinions)
+    parts.sort(key=lambda opinion: -_ORDER.index(opinion.verdict))
+    verdict = parts[0].verdict
+    is_whole = all(opinion.verdict is not Verdict.UNKNOWN for opinion in parts)
     if verdict is Verdict.SUSPECT and not is_whole and previous is Verdict.BAD:
         verdict = Verdict.UNKNOWN  # what was bad may be what is not seen
     return SelfCheck(
         verdict=verdict,
         targets=drifts,
         effects=_effects(drifts, calibration, at or {}, reference_plane_mm),
-        reasons=tuple(opinion.reason for opinion in opinions if opinion.verdict is not Verdict.GOOD),
+        reasons=tuple(opinion.reason for opinion in parts if opinion.verdict is not Verdict.GOOD),
         is_whole=is_whole,
+        parts=tuple(parts),
     )
 
 
@@ -103,57 +96,63 @@ def _effects(
 
 def _of_target(
     drift: TargetDrift, worst: WorstEffect | None, limits: Limits, previous: Verdict | None
-) -> Iterator[_Opinion]:
+) -> Iterator[PartVerdict]:
     """What one target's drift is worth; where its LEDs contradict each other, that and what is not known."""
     name = drift.target
-    if worst is None:
-        yield _Opinion(Verdict.UNKNOWN, f"{name}: {drift.detail}")
-        return
     bounds = (limits.suspect_mm, limits.bad_mm)
+    if worst is None:
+        yield PartVerdict(name, Verdict.UNKNOWN, f"{name}: {drift.detail}", "mm", None, None, *bounds)
+        return
     opinion = _against(
-        f"{name}: the picture moved by up to", "mm", worst, bounds, (_is_significant(drift), limits, previous)
+        name,
+        f"{name}: the picture moved by up to",
+        ("mm", worst, *bounds),
+        (_is_significant(drift), limits, previous),
     )
     displaced = LedState.DISPLACED in drift.leds
     contradicts = (not drift.is_similarity or displaced) and opinion.verdict is not Verdict.BAD
     if contradicts:
-        yield _Opinion(Verdict.SUSPECT, f"{name}: {drift.detail}")
+        yield replace(opinion, verdict=Verdict.SUSPECT, reason=f"{name}: {drift.detail}")
     if not contradicts or opinion.verdict is Verdict.UNKNOWN:
         yield opinion
 
 
 def _of_direction(
     worst: list[WorstEffect], distance_mm: float, significant: bool, limits: Limits, previous: Verdict | None
-) -> _Opinion:
+) -> PartVerdict:
     """What the drifts of all targets are worth for yaw and pitch, wherever the beam meets each of them."""
     error = sum(effect.error_mm for effect in sorted(worst, key=lambda effect: -effect.error_mm)[:2])
     sigma = math.hypot(*(effect.sigma_mm for effect in worst))
     turned = WorstEffect(math.degrees(error / distance_mm), math.degrees(sigma / distance_mm))
     bounds = (limits.suspect_deg, limits.bad_deg)
-    return _against("yaw or pitch are off by up to", "°", turned, bounds, (significant, limits, previous))
+    what = "yaw or pitch are off by up to"
+    return _against("yaw, pitch", what, ("°", turned, *bounds), (significant, limits, previous))
 
 
 def _against(
+    of: str,
     what: str,
-    unit: str,
-    worst: WorstEffect,
-    bounds: tuple[float, float],
+    figures: tuple[str, WorstEffect, float, float],
     state: tuple[bool, Limits, Verdict | None],
-) -> _Opinion:
+) -> PartVerdict:
     """An error and its sigma against (suspect, bad); a verdict once reached ends below a share of it."""
     significant, limits, previous = state
-    suspect, bad = bounds
+    unit, worst, suspect, bad = figures
+    certain = suspect / _SIGMAS
     if previous is Verdict.BAD:
         bad *= limits.release_share
     if previous in (Verdict.SUSPECT, Verdict.BAD):
         suspect *= limits.release_share
-    text = f"{what} {worst.error_mm:.3f} {unit}, known to {worst.sigma_mm:.3f} {unit}"
-    if significant and worst.error_mm > bad:
-        return _Opinion(Verdict.BAD, text)
-    if significant and worst.error_mm > suspect:
-        return _Opinion(Verdict.SUSPECT, text)
-    if worst.error_mm > suspect or _SIGMAS * worst.sigma_mm > bounds[0]:
-        return _Opinion(Verdict.UNKNOWN, f"{text}: too uncertain to tell")
-    return _Opinion(Verdict.GOOD)
+    error, sigma = worst.error_mm, worst.sigma_mm
+    reason = f"{what} {error:.3f} {unit}, known to {sigma:.3f} {unit}"
+    verdict = Verdict.GOOD
+    if significant and error > bad:
+        verdict = Verdict.BAD
+    elif significant and error > suspect:
+        verdict = Verdict.SUSPECT
+    elif error > suspect or sigma > certain:
+        verdict, reason = Verdict.UNKNOWN, f"{reason}: too uncertain to tell"
+    return PartVerdict(of, verdict, reason, unit, error, sigma, suspect, bad)
 
 
 def _is_significant(drift: TargetDrift) -> bool:

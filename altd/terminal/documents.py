@@ -80,12 +80,40 @@ class StatusDocument(_Document):
     components: Annotated[dict[Text, ComponentDocument], Field(max_length=_MAX_LISTED)]
 
 
+_Texts = Annotated[tuple[Text, ...], Field(max_length=_MAX_LISTED)]
+
+
+class PartDocument(_Document):
+    """The verdict on one target, or on yaw and pitch; ``error`` None: not known."""
+
+    of: Text
+    verdict: Text
+    unit: Text
+    error: Number | None
+    sigma: Number | None
+    suspect: Number
+    bad: Number
+
+
+class LedsDocument(_Document):
+    """The LEDs of one target."""
+
+    leds_expected: int
+    leds_found: int
+    leds: _Texts
+    detail: Text
+
+
 class SelfCheckDocument(_Document):
     """``/api/v1/self-check``; ``verdict`` None: there was none, and ``reasons`` say why."""
 
     verdict: Text | None
-    reasons: Annotated[tuple[Text, ...], Field(max_length=_MAX_LISTED)] = ()
+    reasons: _Texts = ()
     time: Text | None = None
+    parts: Annotated[tuple[PartDocument, ...], Field(max_length=_MAX_LISTED)] = ()
+    targets: Annotated[dict[Text, LedsDocument], Field(max_length=_MAX_LISTED)] = {}
+    notes: _Texts = ()
+    origin: Text = ""
 
 
 class TargetDocument(_Document):

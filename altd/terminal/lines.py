@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from textwrap import wrap
 
-from altd.reasons import NOT_FROM_CAMERAS
-from altd.records import counted
+from altd.reasons import NOT_FROM_CAMERAS, Reason
+from altd.records import Origin, counted
+from altd.selfcheck.records import Limits
 from altd.status.health import duration
 from altd.terminal.documents import CauseDocument, Reading, SelfCheckDocument, Shown, StatusDocument
 
@@ -143,3 +145,45 @@ def _components(status: StatusDocument) -> Iterator[str]:
         yield f"{name[:_MAX_NAME]:<{column}}{component.state[:9]:<10}{duration(component.for_s)}"
         if component.state not in ("ok", "starting") and component.message:
             yield from hanging("", component.message, WIDTH, 4)
+
+
+_ACTIONS = {
+    "good": "nothing to do",
+    "suspect": Reason.GEOMETRY_SUSPECT.remedy,
+    "bad": Reason.GEOMETRY_DRIFT.remedy,
+    "unknown": "look at the frame LEDs and their wiring, clean the windows, move the beam",
+}
+
+
+def self_check_table(check: SelfCheckDocument) -> list[str]:
+    """A row for the LEDs of each target and for each part of the verdict; below them what to do, and why."""
+    rows = [("check", "verdict", "good if", "bad if", "value, +/- 1 sigma")]
+    for name, target in check.targets.items():
+        unused = Counter(state.replace("_", " ") for state in target.leds if state != "used")
+        value = "".join(
+            [f"{target.leds_found} of {target.leds_expected} used"]
+            + [f", {number} {state}" for state, number in unused.items()]
+        )
+        verdict = "good" if target.leds_found >= Limits().min_leds else "unknown"
+        rows.append((f"LEDs {name}", verdict, f">= {Limits().min_leds}", "", value))
+    for part in check.parts:
+        known = part.error is not None and part.sigma is not None
+        value = f"{part.error:.4f} +/- {part.sigma:.4f} {part.unit}" if known else "not known"
+        limits = f"<= {part.suspect:.3g}", f"> {part.bad:.3g}"
+        rows.append((f"drift {part.of}", part.verdict, *limits, value))
+    column = min(max(len(row[0]) for row in rows), _MAX_NAME)
+    lines = []
+    if len(rows) > 1:
+        for name, verdict, good, bad, value in rows:
+            head = f"{name[:column]:<{column}}  {verdict[:8]:<9}{good[:9]:<10}{bad[:8]:<9}"
+            lines += hanging(head, value, WIDTH, len(head))
+        lines.append("")
+    verdict = check.verdict or "none"
+    action = _ACTIONS.get(verdict, "")
+    lines += hanging("verdict", f"{verdict if verdict == 'good' else verdict.upper()}: {action}", WIDTH, 9)
+    details = [f"{name}: {target.detail}" for name, target in check.targets.items() if target.detail]
+    remarks = [*check.reasons, *(detail for detail in details if detail not in check.reasons), *check.notes]
+    lines += [line for remark in remarks for line in hanging("  -", remark, WIDTH, 4)]
+    if check.origin == Origin.SIMULATED:
+        lines.append("judged from SIMULATED frames")
+    return [line.replace("°", "deg") for line in lines]

@@ -12,7 +12,24 @@ TARGETS: dict[str, Any] = {
     ],
 }
 
-CHECK: dict[str, Any] = {"verdict": "good", "reasons": [], "time": "2026-11-20T08:10:00.000Z", "number": 3}
+CHECK: dict[str, Any] = {
+    "verdict": "good",
+    "reasons": [],
+    "time": "2026-11-20T08:10:00.000Z",
+    "number": 3,
+    "parts": [
+        {
+            "of": "front",
+            "verdict": "good",
+            "unit": "mm",
+            "error": 0.001,
+            "sigma": 0.0015,
+            "suspect": 0.03,
+            "bad": 0.1,
+        }
+    ],
+    "targets": {"front": {"leds_expected": 6, "leds_found": 6, "leds": ["used"] * 6, "detail": ""}},
+}
 
 DUSTY: dict[str, Any] = {
     "code": "dusty",

@@ -137,7 +137,7 @@ def test_the_frame_leds_hang_on_the_cameras_outputs(calibration: Path, tmp_path:
 
 def self_checked(config: Path) -> tuple[int, dict[str, Any]]:
     """``altd selfcheck`` of the running daemon: its status and its object."""
-    outcome = altd_here("selfcheck", "--config", config)
+    outcome = altd_here("selfcheck", "--config", config, "--json")
     return outcome.status, json.loads(outcome.out)
 
 

@@ -87,11 +87,26 @@ class TargetDrift(Answer):
     detail: str
 
 
+class PartVerdict(Answer):
+    """The verdict on one target, or on yaw and pitch."""
+
+    of: str
+    verdict: Literal["good", "suspect", "bad", "unknown"]
+    unit: str
+    error: float | None
+    """The largest error anywhere in the calibrated area; null where too few LEDs were found."""
+    sigma: float | None
+    suspect: float
+    """The limit of `good`; so `bad`."""
+    bad: float
+
+
 class SelfCheck(Answer):
     """What the last self-check said; where there was none, `verdict` is null and `reasons` says why."""
 
     verdict: Literal["good", "suspect", "bad", "unknown"] | None
     reasons: list[str]
+    parts: list[PartVerdict] = Field(default=[])
     targets: dict[str, TargetDrift] = Field(default={})
     yaw_deg: float | None = None
     """What the drift does to a measurement; so the next three."""

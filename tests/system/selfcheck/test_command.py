@@ -35,7 +35,7 @@ def record(folder: Path, change: Callable[[Unit], object] = lambda unit: None, *
 
 
 def judged(checked: Path, unit: Path) -> tuple[int, dict[str, Any]]:
-    said = altd_here("selfcheck", checked, "--calibration", unit / "cal.json")
+    said = altd_here("selfcheck", checked, "--calibration", unit / "cal.json", "--json")
     assert said.status in (0, 1), said.err
     (document,) = said.objects
     return said.status, document
@@ -45,6 +45,9 @@ def test_a_unit_that_stands_as_it_was_calibrated_is_good(unit_3: Path, tmp_path:
     status, said = judged(record(tmp_path), unit_3)
     assert (status, said["verdict"], said["reasons"]) == (0, "good", [])
     assert said["origin"] == "simulated"
+    assert {part["of"]: part["verdict"] for part in said["parts"]} == dict.fromkeys(
+        ("front", "rear", "yaw, pitch"), "good"
+    )
     for target in said["targets"].values():
         assert (target["leds_expected"], target["leds_found"]) == (6, 6)
         assert target["shift_px"] == pytest.approx([0, 0], abs=0.015)
@@ -59,6 +62,9 @@ def test_a_camera_that_moved_is_told_with_what_that_does_to_a_measurement(
     status, said = judged(record(tmp_path, lambda unit: unit.displace("front", moved)), unit_3)
     assert status == 1
     assert said["verdict"] in ("suspect", "bad")
+    worst = said["parts"][0]
+    assert (worst["of"], worst["unit"], worst["suspect"], worst["bad"]) == ("front", "mm", 0.03, 0.1)
+    assert worst["error"] >= max(abs(said["x_mm"]), abs(said["y_mm"])) > worst["suspect"]
     lens = Unit(UnitConfig(seed=3)).imagers["front"].view.lens
     leds = np.array(LED_POSITIONS_MM)
     before, after = (np.stack(each.project(*leds.T), axis=1) for each in (lens, moved.of(lens)))
@@ -125,8 +131,10 @@ def test_a_camera_whose_distance_to_its_target_grew_is_seen_by_its_scale(
 
 def test_the_led_pairs_of_a_foreign_units_own_scan_are_good(shared_data: Path, unit_a: Path) -> None:
     said = altd_here("selfcheck", shared_data / "unit-a" / "scan", "--calibration", unit_a / "cal.json")
-    assert (said.status, said.objects[0]["verdict"]) == (0, "good")
-    assert said.objects[0]["targets"]["front"]["leds"].count("cut") == 1
+    lines = said.out.splitlines()
+    assert said.status == 0
+    assert lines[-2:] == ["verdict  good: nothing to do", "  - front: LED 4: cut"]
+    assert lines[1].split() == ["LEDs", "front", "good", ">=", "3", "5", "of", "6", "used,", "1", "cut"]
 
 
 def test_what_is_no_self_check_is_refused_in_one_line(unit_3: Path, tmp_path: Path) -> None:

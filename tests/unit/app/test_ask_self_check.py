@@ -43,6 +43,7 @@ def answered(tmp_path: Path, answer: bytes) -> Iterator[Path]:
         (http(b"[]"), "the answer is 200, and no verdict"),
         (http(b'{"error": {"a": 1}}', b"HTTP/1.1 500 Oh"), "the answer is 500, and no verdict"),
         (http(b'{"verdict": "good"}', b"HTTP/1.1 302 Elsewhere"), "the answer is 302, and no verdict"),
+        (http(b'{"verdict": [3]}'), "the answer is no self-check: verdict: "),
         (http(b'{"error": "no frame LEDs"}', b"HTTP/1.1 409 No"), "no frame LEDs"),
         (http(b'{"error": "a\\n\\u001b[2Jb"}', b"HTTP/1.1 409 No"), r"a\n\x1b[2Jb"),
     ],
@@ -73,7 +74,7 @@ def test_the_local_socket_is_asked_first(tmp_path: Path) -> None:
 
         thread = threading.Thread(target=serve)
         thread.start()
-        said = altd_here("selfcheck", "--config", path)
+        said = altd_here("selfcheck", "--config", path, "--json")
         thread.join()
     assert (said.status, said.objects) == (0, [{"verdict": "good"}])
 
@@ -101,6 +102,6 @@ def test_a_daemon_that_nobody_can_ask_is_a_fault_of_the_config(tmp_path: Path) -
 @pytest.mark.parametrize(("verdict", "status"), [("good", 0), ("suspect", 1), ("unknown", 1)])
 def test_a_verdict_is_written_as_it_came(tmp_path: Path, verdict: str, status: int) -> None:
     with answered(tmp_path, http(json.dumps({"verdict": verdict, "number": 3}).encode())) as config:
-        said = altd_here("selfcheck", "--config", config)
+        said = altd_here("selfcheck", "--config", config, "--json")
     assert (said.status, said.err) == (status, "")
     assert said.objects == [{"verdict": verdict, "number": 3}]

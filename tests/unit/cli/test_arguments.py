@@ -47,6 +47,10 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         (("record", "-o", "x", "--seconds", "1", "--plate", "3,5,25"), "'3,5,25' is not a plate; possible"),
         (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,nan"), "'7,5,nan' is not a plate; possible"),
         (("lamps", "offf"), "'offf' is not possible; possible: off, on, test, stopped; did you mean `off`?"),
+        (
+            ("check-config", "a.toml", "--config", "b.toml"),
+            "altd check-config: --config: not allowed with argument FILE",
+        ),
         (("devices", "\x1b[2J"), "'\\x1b[2J' is an argument too many"),
         (("selfcheck", "rec"), "altd selfcheck: rec: missing: --calibration FILE, to hold"),
         (("selfcheck", "rec", "--config", "altd.toml"), "altd selfcheck: --config: asks the running"),
@@ -137,16 +141,20 @@ class TestWithoutAConfig:
         monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "none.toml")
         assert cli.main(command.format(new=tmp_path / "new").split()) == 2
         name = command.split()[0]
-        argument = "FILE" if name == "check-config" else "--config FILE"
-        said = f"altd {name}: missing: {argument}, for there is no {tmp_path}/none.toml\n"
+        said = f"altd {name}: missing: --config FILE, for there is no {tmp_path}/none.toml\n"
         assert capsys.readouterr().err == said
 
+    @pytest.mark.parametrize("option", [(), ("--config",)])
     def test_one_that_is_named_counts(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+        self,
+        option: tuple[str, ...],
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
     ) -> None:
         (tmp_path / "altd.toml").write_text("[unit]\n")
         monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "altd.toml")
-        assert cli.main(["check-config", str(tmp_path / "other.toml")]) == 2
+        assert cli.main(["check-config", *option, str(tmp_path / "other.toml")]) == 2
         assert "other.toml: No such file" in capsys.readouterr().err
 
 

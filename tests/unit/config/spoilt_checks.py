@@ -41,6 +41,11 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     _of_check("exposures", "21", "21 is too large"),
     _of_check("exposures", "4.5", "4.5 is not a whole number"),
     _of_check("exposures", "true", "true is not a number"),
+    _of_check(
+        "exposures", '"4"', '"4" is text; possible: whole number from 2 to 20; write it without quotes'
+    ),
+    _of_check("enabled", '"true"', '"true" is text; possible: true or false; write it without quotes'),
+    _of_check("enabled", "1", "1 is neither true nor false; possible: true or false"),
     _of_check("suspect_mm", "0", f"0 is too small; {_LIMITS_MM_DEG}"),
     _of_check("suspect_mm", "0.2", "0.2 is above bad_mm; possible: up to 0.1"),
     _of_check("suspect_mm", "inf", "inf is not a finite number"),
@@ -72,7 +77,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     (_DEVICE, '«"ttyUSB1"', "inclinometer.device", '"ttyUSB1" is no path of a device'),
     (_DEVICE, "«5", "inclinometer.device", "5 is not a path"),
     _of_roll("baud", "9601", "9601 is not possible; possible: 4800 or 9600 or 19200"),
-    _of_roll("baud", '"19200"', '"19200" is not possible'),
+    _of_roll("baud", '"19200"', '"19200" is text; possible: 4800 or 9600 or 19200'),
     _of_roll("parity", '"mark"', 'possible: "none" or "even" or "odd"'),
     _of_roll("stop_bits", "3", "3 is not possible; possible: 1 or 2"),
     _of_roll("stop_bits", "true", "true is not a number; possible: 1 or 2"),

@@ -16,7 +16,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import Knowledge
-from altd.terminal.lines import WIDTH, status_text
+from altd.terminal.lines import WIDTH, self_check_table, status_text
 from altd.terminal.screen import PAGES, View, draw
 
 
@@ -148,7 +148,7 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
         draw(knowledge, float(number), View(number % len(PAGES)), canvas)
         lines = canvas.text().split("\n")
         assert all(len(line) <= 80 and line.isprintable() for line in lines)
-        text = status_text(told[0], told[1], told[2])
+        text = "\n".join([status_text(told[0], told[1], told[2]), *self_check_table(told[2])])
         assert all(line.isprintable() and len(line) <= WIDTH for line in text.split("\n")), text
     assert 1_000 < refused < 9_000
 

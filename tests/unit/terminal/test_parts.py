@@ -8,7 +8,7 @@ from support.daemon_documents import TARGETS, measurement, status
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import Reading, TargetsDocument, reading_of, self_check_of, status_of, targets_of
-from altd.terminal.lines import WIDTH, is_fine, status_text
+from altd.terminal.lines import WIDTH, is_fine, self_check_table, status_text
 from altd.terminal.target_picture import Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
 
 
@@ -138,6 +138,40 @@ laser         failed    3.0 s
     def test_fine_is_who_may_be_used(self, valid: bool, signal: str, fine: bool) -> None:
         assert is_fine(reading(valid=valid), status_of(status(signal=signal))) is fine
         assert not is_fine(None, status_of(status()))
+
+    def test_a_self_check_is_this_table(self) -> None:
+        part = {"of": "rear", "verdict": "bad", "unit": "mm", "error": 0.13755, "sigma": 0.00153}
+        limits = {"suspect": 0.03, "bad": 0.1}
+        lit = {"leds_expected": 6, "leds_found": 6, "leds": ["used"] * 6, "detail": ""}
+        leds = [*["always_lit"] * 3, "dark", "used", "used"]
+        stuck = {"leds_expected": 6, "leds_found": 2, "leds": leds, "detail": "2 of 6 LEDs can be used"}
+        document = {
+            "verdict": "bad",
+            "reasons": ["rear: moved by up to 0.138 °", "front: 2 of 6 LEDs can be used"],
+            "parts": [
+                {**part, **limits},
+                {**part, **limits, "of": "front", "error": None, "verdict": "unknown"},
+            ],
+            "targets": {"rear": lit, "front": stuck},
+            "notes": ["front: another light"],
+            "origin": "simulated",
+        }
+        assert (
+            "\n".join(self_check_table(self_check_of(document)))
+            == """\
+check        verdict  good if   bad if   value, +/- 1 sigma
+LEDs rear    good     >= 3               6 of 6 used
+LEDs front   unknown  >= 3               2 of 6 used, 3 always lit, 1 dark
+drift rear   bad      <= 0.03   > 0.1    0.1376 +/- 0.0015 mm
+drift front  unknown  <= 0.03   > 0.1    not known
+
+verdict  BAD: look for a blow or loose screws at cameras and targets; then
+         calibrate the unit again
+  - rear: moved by up to 0.138 deg
+  - front: 2 of 6 LEDs can be used
+  - front: another light
+judged from SIMULATED frames"""
+        )
 
     def test_no_line_is_wider_than_a_screen(self) -> None:
         parts = {"serial /dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K1XYZ-if00-port0": {"x" * 90: 1}}

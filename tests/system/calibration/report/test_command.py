@@ -52,6 +52,14 @@ def test_a_scan_gives_calibration_page_and_sheets(scan: Path, tmp_path: Path) ->
     assert f"report: {folder / 'cal.html'}" in done.out
 
 
+@pytest.mark.parametrize("further", [(), ("other",)])
+def test_a_recording_behind_report_is_not_taken_for_its_folder(
+    scan: Path, tmp_path: Path, further: tuple[str, ...]
+) -> None:
+    line = refusal(altd_here("calibrate", "-o", tmp_path / "cal.json", "--report", scan, *further))
+    assert line == f"altd calibrate: --report: {scan} is a recording: write --report after the recordings"
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_without_a_folder_the_report_stands_beside_the_calibration_and_names_it(
     scan: Path, tmp_path: Path
