@@ -1,0 +1,179 @@
+"""The views Overview and Drive in Chromium: what a driver reads from two metres, and a technician at the unit."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import pytest_asyncio
+from playwright.async_api import Browser, Locator
+from support.led_unit import LedUnit
+from support.page import POSE, Seen, browser, seen, watched_unit
+
+from altd.measuring.calibration import Calibration
+from altd.records import Frame
+from hw_sim.beam import BeamPose
+
+pytestmark = [pytest.mark.real_time, pytest.mark.asyncio(loop_scope="module")]
+
+NUMBERS = ("x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def started() -> AsyncIterator[Browser]:
+    async with browser() as started:
+        yield started
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def running(calibration_of_unit_3: Calibration) -> AsyncIterator[LedUnit]:
+    """One unit for all tests."""
+    async with watched_unit(calibration_of_unit_3) as running:
+        yield running
+
+
+def dark(frame: Frame) -> Frame:
+    return replace(frame, pixels=np.minimum(frame.pixels, 12))
+
+
+async def until(holds: Callable[[], Awaitable[bool]], timeout_s: float = 20.0) -> None:
+    async with asyncio.timeout(timeout_s):
+        while not await holds():  # noqa: ASYNC110  a browser sends no notification
+            await asyncio.sleep(0.05)
+
+
+async def placed(running: LedUnit, shown: Seen, pose: BeamPose) -> None:
+    """Put the beam there, and wait until the page shows it."""
+    running.unit.place(pose)
+
+    async def is_shown() -> bool:
+        text = (await shown.now())["values"]["x_mm"].replace("\N{MINUS SIGN}", "-")
+        return text != "\N{EN DASH}" and abs(float(text) - pose.x_mm) < 0.2
+
+    await until(is_shown)
+
+
+async def test_a_moving_beam_is_shown_with_both_uncertainties(started: Browser, running: LedUnit) -> None:
+    both = re.compile(r"±\s\d+\.\d{3} \(mean\), ±\s\d+\.\d+ now, moving")
+
+    async def is_at_rest() -> bool:
+        return (await cell.inner_text()).endswith(" now")
+
+    async with seen(started, running) as shown:
+        cell = shown.page.locator("#sigma_x_mm")
+        for step in range(200):
+            running.unit.place(replace(POSE, x_mm=POSE.x_mm - 0.1 * step))
+            if both.fullmatch(await cell.inner_text()):
+                break
+            await asyncio.sleep(0.05)
+        else:
+            pytest.fail(await cell.inner_text())
+        running.unit.place(POSE)
+        await until(is_at_rest)
+
+
+async def rings_of(eyes: Locator) -> list[str]:
+    return await eyes.locator("text.scale").all_inner_texts()
+
+
+async def test_the_scale_of_the_drive_view_stays_while_the_beam_moves(
+    started: Browser, running: LedUnit
+) -> None:
+    async with seen(started, running, (1024, 600)) as shown:
+        await shown.open("drive")
+        eyes = shown.page.locator(".eyes")
+        ends = await eyes.locator("text.end").all_inner_texts()
+        assert ends == ["right", "left", "up", "down"] * 2
+        rings = ["10", "30", "50", "20", "60", "100"]
+        for x_mm in (0.5, 12.0, 45.0, 70.0, -3.0):
+            await placed(running, shown, replace(POSE, x_mm=x_mm))
+            assert await rings_of(eyes) == rings
+            assert await eyes.get_by_text("outside the scale").count() == (x_mm > 50)
+            mark = await eyes.locator("circle.point").first.bounding_box()
+            assert mark is not None
+            for label in await eyes.locator("figure").first.locator("text").all():
+                box = await label.bounding_box()
+                assert box is not None
+                assert not overlap(mark, box), "the marker is on a label"
+        await eyes.get_by_label("scale").first.select_option("100")
+        await eyes.get_by_label("tolerance").first.fill("15")
+        await eyes.get_by_label("tolerance").first.press("Enter")
+        await shown.page.reload()
+        await shown.until_measured()
+        assert (await rings_of(eyes))[:3] == ["20", "60", "100"], "the choice is kept"
+        (radius,) = [float(await ring.get_attribute("r") or 0) for ring in await eyes.locator(".tolerance").all()]
+        outer = float(await eyes.locator("circle.ring").nth(2).get_attribute("r") or 0)
+        assert radius / outer == pytest.approx(0.15)
+        await placed(running, shown, POSE)
+        assert shown.complaints == []
+
+
+def overlap(one: dict[str, float], other: dict[str, float]) -> bool:
+    return all(
+        one[begin] < other[begin] + other[size] and other[begin] < one[begin] + one[size]
+        for begin, size in (("x", "width"), ("y", "height"))
+    )
+
+
+async def inside(shown: Seen, *places: Locator) -> None:
+    """Each is on the first screen, as a whole, and within its section."""
+    screen = shown.page.viewport_size
+    assert screen is not None
+    for place in places:
+        box, card = await place.bounding_box(), await place.locator("xpath=ancestor::section").bounding_box()
+        assert box is not None
+        assert card is not None
+        for begin, size in (("x", "width"), ("y", "height")):
+            assert card[begin] <= box[begin] + 1, await place.inner_text()
+            end = box[begin] + box[size]
+            assert end <= min(card[begin] + card[size], screen[size]) + 1, await place.inner_text()  # type: ignore[literal-required]
+
+
+@pytest.mark.parametrize("size", [(1024, 600), (1280, 720), (1920, 1080)], ids=lambda size: f"{size[0]}")
+async def test_numbers_and_the_cause_of_a_fault_are_on_the_first_screen(
+    started: Browser, running: LedUnit, size: tuple[int, int]
+) -> None:
+    async with seen(started, running, size) as shown:
+        await shown.open("drive")
+        page = shown.page
+        numbers = [page.locator(f"#{key}") for key in NUMBERS]
+        await inside(shown, *numbers, *(page.locator(f"#sigma_{key}") for key in NUMBERS))
+        await inside(shown, *await page.locator(".eye svg").all(), *await page.locator(".eye label").all())
+        running.seen.alter = dark
+        try:
+            cause = page.locator(".causes li").first
+            await cause.get_by_text("no laser spot").first.wait_for()
+            await inside(shown, cause.locator("strong"), cause.locator(".remedy"), *numbers)
+            scrolls = await page.evaluate("document.documentElement.scrollHeight - innerHeight")
+            assert scrolls <= 0
+        finally:
+            running.seen.alter = lambda frame: frame
+            await running.measured(valid=True)
+
+
+async def middle_of_spot(figure: Locator) -> tuple[float, float]:
+    """Where the green contour is on the screen, as a share of the picture from its left and its top."""
+    png = np.frombuffer(await figure.locator("canvas").screenshot(), np.uint8)
+    blue, green, red = cv2.split(cv2.imdecode(png, cv2.IMREAD_COLOR))
+    v, u = np.nonzero((green > 200) & (red < 120) & (blue < 160))
+    return float(u.mean() / green.shape[1]), float(v.mean() / green.shape[0])
+
+
+async def test_pictures_are_seen_along_the_beam(started: Browser, running: LedUnit) -> None:
+    """A beam to the right and below is drawn to the right and below, on both targets."""
+    async with seen(started, running) as shown:
+        await placed(running, shown, BeamPose(30.0, -20.0, 0.0, 0.0))
+        await shown.until_pictures()
+        await asyncio.sleep(0.5)
+        for target in ("front", "rear"):
+            figure = shown.page.locator(f"figure[data-target={target}]")
+            u, v = await middle_of_spot(figure)
+            assert u > 0.55, target
+            assert v > 0.55, target
+            assert "seen along the beam" in await figure.inner_text()
+        await placed(running, shown, POSE)
