@@ -11,9 +11,10 @@ const EYES = [
   { name: "direction", unit: "mm/m", x: "yaw_mm_per_m", y: "pitch_mm_per_m", sigma: "yaw_deg", scale: 100 },
 ];
 const SCALES = [5, 10, 20, 50, 100, 200, 500], RINGS = [0.2, 0.6, 1], ENDS = [["right", 100, 4], ["left", -100, 4], ["up", 0, -101], ["down", 0, 112]];
+const TOLERANCES = [null, 1, 2, 3, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200];
 const RADIUS = 90, MARK = 9, HOLE = 5, SHADED_SIGMAS = 3, MAX_SHADED = 200;
 const isScale = value => SCALES.includes(value);
-const isTolerance = value => Number.isFinite(value) && value > 0 && value <= SCALES.at(-1);
+const isTolerance = value => TOLERANCES.includes(value);
 
 // Where a point is drawn; `isInside`: that is its place, and not the rim in its direction.
 export function placeOf(x, y, scale) {
@@ -32,6 +33,11 @@ function Mark({ u, v, radius }) {
   return html`${radius !== null && html`<circle class="sigma" cx=${u} cy=${v} r=${Math.min(radius, MAX_SHADED)} />`}
     <path class="point" d=${`M${u - MARK} ${v}h${arm}M${u + HOLE} ${v}h${arm}M${u} ${v - MARK}v${arm}M${u} ${v + HOLE}v${arm}`} />
     <circle class="point" cx=${u} cy=${v} r=${HOLE} />`;
+}
+
+function Choice({ label, choices, value, onChoice }) {
+  return html`<label>${label} <select value=${choices.indexOf(value)} onChange=${event => onChoice(choices[Number(event.target.value)])}>
+    ${choices.map((each, number) => html`<option key=${number} value=${number}>${each ?? "none"}</option>`)}</select></label>`;
 }
 
 function Eye({ eye, measurement, isFar }) {
@@ -53,10 +59,8 @@ function Eye({ eye, measurement, isFar }) {
       ${RINGS.map(share => html`<text x=${right * (RADIUS * share * Math.SQRT1_2 + 2)} y=${down * (RADIUS * share * Math.SQRT1_2 + 5) + 4}
         class="scale" text-anchor=${right > 0 ? "start" : "end"}>${Number((share * scale).toPrecision(3))}</text>`)}
     </svg>
-    <figcaption><span>${name}, ${unit}</span>${isFar ? html` <label>scale <select value=${scale} onChange=${event => setScale(Number(event.target.value))}>
-        ${SCALES.map(each => html`<option key=${each} value=${each}>${each}</option>`)}</select></label>
-      <label>tolerance <input type="number" min="0" max=${SCALES.at(-1)} step="any" placeholder="none" value=${tolerance ?? ""}
-        onChange=${event => setTolerance(isTolerance(event.target.valueAsNumber) ? event.target.valueAsNumber : null)} /></label>` : ""}
+    <figcaption><span>${name}, ${unit}</span>${isFar ? html`<${Choice} label="scale" choices=${SCALES} value=${scale} onChoice=${setScale} />
+      <${Choice} label="tolerance" choices=${TOLERANCES} value=${tolerance} onChoice=${setTolerance} />` : ""}
       ${place && !place.isInside && html` <strong class="warned">outside the scale</strong>`}
       ${tolerance !== null && tolerance > scale && html` <strong class="warned">tolerance outside the scale</strong>`}</figcaption>
   </figure>`;
