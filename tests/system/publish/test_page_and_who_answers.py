@@ -1,4 +1,4 @@
-"""The page in Chromium where another unit answers at its address, slowly, or only to whoever is logged in."""
+"""The page in Chromium with another unit at its address, a slow one, one with a history, and with a login."""
 
 from __future__ import annotations
 
@@ -210,16 +210,23 @@ async def test_an_action_that_is_not_possible_is_disabled_with_its_reason() -> N
 TICKS = """{
     const drawn = globalThis.drawn = new Map();
     const { clearRect, fillText } = CanvasRenderingContext2D.prototype;
-    CanvasRenderingContext2D.prototype.clearRect = function (...at) { drawn.set(this.canvas, []); clearRect.apply(this, at); };
+    CanvasRenderingContext2D.prototype.clearRect = function (...at) {
+        drawn.set(this.canvas, []);
+        clearRect.apply(this, at);
+    };
     CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
-        drawn.get(this.canvas)?.push(text); fillText.call(this, text, ...at); };
+        drawn.get(this.canvas)?.push(text);
+        fillText.call(this, text, ...at);
+    };
 }"""
 """Keeps the texts that are on each canvas: the labels of the axes."""
 
 
 async def ticks_of(shown: Page) -> list[tuple[list[str], list[float]]]:
     """The labels in time and of values, of each plot."""
-    drawn: list[list[str]] = await shown.evaluate("[...drawn].filter(([plot]) => plot.isConnected).map(([, texts]) => texts)")
+    drawn: list[list[str]] = await shown.evaluate(
+        "[...drawn].filter(([plot]) => plot.isConnected).map(([, texts]) => texts)"
+    )
     return [
         (
             [text for text in texts if ":" in text],
@@ -256,7 +263,7 @@ async def test_the_range_of_the_trends_is_kept(tmp_path: Path) -> None:
         await shown.get_by_role("button", name="1 day").click()
         await shown.reload()
         await shown.get_by_role("button", name="1 day", pressed=True).wait_for()
-        await shown.evaluate("localStorage.setItem('span of the trends', '\"for ever\"')")
+        await shown.evaluate("localStorage.setItem('span of the trends', '\"2 hours\"')")
         await shown.reload()
         await shown.get_by_role("button", name="10 minutes", pressed=True).wait_for()
 
@@ -269,7 +276,9 @@ async def test_an_event_that_ended_is_not_coloured(tmp_path: Path) -> None:
     writing.end(None)
     async with page() as shown, unit("A-1", history=History(tmp_path / "a" / "history.db")) as port:
         await shown.goto(f"http://127.0.0.1:{port}/#events")
-        began, ended = (shown.locator(".events tr").filter(has_text=each).locator("td").nth(1) for each in ("n1", "n2"))
+        began, ended = (
+            shown.locator(".events tr").filter(has_text=each).locator("td").nth(1) for each in ("n1", "n2")
+        )
         await began.wait_for()
         assert [await each.inner_text() for each in (began, ended)] == ["began", "ended"]
         colours = [await each.evaluate("cell => getComputedStyle(cell).color") for each in (began, ended)]

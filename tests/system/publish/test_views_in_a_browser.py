@@ -1,4 +1,4 @@
-"""The views Overview and Drive in Chromium: what a driver reads from two metres, and a technician at the unit."""
+"""The views Overview and Drive in Chromium, as a technician and a driver two metres away read them."""
 
 from __future__ import annotations
 
@@ -66,9 +66,10 @@ async def placed(running: LedUnit, shown: Seen, pose: BeamPose) -> None:
 OUTSIDE = """selectors => selectors.flatMap(selector => {
     const found = [...document.querySelectorAll(selector)];
     const bad = found.filter(element => {
-        const box = element.getBoundingClientRect(), card = element.closest("section").getBoundingClientRect();
-        return box.left < card.left - 1 || box.top < card.top - 1 || box.right > Math.min(card.right, innerWidth) + 1
-            || box.bottom > Math.min(card.bottom, innerHeight) + 1 || box.width === 0;
+        const box = element.getBoundingClientRect();
+        const card = element.closest("section").getBoundingClientRect();
+        return box.left < card.left - 1 || box.right > Math.min(card.right, innerWidth) + 1
+            || box.top < card.top - 1 || box.bottom > Math.min(card.bottom, innerHeight) + 1 || !box.width;
     });
     return found.length ? bad.map(element => `${selector}: ${element.textContent}`) : [`no ${selector}`];
 })"""
@@ -156,7 +157,9 @@ async def test_the_scale_of_the_drive_view_stays_while_the_beam_moves(
         await shown.page.reload()
         await shown.until_measured()
         assert (await rings_of(eyes))[:3] == ["20", "60", "100"], "the choice is kept"
-        (radius,) = [float(await ring.get_attribute("r") or 0) for ring in await eyes.locator(".tolerance").all()]
+        (radius,) = [
+            float(await ring.get_attribute("r") or 0) for ring in await eyes.locator(".tolerance").all()
+        ]
         outer = float(await eyes.locator("circle.ring").nth(2).get_attribute("r") or 0)
         assert radius / outer == pytest.approx(0.15)
         await placed(running, shown, POSE)
@@ -171,7 +174,7 @@ def overlap(one: dict[str, float], other: dict[str, float]) -> bool:
 
 
 async def middle_of_spot(figure: Locator) -> tuple[float, float] | None:
-    """Where the green contour is on the screen, as a share of the picture from its left and its top, if any."""
+    """Where the green contour is on the screen, as shares of the picture from its left and top."""
     png = np.frombuffer(await figure.locator("canvas").screenshot(), np.uint8)
     blue, green, red = cv2.split(cv2.imdecode(png, cv2.IMREAD_COLOR))
     v, u = np.nonzero((green > 200) & (red < 120) & (blue < 160))

@@ -1,4 +1,4 @@
-"""The page's memory of the last minutes, run by Node.js: its own measurements, filled from the unit's history."""
+"""The page's memory of the last minutes, run by Node.js, and what the unit's history adds to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from altd.publish.http.answers import page_files
 
 
 def columns_of(tmp_path: Path, added: list[Any]) -> Any:
-    """Times and x of the page's memory after so many measurements with serials; of a trend where one is added."""
+    """Times and x of the page's memory after such measurements with serials, and trends."""
     (tmp_path / "memory.mjs").write_bytes(page_files()["memory.js"].content)
     script = """
         const { Memory } = await import(process.argv[1]);

@@ -130,7 +130,11 @@ def test_a_sigma_now_of_an_earlier_second_is_never_shown(page: Page) -> None:
 
 @pytest.mark.parametrize(
     ("status", "verdict"),
-    [(["simulated", "rehearsal"], "SIMULATED"), (["playback", "rehearsal"], "PLAYBACK"), (["rehearsal"], "REHEARSAL")],
+    [
+        (["simulated", "rehearsal"], "SIMULATED"),
+        (["playback", "rehearsal"], "PLAYBACK"),
+        (["rehearsal"], "REHEARSAL"),
+    ],
 )
 def test_values_that_are_not_from_cameras_are_named_for_their_origin(
     page: Page, status: list[str], verdict: str
@@ -251,7 +255,7 @@ def test_what_waited_while_the_computer_slept_is_not_shown(page: Page) -> None:
 
 
 def test_an_answer_that_is_repeated_is_no_news(page: Page) -> None:
-    """A proxy that keeps what it was told not to: the same valid measurement for ever."""
+    """A proxy that caches despite its instructions: the same valid measurement again and again."""
     page.measuring()
     page.do(broken=2)
     for _ in range(4):
