@@ -71,6 +71,10 @@ async def unit(
     """A unit that measures; gives its port."""
     clock = SystemClock()
     board, health = Board(clock, 1.0, QUANTITIES, Identity.drawn(serial)), Health(clock)
+    health.component("camera front").observe({"exposure_ms": 4.0, "gain_db": 0.0})
+    health.component("camera front").count("lost", 2)
+    health.component("measuring").count("dropped_front", 1)
+    health.component("temperature camera front").observe({"celsius": 31.2})
     health.facts |= {"serial": serial, "version": "0"}
     health.pictures.open(Maker())
     health.recordings.open(Keeper())
@@ -198,13 +202,17 @@ async def test_who_may_not_see_pictures_is_told_to_log_in(tmp_path: Path) -> Non
         await told_to_log_in(shown)
 
 
-async def test_an_action_that_is_not_possible_is_disabled_with_its_reason() -> None:
+async def test_parts_have_readings_and_an_action_that_is_not_possible_its_reason() -> None:
     async with page() as shown, unit("A-1") as port:
         await shown.goto(f"http://127.0.0.1:{port}/#unit")
         check = shown.get_by_role("button", name="Check now")
         reason = check.locator("xpath=following-sibling::*[1]").get_by_text("this unit has no frame LEDs")
         await reason.wait_for()
         assert await check.is_disabled()
+        camera = shown.locator(".parts tr").filter(
+            has=shown.get_by_role("rowheader", name="camera front", exact=True)
+        )
+        assert "31.2 °C, exposure 4.00 ms, 3 lost frames" in await camera.inner_text()
 
 
 TICKS = """{

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import replace
@@ -11,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 import pytest_asyncio
-from playwright.async_api import Browser, Locator, ViewportSize
+from playwright.async_api import Browser, Locator, Route, ViewportSize
 from support.led_unit import LedUnit
-from support.page import POSE, Seen, browser, seen, watched_unit
+from support.page import POSE, SIZES, Seen, browser, seen, watched_unit
 
 from altd.measuring.calibration import Calibration
 from altd.records import Frame
@@ -35,11 +36,13 @@ async def started() -> AsyncIterator[Browser]:
         yield started
 
 
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def running(calibration_of_unit_3: Calibration) -> AsyncIterator[LedUnit]:
-    """One unit for all tests."""
-    async with watched_unit(calibration_of_unit_3) as running:
-        yield running
+@contextlib.asynccontextmanager
+async def watched(
+    started: Browser, calibration: Calibration, size: tuple[int, int] = SIZES["desk"]
+) -> AsyncIterator[tuple[LedUnit, Seen]]:
+    """A unit of its own with its page: a beam that moves starts self-checks, which outlive a page."""
+    async with watched_unit(calibration) as running, seen(started, running, size, goes_on=False) as shown:
+        yield running, shown
 
 
 def dark(frame: Frame) -> Frame:
@@ -92,11 +95,7 @@ async def on_first_screen(shown: Seen, *selectors: str) -> None:
 async def test_numbers_and_the_cause_of_a_fault_are_on_the_first_screen(
     started: Browser, calibration_of_unit_3: Calibration
 ) -> None:
-    """On a unit of its own, and before the others' one runs."""
-    async with (
-        watched_unit(calibration_of_unit_3) as running,
-        seen(started, running, goes_on=False) as shown,
-    ):
+    async with watched(started, calibration_of_unit_3) as (running, shown):
         await shown.open("drive")
         numbers = [f"#{key}" for key in NUMBERS]
         for size in SCREENS:
@@ -110,13 +109,15 @@ async def test_numbers_and_the_cause_of_a_fault_are_on_the_first_screen(
             assert await shown.page.evaluate("document.documentElement.scrollHeight - innerHeight") <= 0
 
 
-async def test_a_moving_beam_is_shown_with_both_uncertainties(started: Browser, running: LedUnit) -> None:
+async def test_a_moving_beam_is_shown_with_both_uncertainties(
+    started: Browser, calibration_of_unit_3: Calibration
+) -> None:
     both = re.compile(r"±\s\d+\.\d{3} \(mean\), ±\s\d+\.\d+ now, moving")
 
     async def is_at_rest() -> bool:
-        return (await cell.inner_text()).endswith(" now")
+        return str(await cell.inner_text()).endswith(" now")
 
-    async with seen(started, running) as shown:
+    async with watched(started, calibration_of_unit_3) as (running, shown):
         cell = shown.page.locator("#sigma_x_mm")
         for step in range(200):
             running.unit.place(replace(POSE, x_mm=POSE.x_mm - 0.1 * step))
@@ -133,10 +134,27 @@ async def rings_of(eyes: Locator) -> list[str]:
     return await eyes.locator("text.scale").all_text_contents()
 
 
+HIDDEN = """(() => {
+    const eye = document.querySelector(".eye");
+    const mark = eye.querySelector("circle.point")?.getBoundingClientRect();
+    return !mark ? null : [...eye.querySelectorAll("text")].filter(text => {
+        const box = text.getBoundingClientRect();
+        return mark.left < box.right && box.left < mark.right
+            && mark.top < box.bottom && box.top < mark.bottom;
+    }).map(text => text.textContent);
+})()"""
+"""The labels below the marker; null: there is none."""
+
+
 async def test_the_scale_of_the_drive_view_stays_while_the_beam_moves(
-    started: Browser, running: LedUnit
+    started: Browser, calibration_of_unit_3: Calibration
 ) -> None:
-    async with seen(started, running, (1024, 600)) as shown:
+    async def shows_nothing_hidden() -> bool:
+        hidden = await shown.page.evaluate(HIDDEN)
+        assert not hidden
+        return hidden is not None  # for a moment there is no valid value
+
+    async with watched(started, calibration_of_unit_3, (1024, 600)) as (running, shown):
         await shown.open("drive")
         eyes = shown.page.locator(".eyes")
         ends = await eyes.locator("text.end").all_text_contents()
@@ -146,12 +164,7 @@ async def test_the_scale_of_the_drive_view_stays_while_the_beam_moves(
             await placed(running, shown, replace(POSE, x_mm=x_mm))
             assert await rings_of(eyes) == rings
             assert await eyes.get_by_text("outside the scale").count() == (x_mm > 50)
-            mark = await eyes.locator("circle.point").first.bounding_box()
-            assert mark is not None
-            for label in await eyes.locator("figure").first.locator("text").all():
-                box = await label.bounding_box()
-                assert box is not None
-                assert not overlap(mark, box), "the marker is on a label"
+            await until(shows_nothing_hidden)
         await eyes.get_by_label("scale").first.select_option(label="100")
         await eyes.get_by_label("tolerance").first.select_option(label="15")
         await shown.page.reload()
@@ -166,31 +179,71 @@ async def test_the_scale_of_the_drive_view_stays_while_the_beam_moves(
         assert shown.complaints == []
 
 
-def overlap(one: dict[str, float], other: dict[str, float]) -> bool:
-    return all(
-        one[begin] < other[begin] + other[size] and other[begin] < one[begin] + one[size]
-        for begin, size in (("x", "width"), ("y", "height"))
-    )
-
-
 async def middle_of_spot(figure: Locator) -> tuple[float, float] | None:
     """Where the green contour is on the screen, as shares of the picture from its left and top."""
     png = np.frombuffer(await figure.locator("canvas").screenshot(), np.uint8)
-    blue, green, red = cv2.split(cv2.imdecode(png, cv2.IMREAD_COLOR))
+    image = cv2.imdecode(png, cv2.IMREAD_COLOR)
+    assert image is not None
+    blue, green, red = cv2.split(image)
     v, u = np.nonzero((green > 200) & (red < 120) & (blue < 160))
     return (float(u.mean() / green.shape[1]), float(v.mean() / green.shape[0])) if u.size else None
 
 
-async def test_pictures_are_seen_along_the_beam(started: Browser, running: LedUnit) -> None:
+async def test_pictures_are_seen_along_the_beam(started: Browser, calibration_of_unit_3: Calibration) -> None:
     """A beam to the right and below is drawn to the right and below, on both targets."""
-    async with seen(started, running) as shown:
+    async with watched(started, calibration_of_unit_3) as (running, shown):
         await placed(running, shown, BeamPose(30.0, -20.0, 0.0, 0.0))
         await shown.until_pictures()
         for target in ("front", "rear"):
             figure = shown.page.locator(f"figure[data-target={target}]")
             middle = None
-            while middle is None or middle[1] < 0.55:  # of the last place of the beam
-                middle = await middle_of_spot(figure)
+            async with asyncio.timeout(20):
+                while middle is None or middle[1] < 0.55:  # of the last place of the beam
+                    middle = await middle_of_spot(figure)
             assert middle[0] > 0.55, target
             assert "seen along the beam" in await figure.inner_text()
         await placed(running, shown, POSE)
+
+
+@pytest.mark.parametrize(
+    ("others", "badge"),
+    [
+        ([], ""),
+        (["maintenance_required"], "maintenance required"),
+        (["out_of_specification", "failure"], "failure"),
+    ],
+)
+async def test_simulated_frames_are_named_once_and_hide_no_fault(
+    started: Browser, calibration_of_unit_3: Calibration, others: list[str], badge: str
+) -> None:
+    """A status with the causes of simulated frames, and others of these signals."""
+    signals = [
+        ("simulated", "check_function"),
+        ("rehearsal", "check_function"),
+        *((each, each) for each in others),
+    ]
+    causes = [
+        {"code": code, "signal": signal, "of": None, "active": True, "for_s": 9.0, "times": 1}
+        | {"brief": f"brief of {code}", "remedy": "do", "detail": ""}
+        for code, signal in signals
+    ]
+    state = {"signal": "failure" if "failure" in others else "check_function", "for_s": 9.0, "causes": causes}
+
+    async def simulated(route: Route) -> None:
+        await route.fulfill(json={**running.daemon.health.as_object(), "state": state})
+
+    async with watched(started, calibration_of_unit_3) as (running, shown):
+        await shown.page.route("**/api/v1/status", simulated)
+        await shown.page.locator(".causes [data-code=simulated]").wait_for()
+        codes = [
+            await each.get_attribute("data-code") for each in await shown.page.locator(".causes li").all()
+        ]
+        assert codes == ["simulated", *others]
+        found = [
+            text.split(" ", 1)[1] for text in await shown.page.locator("header .badge").all_inner_texts()
+        ]
+        assert found == ([badge] if badge else [])
+        await shown.open("drive")
+        first = shown.page.locator(".causes li")
+        assert await first.count() == 1
+        assert await first.get_attribute("data-code") == (others[0] if others else "simulated")

@@ -7,9 +7,10 @@ const isOrigin = cause => ORIGINS.includes(cause.code);
 
 // The worst signal; without that of simulated frames, which the verdict names already.
 export function Badge({ status }) {
-  const causes = status?.state?.causes ?? [], others = causes.filter(cause => cause.active && !isOrigin(cause));
-  if (causes.some(isOrigin) && others.length === 0) return null;
-  const signal = causes.some(isOrigin) ? Object.keys(SIGNALS).findLast(each => others.some(cause => cause.signal === each)) : status?.state?.signal;
+  const causes = (status?.state?.causes ?? []).filter(cause => cause.active), others = causes.filter(cause => !isOrigin(cause));
+  const hasOrigin = others.length < causes.length;
+  if (hasOrigin && others.length === 0) return null;
+  const signal = hasOrigin ? Object.keys(SIGNALS).findLast(each => others.some(cause => cause.signal === each)) : status?.state?.signal;
   const known = SIGNALS[signal];
   if (!known) return html`<span class="badge unknown">state not known</span>`;
   return html`<span class=${`badge ${signal}`}><span aria-hidden="true">${known.mark}</span> ${known.words}</span>`;
