@@ -123,7 +123,7 @@ This page defines the registers, inputs and commands that a controller reads and
 ## Connect
 
 | | Modbus TCP | Modbus RTU (RS232, RS485) |
-| --- | --- | --- |
+|---|---|---|
 | in `altd.toml` | `[modbus_tcp]` | `[[serial]]` with `speaks = "modbus_rtu"` |
 | default | port {tcp.port_or_default}, with [TLS](#tls) 802 | \
 {baud} baud, 8 data bits, parity {parity}, {stop_bits} stop bit |
@@ -179,7 +179,7 @@ It describes the middle of that second and is therefore about 0.5 s old when it 
 comes with every frame, every 50 ms.
 
 | quantity | value |
-| --- | --- |
+|---|---|
 | normal `age` | 500 to 600 ms |
 | recommended limit of `age` | 1000 ms; below 600 ms most values are refused |
 | interval of requests | 50 ms or more |
@@ -246,7 +246,7 @@ Exactly one of 1 to 4 is set unless the state is good.
 Read codes 1 to 3 (stream) and 4 (one object):
 
 | object | holds |
-| --- | --- |
+|---|---|
 | 0, 1, 2, 4 | vendor, product code, version, product name |
 | 0x{SERIAL:02X} | the unit's serial number |
 | 0x{CALIBRATION_DATE:02X} | date of the calibration, `2026-11-02` |
@@ -343,7 +343,7 @@ address) instead of the role.
 ## Exceptions
 
 | code | when |
-| --- | --- |
+|---|---|
 | 1 | a function that is not on this page, or a write that this client may not make |
 | 2 | a read beyond its block, or an input that does not exist |
 | 3 | no register, more than 125, a malformed request, or a command's wrong value |
@@ -475,8 +475,9 @@ def _indented(lines: Iterable[str]) -> str:
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     titles = list(head)
-    lines = [titles, ["---"] * len(titles), *([str(cell) for cell in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    lines = ["| " + " | ".join(map(str, line)) + " |" for line in (titles, *rows)]
+    lines.insert(1, "|" + "---|" * len(titles))
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ def turned(frame: Frame) -> Frame:
 
 
 class Frozen:
-    """The camera delivers its last picture for ever."""
+    """The camera delivers its last picture again and again."""
 
     def __init__(self) -> None:
         self._kept: Frame | None = None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,7 @@ from support.cli import altd_here, refusal
 from support.places import ROOT
 
 from altd.cli import main as cli
+from hw_sim.__main__ import command_parser
 from hw_sim.__main__ import main as simulate
 
 REPLAY = ("replay", "rec", "--calibration", "cal.json")
@@ -167,3 +171,32 @@ def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     line = refusal(altd_here("run", "--rehearsal", "--config", tmp_path / "none.toml"))
     assert line == "altd run: --rehearsal: a service does not rehearse; start `altd run` by hand"
+
+
+PARSERS = {"altd": cli.command_parser(), "hw_sim": command_parser()}
+_COMMAND = re.compile(r"(?:\S*/)?(?:python3? -m )?(altd|hw_sim)(?:\.cli)? (?!\S+:)([^<>]*)(?:[<>].*)?")
+_PAGES = [ROOT / "README.md", *(path for path in ROOT.glob("docs/*.md") if path.name != "commands.md")]
+
+
+def _documented(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """The commands in the code blocks of a page: of which program, and its arguments."""
+    is_fenced = False
+    for line in path.read_text().split("\n"):
+        is_fenced ^= line.startswith("```")
+        if is_fenced or line.startswith("    "):
+            for part in re.split(r" && | \| ", line.split("  #")[0]):
+                if found := _COMMAND.fullmatch(part.strip().removeprefix("sudo ")):
+                    yield found[1], shlex.split(found[2])
+
+
+@pytest.mark.parametrize("path", _PAGES, ids=lambda path: path.name)
+def test_the_pages_have_commands_that_the_parsers_accept(path: Path) -> None:
+    for program, arguments in _documented(path):
+        options, unknown = PARSERS[program].parse_known_args(arguments)
+        assert options.command, arguments
+        assert not unknown, arguments
+
+
+def test_the_tutorial_has_commands_of_both_programs() -> None:
+    programs = [program for program, _ in _documented(ROOT / "docs" / "first-hour.md")]
+    assert programs == ["hw_sim", "altd", "altd", "altd", "hw_sim", "altd", "hw_sim"]

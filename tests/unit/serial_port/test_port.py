@@ -50,7 +50,7 @@ async def test_reading_ends_when_the_pause_is_over(wire: Wire) -> None:
 
 
 async def test_what_does_not_fit_is_refused_whole_and_never_blocks(wire: Wire) -> None:
-    """Nobody reads: the kernel's buffer fills up, then one telegram waits, then all are refused."""
+    """No reader: the kernel's buffer fills up, then one telegram waits, then all are refused."""
     telegram = b"x" * 98 + b"\r\n"
     async with opened(wire.settings(), limit=150, fresh=True) as line:
         accepted = 0

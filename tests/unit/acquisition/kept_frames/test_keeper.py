@@ -48,7 +48,7 @@ class Camera:
 
 @dataclass
 class Unit:
-    """A keeper, the causes that it is shown, and cameras that deliver as its clock goes on."""
+    """A keeper, the causes that it is shown, and cameras that deliver as its clock advances."""
 
     folder: Path
     settings: KeptFrames = SETTINGS
@@ -220,7 +220,7 @@ async def test_what_is_no_fault_is_not_written(tmp_path: Path, kind: Kind) -> No
 
 
 async def test_a_fault_of_a_simulated_unit_is_written_too(tmp_path: Path) -> None:
-    """*Check function* from the start is the worse signal; the fault beside it counts by itself."""
+    """*Check function* from the start is the worse signal; the fault beside it counts alone."""
     async with running(Unit(tmp_path)) as unit:
         unit.causes.append(Cause(Reason.SIMULATED))
         await unit.expose(60)

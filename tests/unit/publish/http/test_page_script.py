@@ -255,7 +255,7 @@ def test_what_waited_while_the_computer_slept_is_not_shown(page: Page) -> None:
 
 
 def test_an_answer_that_is_repeated_is_no_news(page: Page) -> None:
-    """A proxy that caches despite its instructions: the same valid measurement again and again."""
+    """A proxy that caches against ``no-store``: the same valid measurement, again and again."""
     page.measuring()
     page.do(broken=2)
     for _ in range(4):
