@@ -220,10 +220,11 @@ async def test_simulated_frames_are_named_once_and_hide_no_fault(
     signals = [
         ("simulated", "check_function"),
         ("rehearsal", "check_function"),
+        ("over", "failure"),
         *((each, each) for each in others),
     ]
     causes = [
-        {"code": code, "signal": signal, "of": None, "active": True, "for_s": 9.0, "times": 1}
+        {"code": code, "signal": signal, "of": None, "active": code != "over", "for_s": 9.0, "times": 1}
         | {"brief": f"brief of {code}", "remedy": "do", "detail": ""}
         for code, signal in signals
     ]
@@ -234,11 +235,11 @@ async def test_simulated_frames_are_named_once_and_hide_no_fault(
 
     async with watched(started, calibration_of_unit_3) as (running, shown):
         await shown.page.route("**/api/v1/status", simulated)
-        await shown.page.locator(".causes [data-code=simulated]").wait_for()
+        await shown.page.get_by_text("brief of simulated").wait_for()
         codes = [
             await each.get_attribute("data-code") for each in await shown.page.locator(".causes li").all()
         ]
-        assert codes == ["simulated", *others]
+        assert codes == ["simulated", *others, "over"]
         found = [
             text.split(" ", 1)[1] for text in await shown.page.locator("header .badge").all_inner_texts()
         ]

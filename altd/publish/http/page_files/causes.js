@@ -18,14 +18,14 @@ export function Badge({ status }) {
 
 // isFar: read from two metres, where one active cause has room: the worst, which is the first.
 export function Causes({ status, isFar }) {
-  const known = (status?.state?.causes ?? []).filter(cause => cause.code !== "rehearsal");
+  const known = (status?.state?.causes ?? []).filter(cause => cause.code !== "rehearsal").sort((one, other) => other.active - one.active);
   const all = !isFar ? known : known.filter(cause => cause.active).sort((one, other) => isOrigin(one) - isOrigin(other));
   const causes = isFar ? all.slice(0, 1) : all;
   const badge = Badge({ status }), more = all.length - causes.length;
   return html`<section class="causes" aria-labelledby="causes-title">
     <h2 id="causes-title">State</h2>
     ${!status?.state && html`<p>not known</p>`}
-    ${status?.state && (badge || more > 0) && html`<p class="state">${badge} ${badge && `for ${duration(status.state.for_s)}`}
+    ${status?.state && (badge || more > 0) && html`<p class="state">${badge} ${badge && !known.some(isOrigin) && `for ${duration(status.state.for_s)}`}
       ${more > 0 && html` <a href="#">${counted(more, "more cause")}</a>`}</p>`}
     <ul aria-live="polite">
       ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.active ? cause.signal : "ended"} data-code=${cause.code}>
