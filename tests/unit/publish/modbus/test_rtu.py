@@ -180,6 +180,13 @@ async def test_the_end_of_anothers_answer_is_no_request(controller: Controller, 
     assert await controller.is_answered()
 
 
+@pytest.fixture
+def late_echo(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine is late with the echo."""
+    monkeypatch.setattr(rtu, "FRAGMENT_TIMEOUT_S", 60.0)
+
+
+@pytest.mark.usefixtures("late_echo")
 async def test_the_echo_of_our_answer_in_pieces_is_not_answered(controller: Controller) -> None:
     controller.send(frame(ONE))
     answer = await controller.answer()
@@ -200,6 +207,7 @@ async def test_a_request_that_the_controller_gave_up_is_not_answered(controller:
     assert await controller.hears_nothing()
 
 
+@pytest.mark.usefixtures("late_echo")
 @pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00", "08 0000 1234"])
 async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller, request_hex: str) -> None:
     controller.send(frame(bytes.fromhex(request_hex)))
