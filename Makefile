@@ -37,6 +37,7 @@ pages := \
     commands.md:tools.pages.commands \
     states.svg:tools.pages.states_picture \
     coordinates.svg:tools.pages.coordinates \
+    architecture.svg:tools.pages.architecture \
     telegram.md:tools.pages.telegram \
     console.md:tools.pages.console \
     http.md:tools.pages.http \

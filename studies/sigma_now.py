@@ -189,7 +189,7 @@ def run(progress: Progress) -> Result:
         columns=tuple(
             Column(f"{name}{of}", digits, judged=False)
             for of in ("", ", vibration")
-            for name, digits in (("x", 2), ("y", 2), ("yaw", 2), ("pitch", 2), ("sigma of x now, mm", 3))
+            for name, digits in (("x", 2), ("y", 2), ("yaw", 2), ("pitch", 2), ("`sigma_now` of x, mm", 3))
         ),
         rows=(*shown, *hard_rows, *start_rows),
         headline=(
@@ -281,6 +281,6 @@ def _figure(driven: dict[str, list[Readings]]) -> Figure:
             axes[2 + kind].plot(LATE_S, ratios, ".-", color=colour, lw=0.8, ms=4)
         axes[kind].set(title=what, ylabel="x, mm")
         axes[2 + kind].axhspan(*WITHIN, color="#e8f0e8", zorder=0)
-        axes[2 + kind].set(xlabel="read late by, s", ylabel="rms(error/sigma of now)", ylim=(0.0, 2.0))
+        axes[2 + kind].set(xlabel="read late by, s", ylabel="rms(error/sigma_now)", ylim=(0.0, 2.0))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(colours))
     return figure

@@ -174,14 +174,11 @@ from address 0 are everything, the first {float_end} are header and floating poi
 
 ### Age and limits
 
-A value is the mean of the last `window` frames of `[measuring]`, 20 by default: one second at 20 frames/s.
-It describes the middle of that second and is therefore about 0.5 s old when it is new. A new measurement
-comes with every frame, every 50 ms.
+A value is the mean of one second, so its normal `age` is 500 to 600 ms; use it up to 1000 ms
+([specification](specification.md#latency-and-age)). A new measurement comes every 50 ms.
 
 | quantity | value |
 |---|---|
-| normal `age` | 500 to 600 ms |
-| recommended limit of `age` | 1000 ms; below 600 ms most values are refused |
 | interval of requests | 50 ms or more |
 | time-out of an answer | TCP: 50 ms; RTU: twice the time on the wire, below |
 

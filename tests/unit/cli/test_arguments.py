@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+import math
 import re
 import shlex
 from collections.abc import Iterator
@@ -12,6 +15,9 @@ from support.cli import altd_here, refusal
 from support.places import ROOT
 
 from altd.cli import main as cli
+from altd.config import HwmonThermometerSettings, LiveCameraSettings, Measuring, Scan
+from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
+from altd.telegram import Reader
 from hw_sim.__main__ import command_parser
 from hw_sim.__main__ import main as simulate
 
@@ -208,3 +214,57 @@ def test_the_pages_have_commands_that_the_parsers_accept(path: Path) -> None:
 def test_the_tutorial_has_commands_of_both_programs() -> None:
     programs = [program for program, _ in _documented(ROOT / "docs" / "first-hour.md")]
     assert programs == ["hw_sim", "altd", "altd", "altd", "hw_sim", "altd", "hw_sim"]
+
+
+def _rows(page: str) -> dict[str, str]:
+    """The tables of a page: the first cell and the second one."""
+    rows = re.findall(r"^\| ([^|]+?) \| ([^|]+?) \|", (ROOT / page).read_text(), re.M)
+    return dict(rows)
+
+
+def test_the_specification_has_the_ranges_rates_and_limits_of_the_code() -> None:
+    rows, measuring, scan = _rows("docs/specification.md"), Measuring(), Scan()
+    fps = LiveCameraSettings.model_fields["fps"].default
+    width, height = ((nodes - 1) * scan.pitch_mm for nodes in (scan.columns, scan.rows))
+    assert f"{width:g} × {height:g} mm" in rows["`x`, `y`"]
+    for name, limit in (("yaw", MAX_YAW_MM_PER_M), ("pitch", MAX_PITCH_MM_PER_M)):
+        degrees = math.degrees(math.atan(limit / 1000))
+        assert rows[f"`{name}`"].startswith(f"±{limit:g} mm/m (±{degrees:.2f}°)")
+    assert rows["measurements"] == f"{fps / measuring.every:g} per second"
+    assert rows["one measurement"] == f"mean of {measuring.window} exposures, {measuring.window / fps:g} s"
+    assert rows["normal `age`"].startswith(f"{measuring.window / fps / 2:.1f} to ")
+    assert rows["a silent camera makes it invalid after"] == f"{measuring.silent_after_s:g} s"
+    withdrawn = rows["value withdrawn when its last exposure is older than"]
+    assert withdrawn == f"{measuring.stale_after_s:.1f} s"
+    coldest, warmest = (
+        HwmonThermometerSettings.model_fields[f"{end}_celsius"].default for end in ("min", "max")
+    )
+    outside = rows["`too_cold`, `too_hot` of camera and thermometer"]
+    assert outside == f"below −{-coldest:g} °C, above +{warmest:g} °C"
+    readme = _rows("README.md")
+    assert readme["range of displacement"] == f"{width:g} × {height:g} mm"
+    assert readme["range of yaw, pitch"] == f"±{MAX_YAW_MM_PER_M:g}, ±{MAX_PITCH_MM_PER_M:g} mm/m"
+
+
+def test_the_recommended_limits_of_age_are_those_of_the_readers() -> None:
+    rows = _rows("docs/specification.md")
+    limit_s = inspect.signature(Reader).parameters["max_age_s"].default
+    assert rows["recommended limit of `age`"].startswith(f"{limit_s:.1f} s; ")
+    for page, limit in (
+        ("http", f"{limit_s:.1f}"),
+        ("modbus", f"{1000 * limit_s:g} ms"),
+        ("telegram", "1000"),
+    ):
+        text = (ROOT / "docs" / f"{page}.md").read_text()
+        assert f"use it up to {limit}\n([specification](specification.md#latency-and-age))" in text
+    tab = json.loads((ROOT / "examples/node_red/flow.json").read_text())[0]
+    waiting_s = next(float(each["value"]) for each in tab["env"] if each["name"] == "LIMIT_MS") / 1000
+    assert rows["the same for a program that waits for the unit"].startswith(f"{waiting_s:g} s (")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/specification.md"])
+def test_measured_figures_are_those_of_the_pages_that_explain_them(page: str) -> None:
+    sources = "".join((ROOT / f"docs/{name}.md").read_text() for name in ("accuracy", "studies/fig-3.17"))
+    figures = re.findall(r"\b(?:0\.\d{4}|\d+,\d{3})\b", (ROOT / page).read_text())
+    assert len(figures) > 12
+    assert [figure for figure in figures if figure not in sources] == []

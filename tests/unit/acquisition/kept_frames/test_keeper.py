@@ -303,11 +303,11 @@ async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hangs = threading.Event()
-    monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
     async with running(Unit(tmp_path)) as unit:
         await unit.expose(40)
         kept = await unit.keeper.keep("asked")
         assert (await unit.keeper.files(kept.name))[-1] == "recording.json"
+        monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
         monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(60))
         try:
             with pytest.raises(NotKeptError, match="does not answer"):
