@@ -14,6 +14,7 @@ from typing import Literal
 
 from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import line_of
+from altd.files.reading import os_reason
 from altd.history.reader import Reader
 from altd.history.records import StoredEvent
 from altd.history.schema import UnusableFileError
@@ -40,7 +41,7 @@ def opened(path: Path) -> Iterator[Reader]:
     except PermissionError as error:
         if error.filename is None or Path(error.filename) != path:
             raise
-        raise BadInputError(path, "Permission denied: it is the daemon's and root's") from error
+        raise BadInputError(path, os_reason(error, path)) from error
     except ValueError as error:  # a NUL in the path
         raise BadInputError(path, "is no path") from error
 

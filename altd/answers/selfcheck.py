@@ -33,7 +33,9 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, A
     recording = open_recording(recording_path)
     header = recording.header
     if header.kind not in _KINDS:
-        raise BadInputError(recording_path, f"is of kind {header.kind!r}, which shows no frame LEDs")
+        raise BadInputError(
+            recording_path, f"is of kind {header.kind!r}; a self-check needs one of: {', '.join(_KINDS)}"
+        )
     calibration = load_calibration(calibration_path, header.unit.serial)
     views: dict[str, LedView] = {}
     at: dict[str, tuple[float, float]] = {}

@@ -16,13 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     either = parser.add_mutually_exclusive_group()
     add_config(either)
     either.add_argument(
-        "config", type=_path, nargs="?", default=argparse.SUPPRESS, metavar="FILE", help="the same"
+        "config", nargs="?", default=argparse.SUPPRESS, metavar="FILE", help="the same as --config FILE"
     )
-
-
-def _path(text: str) -> Path | str:
-    """A path; ``SUPPRESS``, the default, passes through here too."""
-    return text if text is argparse.SUPPRESS else Path(text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.settings import load_settings
     from altd.config import RecordingCameraSettings
 
-    config = load_settings(options.config)
+    config = load_settings(Path(options.config))
     calibration, errors = check_files(config)
     for error in errors:
         complain(f"altd check-config: {error}")

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from altd.errors import BadInputError
+from altd.files.reading import os_reason
 
 
 def server_context(
@@ -95,7 +96,7 @@ def _check_readable(path: Path) -> int:
         with path.open("rb"):
             return mode
     except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        raise BadInputError(path, os_reason(error, path)) from error
     except ValueError as error:
         raise BadInputError(path, "is no path") from error
 

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from altd.credentials.hashes import NOBODYS, PasswordHash, token_digest
 from altd.errors import BadInputError
-from altd.files.reading import read_file
+from altd.files.reading import os_reason, read_file
 from altd.files.writing import write_file
 
 Value = TypeVar("Value")
@@ -127,7 +127,7 @@ def _check_permissions(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        raise BadInputError(path, os_reason(error, path)) from error
     if mode & _TOO_OPEN:
         text = f"others than its owner may read or write it (mode {mode & 0o777:04o}): chmod 640 {path}"
         raise BadInputError(path, text)

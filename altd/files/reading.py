@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pwd
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -69,6 +70,33 @@ def kind_of(mode: int) -> str:
     return _KINDS.get(stat.S_IFMT(mode), "no regular file")
 
 
+def os_reason(error: OSError, path: Path | None) -> str:
+    """The system's sentence; for a missing permission also the owner of the path and the remedy."""
+    text = error.strerror or "cannot be read"
+    return text if path is None or not isinstance(error, PermissionError) else f"{text}{refusing(path)}"
+
+
+def refusing(path: Path) -> str:
+    """The file or the folder that refuses this user, with owner, group and mode, and the remedy."""
+    for place in (path, *path.absolute().parents):  # a folder without the right to search hides what is in it
+        try:
+            status = place.stat()
+        except OSError:
+            continue
+        user, owner = _user_name(os.geteuid()), _user_name(status.st_uid)
+        mode = f"{stat.S_IMODE(status.st_mode):04o}"
+        what = "it" if place == path else f"the folder {place}"
+        return f": this is user {user}, {what} belongs to {owner}, mode {mode}; use sudo, or chmod and chgrp"
+    return ""
+
+
+def _user_name(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:  # of a container, or a user of a service that ran before
+        return str(number)
+
+
 @contextmanager
 def _opened(path: Path, folder: int | None = None) -> Iterator[int]:
     """A descriptor of a regular file. Anything else is not even opened: a device may act on it."""
@@ -82,7 +110,7 @@ def _opened(path: Path, folder: int | None = None) -> Iterator[int]:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        raise BadInputError(path, os_reason(error, path if folder is None else None)) from error
     except ValueError as error:  # a NUL, or letters that the file system does not have
         raise BadInputError(path, "is no path") from error
 

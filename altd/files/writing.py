@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from altd.errors import BadInputError
-from altd.files.reading import kind_of
+from altd.files.reading import kind_of, refusing
 
 
 def check_replaceable(path: Path) -> None:
@@ -25,7 +25,7 @@ def check_replaceable(path: Path) -> None:
         if not path.parent.is_dir():
             raise BadInputError(path, "its folder does not exist")
         if not os.access(path.parent, os.W_OK | os.X_OK):
-            raise BadInputError(path, "its folder cannot be written")
+            raise BadInputError(path, f"its folder cannot be written{refusing(path.parent)}")
     except OSError as error:
         raise BadInputError(path, error.strerror or "cannot be written") from error
     except ValueError as error:  # a NUL, or letters that the file system does not have

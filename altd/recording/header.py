@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -221,7 +221,9 @@ def read_header(path: Path) -> RecordingHeader:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
-        if isinstance(first["input"], int | float):
+        if first["loc"] == ("kind",) and isinstance(first["input"], str):
+            message = f"{first['input']!r} is not possible; possible: {', '.join(get_args(Kind))}"
+        elif isinstance(first["input"], int | float):
             message += f", not {first['input']}"
         raise BadInputError(path, f"{place}: {message}" if place else message) from error
     except ValueError as error:

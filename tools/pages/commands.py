@@ -100,6 +100,10 @@ class _Arguments(argparse.ArgumentParser):
         self.added.append((names, settings))
         return super().add_argument(*names, **settings)
 
+    def add_mutually_exclusive_group(self, **_settings: Any) -> Any:
+        """The page lists the arguments of a group as all others."""
+        return self
+
 
 def _command(name: str, program: str, summary: str, module: Any) -> str:
     arguments = _Arguments()

@@ -141,8 +141,8 @@ Press Enter; the prompt `>` appears. Type a command, in upper or lower case, of 
 | command | action |
 |---|---|
 {commands}
-Only `selfcheck now` acts on the unit. It asks first: `y` within {QUESTION_S:g} s starts it, any other key
-cancels. `watch` takes {shortest:g} to {longest:g} seconds; any key ends it. `history` and `log` read the
+Only `selfcheck now` acts on the unit. It asks first: `y` within {QUESTION_S:g} s starts it and the result follows;
+any other key cancels. `watch` takes {shortest:g} to {longest:g} seconds; any key ends it. `history` and `log` read the
 unit's [history](history.md); `history` takes up to {MAX_WAITING * QUERY_TIMEOUT_S:g} s if the disk does not
 answer. After {PAGE_LINES} lines of an answer, space or Enter shows more and `q` ends it.
 

@@ -6,6 +6,7 @@ echoes and has a prompt, as for a person: a program reads the line behind its ow
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from textwrap import fill
@@ -91,6 +92,7 @@ def _field(text: str) -> str:
 
 WATCH_INTERVAL_LIMITS_S = (0.1, 3600.0)
 """The shortest and the longest interval of ``watch``."""
+SELF_CHECK_TIMEOUT_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ class Question:
     """Something would change: it is asked first, and done only after a ``y``."""
 
     text: str
-    do: Callable[[], str]
+    do: Callable[[], str | Later]
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,14 +203,27 @@ def _self_check(sources: Sources, now: str = "") -> str | Question:
         return Question("the frame LEDs are lit for some exposures; check now?", lambda: _ask(sources))
     if service.latest is None:
         return "no self-check since the unit started"
-    return fill(f"{_time_of(service.latest)}{service.latest.sentence}", WIDTH, subsequent_indent="  ")
+    return _result(service.latest)
 
 
-def _ask(sources: Sources) -> str:
-    if why := sources.health.self_check.unavailable:  # meanwhile
-        return _none(why)
-    sources.health.self_check.ask("console")
-    return "asked for; it comes within ten seconds, then type selfcheck"
+def _ask(sources: Sources) -> str | Later:
+    service = sources.health.self_check
+    if service.unavailable:  # meanwhile
+        return _none(service.unavailable)
+    number = service.ask("console")
+
+    async def result() -> str:
+        try:
+            async with asyncio.timeout(SELF_CHECK_TIMEOUT_S):
+                return _result(await service.report(number))
+        except TimeoutError:
+            return f"not finished within {SELF_CHECK_TIMEOUT_S:g} s; see status, then type selfcheck"
+
+    return Later(result)
+
+
+def _result(report: SelfCheckReport) -> str:
+    return fill(f"{_time_of(report)}{report.sentence}", WIDTH, subsequent_indent="  ")
 
 
 def _none(why: str) -> str:

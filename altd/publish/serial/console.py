@@ -133,7 +133,11 @@ class Console:
         assert question is not None  # noqa: S101  asked before
         if key in ("y", "Y"):
             self.commands += 1
-            return b"yes\r\n" + _on_wire(question.do()) + PROMPT
+            answer = question.do()
+            if isinstance(answer, Later):
+                self._find = answer.find
+                return b"yes\r\n" + _on_wire("checking: up to ten seconds")
+            return b"yes\r\n" + _on_wire(answer) + PROMPT
         typed = self._take(key) if isinstance(key, str) and key not in "nN" else b""
         return b"no\r\n" + PROMPT + typed
 

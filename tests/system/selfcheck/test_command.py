@@ -156,7 +156,9 @@ def test_what_is_no_self_check_is_refused_in_one_line(unit_3: Path, tmp_path: Pa
     def headed(**keys: object) -> Callable[[Path], object]:
         return lambda folder: (folder / "recording.json").write_text(json.dumps({**header, **keys}))
 
-    assert "'flat'" in refusal(headed(kind="flat"))
+    needs = "is of kind 'flat'; a self-check needs one of: self-check, measurement, scan"
+    assert needs in refusal(headed(kind="flat"))
+    assert "kind: 'view' is not possible; possible: scan, plate, flat" in refusal(headed(kind="view"))
     assert "SIM-3" in refusal(headed(unit={"serial": "OTHER", "target_distance_mm": 280.0}))
     assert "LEDs on and off" in refusal(
         lambda folder: (folder / "frames.csv").write_text(table.replace(",on,", ",off,"))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import pwd
 import socket
 import threading
 import time
@@ -25,6 +26,28 @@ def test_a_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
     assert read_file(path, 1000) == b"x" * 1000
     assert read_head(path, 3) == b"xxx"
     assert complaint(path, 999) == "is 1000 bytes long, more than 999"
+
+
+def test_a_missing_permission_names_user_owner_mode_and_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = tmp_path / "closed"
+    (closed / "folder").mkdir(parents=True, mode=0o700)
+    path = closed / "folder" / "file"
+    path.touch(0o600)
+    user = pwd.getpwuid(os.geteuid()).pw_name
+
+    def refuse(*_arguments: object, **_names: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refuse)
+    remedy = "; use sudo, or chmod and chgrp"
+    said = f"Permission denied: this is user {user}, "
+    assert complaint(path) == f"{said}it belongs to {user}, mode 0600{remedy}"
+    with monkeypatch.context() as inner:
+        stat = os.stat
+        inner.setattr(os, "stat", lambda place, **names: refuse() if place == path else stat(place, **names))
+        assert complaint(path) == f"{said}the folder {path.parent} belongs to {user}, mode 0700{remedy}"
 
 
 def test_a_file_of_a_terabyte_is_refused_by_its_size(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from support.wire import Wire
 
 from altd.config import ConsolePortSettings
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.publish.serial import commands
 from altd.publish.serial.commands import COMMANDS, STATUS_BITS, identification
 from altd.publish.serial.console import PROMPT, QUESTION_PROMPT, QUESTION_S, Console
 from altd.publish.serial.publisher import ConsolePublisher
@@ -41,12 +42,22 @@ class TestQuestion:
         unit.self_check.open(lambda: asked.append(True))
         return Console(lambda: MEASURED, unit, QUANTITIES)
 
-    def test_nothing_is_done_before_a_y(self, typed: Console, asked: list[bool]) -> None:
+    async def test_nothing_is_done_before_a_y(self, typed: Console, asked: list[bool]) -> None:
         assert typed.feed(b"selfcheck now\r").endswith(QUESTION_PROMPT)
         assert typed.asking_s == QUESTION_S == 10.0
         assert asked == []
-        assert typed.feed(b"y") == b"yes\r\nasked for; it comes within ten seconds, then type selfcheck\r\n> "
-        assert (asked, typed.asking_s) == ([True], None)
+        assert typed.feed(b"y") == b"yes\r\nchecking: up to ten seconds\r\n"
+        assert (asked, typed.asking_s, typed.is_finding) == ([True], None, True)
+        service = typed.health.self_check
+        service.publish(SelfCheckReport(service.begin(), "good", {"time": "2026-11-20T08:15:30.125Z"}))
+        assert await typed.found() == b"2026-11-20T08:15:30.125Z: good\r\n> "
+
+    async def test_a_check_that_does_not_end_is_reported(
+        self, typed: Console, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(commands, "SELF_CHECK_TIMEOUT_S", 0)
+        typed.feed(b"selfcheck now\ry")
+        assert await typed.found() == b"not finished within 0 s; see status, then type selfcheck\r\n> "
 
     @pytest.mark.parametrize(
         "key", [b"n", b"N", b"\r", b"\x03", b"\x1b[A", b"\xff\xe4\xff\xfe", b"\x80x", b"\x7f"]
