@@ -23,10 +23,12 @@ from altd.local_socket import MAX_ANSWER_BYTES, NoAnswerError, ask
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.self_check import WAIT_S
 from altd.terminal.documents import (
+    CalibrationDocument,
     Reading,
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
+    calibration_of,
     reading_of,
     self_check_of,
     status_of,
@@ -58,6 +60,10 @@ class RunningDaemon:
     def self_check(self) -> tuple[SelfCheckDocument, object]:
         """The last self-check."""
         return self._asked("/api/v1/self-check", self_check_of)
+
+    def calibration(self) -> tuple[CalibrationDocument, object]:
+        """How well the targets were calibrated."""
+        return self._asked("/api/v1/calibration", calibration_of)
 
     def targets(self) -> tuple[TargetsDocument, object]:
         """Where the targets are measured."""

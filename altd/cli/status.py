@@ -31,14 +31,20 @@ def run(options: argparse.Namespace) -> int:
         reading, measurement = daemon.reading()
         status, status_document = daemon.status()
         check, check_document = daemon.self_check()
+        calibration, calibration_document = daemon.calibration()
     except NoAnswerError as error:
         complain(f"altd status: {error}")
         return 1
     if options.json:
-        documents = {"measurement": measurement, "status": status_document, "self_check": check_document}
+        documents = {
+            "measurement": measurement,
+            "status": status_document,
+            "self_check": check_document,
+            "calibration": calibration_document,
+        }
         text = json.dumps(documents)
     else:
         encoding = sys.stdout.encoding or "ascii"
-        text = status_text(reading, status, check).encode(encoding, "replace").decode(encoding)
+        text = status_text(reading, status, check, calibration).encode(encoding, "replace").decode(encoding)
     say(*text.split("\n"))
     return 0 if is_fine(reading, status) else 1

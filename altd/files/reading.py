@@ -85,7 +85,7 @@ def refusing(path: Path) -> str:
             continue
         user, owner = _user_name(os.geteuid()), _user_name(status.st_uid)
         mode = f"{stat.S_IMODE(status.st_mode):04o}"
-        what = "it" if place == path else f"the folder {place}"
+        what = f"the folder {place}" if stat.S_ISDIR(status.st_mode) else "the file"
         return f": this is user {user}, {what} belongs to {owner}, mode {mode}; use sudo, or chmod and chgrp"
     return ""
 

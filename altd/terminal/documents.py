@@ -116,6 +116,21 @@ class SelfCheckDocument(_Document):
     origin: Text = ""
 
 
+class CalibratedTargetDocument(_Document):
+    """How well one target was calibrated; ``flat`` None: without a flat."""
+
+    name: Text
+    left_out_px: Number | None
+    residuals: dict[Text, Number | None]
+    flat: Text | None
+
+
+class CalibrationDocument(_Document):
+    """``/api/v1/calibration``; no targets: none is loaded."""
+
+    targets: Annotated[tuple[CalibratedTargetDocument, ...], Field(max_length=_MAX_LISTED)] = ()
+
+
 class TargetDocument(_Document):
     """One target: the outline of the area in which it is measured, mm in the unit frame."""
 
@@ -193,6 +208,11 @@ def status_of(document: object) -> StatusDocument:
 def self_check_of(document: object) -> SelfCheckDocument:
     """Raises ValueError that says what is missing."""
     return _checked(SelfCheckDocument, document)
+
+
+def calibration_of(document: object) -> CalibrationDocument:
+    """Raises ValueError that says what is missing."""
+    return _checked(CalibrationDocument, document)
 
 
 def targets_of(document: object) -> TargetsDocument:

@@ -10,7 +10,14 @@ from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Origin, counted
 from altd.selfcheck.records import Limits
 from altd.status.health import duration
-from altd.terminal.documents import CauseDocument, Reading, SelfCheckDocument, Shown, StatusDocument
+from altd.terminal.documents import (
+    CalibrationDocument,
+    CauseDocument,
+    Reading,
+    SelfCheckDocument,
+    Shown,
+    StatusDocument,
+)
 
 WIDTH = 79
 """A line of 80 would make some terminals wrap."""
@@ -103,9 +110,15 @@ def is_fine(reading: Reading | None, status: StatusDocument) -> bool:
     return reading is not None and reading.valid and status.state.signal in _FINE
 
 
-def status_text(reading: Reading | None, status: StatusDocument, check: SelfCheckDocument) -> str:
-    """The unit, its state with causes and remedies, the numbers, availability, self-check, components."""
-    return "\n".join([*_unit(status), *_measured(reading), *_further(status, check), *_components(status)])
+def status_text(
+    reading: Reading | None,
+    status: StatusDocument,
+    check: SelfCheckDocument,
+    calibration: CalibrationDocument,
+) -> str:
+    """The unit, state, causes and remedies, numbers, availability, self-check, calibration, components."""
+    parts = _unit(status), _measured(reading), _further(status, check, calibration), _components(status)
+    return "\n".join(line for part in parts for line in part)
 
 
 def _unit(status: StatusDocument) -> Iterator[str]:
@@ -129,10 +142,22 @@ def _measured(reading: Reading | None) -> Iterator[str]:
     yield from (f"  {number_text(number, reading.valid)}" for number in reading.numbers)
 
 
-def _further(status: StatusDocument, check: SelfCheckDocument) -> Iterator[str]:
+def _further(
+    status: StatusDocument, check: SelfCheckDocument, calibration: CalibrationDocument
+) -> Iterator[str]:
     yield ""
     yield from hanging("available", availability_text(status), WIDTH, _INDENT)
     yield from hanging("self-check", self_check_text(check), WIDTH, _INDENT)
+    head = "calibration"
+    for target in calibration.targets:
+        figures = (
+            (target.left_out_px, "rms", "px"),
+            (target.residuals.get("max_mm"), "largest residual", "mm"),
+        )
+        known = [f"{what} {value:.3f} {unit}" for value, what, unit in figures if value is not None]
+        text = ", ".join([*known, "without flat" if target.flat is None else "with flat"])
+        yield from hanging(head, f"{target.name}: {text}", WIDTH, _INDENT)
+        head = ""
 
 
 def _components(status: StatusDocument) -> Iterator[str]:

@@ -31,6 +31,13 @@ CHECK: dict[str, Any] = {
     "targets": {"front": {"leds_expected": 6, "leds_found": 6, "leds": ["used"] * 6, "detail": ""}},
 }
 
+CALIBRATION: dict[str, Any] = {
+    "targets": [
+        {"name": "front", "left_out_px": 0.02104, "residuals": {"max_mm": 0.0123}, "flat": "abc"},
+        {"name": "rear", "left_out_px": None, "residuals": {"max_mm": 0.0101}, "flat": None},
+    ]
+}
+
 DUSTY: dict[str, Any] = {
     "code": "dusty",
     "signal": "maintenance_required",

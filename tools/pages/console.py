@@ -27,7 +27,7 @@ from altd.status.health import MEASURING, State
 from altd.status.measurement_json import checked_line
 from altd.status.target_area import AREA_MM
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import calibration_of, reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import HOLD_S, PATH_S, Knowledge
 from altd.terminal.lines import status_text
 from altd.terminal.screen import MIN_COLUMNS, MIN_ROWS, PAGES, View, draw
@@ -38,6 +38,11 @@ from tools.pages.serial_examples import health
 _SECONDS = 60
 _OUTLINE_MM = [[-84.0, -70.0], [84.0, -70.0], [84.0, 70.0], [-84.0, 70.0]]
 _CHECK = {"verdict": "good", "reasons": [], "time": "2026-11-20T08:10:00.000Z"}
+
+_CALIBRATED = [
+    {"name": name, "left_out_px": rms_px, "residuals": {"max_mm": max_mm}, "flat": "a flat"}
+    for name, rms_px, max_mm in (("front", 0.024, 0.011), ("rear", 0.021, 0.009))
+]
 
 
 def page() -> str:
@@ -58,13 +63,15 @@ Uncertainties are standard deviations (1 sigma); *now* is [`sigma_now`](conventi
 
 def _local() -> str:
     pages = ", ".join(f"*{name}*" for name, _ in PAGES)
+    calibration = calibration_of({"targets": _CALIBRATED})
+    shown = status_text(_reading(0), status_of(_status()), self_check_of(_CHECK), calibration)
     return f"""## altd status
 
-{_block(status_text(_reading(0), status_of(_status()), self_check_of(_CHECK)))}
+{_block(shown)}
 
 Lines are shorter than 80 columns. The [causes](reasons.md) of the state are listed with their remedies.
-`altd status --json` prints one object with the [HTTP](http.md) documents `measurement`, `status` and
-`self_check`.
+`altd status --json` prints one object with the [HTTP](http.md) documents `measurement`, `status`,
+`self_check` and `calibration`. `rms` is of the map's leave-one-out residuals.
 
 | exit status | meaning |
 |---|---|
@@ -141,10 +148,11 @@ Press Enter; the prompt `>` appears. Type a command, in upper or lower case, of 
 | command | action |
 |---|---|
 {commands}
-Only `selfcheck now` acts on the unit. It asks first: `y` within {QUESTION_S:g} s starts it and the result follows;
-any other key cancels. `watch` takes {shortest:g} to {longest:g} seconds; any key ends it. `history` and `log` read the
-unit's [history](history.md); `history` takes up to {MAX_WAITING * QUERY_TIMEOUT_S:g} s if the disk does not
-answer. After {PAGE_LINES} lines of an answer, space or Enter shows more and `q` ends it.
+Only `selfcheck now` acts on the unit. It asks first: `y` within {QUESTION_S:g} s starts it and the
+result follows; any other key cancels. `watch` takes {shortest:g} to {longest:g} seconds; any key ends it.
+`history` and `log` read the unit's [history](history.md); `history` takes up to
+{MAX_WAITING * QUERY_TIMEOUT_S:g} s if the disk does not answer.
+After {PAGE_LINES} lines of an answer, space or Enter shows more and `q` ends it.
 
 {_session("measure")}
 Lines are edited as in a shell: arrows, Home, End, Backspace, Delete, Ctrl-A, -B, -E, -F, -K, -U and -W. Up,

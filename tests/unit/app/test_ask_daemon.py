@@ -12,13 +12,23 @@ from typing import Any
 
 import pytest
 from support.cli import altd_here
-from support.daemon_documents import CHECK, DUSTY, SPOT_MISSING, TARGETS, invalid, measurement, status
+from support.daemon_documents import (
+    CALIBRATION,
+    CHECK,
+    DUSTY,
+    SPOT_MISSING,
+    TARGETS,
+    invalid,
+    measurement,
+    status,
+)
 
 GOOD: Mapping[str, Any] = {
     "/api/v1/measurement": measurement(),
     "/api/v1/status": status(),
     "/api/v1/self-check": CHECK,
     "/api/v1/targets": TARGETS,
+    "/api/v1/calibration": CALIBRATION,
 }
 
 
@@ -73,6 +83,7 @@ def test_the_exit_status_says_whether_it_may_be_used(
         "measurement": {**GOOD, **changes}["/api/v1/measurement"],
         "status": {**GOOD, **changes}["/api/v1/status"],
         "self_check": CHECK,
+        "calibration": CALIBRATION,
     }
 
 

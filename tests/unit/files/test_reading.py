@@ -43,7 +43,7 @@ def test_a_missing_permission_names_user_owner_mode_and_remedy(
     monkeypatch.setattr(os, "open", refuse)
     remedy = "; use sudo, or chmod and chgrp"
     said = f"Permission denied: this is user {user}, "
-    assert complaint(path) == f"{said}it belongs to {user}, mode 0600{remedy}"
+    assert complaint(path) == f"{said}the file belongs to {user}, mode 0600{remedy}"
     with monkeypatch.context() as inner:
         stat = os.stat
         inner.setattr(os, "stat", lambda place, **names: refuse() if place == path else stat(place, **names))

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from support.daemon_documents import CHECK, DUSTY, TARGETS, invalid, measurement, status
+from support.daemon_documents import CALIBRATION, CHECK, DUSTY, TARGETS, invalid, measurement, status
 
 from altd.files.documents import parse_json
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import calibration_of, reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import Knowledge
 from altd.terminal.lines import WIDTH, self_check_table, status_text
 from altd.terminal.screen import PAGES, View, draw
@@ -66,11 +66,13 @@ def test_control_characters_do_not_reach_a_terminal() -> None:
     state = status_of(status(cause) | {"serial": nasty, "version": nasty, "calibration": nasty})
     reading = reading_of(measurement(status=[nasty], time=nasty), QUANTITIES)
     check = self_check_of({"verdict": nasty, "reasons": [nasty], "time": nasty})
+    target = {"name": nasty, "left_out_px": 1.0, "residuals": {}, "flat": nasty}
+    calibration = calibration_of({"targets": [target]})
     knowledge = Knowledge()
     knowledge.hear_reading(reading, 0.0)
     knowledge.hear_status(state, 0.0)
     knowledge.hear_about(check, targets_of(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]}))
-    shown = [status_text(reading, state, check)]
+    shown = [status_text(reading, state, check, calibration)]
     for page in range(len(PAGES)):
         canvas = Canvas(24, 80, is_utf8=True)
         draw(knowledge, 0.0, View(page), canvas)
@@ -133,13 +135,14 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
             lambda: status_of(_spoilt(chance, status(DUSTY))),
             lambda: self_check_of(_spoilt(chance, CHECK)),
             lambda: targets_of(_spoilt(chance, TARGETS)),
+            lambda: calibration_of(_spoilt(chance, CALIBRATION)),
         )
         told: list[Any] = []
         for ask in asked:
             with contextlib.suppress(ValueError):
                 told.append(ask())
-        refused += 4 - len(told)
-        if len(told) < 4:
+        refused += 5 - len(told)
+        if len(told) < 5:
             continue
         knowledge.hear_reading(told[0], float(number))
         knowledge.hear_status(told[1], float(number))
@@ -148,7 +151,8 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
         draw(knowledge, float(number), View(number % len(PAGES)), canvas)
         lines = canvas.text().split("\n")
         assert all(len(line) <= 80 and line.isprintable() for line in lines)
-        text = "\n".join([status_text(told[0], told[1], told[2]), *self_check_table(told[2])])
+        text = status_text(told[0], told[1], told[2], told[4])
+        text = "\n".join([text, *self_check_table(told[2])])
         assert all(line.isprintable() and len(line) <= WIDTH for line in text.split("\n")), text
     assert 1_000 < refused < 9_000
 

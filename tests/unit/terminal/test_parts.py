@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import pytest
-from support.daemon_documents import TARGETS, measurement, status
+from support.daemon_documents import CALIBRATION, TARGETS, measurement, status
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import Reading, TargetsDocument, reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import (
+    Reading,
+    TargetsDocument,
+    calibration_of,
+    reading_of,
+    self_check_of,
+    status_of,
+    targets_of,
+)
 from altd.terminal.lines import WIDTH, is_fine, self_check_table, status_text
 from altd.terminal.target_picture import Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
 
@@ -100,7 +108,7 @@ class TestStatus:
         )
         laser = {"state": "failed", "message": "lost: no such thing", "for_s": 3.0}
         assert (
-            status_text(reading(), status_of(status(laser=laser)), check)
+            status_text(reading(), status_of(status(laser=laser)), check, calibration_of(CALIBRATION))
             == """\
 unit         ALT-0007, altd 0.1.0, calibration 2026-11-02, workshop, stage 2
 state        good for 2 h 3 min
@@ -115,6 +123,8 @@ measuring    VALID, 0.50 s old, mean of 20 exposures, number 160,
 available    99.99 % of the last hour; 99.99 % of the last day; 99.99 % of the
              last 31 days
 self-check   none: there was no self-check since the unit started
+calibration  front: rms 0.021 px, largest residual 0.012 mm, with flat
+             rear: largest residual 0.010 mm, without flat
 
 component     state     for
 camera front  ok        2 h 3 min
@@ -176,5 +186,6 @@ judged from SIMULATED frames"""
     def test_no_line_is_wider_than_a_screen(self) -> None:
         parts = {"serial /dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K1XYZ-if00-port0": {"x" * 90: 1}}
         components = {name: {"state": "degraded" * 9, "message": "m" * 300, "for_s": 1e9} for name in parts}
-        text = status_text(reading(), status_of(status(**components)), self_check_of({"verdict": "v" * 200}))
+        check, calibration = self_check_of({"verdict": "v" * 200}), calibration_of(CALIBRATION)
+        text = status_text(reading(), status_of(status(**components)), check, calibration)
         assert max(map(len, text.split("\n"))) <= WIDTH < 80

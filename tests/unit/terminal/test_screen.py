@@ -12,7 +12,7 @@ from support.daemon_documents import CHECK, DUSTY, SPOT_MISSING, TARGETS, invali
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas, Style
-from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import CalibrationDocument, reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import HOLD_S, Knowledge
 from altd.terminal.lines import status_text
 from altd.terminal.screen import PAGES, View, draw
@@ -152,7 +152,8 @@ def test_numbers_that_are_not_of_now_are_not_called_valid(code: str) -> None:
     (text, style), *_ = canvas.runs()[1]
     assert text.startswith(f"NOT LIVE, 0.5 s old, mean of 20 exposures; exposures_lost, {code}")
     assert style is Style.WARNING
-    shown = status_text(reading_of(measurement(status=[code]), QUANTITIES), status_of(status()), CHECKED)
+    reading = reading_of(measurement(status=[code]), QUANTITIES)
+    shown = status_text(reading, status_of(status()), CHECKED, CalibrationDocument())
     assert "measuring    NOT LIVE, 0.50 s old" in shown
 
 
