@@ -37,7 +37,7 @@ def opened(path: Path) -> Iterator[Reader]:
     except FileNotFoundError as error:
         if error.filename is None or Path(error.filename) != path:
             raise
-        raise BadInputError(path, "No such file or directory") from error
+        raise BadInputError(path, "No such file or directory; the daemon makes it (`[history]`)") from error
     except PermissionError as error:
         if error.filename is None or Path(error.filename) != path:
             raise

@@ -28,6 +28,7 @@ from altd.calibration.soundness import TargetEvidence
 from altd.calibration.spot_reference import Verdict, localiser_agreement, spot_reference, verdict
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
+from altd.mapping.grid import MIN_LINES
 from altd.mapping.inverse import InverseMap
 from altd.mapping.nodes import Fiducials, Nodes
 from altd.measuring.calibration import TargetCalibration
@@ -184,10 +185,12 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
     try:
         grid = scan_grid(scanned)
         if not grid.block.is_sufficient:
-            why = refused[0].complaint if refused else "they are no grid"
-            raise BadInputError(
-                place, f"{job.name}: {len(refused)} of {len(scanned.nodes)} nodes have no spot: {why}"
-            )
+            needed = f"a map needs a grid of at least {MIN_LINES} × {MIN_LINES}"
+            why = f"{len(scanned.nodes)} nodes are no grid that can be used: {needed}"
+            if refused:
+                share = f"{len(refused)} of {len(scanned.nodes)}"
+                why = f"{share} nodes have no spot: {refused[0].complaint}"
+            raise BadInputError(place, f"{job.name}: {why}")
         fitted = fit_nodes(
             Nodes(_positions_mm(nodes), _spots_px(nodes), relative_sigmas(nodes, job.frames.image_size)),
             job.frames.image_size,

@@ -82,7 +82,12 @@ def is_name(name: str) -> bool:
 
 def load_credentials(path: Path) -> Credentials:
     """Read the file; raises BadInputError that names it and the line."""
-    content = read_file(path, MAX_BYTES)
+    try:
+        content = read_file(path, MAX_BYTES)
+    except BadInputError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            raise BadInputError(path, f"{error.message}; `altd password {path} NAME` makes it") from error
+        raise
     _check_permissions(path)
     try:
         lines = content.decode("ascii").splitlines()

@@ -102,7 +102,7 @@ class Axis:
         ordered = np.sort(mm)
         gaps = np.diff(ordered)
         if not len(gaps) or gaps.max() <= _MIN_GAP_MM:
-            raise ValueError("all nodes have the same position")
+            raise ValueError("all nodes have the same position; are the positions in mm?")
         nodes = np.array(
             [part.mean() for part in np.split(ordered, np.flatnonzero(gaps > gaps.max() / 3) + 1)]
         )

@@ -92,6 +92,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
         for column in COLUMNS:
             if columns.count(column) != 1:
                 what = "is repeated" if column in columns else "is missing"
+                what += "; columns are separated by commas" if len(columns) == 1 else ""
                 raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
         last: dict[str, Row] = {}
         for record in reader:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recordings import Shot, place_px, write
+from support.recordings import Shot, grid, place_px, write
 
 from altd.calibration.calibrating import calibrate
 from altd.calibration.result import CalibrationResult
@@ -68,3 +68,9 @@ def test_two_missing_rows_of_five_refuse_it(tmp_path: Path) -> None:
     outer = [(x, y) for x in COLUMNS_MM for y in (ROWS_MM[0], ROWS_MM[-1])]
     with pytest.raises(BadInputError, match="front: 12 of 30 nodes have no spot"):
         calibrated(tmp_path / "scan", outer)
+
+
+def test_too_few_nodes_are_named_with_what_a_map_needs(tmp_path: Path) -> None:
+    write(tmp_path / "scan", "scan", [(node, node, node) for node in grid(2, 2)])
+    with pytest.raises(BadInputError, match="front: 4 nodes are no grid that can be used: .* at least 4 × 4"):
+        calibrate([open_recording(tmp_path / "scan")])

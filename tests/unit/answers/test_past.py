@@ -101,7 +101,7 @@ class TestExport:
     @pytest.mark.parametrize(
         ("arguments", "line"),
         [
-            (("--history", "none.db"), "none.db: No such file or directory"),
+            (("--history", "none.db"), "none.db: No such file or directory; the daemon makes it"),
             (("--history", "."), ".: is no regular file"),
             (("--history", "text.db"), "text.db: cannot be read: file is not a database"),
             (("--history", "h.db", "--config", "altd.toml"), "--config: says where the history is"),

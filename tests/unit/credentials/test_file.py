@@ -176,7 +176,7 @@ def test_who_is_taken_out_of_the_file_may_act_no_more(path: Path) -> None:
     assert keeper.current().names == frozenset()
     assert [text.rpartition(": ")[2] for text in said[:1]] == [""]
     assert "line 1" in said[1]
-    assert "No such file" in said[2]
+    assert said[2].endswith(f"No such file or directory; `altd password {path} NAME` makes it")
     written(path, GOOD)
     assert keeper.current().names == {"ana", "press"}
     path.chmod(0o644)

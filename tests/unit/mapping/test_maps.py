@@ -95,7 +95,7 @@ def test_nodes_that_cannot_carry_a_map_are_refused() -> None:
     for nodes, message in (
         (grid(4, 4), "16 nodes are too few for degree 3 × 3, which has 16 coefficients"),
         (grid(3, 5), "a grid of 3 × 5 nodes is too small for a map"),
-        (grid(1, 5), "all nodes have the same position"),
+        (grid(1, 5), "all nodes have the same position; are the positions in mm"),
         (uneven, "steps from 25.000 to 35.000 mm are not equal"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -81,6 +81,7 @@ def test_a_row_says_whether_the_frame_leds_were_on(recording: Path) -> None:
         (2, "0,0.0", "0.5,0.0", "row 2: sequence '0.5' is not a whole number"),
         (5, ",0.050000,rear,rear0001.png,off,,,", ",0.05", "row 5: is torn: 2 fields"),
         (1, "leds", "lamps", "row 1: column 'leds' is missing"),
+        (1, ",", ";", "row 1: column 'sequence' is missing; columns are separated by commas"),
     ],
 )
 def test_a_bad_row_is_named(recording: Path, row: int, old: str, new: str, message: str) -> None:
