@@ -161,15 +161,20 @@ def _further(
 
 
 def _components(status: StatusDocument) -> Iterator[str]:
-    if not status.components:
-        return
-    column = min(max(map(len, status.components)), _MAX_NAME) + 2
+    """A row for each component that is not ok; the names of the others."""
+    names = [name for name, component in status.components.items() if component.state != "ok"]
+    column = min(max(map(len, ["component", *names])), _MAX_NAME) + 2
     yield ""
-    yield f"{'component':<{column}}{'state':<10}for"
-    for name, component in status.components.items():
+    if names:
+        yield f"{'component':<{column}}{'state':<10}for"
+    for name in names:
+        component = status.components[name]
         yield f"{name[:_MAX_NAME]:<{column}}{component.state[:9]:<10}{duration(component.for_s)}"
-        if component.state not in ("ok", "starting") and component.message:
+        if component.state != "starting" and component.message:
             yield from hanging("", component.message, WIDTH, 4)
+    yield from hanging(
+        "ok", ", ".join(name for name in status.components if name not in names), WIDTH, _INDENT
+    )
 
 
 _ACTIONS = {

@@ -72,5 +72,5 @@ def test_two_missing_rows_of_five_refuse_it(tmp_path: Path) -> None:
 
 def test_too_few_nodes_are_named_with_what_a_map_needs(tmp_path: Path) -> None:
     write(tmp_path / "scan", "scan", [(node, node, node) for node in grid(2, 2)])
-    with pytest.raises(BadInputError, match="front: 4 nodes are no grid that can be used: .* at least 4 × 4"):
+    with pytest.raises(BadInputError, match=r"4 nodes are no grid that can be used: .* at least 4 × 4"):
         calibrate([open_recording(tmp_path / "scan")])

@@ -126,11 +126,10 @@ self-check   none: there was no self-check since the unit started
 calibration  front: rms 0.021 px, largest residual 0.012 mm, with flat
              rear: largest residual 0.010 mm, without flat
 
-component     state     for
-camera front  ok        2 h 3 min
-measuring     ok        2 h 3 min
-laser         failed    3.0 s
-    lost: no such thing"""
+component  state     for
+laser      failed    3.0 s
+    lost: no such thing
+ok           camera front, measuring"""
         )
 
     @pytest.mark.parametrize(
