@@ -142,7 +142,8 @@ def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
         yield _unknown_key(keys, document)
     elif kind == "missing":
         kind_of_it = "table" if len(keys) == 1 else "key"
-        yield Fault(keys, f"this {kind_of_it} is missing{_possible_values(keys, document)}", "table")
+        possible = _possible_values(keys, document).removesuffix("; possible: table")
+        yield Fault(keys, f"this {kind_of_it} is missing{possible}", "table")
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
         yield _tag_fault(keys, value, document)
     elif what == "key":

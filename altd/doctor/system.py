@@ -42,7 +42,7 @@ def libraries(config: Config | None) -> Iterator[Finding]:
 
 def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
     """UTC is in every output. ``synchronised``: what the kernel says; None when it does not say."""
-    subject, remedy = "clock", "sudo timedatectl set-ntp true   # or install chrony, and name it a server"
+    subject, remedy = "clock", "sudo timedatectl set-ntp true   # or set up chrony"
     if now.year < MIN_YEAR:
         yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", remedy)
     elif synchronised:

@@ -107,7 +107,7 @@ def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
             for face in ("http", "modbus_tcp")
             for host in ("", " ", "unit.example", "1.2.3", "300.1.1.1", "0.0.0.0:80", "*")
         ),
-        ("[unit]", "", "unit: this table is missing; possible: table"),
+        ("[unit]", "", "unit: this table is missing"),
         (
             'driver = "recording"',
             "",
