@@ -48,8 +48,8 @@ def _typed(name: str) -> str:
         except UnicodeDecodeError as error:
             raise BadInputError("password", "is not UTF-8") from error
     if len(password) < MIN_PASSWORD_CHARACTERS or not password.isprintable():
-        text = f"has {MIN_PASSWORD_CHARACTERS} characters or more, and none that cannot be seen"
+        text = f"must have at least {MIN_PASSWORD_CHARACTERS} characters, all of them printable"
         raise BadInputError("password", text)
     if len(password.encode("utf-8", "replace")) > MAX_PASSWORD_BYTES:
-        raise BadInputError("password", f"has {MAX_PASSWORD_BYTES} bytes at most")
+        raise BadInputError("password", f"must have at most {MAX_PASSWORD_BYTES} bytes")
     return password

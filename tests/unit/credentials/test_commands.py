@@ -38,11 +38,11 @@ def test_a_token_is_shown_once_and_kept_as_a_hash(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("", "has 8 characters or more"),
-        ("short\n", "has 8 characters or more"),
-        ("with\x07bell\n", "none that cannot be seen"),
-        ("x" * 1025 + "\n", "1024 bytes at most"),
-        ("x" * 5000 + "\n", "1024 bytes at most"),
+        ("", "must have at least 8 characters"),
+        ("short\n", "must have at least 8 characters"),
+        ("with\x07bell\n", "all of them printable"),
+        ("x" * 1025 + "\n", "must have at most 1024 bytes"),
+        ("x" * 5000 + "\n", "must have at most 1024 bytes"),
     ],
 )
 def test_a_password_that_is_none_changes_nothing(tmp_path: Path, typed: str, said: str) -> None:
