@@ -46,8 +46,7 @@ class Question:
 def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
     """Measure, and write the requested output.
 
-    ``warn`` receives what the recording lacks and, of a scan, how far the values are from the known positions.
-
+    ``warn`` receives what the recording lacks and, of a scan, the errors against the known positions.
     Raises BadInputError; a file is then as it was.
     """
     _check(question)
@@ -75,13 +74,14 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
 
 
 def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
-    """How far the valid measurements of a scan are from the known positions."""
+    """The errors of the valid measurements of a scan against the known positions."""
     text = f"{len(differences_mm)} of {counted(count, 'measurement')} valid"
     if not differences_mm:
         return text
-    x_mm, y_mm = (math.hypot(*column) / math.sqrt(len(column)) for column in zip(*differences_mm, strict=True))
-    largest_mm = max(math.hypot(*difference) for difference in differences_mm)
-    return f"{text}; against the known positions: rms x {x_mm:.4f} mm, y {y_mm:.4f} mm, largest {largest_mm:.4f} mm"
+    x, y = (math.hypot(*column) / math.sqrt(len(column)) for column in zip(*differences_mm, strict=True))
+    largest = max(math.hypot(*difference) for difference in differences_mm)
+    rms = f"rms x {x:.4f} mm, y {y:.4f} mm, largest {largest:.4f} mm"
+    return f"{text}; against the known positions: {rms}"
 
 
 def _check(question: Question) -> None:

@@ -91,7 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"DeviceTemperature (default: {USUAL_CELSIUS:g})",
     )
     parser.add_argument(
-        "--stage", action="store_true", help="the laser is on an xy stage with a Grbl controller; print its port"
+        "--stage",
+        action="store_true",
+        help="put the laser on an xy stage; print the port of its Grbl controller",
     )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
 
@@ -119,7 +121,9 @@ def run(arguments: argparse.Namespace) -> int:
         if all(ipaddress.IPv4Address(camera.address).is_loopback for camera in cameras):
             keep_discovery_on_loopback()
         if arguments.stage:
-            table = serving.enter_context(GrblTable(unit, np.random.default_rng([arguments.seed, STAGE_STREAM])))
+            table = serving.enter_context(
+                GrblTable(unit, np.random.default_rng([arguments.seed, STAGE_STREAM]))
+            )
             print(f"stage: {table.device.resolve()}", flush=True)
         if arguments.listen:
             threading.Thread(target=_listen, args=(unit,), name="faults", daemon=True).start()
