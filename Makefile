@@ -107,7 +107,7 @@ check: venv ## style, types, layers, licences, generated pages, width and wordin
 	done
 	echo "generated pages are up to date"
 	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
-	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks
+	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
@@ -169,7 +169,8 @@ docs: venv ## write the generated pages and pictures of docs/
 	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish -k "faults or night or checks_so_far"
 
 site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
-	@NO_MKDOCS_2_WARNING=1 exec $(VENV)/bin/mkdocs --quiet build
+	@mkdir -p build # --quiet would not count the warnings that a strict build fails for
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build 2>build/site.log || { grep -v ^INFO build/site.log >&2; exit 1; }
 
 lock: ## write the three locks with today's newest packages
 	@.ci/lock
@@ -182,7 +183,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium curl ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium curl debootstrap ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@.ci/npm node-opcua-client@2.186.0 sparkplug-payload@1.0.3
 	header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \

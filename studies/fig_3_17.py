@@ -29,7 +29,7 @@ POSES, EXPOSURES, SEED = 11, 8, 71
 
 
 def angle_error_deg(slope: npt.ArrayLike, expansion: float) -> npt.NDArray[np.float64]:
-    """What a beam's angle is over-read by when the rear target stands at (1 + expansion) D, any shape.
+    """Error of a beam's angle when the rear target is at (1 + expansion) D, any shape.
 
     The spot is at slope · (1 + expansion) · D, and the unit still divides by D.
     """

@@ -1,4 +1,4 @@
-"""Ways in which a machine may move that are hard on whoever says how far it may have gone meanwhile."""
+"""Motions of a machine for which a bound of its later position is difficult."""
 
 from __future__ import annotations
 

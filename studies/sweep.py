@@ -40,7 +40,7 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """A condition's name and value, and what came of it, a value for each of ``COLUMNS``."""
+    """A condition's name and value, and its result, a value for each of ``COLUMNS``."""
 
     name: str
     value: float
@@ -77,7 +77,7 @@ def sweep(base: UnitConfig, conditions: Sequence[Condition], progress: Progress,
 
 
 def rows(points: Sequence[Point], specified: Callable[[Point], bool]) -> tuple[Row, ...]:
-    """The table: the specification stands beside the conditions that it names."""
+    """The table: the specification is beside the conditions that it names."""
     return tuple(Row(point.name, point.ours, SPECIFIED if specified(point) else None) for point in points)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import logging
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from altd.files.documents import line_of
 from altd.files.writing import check_replaceable, replacing
 from altd.recording.gaps import gap_lines
 from altd.recording.header import FRAMES_FILE, HEADER_FILE
-from altd.records import utc_text
+from altd.records import counted, utc_text
 from altd.tables.columns import Column, CsvTable, Write, flat_row, measurement_columns
 from altd.tables.parquet import ParquetTable, check_parquet
 
@@ -43,8 +44,9 @@ class Question:
 
 
 def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
-    """Measure, and write the requested output; ``warn`` receives what the recording lacks.
+    """Measure, and write the requested output.
 
+    ``warn`` receives what the recording lacks and, of a scan, the errors against the known positions.
     Raises BadInputError; a file is then as it was.
     """
     _check(question)
@@ -55,14 +57,31 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
         replay.quantities, replay.calibration.target_names, replay.positions is not None
     )
     history = History(_drawn(replay))
+    count, differences_mm = 0, list[tuple[float, float]]()
     with _table(question, replay, columns) as add:
         for measurement in replay.measurements(progress):
             document = replay.as_object(measurement)
             add(document)
+            count += 1
+            if measurement.valid and replay.positions is not None:
+                differences_mm.append((document["dx_mm"], document["dy_mm"]))
             if question.plot is not None:
                 history.add(measurement.light_ns * 1e-9, document)
         if question.plot is not None:
             _draw(question.plot, history, replay)
+    if replay.positions is not None:
+        warn(_summary(count, differences_mm))
+
+
+def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
+    """The errors of the valid measurements of a scan against the known positions."""
+    text = f"{len(differences_mm)} of {counted(count, 'measurement')} valid"
+    if not differences_mm:
+        return text
+    x, y = (math.hypot(*column) / math.sqrt(len(column)) for column in zip(*differences_mm, strict=True))
+    largest = max(math.hypot(*difference) for difference in differences_mm)
+    rms = f"rms x {x:.4f} mm, y {y:.4f} mm, largest {largest:.4f} mm"
+    return f"{text}; against the known positions: {rms}"
 
 
 def _check(question: Question) -> None:

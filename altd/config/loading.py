@@ -45,6 +45,7 @@ def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Confi
         raise BadInputError(path, f"{place}{error}") from error
     found = list(converted_values(document))
     document = _anchored(document, path.parent)
+    _pair_live_cameras_by_time(document)
     config = None
     try:
         config = Config.model_validate(document)
@@ -92,3 +93,15 @@ def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             table[key] = str(folder / table[key])
     return document
+
+
+def _pair_live_cameras_by_time(document: dict[str, Any]) -> None:
+    """Fill in the default of ``measuring.pair_by``, which depends on the cameras."""
+    cameras, measuring = document.get("cameras"), document.setdefault("measuring", {})
+    drivers = {
+        camera.get("driver")
+        for camera in (cameras.values() if isinstance(cameras, dict) else ())
+        if isinstance(camera, dict)
+    }
+    if drivers & {"v4l2", "aravis"} and isinstance(measuring, dict):
+        measuring.setdefault("pair_by", "time")

@@ -20,7 +20,7 @@ class Measuring(Table):
     """`mean`: mean of the window, about 0.5 s old; `now`: value at the newest exposure, no lag, more noise
     (`accuracy.md`)."""
     pair_by: Literal["sequence", "time"] = "sequence"
-    """Pair frames by number (``sequence``: recordings) or by time (``time``: all other cameras)."""
+    """Pair frames by number (``sequence``: recordings) or by time (``time``: live cameras, their default)."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
     """Largest time difference between paired frames, after a steady lag is subtracted (`time`)."""
     max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 30.0

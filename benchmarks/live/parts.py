@@ -135,7 +135,6 @@ def write_config(
     )
     path.write_text(
         f"{unit_toml(serial, calibration, front, rear)}\n"
-        '[measuring]\npair_by = "time"\n\n'
         f'[http]\nhost = "127.0.0.1"\nport = {ports.http}\n\n'
         f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {ports.modbus}\n{more}'
     )

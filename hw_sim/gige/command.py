@@ -13,6 +13,8 @@ import time
 from collections.abc import Iterator, Mapping
 from types import FrameType
 
+import numpy as np
+
 from altd.errors import BadInputError
 from hw_sim.arguments import natural, seconds
 from hw_sim.beam import BeamPose
@@ -21,8 +23,10 @@ from hw_sim.faults import parse_faults
 from hw_sim.gige.camera import PIXEL_FORMATS, USUAL_CELSIUS, GigeCamera, serial_of
 from hw_sim.gige.libaravis import MAX_SERIAL_LENGTH
 from hw_sim.gige.loopback import camera_address, keep_discovery_on_loopback
+from hw_sim.grbl_table import GrblTable
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import SLOW_DRIVE, Vibration
+from hw_sim.scan import STAGE_STREAM
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 
 ADDRESSES: Mapping[str, str] = {FRONT: "127.0.0.1", REAR: "127.0.0.2"}
@@ -86,6 +90,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=USUAL_CELSIUS,
         help=f"DeviceTemperature (default: {USUAL_CELSIUS:g})",
     )
+    parser.add_argument(
+        "--stage",
+        action="store_true",
+        help="put the laser on an xy stage; print the port of its Grbl controller",
+    )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
 
 
@@ -111,6 +120,11 @@ def run(arguments: argparse.Namespace) -> int:
             cameras.append(camera)
         if all(ipaddress.IPv4Address(camera.address).is_loopback for camera in cameras):
             keep_discovery_on_loopback()
+        if arguments.stage:
+            table = serving.enter_context(
+                GrblTable(unit, np.random.default_rng([arguments.seed, STAGE_STREAM]))
+            )
+            print(f"stage: {table.device.resolve()}", flush=True)
         if arguments.listen:
             threading.Thread(target=_listen, args=(unit,), name="faults", daemon=True).start()
         where = ", ".join(f"{camera.serial} at {camera.address}" for camera in cameras)

@@ -188,7 +188,7 @@ def _lines() -> Iterator[str]:
     yield ""
     yield "This page lists every key of the configuration file `altd.toml`."
     yield ""
-    yield "[config/altd.toml](../config/altd.toml) is a commented example. `altd check-config FILE` prints a"
+    yield "[config/live.toml](../config/live.toml) is for a live unit. `altd check-config FILE` prints a"
     yield "line for each fault, with its place and what is possible, and exits with 0 (no fault) or 2:"
     yield ""
     yield from (f"    {line}" for line in _complaints()[1:2])

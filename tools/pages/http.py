@@ -123,7 +123,7 @@ now. At most {MAX_POINTS} points and {MAX_EVENTS} events are sent at once.
 
 - `GET /api/v1/self-check` gives the last [self-check](selfcheck.md), `verdict` `null` if there was none.
   `POST` makes one and answers when it has ended; {MAX_WAITING} clients can wait at a time.
-- `/api/v1/calibration` gives the figures of the loaded [calibration](calibration.md#the-report). The file
+- `/api/v1/calibration` gives the figures of the loaded [calibration](calibrate.md#read-the-report). The file
   and the report are given only if they are those of the loaded calibration; else the answer is 409 or 404.
 - `/api/v1/diagnostics` gives a zip archive for remote diagnostics: status, measurement, self-check,
   calibration, metrics, events of 31 days (at most {MAX_EVENT_PAGES * EVENT_ROWS:,}), the minutes of the last

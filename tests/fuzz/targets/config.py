@@ -16,7 +16,7 @@ from altd.errors import BadInputError
 
 NAME = "config"
 
-SHIPPED = (ROOT / "config" / "altd.toml").read_bytes()
+SHIPPED = (ROOT / "config" / "live.toml").read_bytes()
 FULL = b"""
 unit = {serial = "A-1", calibration = "cal.json"}
 cameras.front = {driver = "v4l2", device = "/dev/video0", controls = {gamma = 3}, exposure.control = "fixed"}

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.documented import commands_of
 from support.places import ROOT
 
 from hw_sim.ports import free_port
@@ -274,12 +275,6 @@ def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None
     assert b"Traceback" not in output.data
 
 
-def commands_of(page: Path) -> list[str]:
-    """The command lines of a page, without the first: `make demo`."""
-    text = "".join(page.read_text().split("```")[::2])
-    return [line.strip() for line in text.splitlines() if line.startswith("    ")][1:]
-
-
 def test_the_tutorial_works_as_it_is_written(unit_3: Path, tmp_path: Path) -> None:
     """Its commands in its order, on a unit that is calibrated already; picocom is a serial line here."""
     http_port, modbus_port = free_port(), free_port()
@@ -297,7 +292,7 @@ def test_the_tutorial_works_as_it_is_written(unit_3: Path, tmp_path: Path) -> No
         return line
 
     start, http, modbus, telegram, status, keep, events, replay, console, *_ = map(
-        command, commands_of(ROOT / "docs" / "first-hour.md")
+        command, commands_of("first-hour.md")[1:]
     )
 
     def shows(line: str, text: str) -> bytes:

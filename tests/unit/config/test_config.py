@@ -35,9 +35,9 @@ def test_paths_are_relative_to_the_config_file(tmp_path: Path) -> None:
 
 
 def test_the_shipped_config_is_good() -> None:
-    shipped = ROOT / "config" / "altd.toml"
-    config = load_config(shipped)
+    config = load_config(ROOT / "config" / "live.toml")
     assert [target.name for target in config.targets] == ["front", "rear"]
+    assert config.measuring.pair_by == "time"
 
 
 def test_modbus_has_the_port_of_its_specification_and_its_files_lie_beside_the_config(tmp_path: Path) -> None:
@@ -237,8 +237,9 @@ def test_cameras_of_several_drivers_stand_side_by_side(tmp_path: Path) -> None:
 
 
 def test_live_cameras_are_paired_by_time_only(tmp_path: Path) -> None:
+    assert load_config(write(tmp_path, live(""))).measuring.pair_by == "time"
     assert 'measuring.pair_by: "sequence" is for recordings; possible: "time"' in complaint(
-        write(tmp_path, live(""))
+        write(tmp_path, live('pair_by = "sequence"\n'))
     )
 
 
