@@ -232,7 +232,7 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     except ValueError as error:
         raise BadInputError(path, str(error)) from error
     if unit_serial is not None and calibration.unit_serial != unit_serial:
-        raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, not for unit {unit_serial!r}")
+        raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
     return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), str(checksum)))
 
 

@@ -198,7 +198,7 @@ class TestBadInput:
 
     def test_recording_of_another_size_or_another_unit(self, folder: Path, tmp_path: Path) -> None:
         other = write(tmp_path / "other", "measurement", [((0, 0), (0, 0), None)], serial="TEST-2")
-        assert "is for unit 'TEST-1', not for unit 'TEST-2'" in self.replay(folder, other)
+        assert "is for unit 'TEST-1', this is unit 'TEST-2'" in self.replay(folder, other)
         small = write_beams(tmp_path / "small", BEAMS[:1])
         header = json.loads((small / "recording.json").read_text())
         header["cameras"]["front"] = {"width": 640, "height": 480, "bits": 8}
@@ -235,7 +235,7 @@ class TestBadInput:
             ('serial = "TEST-1"', 'serial = "TEST-1"\nnumber = 1', "unit.number: there is no such key"),
             ("window = 4", 'window = "four"', 'measuring.window: "four" is not a whole number'),
             ("z_mm = 280.0", "z_mm = 281.0", "target 'rear' was calibrated at z 280 mm, not 281"),
-            ('serial = "TEST-1"', 'serial = "OTHER"', "is for unit 'TEST-1', not for unit 'OTHER'"),
+            ('serial = "TEST-1"', 'serial = "OTHER"', "is for unit 'TEST-1', this is unit 'OTHER'"),
             ('"front"\nz_mm', '"middle"\nz_mm', "does not know target 'middle'"),
         ):
             path = tmp_path / "altd.toml"

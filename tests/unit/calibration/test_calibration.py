@@ -124,7 +124,7 @@ def test_one_changed_digit_fails_thechecksum_of(file: Path) -> None:
 
 
 def test_another_version_another_unit_and_another_size_are_refused(file: Path) -> None:
-    assert "is for unit 'TEST-1', not for unit 'OTHER'" in complaint(file, "OTHER")
+    assert "is for unit 'TEST-1', this is unit 'OTHER'" in complaint(file, "OTHER")
     calibration = load_calibration(file)
     with pytest.raises(BadInputError, match=r"'front' was calibrated at 752 × 480, not 640 × 480"):
         check_image_size(calibration, file, "front", 640, 480)
