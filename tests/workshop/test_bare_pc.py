@@ -202,7 +202,8 @@ def test_a_unit_is_maintained(machine: BareDebian, stage: Path) -> None:
     technician.follow("Change credentials", MAINTAIN)
     technician.edit(("[http]\n", '[http]\ncredentials = "/etc/altd/credentials"\n'))
     technician.enter("systemctl start altd")
-    assert re.search(r"^http 0.0.0.0:8080 +ok ", technician.enter("sleep 2; altd status"), re.MULTILINE)
+    well = technician.enter("sleep 2; altd status").partition("\nok ")[2]
+    assert "http 0.0.0.0:8080" in " ".join(well.split())
 
     technician.follow("Back up", MAINTAIN)
     kept = "sha256sum /etc/altd/*; altd events --history /var/lib/altd/history.db | head -n 5"
