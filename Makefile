@@ -34,8 +34,10 @@ core := tests/unit $(core_system) -m 'not real_time and not alone and not own_ne
 pages := \
     modbus.md:tools.pages.modbus \
     reasons.md:tools.pages.reasons \
+    commands.md:tools.pages.commands \
     states.svg:tools.pages.states_picture \
     coordinates.svg:tools.pages.coordinates \
+    architecture.svg:tools.pages.architecture \
     telegram.md:tools.pages.telegram \
     console.md:tools.pages.console \
     http.md:tools.pages.http \
@@ -105,7 +107,7 @@ check: venv ## style, types, layers, licences, generated pages, width and wordin
 	done
 	echo "generated pages are up to date"
 	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
-	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
+	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure

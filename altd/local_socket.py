@@ -50,7 +50,7 @@ def ask(
     except FileNotFoundError as error:
         raise NoAnswerError(f"the daemon does not run: there is no socket {path}") from error
     except ConnectionRefusedError as error:
-        raise NoAnswerError(f"the daemon does not run: nobody listens at {path}") from error
+        raise NoAnswerError(f"the daemon does not run: nothing listens at {path}") from error
     except (http.client.HTTPException, ValueError) as error:
         raise NoAnswerError(f"what answers at {path} is no daemon of altd: {error}") from error
     except OSError as error:
@@ -133,7 +133,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
     """The listening socket, its file removed at the end.
 
     A socket that a dead process left at ``path`` is replaced. Raises OSError that names the path: EADDRINUSE
-    where somebody listens there or where anything but a socket is.
+    where a process listens there or where the file is not a socket.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     with listener:

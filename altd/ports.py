@@ -1,4 +1,4 @@
-"""What the unit needs of the outside, as protocols; drivers and simulators stand behind them."""
+"""What the unit needs from the outside, as protocols; drivers and simulators implement them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from altd.records.sensors import Quality
 
 
 class CameraError(Exception):
-    """A camera that cannot deliver; the service closes it, says so and opens it again."""
+    """A camera that cannot deliver; the service closes it, reports it and opens it again."""
 
 
 class CameraNotFoundError(CameraError):
@@ -36,7 +36,7 @@ class CameraTimeoutError(CameraError):
 
 
 class CameraMistimedError(CameraError):
-    """A frame came, and nobody knows when it was exposed; the camera stays open."""
+    """A frame arrived whose time of exposure is unknown; the camera stays open."""
 
     def __init__(self, sequence: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -49,7 +49,7 @@ class CameraEndedError(CameraError):
 
 @dataclass(frozen=True, slots=True)
 class ExposureRange:
-    """What a camera lets itself be set to. Without a gain to set, both gains are the same."""
+    """The settable range of a camera. Without a settable gain, both gains are the same."""
 
     shortest_ms: float
     longest_ms: float
@@ -73,7 +73,7 @@ class Camera(Protocol):
 
     @property
     def playback(self) -> bool:
-        """Whether the frames are those of a recording, of whatever origin; every output says so."""
+        """Whether the frames are those of a recording, of whatever origin; every output marks it."""
 
     @property
     def identity(self) -> CameraIdentity | None:
@@ -94,10 +94,10 @@ class Camera(Protocol):
         """The next frame, waiting at most ``timeout_s``; raises CameraError or one of its kinds."""
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Expose so from one of the next frames on, as nearly as the camera can; raises CameraError."""
+        """Apply this from one of the next frames on, as nearly as the camera can; raises CameraError."""
 
     def close(self) -> None:
-        """Let go of the camera; harmless when it is not open."""
+        """Release the camera; harmless when it is not open."""
 
 
 @runtime_checkable
@@ -163,16 +163,16 @@ class Stage(Protocol):
         """Make the position known in the way that is set up for this stage; raises StageError."""
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        """Move there and return once the stage stands still there; raises StageError."""
+        """Move there and return once the stage is at rest there; raises StageError."""
 
     def position(self) -> tuple[float, float]:
-        """Where the stage believes to stand, (x, y) in mm; raises StageError."""
+        """The position that the stage reports, (x, y) in mm; raises StageError."""
 
     def stop(self) -> None:
         """End a movement that is under way; it and every later one raise StageStoppedError."""
 
     def close(self) -> None:
-        """Let go of the stage; harmless when it is not open."""
+        """Release the stage; harmless when it is not open."""
 
 
 class InclinometerError(Exception):
@@ -194,13 +194,13 @@ class InclinometerTimeoutError(InclinometerError):
 
 
 class InclinometerDisturbedError(InclinometerError):
-    """What came is no answer to what was asked: damaged, foreign, too long, or the question itself."""
+    """The received bytes are no answer to the request: damaged, foreign, too long, or the request itself."""
 
     quality = Quality.BAD_ANSWER
 
 
 class InclinometerWrongError(InclinometerError):
-    """What answers is not the sensor that it should be, or is set up otherwise."""
+    """The answering device is not the expected sensor, or is set up differently."""
 
     quality = Quality.WRONG_SENSOR
 
@@ -253,13 +253,13 @@ class Inclinometer(Protocol):
         """How true its angles are."""
 
     def open(self) -> None:
-        """Get hold of the port and make sure that it is this sensor; raises InclinometerError."""
+        """Open the port and check that it is this sensor; raises InclinometerError."""
 
     def read(self) -> InclinometerReading:
-        """A reading of now; raises InclinometerError."""
+        """The current reading; raises InclinometerError."""
 
     def close(self) -> None:
-        """Let go of the port; harmless when it is not open."""
+        """Release the port; harmless when it is not open."""
 
 
 class LampsError(Exception):
@@ -276,7 +276,7 @@ class Lamps(Protocol):
         """Light or darken all of them; raises LampsError."""
 
     def close(self) -> None:
-        """Darken them and let go; harmless when they are not open."""
+        """Darken and release them; harmless when they are not open."""
 
 
 class Indicator(StrEnum):
@@ -298,7 +298,7 @@ class Indicators(Protocol):
         """Light these and darken the others; raises LampsError."""
 
     def close(self) -> None:
-        """Darken them and let go; harmless when they are not open."""
+        """Darken and release them; harmless when they are not open."""
 
 
 class ThermometerError(Exception):
@@ -313,7 +313,7 @@ class Thermometer(Protocol):
         """The name under which the config knows it."""
 
     def celsius(self) -> float | None:
-        """The temperature now, °C; blocks. None: there is none to be had, and that is no fault of its own.
+        """The temperature now, °C; blocks. None: none is available, and that is no fault of its own.
 
         Raises ThermometerError.
         """

@@ -36,7 +36,7 @@ class BrowserProcess:
 
 
 class Asked(Protocol):
-    """Whoever can be asked by Chromium's own protocol."""
+    """A connection that answers Chromium's own protocol."""
 
     def send(self, method: str, /) -> Awaitable[dict[str, Any]]:
         """What a method without parameters answers."""

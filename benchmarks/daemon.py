@@ -249,7 +249,7 @@ class ServedUnit:
 async def served_unit(
     material: Material, folder: Path, rtu_lines: int = 0, more: Collection[str] = ()
 ) -> AsyncIterator[ServedUnit]:
-    """It measures and serves for as long as the block lasts; a history that lies in ``folder`` goes on.
+    """It measures and serves for as long as the block lasts; a history in ``folder`` is continued.
 
     Modbus TCP and HTTP, so many lines of Modbus RTU, and ``more``: ``mqtt`` with a broker, ``opcua``.
     """

@@ -199,7 +199,7 @@ async def _pictures(port: int, seen: Seen) -> None:
         while True:
             await socket.send("next")
             message = await socket.recv()
-            assert isinstance(message, bytes)  # noqa: S101  the protocol says so
+            assert isinstance(message, bytes)  # noqa: S101  by the protocol
             header = json.loads(message[4 : 4 + int.from_bytes(message[:4], "big")])
             seen.pictures += [(picture["sequence"], 1e3 * time.time()) for picture in header["pictures"]]
 

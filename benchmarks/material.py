@@ -184,4 +184,4 @@ class MemoryCamera:
         """Never asked for: there is no range."""
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""

@@ -28,7 +28,7 @@ _MIN_PAUSE_S, _MAX_PAUSE_S = 0.002, 0.012
 
 
 def main() -> int:
-    """Poll, and print what came of it."""
+    """Poll, and print the result."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.poller", description=__doc__)
     parser.add_argument("port", type=int)
     parser.add_argument(

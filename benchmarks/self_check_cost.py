@@ -113,7 +113,7 @@ _WITHIN_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Polls:
-    """What the client was told in a part of the time; ``reasons`` of the invalid polls."""
+    """What the client received in a part of the time; ``reasons`` of the invalid polls."""
 
     count: int
     invalid: int

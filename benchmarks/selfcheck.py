@@ -1,6 +1,6 @@
-"""``python -m benchmarks.selfcheck``: what drift is found, how often none is called one, what is corrected.
+"""``python -m benchmarks.selfcheck``: which drift is found, the rate of false alarms, what is corrected.
 
-False alarms are counted twice. With pictures: checks of simulated units that stand as they were calibrated;
+False alarms are counted twice. With pictures: checks of simulated units that are as they were calibrated;
 each calibration has LED references of its own, for those are the same in all its checks. With places alone,
 many more: LEDs of Gaussian noise through fit and test.
 """
@@ -78,7 +78,7 @@ def _detect(
 
 
 def false_alarms(seed: int, checks: int) -> None:
-    """Checks of a unit that stands as it was calibrated, with pictures, the beam anywhere."""
+    """Checks of a unit that is as it was calibrated, with pictures, the beam anywhere."""
     of_unit = calibrated(seed)
     checked = CheckedUnit(seed)
     rng = np.random.default_rng([seed, 2])
@@ -148,7 +148,7 @@ def slow_drifts(calibrations: int, days: int) -> None:
 
 
 def _day_found(rng: np.random.Generator, px_a_day: float, checks_a_day: int, days: int) -> int | None:
-    """After how many days a drift in one direction is told; None: not at all."""
+    """After how many days a drift in one direction is reported; None: not at all."""
     radius = 330.0
     sigma = np.array([1.0, 1.0, math.degrees(1 / radius), 1e6 / radius]) * LED_NOISE_PX / math.sqrt(6)
     angle = rng.uniform(0, 2 * math.pi)

@@ -65,7 +65,7 @@ class CheckedUnit:
         return {c: LedView(tuple(frames[c, True]), tuple(frames[c, False])) for c in CAMERAS}
 
     def with_new_references(self, calibration: Calibration, pairs: int = 2) -> Calibration:
-        """The calibration with LED references from frames of now, as ``altd calibrate`` takes them."""
+        """The calibration with LED references from current frames, as ``altd calibrate`` takes them."""
         targets = []
         for target in calibration.targets:
             view = self.views(pairs)[target.name]

@@ -11,32 +11,26 @@ from hw_sim import demo, flat, measure, plate, scan
 from hw_sim.gige import command as gige
 
 COMMANDS = {
-    "scan": (scan, "record a calibration scan"),
-    "flat": (flat, "record the flat field: the targets in even light"),
-    "plate": (plate, "record a calibration plate of LEDs"),
-    "demo": (demo, "run the whole unit, simulated, and watch it"),
-    "gige": (gige, "serve the unit's cameras on the network, by GigE Vision"),
-    "measure": (measure, "record poses of the beam, with their truth"),
+    "scan": (scan, "record a calibration scan of a simulated unit"),
+    "flat": (flat, "record the evenly lit targets, for a flat field"),
+    "plate": (plate, "record a calibration plate with LEDs"),
+    "demo": (demo, "run the daemon on a simulated unit; show values and truth"),
+    "gige": (gige, "serve the cameras of a simulated unit by GigE Vision"),
+    "measure": (measure, "record poses of the beam, and write their truth"),
 }
 """Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 
 
 FIRST_STEPS = """first steps:
-  python -m hw_sim demo            a simulated unit, measured: values and truth in the terminal
-  python -m hw_sim scan -o DIR     a calibration scan, for altd calibrate
-  python -m hw_sim COMMAND --help  what a command takes
+  python -m hw_sim demo            run the daemon on a simulated unit
+  python -m hw_sim scan -o DIR     record a calibration scan, for altd calibrate
+  python -m hw_sim COMMAND --help  list the options of a command
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit status, 2 for what the caller did wrong."""
-    prog = "python -m hw_sim"
-    parser = Parser(prog=prog, description="A simulated Active Laser Target.", epilog=FIRST_STEPS)
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
-    for name, (module, summary) in COMMANDS.items():
-        command = commands.add_parser(name, help=summary, description=summary)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
+    parser = command_parser()
 
     def work() -> int:
         arguments = parser.parse_command(argv)
@@ -46,6 +40,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
 
     return run_to_end(work, lambda: "hw_sim")
+
+
+def command_parser() -> Parser:
+    """The parser of all commands."""
+    parser = Parser(
+        prog="python -m hw_sim", description="A simulated Active Laser Target.", epilog=FIRST_STEPS
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for name, (module, summary) in COMMANDS.items():
+        command = commands.add_parser(name, help=summary, description=summary)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return parser
 
 
 if __name__ == "__main__":

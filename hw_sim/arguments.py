@@ -19,9 +19,7 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="new or empty folder for the recording",
     )
-    parser.add_argument(
-        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
-    )
+    parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
 
 
 def natural(text: str) -> int:

@@ -10,6 +10,7 @@ from altd.records import CameraIdentity, Frame, Origin
 from hw_sim.unit import CAMERAS, Unit
 
 EXPOSURE_RANGE = ExposureRange(0.02, 40.0, 0.0, 24.0)
+_REMEMBERED = 8
 
 
 class Schedule:
@@ -50,11 +51,37 @@ class Schedule:
         return after + 1, (after + 1) * self._period_ns - passed_ns
 
 
+class RealTimeLamps:
+    """The frame LEDs of a unit whose cameras run in real time; see ``altd.ports.Lamps``."""
+
+    def __init__(self) -> None:
+        self._switched: tuple[tuple[int, bool], ...] = ((0, False),)
+
+    def open(self) -> None:
+        """Darken them."""
+        self.switch(False)
+
+    def switch(self, on: bool) -> None:
+        """Light or darken them, for the exposures from now on."""
+        self._switched = (*self._switched[-_REMEMBERED:], (time.monotonic_ns(), on))
+
+    def close(self) -> None:
+        """Darken them again."""
+        self.switch(False)
+
+    def lit_at(self, t_ns: int) -> bool:
+        """The state at ``t_ns``: a frame may be rendered after the LEDs were switched again."""
+        return next((on for since_ns, on in reversed(self._switched) if since_ns <= t_ns), False)
+
+
 class SimulatedCamera:
     """One camera of a simulated unit; see ``altd.ports.Camera``."""
 
-    def __init__(self, unit: Unit, name: str, schedule: Schedule, waits: bool) -> None:
+    def __init__(
+        self, unit: Unit, name: str, schedule: Schedule, waits: bool, lamps: RealTimeLamps | None = None
+    ) -> None:
         self._unit = unit
+        self._lamps = lamps
         self._name = name
         self._schedule = schedule
         self._waits = waits
@@ -69,7 +96,7 @@ class SimulatedCamera:
 
     @property
     def origin(self) -> Origin:
-        """Always simulated, and every output says so."""
+        """Always simulated, and every output reports it."""
         return Origin.SIMULATED
 
     @property
@@ -93,7 +120,7 @@ class SimulatedCamera:
         return EXPOSURE_RANGE
 
     def open(self) -> None:
-        """Get ready; the schedule goes on where it is."""
+        """Get ready; the schedule continues where it is."""
         self._schedule.begin()
         self._closed.clear()
 
@@ -112,7 +139,10 @@ class SimulatedCamera:
                 continue
             self._last = sequence
             if not self._unit.drops(self._name, sequence):
-                return self._unit.expose(self._name, sequence, self._schedule.time_ns(sequence) + lag_ns)
+                t_ns = self._schedule.time_ns(sequence) + lag_ns
+                if self._lamps is not None:
+                    self._unit.switch_leds(self._name, self._lamps.lit_at(t_ns))
+                return self._unit.expose(self._name, sequence, t_ns)
         raise CameraError(f"{self._name}: the camera is not open")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
@@ -120,15 +150,17 @@ class SimulatedCamera:
         self._unit.set_camera(self._name, exposure_ms=exposure_ms, gain=10.0 ** (gain_db / 20.0))
 
     def close(self) -> None:
-        """Let go; a call that waits for a frame ends."""
+        """Release it; a call that waits for a frame ends."""
         self._closed.set()
 
 
-def make_cameras(unit: Unit, *, real_time: bool = True) -> tuple[SimulatedCamera, ...]:
-    """The cameras of a unit, front and rear, on one schedule.
+def make_cameras(
+    unit: Unit, *, real_time: bool = True, lamps: RealTimeLamps | None = None
+) -> tuple[SimulatedCamera, ...]:
+    """The cameras of a unit, front and rear, on one schedule; ``lamps`` switches its LEDs, in real time.
 
-    In real time frame sets come at the unit's rate on ``time.monotonic_ns``, and who is late gets the
+    In real time frame sets come at the unit's rate on ``time.monotonic_ns``, and a late caller gets the
     newest; otherwise they come as fast as they are taken, none is left out, and time starts at 0.
     """
     schedule = Schedule(unit.config.period_ns, real_time=real_time)
-    return tuple(SimulatedCamera(unit, name, schedule, waits=not real_time) for name in CAMERAS)
+    return tuple(SimulatedCamera(unit, name, schedule, waits=not real_time, lamps=lamps) for name in CAMERAS)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 
 from altd.app.daemon import Daemon
-from altd.app.parts import calibration_of, cameras_of
+from altd.app.parts import calibration_of, cameras_of, lamps_of
 from altd.config import (
     Config,
     ConsolePortSettings,
@@ -28,9 +28,9 @@ from altd.config import (
 )
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, unwrap_group
-from altd.ports import Camera
+from altd.ports import Camera, Lamps
 from hw_sim.arguments import natural, seconds
-from hw_sim.camera import make_cameras
+from hw_sim.camera import RealTimeLamps, make_cameras
 from hw_sim.demo_figures import Figures
 from hw_sim.demo_folder import demo_folder
 from hw_sim.demo_gige import served
@@ -51,31 +51,37 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the demo takes on the command line."""
-    parser.add_argument(
-        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
-    )
+    parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
     parser.add_argument(
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="of that very unit, made by hw_sim scan and altd calibrate (default: made now)",
+        help="calibration of this unit (default: made at the start)",
     )
     parser.add_argument(
         "--keep",
         type=Path,
         metavar="FOLDER",
-        help="keep history, recordings and calibration there (default: they go when it ends)",
+        help="keep history, recordings and calibration there (default: deleted at the end)",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
-    parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
-    parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
     parser.add_argument(
-        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="publish to this MQTT broker (default: to none)"
+        "--http-port", type=_port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
+    )
+    parser.add_argument(
+        "--modbus-port",
+        type=_port,
+        default=0,
+        metavar="PORT",
+        help="port of Modbus TCP (default: a free one)",
+    )
+    parser.add_argument(
+        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="also publish to this MQTT broker"
     )
     parser.add_argument(
         "--gige",
         action="store_true",
-        help="its cameras are on the network, by GigE Vision, in a process of their own (hw_sim gige)",
+        help="read the cameras by GigE Vision, from a second process",
     )
     add_addresses(parser)
 
@@ -86,19 +92,19 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stdout.reconfigure(errors="replace")  # for a terminal without ±
     try:
         asyncio.run(_until_stopped(arguments))
-    except KeyboardInterrupt:  # before or after the loop, which knows what to do about it
+    except KeyboardInterrupt:  # before or after the loop, which handles it
         return 0
-    except BrokenPipeError:  # the reader of our output went away; there is nobody to tell
+    except BrokenPipeError:  # the reader of our output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
-        for number in _ENDING:  # it is ending: who asks for it a second time need not be told
+        for number in _ENDING:  # it is ending: a second request needs no answer
             signal.signal(number, signal.SIG_IGN)
     return 0
 
 
 async def _until_stopped(arguments: argparse.Namespace) -> None:
-    """The demo, cancelled once, however often somebody asks for its end; raises what it fails with."""
+    """The demo, cancelled once, however often its end is requested; raises what it fails with."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     for number in _ENDING:
@@ -136,12 +142,15 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             mqtt=arguments.mqtt,
         )
         config = _config(unit, calibration, faces)
-        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit)}
+        leds = RealTimeLamps()
+        lamps: Lamps | None = leds
+        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit, lamps=leds)}
         if hardware is not None:
             config = config.model_copy(update=hardware.tables)
             cameras = cameras_of(config, Path("--gige"))
+            lamps = lamps_of(config, cameras, Path("--gige"))
         known = calibration_of(config, cameras)
-        daemon = Daemon(config, known, cameras, rehearsal=True)
+        daemon = Daemon(config, known, cameras, lamps=lamps, rehearsal=True)
         daemon.past.keep_as(config, known)
         figures = Figures(daemon, unit, "daemon alone") if hardware else Figures(daemon, unit)
         view = View(daemon, unit, faces, figures)
@@ -200,7 +209,7 @@ async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> N
     logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     text = "\n".join([view.title, *view.commands(), view.heading])
     while True:
-        # in a thread: a pipe that nobody empties must not hold up the unit
+        # in a thread: a pipe without a reader must not block the unit
         await asyncio.to_thread(print, text, flush=True)
         await asyncio.sleep(LINE_INTERVAL_S)
         text = view.line()
@@ -240,7 +249,7 @@ async def _command(module: str, *arguments: str) -> None:
 
 
 def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
-    """The settings of an ordinary unit with all of its faces, on this machine only."""
+    """The settings of an ordinary unit with all of its interfaces, on this machine only."""
     return Config(
         unit=UnitTable(serial=unit.config.serial, calibration=calibration),
         targets=(

@@ -128,7 +128,7 @@ class Figures:
 
     @property
     def frames_dropped(self) -> int:
-        """Frames that replaced one nobody had taken from a frame set, or that came too late for one."""
+        """Frames that replaced an unused one before it was paired, or that came too late for a frame set."""
         counters = self._counters("measuring")
         return counters.get("late_frames", 0) + sum(counters.get(f"dropped_{name}", 0) for name in CAMERAS)
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
-from altd.config import AravisCameraSettings, ExposureSettings, Measuring
+from altd.config import AravisCameraSettings, CameraLampsSettings, ExposureSettings, Measuring
 from altd.errors import BadInputError
 from hw_sim.faults import Fault
 from hw_sim.unit import EXPOSURES_MS, Unit
@@ -34,7 +34,8 @@ class Hardware:
             )
             for name, address in self._addresses.items()
         }
-        return {"cameras": cameras, "measuring": Measuring(pair_by="time")}
+        lamps = CameraLampsSettings(driver="camera", cameras=tuple(cameras))
+        return {"cameras": cameras, "lamps": lamps, "measuring": Measuring(pair_by="time")}
 
     async def follow(self, unit: Unit) -> None:
         """Let the cameras have the faults that ``unit`` has; raises BadInputError when the process ends."""

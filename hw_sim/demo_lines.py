@@ -1,7 +1,7 @@
 """Serial lines without hardware: each is two pseudo-terminals with a cable between them.
 
 The unit opens one end, a person the other, with any program that opens a device. As on a real line, what is
-sent while nobody has the far end open is lost: who opens it sees what comes from then on, nothing old.
+sent while the far end is closed is lost: a program that opens it gets what is sent from then on, nothing old.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Line:
         os.set_blocking(self._unit, False)
         os.set_blocking(self._far, False)
         # The unit's end stays open here, so that it is there before and after the unit opens it. The far
-        # end does not: the kernel then tells a hang-up for as long as nobody has it open.
+        # end does not: the kernel then reports a hang-up for as long as no program has it open.
         os.close(far_device)
         self._hang_up = select.poll()
         self._hang_up.register(self._far, 0)

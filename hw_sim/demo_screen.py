@@ -43,7 +43,7 @@ class Screen:
         self._left = False
 
     async def draw(self, lines: Sequence[StyledLine]) -> None:
-        """Show these lines, cut to the terminal's size. A terminal that takes nothing holds up nobody."""
+        """Show these lines, cut to the terminal's size. A terminal that takes nothing blocks nothing."""
         await asyncio.to_thread(self._write, self._changes(lines))
 
     def _changes(self, lines: Sequence[StyledLine]) -> str:
@@ -89,7 +89,7 @@ class Screen:
 def keys(pressed: Callable[[str], None]) -> Iterator[bool]:
     """Call ``pressed`` with every key at once; yields whether there is a keyboard for it.
 
-    Ctrl-C goes on working. Ctrl-S and Ctrl-Z, which would freeze a half-drawn screen, do nothing.
+    Ctrl-C still works. Ctrl-S and Ctrl-Z, which would freeze a half-drawn screen, do nothing.
     """
     keyboard = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
     if keyboard is None or os.tcgetpgrp(keyboard) != os.getpgrp():  # none, or it belongs to the shell

@@ -32,6 +32,7 @@ FAULT_KEYS = {
     "f": FaultKey(Fault.FRONT_SPOT_MISSING, "lose front spot"),
     "s": FaultKey(Fault.REAR_SILENT, "silence rear camera"),
     "l": FaultKey(Fault.LEDS_ON, "LEDs stuck on"),
+    "m": FaultKey(Fault.REAR_CAMERA_MOVED, "move rear camera"),
 }
 CLEAR_KEY, QUIT_KEY = "c", "q"
 
@@ -70,7 +71,7 @@ class Faces:
         return [("MQTT", f"mosquitto_sub -V 5 {where} -v -t '{self.mqtt.topic}/#'")]
 
     def components(self) -> dict[str, str]:
-        """For people's names of the faces, the names of their components in the unit's health."""
+        """The names of the interfaces' components in the unit's health, by the interface's usual name."""
         return {
             "HTTP": f"http 127.0.0.1:{self.http_port}",
             "Modbus TCP": f"modbus_tcp 127.0.0.1:{self.modbus_port}",
@@ -190,7 +191,10 @@ def _verdict(measurement: Measurement | None) -> StyledLine:
     return f"  VALID, mean of {counted(measurement.frames, 'exposure')}; {status}", Style.GOOD
 
 
-_KEYS = (
-    ", ".join(f"{key} {action.does}" for key, action in FAULT_KEYS.items()),
-    f"{CLEAR_KEY} clear all faults, {QUIT_KEY} quit",
-)
+_KEYS_A_ROW = 4
+_KEY_TEXTS = [
+    *(f"{key} {action.does}" for key, action in FAULT_KEYS.items()),
+    f"{CLEAR_KEY} clear all faults",
+    f"{QUIT_KEY} quit",
+]
+_KEYS = (", ".join(_KEY_TEXTS[:_KEYS_A_ROW]), ", ".join(_KEY_TEXTS[_KEYS_A_ROW:]))

@@ -1,4 +1,4 @@
-"""A camera that no longer stands to its target as it did: its lens as it is then."""
+"""A camera that has moved relative to its target: its lens as it is then."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Dust and grease that settle on window and plate after the calibration.
 
-Dust is opaque, a smear takes a few hundredths of the light and has no edge. On the window they stand between
+Dust is opaque, a smear takes a few hundredths of the light and has no edge. On the window they are between
 the laser and the ink, or between the ink and its camera, which for a spot on the ink is the same, and they
 cast a shadow on the rear target; on the plate they hide it.
 """

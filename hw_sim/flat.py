@@ -31,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the flat field takes on the command line."""
     add_common_arguments(parser)
     parser.add_argument(
-        "--exposures", type=at_least_one, default=20, help="exposures lit, and as many dark (default 20)"
+        "--exposures",
+        type=at_least_one,
+        default=20,
+        help="lit exposures, and as many dark ones (default: 20)",
     )
 
 

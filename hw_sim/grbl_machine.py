@@ -68,7 +68,7 @@ class Machine:
         self.planner.stop_dead(t_s)
 
     def reset(self, t_s: float) -> None:
-        """Stop and restart; who was moving has lost steps, who stood on a hold has not."""
+        """Stop and restart; a table in motion loses steps, one at rest on a hold does not."""
         moving, homing = self.planner.moving(t_s), self.state == "Home"
         locked = self.state == "Alarm" or moving or homing
         if moving:
@@ -131,13 +131,13 @@ class Machine:
         self._home_until_s = t_s + 60.0 * away / float(self.settings[SEEK_MM_PER_MIN]) + 0.1
 
     def hold(self, t_s: float) -> None:
-        """Brake and stand."""
+        """Brake to rest."""
         if self.state in ("Run", "Idle"):
             self.planner.hold(t_s)
             self.state = "Hold"
 
     def resume(self, t_s: float) -> None:
-        """Go on after a hold."""
+        """Continue after a hold."""
         if self.state == "Hold" and not self.is_braking(t_s):
             self.planner.resume(t_s)
             self.state = "Run" if self.planner.moves else "Idle"
@@ -183,7 +183,7 @@ class Machine:
         self.alarm = code
 
     def _end_homing(self) -> None:
-        """The table has found its switches at the upper ends and stands off them by the pull-off."""
+        """The table has found its switches at the upper ends and is away from them by the pull-off."""
         place = -float(self.settings[PULL_OFF_MM])
         self.planner = Planner((place, place))
         self._home_until_s = None

@@ -31,7 +31,7 @@ class Move:
 
     @property
     def end_s(self) -> float:
-        """When it stands again."""
+        """When it is at rest again."""
         if self.length_mm == 0:
             return self.start_s
         return (
@@ -87,12 +87,12 @@ def braking(move: Move, t_s: float) -> Move:
 
 @dataclass(slots=True)
 class Planner:
-    """The moves that are planned, and where the table stands between them, mm in machine coordinates."""
+    """The planned moves, and the place of the table between them, mm in machine coordinates."""
 
     place_mm: Xy
     moves: deque[Move] = field(default_factory=deque)
     held: Move | None = None
-    """How it brakes, and then stands, on a hold."""
+    """How it brakes to rest on a hold."""
 
     @property
     def target_mm(self) -> Xy:
@@ -133,7 +133,7 @@ class Planner:
             self.held = braking(self.moves[0], t_s)
 
     def resume(self, t_s: float) -> None:
-        """Go on to where the hold came in between."""
+        """Continue the move that the hold interrupted."""
         if self.held is not None:
             rest = self.moves[0]
             self.moves[0] = Move(self.held.end_mm, rest.end_mm, rest.speed_mm_s, rest.acceleration_mm_s2)

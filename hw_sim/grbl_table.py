@@ -29,7 +29,7 @@ MAX_POSES = 4000
 
 MIDDLE_MM = (-100.0, -100.0)
 """The middle of the targets as seen from the switches, which sit at the upper ends of a travel of 200 mm. The
-table stands there when the simulation begins, and the work zero is set there."""
+table is there when the simulation begins, and the work zero is set there."""
 
 FAST_SETTINGS = {110: "30000", 111: "30000", 120: "3000", 121: "3000", 25: "20000"}
 """Settings of a quick table, so that a person or a test need not wait: 0.5 m/s, 3 m/s²."""
@@ -99,7 +99,7 @@ class GrblTable:
             self._answers = False
 
     def lose_power(self) -> None:
-        """Stop dead and be silent; the table stands where it is."""
+        """Stop at once and be silent; the table stays where it is."""
         with self._lock:
             self.controller.cut_power(_now_s())
             self._power = False
@@ -113,7 +113,7 @@ class GrblTable:
             self._send(sent)
 
     def hit_limit(self) -> None:
-        """Let somebody lean on a limit switch."""
+        """Press a limit switch."""
         with self._lock:
             self._send(self.controller.hit_limit(_now_s()))
 

@@ -45,7 +45,7 @@ class Imager:
         self.settings = settings
         self._lux = lux
         self.blink_on = False
-        """Whether stray lights that blink by themselves shine in the next exposure."""
+        """Whether blinking stray lights shine in the next exposure."""
         self._clean_view = view
         self._dust: Dust | None = None
         self._levels: tuple[float, ...] = ALL_LIT
@@ -54,7 +54,7 @@ class Imager:
 
     @property
     def blinks(self) -> bool:
-        """Whether a stray light blinks by itself."""
+        """Whether a stray light blinks."""
         return self.view.blinking is not None
 
     def set_view(self, view: View) -> None:

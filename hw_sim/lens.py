@@ -21,11 +21,11 @@ NEWTON_TOLERANCE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lens:
-    """Where a point of the target lands on the sensor, and back.
+    """The point on the sensor of a point on the target, and the inverse.
 
-    The camera sees the plane in face coordinates: X right and Y down in its picture, Z away from it. So
+    The camera sees the plane in plane coordinates: X right and Y down in its picture, Z away from it. So
     X = x and Y = −y for the camera that looks along the beam, and X = −x, Y = −y where ``mirrored``,
-    for the one that looks against it. ``rotation`` (3 × 3) and ``translation_mm`` (3) take face
+    for the one that looks against it. ``rotation`` (3 × 3) and ``translation_mm`` (3) take plane
     coordinates into the camera frame; ``distortion`` is Brown's (k1, k2, p1, p2, k3).
     """
 

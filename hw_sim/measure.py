@@ -57,9 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the measurement takes on the command line."""
     add_common_arguments(parser)
     parser.add_argument("--truth", type=Path, required=True, metavar="FILE", help="JSON file for the truth")
-    parser.add_argument("--poses", type=at_least_one, default=30, help="number of beams (default 30)")
-    parser.add_argument("--exposures", type=at_least_one, default=4, help="exposures a beam (default 4)")
-    parser.add_argument("--faults", default="", metavar="NAME,...", help="faults that are present throughout")
+    parser.add_argument("--poses", type=at_least_one, default=30, help="number of beams (default: 30)")
+    parser.add_argument("--exposures", type=at_least_one, default=4, help="exposures per beam (default: 4)")
+    parser.add_argument(
+        "--faults", default="", metavar="NAME,...", help="faults, by the names in hw_sim/faults.py"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -29,7 +29,7 @@ COLUMNS, ROWS = 7, 5
 LED_DIAMETER_MM = 5.0
 PITCH_MM = 23.0
 """The plate of App. A.3 has 25 mm; its outer columns do not fit the picture of an ordinary unit's cameras,
-which stand as near as the 140 × 110 mm target allows."""
+which are as near as the 140 × 110 mm target allows."""
 WIDE_PITCH_MM = 25.0
 """For cameras that are made for the plate, tilted or with a fisheye lens."""
 FISHEYE_FOCAL_MM = (3.5, 3.7)
@@ -191,15 +191,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the plate takes on the command line."""
     add_common_arguments(parser)
     parser.add_argument(
-        "--exposures", type=at_least_one, default=4, help="pairs, LEDs off and on (default 4)"
+        "--exposures", type=at_least_one, default=4, help="pairs of exposures, LEDs off and on (default: 4)"
     )
     parser.add_argument(
-        "--dark", type=_led, nargs="+", default=[], metavar="C,R", help="LEDs that do not shine, from 0,0"
+        "--dark", type=_led, nargs="+", default=[], metavar="C,R", help="dark LEDs, counted from 0,0"
     )
-    parser.add_argument(
-        "--tilt", type=float, metavar="DEG", help="other cameras, that look at the plate under this angle"
-    )
-    parser.add_argument("--fisheye", action="store_true", help="other cameras, with lenses of f = 3.6 mm")
+    parser.add_argument("--tilt", type=float, metavar="DEG", help="use other cameras, tilted by this angle")
+    parser.add_argument("--fisheye", action="store_true", help="use other cameras, with lenses of f = 3.6 mm")
 
 
 def run(arguments: argparse.Namespace) -> int:

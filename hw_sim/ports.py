@@ -8,7 +8,7 @@ _given: set[int] = set()
 
 
 def free_port() -> int:
-    """A TCP port that nobody has at the moment, and that was not given before."""
+    """A TCP port that is free at the moment, and that was not given before."""
     while True:
         with socket.create_server(("127.0.0.1", 0)) as server:
             port: int = server.getsockname()[1]

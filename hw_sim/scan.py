@@ -72,16 +72,16 @@ def record_scan(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the scan takes on the command line."""
     add_common_arguments(parser)
-    parser.add_argument("--exposures", type=at_least_one, default=2, help="exposures a node (default 2)")
+    parser.add_argument("--exposures", type=at_least_one, default=2, help="exposures per node (default: 2)")
     parser.add_argument(
         "--grid",
         type=_grid,
         default=USUAL,
         metavar="C,R",
-        help="columns and rows of nodes, over the same area (default 6,5)",
+        help="columns and rows of nodes on the same area (default: 6,5)",
     )
     parser.add_argument(
-        "--stage", action="store_true", help="in real time: `altd scan` drives a simulated Grbl stage"
+        "--stage", action="store_true", help="scan in real time, as `altd scan` does with a Grbl stage"
     )
 
 

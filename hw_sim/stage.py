@@ -18,6 +18,6 @@ class Stage:
         self._sigma_mm = sigma_mm
 
     def place(self, x_mm: float, y_mm: float) -> BeamPose:
-        """The beam that stands where the table believes to be at (x, y)."""
+        """The true beam when the table reports (x, y)."""
         error_x, error_y = self._rng.normal(0.0, self._sigma_mm, size=2)
         return BeamPose(x_mm + float(error_x), y_mm + float(error_y))

@@ -14,7 +14,7 @@ DOT_PITCH_MM = 1.0
 """The screen print of Table 3.1's last row."""
 
 WINDOW_TRANSMISSION = 0.92
-"""Clear glass with two uncoated faces."""
+"""Clear glass with two uncoated surfaces."""
 
 LED_DIAMETER_MM = 5.0
 LED_POSITIONS_MM = ((-74.0, 48.0), (0.0, 59.0), (74.0, 48.0), (-74.0, -48.0), (0.0, -59.0), (74.0, -48.0))
@@ -36,7 +36,7 @@ class DotPattern:
 
     @property
     def coverage(self) -> float:
-        """Share of the window that the dots cover; the rest of the beam goes on to the rear target."""
+        """Share of the window that the dots cover; the rest of the beam reaches the rear target."""
         if self.hexagonal:
             return math.pi * self.diameter_mm**2 / (2.0 * math.sqrt(3.0) * self.pitch_mm**2)
         return math.pi * self.diameter_mm**2 / (4.0 * self.pitch_mm**2)

@@ -55,9 +55,9 @@ class UnitConfig:
 
     ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
     ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
-    given, and the cameras stand where their pictures hold ``field_half_mm`` to each side of the middle.
+    given, and the cameras are where their pictures hold ``field_half_mm`` to each side of the middle.
     ``expansion`` is by how much of its length the frame between the targets has grown since it was adjusted:
-    the rear target stands at (1 + expansion) times its distance. ``dust`` is what has settled on window and
+    the rear target is at (1 + expansion) times its distance. ``dust`` is what has settled on window and
     plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
     """
 
@@ -219,7 +219,7 @@ class Unit:
             self._window_dust = dust[FRONT].blurred(SHADOW_SIGMA_MM) if amount else None
 
     def displace(self, camera: str, displacement: Displacement) -> None:
-        """Let a camera stand to its target so from the next exposure on, counted from where it was made."""
+        """Displace a camera so from the next exposure on, relative to its original place."""
         view = self._views[camera](np.random.default_rng(self._view_streams[camera]), displacement)
         with self._lock:
             self.imagers[camera].set_view(view)

@@ -80,7 +80,7 @@ class View:
     steady: Image | None = None
     """Electrons per ms of stray lights that always shine."""
     blinking: Image | None = None
-    """Electrons per ms of stray lights that blink by themselves, while they shine."""
+    """Electrons per ms of blinking stray lights, while they shine."""
 
     def with_dust(self, dust: Dust) -> View:
         """The same with dust on what it shows; lamps and chip are beside it."""
@@ -155,7 +155,7 @@ def make_view(
 ) -> View:
     """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None.
 
-    ``displaced``: as it sees the very same target once it stands otherwise.
+    ``displaced``: as it sees the same target once it has moved.
     """
     before = lens
     if displaced is not None:

@@ -111,17 +111,15 @@ def run(progress: Progress) -> Result:
         ),
         text=f"""
 The beam is at rest and the unit vibrates with {vibration.rms_mm:g} mm rms in x and y and
-{vibration.rms_mrad:g} mrad rms in yaw and pitch: lines at {lines_hz} Hz with
-{100 * (1 - vibration.random_share):.0f} % of the power, the rest spread up to 80 Hz. {EXPOSURES}
-exposures at {unit.config.fps:g} a second are measured with sliding windows of each length
-(`altd replay --window N`). The thesis has no figures here.
+{vibration.rms_mrad:g} mrad rms in yaw and pitch. {100 * (1 - vibration.random_share):.0f} % of the power
+is in lines at {lines_hz} Hz, the rest is spread up to 80 Hz. {EXPOSURES} exposures at
+{unit.config.fps:g} a second are measured with sliding windows of each length.
 
 *σ* is the scatter of altd's readings, *vibration left* that of the true mean position over the same
 exposures. If both agree, altd adds nothing. *Error rms* is against the beam at rest and includes print
-and speckle at this one place, which averaging cannot remove. *Stated sigma* should cover it, but a single
-exposure cannot detect vibration. *Invalid* are windows in which altd found the beam unsteady. A line near
-a multiple of the frame rate averages out slowly: the camera sees 24.6 Hz as 4.6 Hz. Blur within an
-exposure is not simulated.
+and speckle at this one place. *Stated sigma* should cover it, but a single exposure cannot detect
+vibration. *Invalid* are windows in which altd found the beam unsteady. A line near a multiple of the frame
+rate averages out slowly: the camera sees 24.6 Hz as 4.6 Hz. Blur within an exposure is not simulated.
 """,
         figure=figure,
         caption="Scatter of the mean against the number of exposures, and how much of it is vibration",

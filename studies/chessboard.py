@@ -105,21 +105,20 @@ def run(progress: Progress) -> Result:
         ),
         text=f"""
 Seven photographs of OpenCV's sample data (320 × 240) show a board of 8 × 6 squares, held by hand before a
-real lens; `cv2.findChessboardCornersSB` finds its 7 × 5 inner corners. Each photograph is one plane and
-one map, mm → px, as a target is. Each corner is left out in turn, each model is fitted to the rest, and
-its pixel is compared with the corner found: {7 * 35} errors a model. At the {int(RIM.sum())} corners on
-the rim this extrapolates; *inner corners* are the others.
+real lens. `cv2.findChessboardCornersSB` finds its 7 × 5 inner corners. Each photograph is one plane and
+one map, mm → px. Each corner is left out in turn, each model is fitted to the rest, and its pixel is
+compared with the corner found: {7 * 35} errors a model. At the {int(RIM.sum())} corners on the rim this
+extrapolates; *inner corners* are the others.
 
-*homography*: `studies.homography` (vanishing line and Gauss-Newton) through the other 34 corners.
-*Tensor polynomial 3 × 3*: the thesis' map. *altd's map*: the choice of
-`altd.calibration.fitting.fit_nodes` by cross-validation. *OpenCV camera, this photograph*:
-`cv2.calibrateCamera` on the same 34 corners (without k3). *OpenCV camera, other photographs*: camera and
-distortion from all corners of the six others, and the board's pose from these 34 (`cv2.solvePnP`).
+*homography*: `studies.homography` through the other 34 corners. *Tensor polynomial 3 × 3*: the thesis' map.
+*altd's map*: chosen by cross-validation. *OpenCV camera, this photograph*: `cv2.calibrateCamera` on the
+same 34 corners (without k3). *OpenCV camera, other photographs*: camera and distortion from all corners of
+the six others, and the board's pose from these 34 (`cv2.solvePnP`).
 
 The errors include those of the corners, some hundredths of a pixel, and of the board, which is paper. One
 camera fits all seven photographs to {joint_rms_px:.3f} px rms, and each alone to {single_rms_px:.3f} px:
-the board was not flat, or bent differently. Therefore the camera from the other photographs, which knows
-more, is worse here than the models fitted to the photograph itself.
+the board was not flat, or bent differently. Therefore the camera from the other photographs is worse here
+than the models fitted to the photograph itself.
 """,
         figure=_figure(photos, errors_px, lengths_px),
         caption="Mean error by photograph and model; errors over the board for the first photograph",

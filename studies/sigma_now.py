@@ -189,7 +189,7 @@ def run(progress: Progress) -> Result:
         columns=tuple(
             Column(f"{name}{of}", digits, judged=False)
             for of in ("", ", vibration")
-            for name, digits in (("x", 2), ("y", 2), ("yaw", 2), ("pitch", 2), ("sigma of x now, mm", 3))
+            for name, digits in (("x", 2), ("y", 2), ("yaw", 2), ("pitch", 2), ("`sigma_now` of x, mm", 3))
         ),
         rows=(*shown, *hard_rows, *start_rows),
         headline=(
@@ -242,17 +242,17 @@ def _text(driven: dict[str, list[Readings]], outside: str, hard_rows: Sequence[R
     highest = max(_cells(hard_rows))
     return f"""
 Each cell is the rms of (value − truth at the moment of reading)/(`sigma_now` of that moment). Windows have
-20 exposures at 20 a second, so that a value read at once is about half a second old. The plot has more
-reading times.
+20 exposures at 20 a second, so a value read at once is about half a second old. The plot has more reading
+times.
 
-{len(SEEDS)} units are on {PLACES} stretches each of the simulator's path (`Drive`: sines in x, y, yaw and
-pitch) at each speed, the highest of x. Vibration is {vibration.rms_mm:g} mm and {vibration.rms_mrad:g} mrad
-rms, most of it at {lines_hz} Hz; the truth includes it. At rest, read at once, `sigma_now` of x is
-{still:.4f} mm without vibration (sigma: {rms(rest[0].stated[:, 0]):.4f} mm) and {shaken:.4f} mm with it.
+{len(SEEDS)} units are on {PLACES} stretches each of the simulator's path at each speed, the highest of x.
+Vibration is {vibration.rms_mm:g} mm and {vibration.rms_mrad:g} mrad rms, most of it at {lines_hz} Hz; the
+truth includes it. At rest, read at once, `sigma_now` of x is {still:.4f} mm without vibration (sigma:
+{rms(rest[0].stated[:, 0]):.4f} mm) and {shaken:.4f} mm with it.
 
-Of these, outside of {WITHIN[0]:g} to {WITHIN[1]:g}: {outside}. There the ratio is that of sigma itself,
-{min(own):.2f} to {max(own):.2f} at these {len(SEEDS) * PLACES} places: averaging cannot remove print and
-speckle, which are the same in all exposures, and sigma is on the safe side.
+Outside of {WITHIN[0]:g} to {WITHIN[1]:g}: {outside}. There the ratio is that of sigma itself,
+{min(own):.2f} to {max(own):.2f} at these {len(SEEDS) * PLACES} places. Print and speckle are the same in all
+exposures; sigma includes them and is on the safe side.
 
 The other rows are motions of one unit that break the assumptions of `sigma_now`; the highest ratio is
 {highest:.2f}. It is too large for steps and a slow sway, because rates and accelerations are assumed to
@@ -281,6 +281,6 @@ def _figure(driven: dict[str, list[Readings]]) -> Figure:
             axes[2 + kind].plot(LATE_S, ratios, ".-", color=colour, lw=0.8, ms=4)
         axes[kind].set(title=what, ylabel="x, mm")
         axes[2 + kind].axhspan(*WITHIN, color="#e8f0e8", zorder=0)
-        axes[2 + kind].set(xlabel="read late by, s", ylabel="rms(error/sigma of now)", ylim=(0.0, 2.0))
+        axes[2 + kind].set(xlabel="read late by, s", ylabel="rms(error/sigma_now)", ylim=(0.0, 2.0))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(colours))
     return figure

@@ -138,16 +138,15 @@ def run(progress: Progress) -> Result:
         text=f"""
 The thesis moves the beam by 1 mm at 50 places and compares the distance of the two mapped spots with the
 table's. *Displacement σ* is the standard deviation of these errors, *repeated σ* that of further pictures
-at the same place. This study does the same with {DISPLACEMENTS} pairs of beams along the axis, 1 mm apart
-in any direction: single exposures, `altd calibrate` on a 6 × 5 scan, `altd replay --window 1`;
-{EXPOSURES} exposures of each place for the repeats. *Error of place* is against the beam's true position
-(rms of x and y). It is larger than the error of a displacement, because two spots 1 mm apart share most
-of their error.
+at the same place. This study uses {DISPLACEMENTS} pairs of beams along the axis, 1 mm apart in any
+direction. They are single exposures on a 6 × 5 scan; the repeats have {EXPOSURES} exposures of each place.
+*Error of place* is against the beam's true position (rms of x and y). It exceeds the error of a
+displacement, because two spots 1 mm apart share most of their error.
 
 The opaque row is the rear target behind the 0.5/1.0 mm dots. The units differ in their print only. The
-simulated orthogonal print is perfect; that of the thesis was a digital print with chipped dots (Fig.
-3.8), which may explain much of its 0.5 mm. altd has its standard settings, made for dots 1 mm apart, and
-no flat field. Cameras and lenses are those of App. A.3.
+simulated orthogonal print is perfect. That of the thesis was a digital print with chipped dots (Fig. 3.8),
+which may explain much of its 0.5 mm. The settings are the standard ones, made for dots 1 mm apart, without a
+flat field. Cameras and lenses are those of App. A.3.
 """,
         figure=figure,
         caption=(

@@ -110,20 +110,19 @@ def run(progress: Progress) -> Result:
             "5.7 and 3.6; the thesis' tensor polynomial has 0.0212 to 0.0665 mm at the LEDs."
         ),
         text=f"""
-The thesis photographs a plate of 7 × 5 LEDs, {WIDE_PITCH_MM:g} mm apart, fits a map to them, and takes
-the distance eᵢ between the known and the mapped place of each LED (Eq. 3.1). This study does so with
+The thesis photographs a plate of 7 × 5 LEDs, {WIDE_PITCH_MM:g} mm apart, and fits a map to them. The error
+eᵢ is the distance between the known and the mapped place of an LED (Eq. 3.1). This study uses
 {2 * len(SEEDS)} simulated lenses of each focal length, as near as the picture allows and tilted by
 {TILT_DEG:g}°: barrel distortion by Brown's model, at 3.6 mm a fisheye. The LEDs are placed to 0.005 mm
 and found by `altd.vision.led_discs` in {EXPOSURES} exposures with and without light.
 
-Errors at the LEDs hide that a map through few points follows their noise. The last four columns are
-therefore means over {ACROSS} × {ACROSS} places between the LEDs, from the pixel of the simulated lens.
-For the very last, altd's map is fitted to the true pixels of the LEDs with a noise of {NOISE_PX:g} px.
+A map through few points follows their noise, which errors at the LEDs hide. The last four columns are
+therefore means over {ACROSS} × {ACROSS} places between the LEDs. For the last one, altd's map is fitted to
+the true pixels of the LEDs with a noise of {NOISE_PX:g} px.
 
-*homography*: px → mm by `studies.homography` (vanishing line and Gauss-Newton, Eq. 2.44–2.58).
-*tensor 3 × 3*: the thesis' map. *altd's map*: the choice of `altd.calibration.fitting.fit_nodes` by
-cross-validation, with the discs' centres corrected for tilt and distortion. The lenses of the thesis are
-not ours: its 12 mm lens was a good one; here all distort alike for the same angle of view.
+*homography*: px → mm by `studies.homography` (Eq. 2.44–2.58). *tensor 3 × 3*: the thesis' map. *altd's
+map*: chosen by cross-validation, with the discs' centres corrected for tilt and distortion. The thesis used
+other lenses: its 12 mm lens was a good one. Here all lenses distort alike for the same angle of view.
 """,
         figure=_figure(errors_by_lens),
         caption="Mean error by focal length: at the LEDs with the thesis' values, and between them",

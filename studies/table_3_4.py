@@ -101,25 +101,23 @@ def run(progress: Progress) -> Result:
             "(thesis 0.0226° and 0.0183°)."
         ),
         text=f"""
-Three simulated units differ in everything that their seed decides, and in the contrast of their speckle.
-Each is scanned (6 × 5 nodes, two exposures) and calibrated (`altd calibrate`). Then {POSES} beams enter
-anywhere on the window, with any yaw and pitch of the range that keeps both spots on the scanned area,
-{EXPOSURES} exposures each. *Accuracy* is the standard deviation of the errors of means of {EXPOSURES}
-(`altd replay --window {EXPOSURES}`), *reproducibility* that of single exposures of the same beam
-(`--window 1`), pooled over the beams. The thesis does not state how many frames it averaged.
-*rms of error/sigma* is 1 if the uncertainty that altd states is right.
+Three simulated units differ in their seed and in the contrast of their speckle. Each is scanned (6 × 5
+nodes, two exposures) and calibrated. Then {POSES} beams enter anywhere on the window, {EXPOSURES} exposures
+each. Yaw and pitch take any value that keeps both spots on the scanned area. *Accuracy* is the standard
+deviation of the errors of means of {EXPOSURES}, *reproducibility* that of single exposures of the same
+beam. The thesis does not state how many frames it averaged. *rms of error/sigma* is 1 if the stated
+uncertainty is right.
 
-The last two rows are the second unit with a flat field (`altd calibrate --flat`); the thesis had none.
-They are optimistic: even light shows all of the simulated surface texture, while a lamp cannot show a
-laser's true speckle.
+The last two rows are the second unit with a flat field; the thesis had none. They are optimistic: even
+light shows all of the simulated surface texture. A lamp cannot show a laser's true speckle.
 
 Displacement of the same beams, rms of x and y: {placed}.
 
 The thesis tests by principal components whether the errors depend on each other and on the angles, and
-finds a minor correlation. For the unit with speckle {UNITS[SHOWN][1]:g} (plots) the principal axes of the
-errors have σ {sigmas_deg[0]:.5f}° and {sigmas_deg[1]:.5f}°, the first at {turn_deg:.0f}° from yaw; yaw
-and pitch errors correlate with {between:+.2f}. The table has the correlation with the angles. Of
-independent errors, 70 show less than {math.tanh(CHANCE_CORRELATION_Z):.2f} by chance in 95 of 100 cases.
+finds a minor correlation. For the unit with speckle {UNITS[SHOWN][1]:g} (plots) the principal axes have
+σ {sigmas_deg[0]:.5f}° and {sigmas_deg[1]:.5f}°, the first at {turn_deg:.0f}° from yaw. Yaw and pitch
+errors correlate with {between:+.2f}. Of independent errors, 70 show less than
+{math.tanh(CHANCE_CORRELATION_Z):.2f} by chance in 95 of 100 cases.
 """,
         figure=figure,
         caption=(

@@ -1,7 +1,9 @@
 """Plain English: no text that a person reads holds a phrase of the table below.
 
-``python -m tools.plain FILE…`` names each place, with the wording to use instead: in pages (``.md``), in
-strings, docstrings and comments of Python, and in files of the page in the browser (``.js``, ``.html``).
+``python -m tools.plain PATH…`` names each place, with the wording to use instead: in pages (``.md``), in
+strings, docstrings and comments of Python, and in files of the page in the browser (``.js``, ``.html``). Of a
+folder the Python files are checked. A string of one word may be a key: it does not count, nor do the strings
+of tests, which are data.
 ``--sentences`` prints the words of each page, the mean length of its sentences, and those of more than 35.
 """
 
@@ -55,6 +57,8 @@ _FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 _HIDDEN = re.compile(r"``[^`]+``|`[^`]+`|(?<=\])\([^)]*\)|<[^>]+>|https?://\S+")
 _FIELD = re.compile(r"\{[^{}]*\}")  # of an f-string, or of a template
 _INDENTED = re.compile(r"(?<=\n\n)(?: {4,}[^\n]*\n|\n)+", re.MULTILINE)
+_LINE_ENDS = {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}  # a string behind one is a docstring
+_OWN = {"plain.py", "test_plain.py"}
 _SENTENCE_END = re.compile(r"(?<=[.!?])[\"”)]?\s+(?=[A-Z(\"“\[*_])")
 _PART = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. |#|\|))|(?<=\|)")
 
@@ -90,9 +94,17 @@ def _passages(name: str, text: str) -> Iterator[tuple[int, str]]:
     if not name.endswith(".py"):
         yield 1, _without_code(text) if name.endswith(".md") else text
         return
+    is_test = "tests" in Path(name).parts
+    before = tokenize.NEWLINE
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.COMMENT or token.type == tokenize.STRING or _is_f_string(token.type):
-            yield token.start[0], _FIELD.sub(_blank, _HIDDEN.sub(_blank, token.string))
+        if token.type == tokenize.STRING or _is_f_string(token.type):
+            is_text = before in _LINE_ENDS or (" " in token.string and not is_test)
+        else:
+            is_text = token.type == tokenize.COMMENT
+        if is_text:
+            yield token.start[0], _FIELD.sub(_blank, _HIDDEN.sub(_blank, token.string.replace("\\n", "  ")))
+        if token.type not in (tokenize.COMMENT, tokenize.NL):
+            before = token.type
 
 
 def _is_f_string(token_type: int) -> bool:
@@ -121,14 +133,23 @@ def _print_sentences(paths: Iterable[Path]) -> None:
                 print(f"    {length}: {sentence}")
 
 
+def _files(paths: Iterable[Path]) -> Iterator[Path]:
+    """The files, and the Python files of folders, except the two that hold the phrases."""
+    for path in paths:
+        if path.is_dir():
+            yield from sorted(file for file in path.rglob("*.py") if file.name not in _OWN)
+        else:
+            yield path
+
+
 def main(arguments: list[str]) -> int:
     """Print what the arguments ask for; the exit status is 1 if a phrase was found."""
     if arguments[:1] == ["--sentences"]:
         _print_sentences(map(Path, arguments[1:]))
         return 0
     count = 0
-    for path in map(Path, arguments):
-        for finding in findings(path.name, path.read_text()):
+    for path in _files(map(Path, arguments)):
+        for finding in findings(str(path), path.read_text()):
             count += 1
             print(f"{path}:{finding.line}: “{finding.phrase}”: {finding.better}", file=sys.stderr)
     return int(count > 0)

@@ -35,7 +35,7 @@ _MAX_AHEAD_NS = 100_000_000
 """Some drivers stamp when the frame is planned to end, and deliver it before (the kernel's vivid, by nearly a
 period); and the length of an exposure may not be known exactly."""
 MAX_AGE_S = 2.0
-"""What lay longer in a buffer, while the computer or the process stood still, shows where the beam was."""
+"""A frame that was longer in a buffer, while the computer or the process was held, shows an old beam."""
 
 
 class StampCheck:
@@ -66,7 +66,7 @@ log = logging.getLogger("altd")
 FRAME_TIMEOUT_S = 0.25
 _REPORT_INTERVAL_S = 0.25
 _HEARTBEAT_S = 3.0
-"""Somebody looks after a camera every ``_REPORT_INTERVAL_S``; a loop that is held a second is no death."""
+"""Each camera is checked every ``_REPORT_INTERVAL_S``; a loop that is held for a second is not dead."""
 _MIN_BACKOFF_S = 0.2
 _MAX_BACKOFF_S = 0.5
 """A camera that is back must be measured again within 2 s; half a window of exposures is 0.5 s of them."""
@@ -84,7 +84,7 @@ _KINDS: tuple[tuple[type[CameraError], str], ...] = (
 
 
 class FrameSink(Protocol):
-    """Who takes the frames of a camera from its thread."""
+    """Takes the frames of a camera from its thread."""
 
     def put(self, frame: Frame, wait: bool) -> None:
         """Take a frame; ``wait``: nothing is to be dropped, so keep the thread until there is room for it."""
@@ -98,14 +98,14 @@ async def acquire(
 ) -> None:
     """Deliver a camera's frames until cancelled or until the source is at its end.
 
-    A camera that fails is closed and opened again, for ever. Without ``exposure`` its exposure is left alone.
+    A camera that fails is reopened, indefinitely. Without ``exposure`` its exposure is not set.
     Raises a driver's own failure.
     """
     report = CameraReport(component, camera.waits)
     component.expect(_HEARTBEAT_S)
     acquirer = _Acquirer(camera, sink, report, exposure, component.clock)
     done = call_in_thread(acquirer.run, f"camera-{camera.name}")
-    done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
+    done.add_done_callback(lambda _: done.cancelled() or done.exception())  # it may never be awaited
     try:
         while not (await asyncio.wait({done}, timeout=_REPORT_INTERVAL_S))[0]:
             component.is_alive()

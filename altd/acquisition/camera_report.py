@@ -1,4 +1,4 @@
-"""What one camera's thread reports, as the camera's health; in the event loop only."""
+"""The reports of one camera's thread, as the camera's health; in the event loop only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOSS_DISPLAY_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Deliveries:
-    """What came from a camera so far, by the clock of the component; a new record after each frame.
+    """A camera's deliveries so far, by the clock of the component; a new record after each frame.
 
     ``mistimed`` frames came with a time that cannot be true, as ``remark`` says of the last one. The driver
     returned last at ``returned_ns``, with a frame at ``frame_ns``; before the first one that is when the
@@ -59,7 +59,7 @@ class CameraReport:
         self._refusal = ""
 
     def exposure_set(self, outcome: Applied | Refused) -> None:
-        """The camera took an exposure, or goes on with what it had."""
+        """The camera took an exposure setting, or keeps the previous one."""
         self._refusal = outcome.complaint if isinstance(outcome, Refused) else ""
         if self._refusal:
             self._component.count("refused_exposures")
@@ -82,7 +82,7 @@ class CameraReport:
         self._component.set_state(State.ENDED, sentence)
 
     def update(self, deliveries: Deliveries) -> None:
-        """What came meanwhile, and what did not: a driver that does not return is seen here."""
+        """Report new and missing deliveries: a driver that does not return is detected here."""
         self.count(deliveries)
         if not self._is_open:
             return
@@ -95,7 +95,7 @@ class CameraReport:
             self._report_delivery(deliveries, now_ns)
 
     def show(self, figures: ExposureFigures | None) -> None:
-        """New figures of the exposure; those that were shown before go on ageing."""
+        """New figures of the exposure; those that were shown before continue to age."""
         if figures is None or figures is self._figures:
             return
         self._figures = figures

@@ -85,7 +85,7 @@ class ExposuresWriter:
         t_s = (pair.t_ns - self._first_ns) * 1e-9
         last_sequence, last_s = self._last
         if t_s <= last_s:
-            return  # a recording stands in the order of time
+            return  # a recording is in the order of time
         if pair.sequence - self._first_sequence <= last_sequence:  # counted from zero again
             self._first_sequence = pair.sequence - last_sequence - 1
         sequence = pair.sequence - self._first_sequence

@@ -99,7 +99,7 @@ class FramePairs:
         self._arrived()
 
     def close(self) -> None:
-        """Let threads go that wait; what comes later is not kept."""
+        """Release waiting threads; frames that come later are not kept."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()

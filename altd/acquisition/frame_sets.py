@@ -1,4 +1,4 @@
-"""The frames of all cameras, paired: for who keeps pictures, a recording or a scan."""
+"""The frames of all cameras, paired: for recordings and scans, which keep pictures."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _BUSY_REMEDY = (
 
 
 class FrameSets:
-    """``async with``: the cameras deliver; what nobody asks for is dropped.
+    """``async with``: the cameras deliver; frames that are not requested are dropped.
 
-    Their exposure is set by ``exposure`` when they are opened, and holds still.
+    Their exposure is set by ``exposure`` when they are opened, and stays constant.
     """
 
     def __init__(

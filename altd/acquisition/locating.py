@@ -17,11 +17,11 @@ from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
 MAX_WAITING_PAIRS = 8
-"""What was located waits for a loop that comes late, so many frame sets; then the thread waits for it."""
+"""So many located frame sets wait for a loop that is late; then the thread waits for it."""
 _CHECK_INTERVAL_S = 0.25
 _MAX_CHECKS = 20
-"""One frame that is still being located after so many checks, 5 s, never will be. Checks are counted and not
-seconds, for a process that was stopped and goes on has not located longer."""
+"""A frame that is still being located after so many checks, 5 s, never ends. Checks are counted, not seconds:
+a process that was stopped and resumed has not located for longer."""
 _JOIN_TIMEOUT_S = 3.0
 
 _MIN_PIXELS_BESIDE = 1_000_000
@@ -70,7 +70,7 @@ class LocatedPairs:
         self._ready.set()
 
     def close(self) -> None:
-        """Let threads go that wait; frames that come later are not kept."""
+        """Release waiting threads; frames that come later are not kept."""
         self.frames.close()
         with self._taken:
             self._is_closed = True
@@ -108,7 +108,7 @@ class Locating:
         Raises what a locator raises, and LocatingStalledError when one does not return.
         """
         done = call_in_thread(lambda: self._locate_all(located), "locate")
-        done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
+        done.add_done_callback(lambda _: done.cancelled() or done.exception())  # it may never be awaited
         last, checks = dict(self._in_hand), Counter[str]()
         try:
             while not (await asyncio.wait({done}, timeout=_CHECK_INTERVAL_S))[0]:
@@ -183,14 +183,14 @@ class _Helper:
         self._frames.put(frame)
 
     def located(self) -> Located:
-        """What the frame that was begun holds, once that is known; raises what the locator raises."""
+        """The result of the frame that was begun, once it is known; raises what the locator raises."""
         located = self._located.get()
         if isinstance(located, BaseException):
             raise located
         return located
 
     def end(self) -> None:
-        """Let the thread end after what it has in hand."""
+        """Let the thread end after its current frame."""
         self._frames.put(None)
 
     def _run(self) -> None:

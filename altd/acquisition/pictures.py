@@ -1,7 +1,7 @@
 """The newest frame of each camera, and what was found in it, as a picture for people.
 
-Nothing is done unless somebody looks; then each frame is encoded once, however many look, and no more often
-than ``MAX_RATE_HZ``.
+Nothing is done without a viewer; then each frame is encoded once for all viewers, and no more often than
+``MAX_RATE_HZ``.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Pictures:
         self._loop = asyncio.get_running_loop()
         self._arrived = asyncio.Event()
         self._looking = threading.Event()
-        """Somebody waits for a frame."""
+        """A viewer waits for a frame."""
         self._thread: DeviceThread | None = None
 
     @property
@@ -119,7 +119,7 @@ class Pictures:
         if self._made_of.get(camera, (0, 0))[0] != seen.number:
             self._made_of[camera] = seen.number, self._clock.monotonic_ns()
             self._made[camera] = made = asyncio.create_task(self._encoded(seen), name=f"picture {camera}")
-            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # who asked may be gone
+            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # its caller may be gone
         return await asyncio.shield(self._made[camera])
 
     async def _encoded(self, seen: _Seen) -> Picture:

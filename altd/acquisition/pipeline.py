@@ -27,11 +27,11 @@ _HEARTBEAT_S = 4.0
 class Pipeline:
     """One daemon's pipeline.
 
-    When no camera delivers, the board says so every ``chain.silent_after_s``. ``progress`` is called each
-    time an exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames
-    that are taken and come to nothing do not. ``checks`` and ``trends`` are shown what was located;
-    ``checks`` have a say in what is put on the board. ``record`` takes each measurement as it is published;
-    it must neither wait nor fail.
+    When no camera delivers, the board reports it every ``chain.silent_after_s``. ``progress`` is called each
+    time an exposure is processed or something is published on the board, and only then: it feeds the
+    watchdog. Frames without a result do not. ``checks`` and ``trends`` receive what was located; ``checks``
+    add their faults to each measurement. ``record`` takes each measurement as it is published; it must
+    neither wait nor fail.
     """
 
     located: LocatedPairs

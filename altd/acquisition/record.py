@@ -50,7 +50,7 @@ async def record(
 
     Ends after ``plan.seconds`` of exposures, when all sources are at their end, or on cancellation; what was
     written until then is whole. What was exposed while a camera's exposure was being set is not kept.
-    ``progress`` is told after each exposure how many of how many are kept. Raises BadInputError when the
+    ``progress`` is called after each exposure: how many of how many are kept. Raises BadInputError when the
     folder cannot be used, CameraError for a camera that cannot be opened at the beginning, and a driver's own
     failure; a camera that is lost later is waited for.
 

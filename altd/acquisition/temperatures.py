@@ -18,9 +18,9 @@ READ_INTERVAL_S = 1.5
 
 _ANSWER_TIMEOUT_S = 0.4
 _HEARTBEAT_S = 10.0
-_NONE = "none is told"
+_NONE = "none is reported"
 _POSSIBLE_CELSIUS = (-60.0, 150.0)
-"""What lies outside is a broken wire, not a temperature."""
+"""A value outside is a broken wire, not a temperature."""
 
 
 class CameraThermometer:
@@ -38,11 +38,11 @@ class CameraThermometer:
         except CameraRefusedError as error:
             raise ThermometerError(str(error)) from error
         except CameraError:
-            return None  # its own component says so
+            return None  # its own component reports it
 
 
 async def watch_temperature(thermometer: Thermometer, component: Component, clock: Clock) -> None:
-    """Keep a component's figure ``celsius`` up to date until cancelled; failures are said there."""
+    """Keep a component's figure ``celsius`` up to date until cancelled; failures are reported there."""
     component.expect(_HEARTBEAT_S)
     thread = DeviceThread(component.name)
     lowest, highest = _POSSIBLE_CELSIUS

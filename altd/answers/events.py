@@ -101,7 +101,7 @@ def answer(question: Question) -> None:
 
 
 def _wait_until_begun(file: Path) -> None:
-    """Until the daemon has made a history of its new file, but not for ever."""
+    """Until the daemon has made a history of its new file, but for a limited time."""
     for _ in range(_MAX_LOOKS):
         time.sleep(_LOOK_INTERVAL_S)
         with suppress(BadInputError), opened(file):
@@ -109,7 +109,7 @@ def _wait_until_begun(file: Path) -> None:
 
 
 def _identity(file: Path) -> tuple[int, int] | None:
-    """Of the file that lies there; another one has another. None: there is none."""
+    """(device, inode) of the file; None if it does not exist."""
     try:
         found = file.stat()
     except FileNotFoundError:

@@ -20,9 +20,9 @@ _MAX_DIFFERENCE_SIGMAS = 5.0
 
 
 def answer(images: Iterable[Path], form: TextFormat, complain: Callable[[str], object]) -> int:
-    """A row a picture on standard output; the exit status, 2 when one could not be read.
+    """A row for each picture on standard output; the exit status, 2 when one could not be read.
 
-    Such a one has a row too, so that rows match pictures, and ``complain`` is told.
+    That picture has a row too, so that rows match pictures, and ``complain`` receives the reason.
     """
     table = TEXT_FORMATS[form](sys.stdout.write, SPOT_COLUMNS)
     status = 0

@@ -40,7 +40,7 @@ class _PlainTable:
 def answer(calibration: Path, name: str, form: TextFormat | None, complain: Callable[[str], object]) -> int:
     """A row for each line ``u v`` of standard input that is not blank; the exit status.
 
-    That is 2 when a line is no ``u v``; it has a row too, so that rows match lines, and ``complain`` is told.
+    That is 2 when a line is no ``u v``; it has a row too, so that rows match lines, and is reported.
     Raises BadInputError when the calibration cannot be used.
     """
     target = load_calibration(calibration).target(name)

@@ -24,13 +24,13 @@ from altd.reasons import Reason
 
 _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
 _MAX_MARKED_BINS = 120
-"""So many bins can be told apart: each is marked."""
+"""Up to so many bins can be distinguished: each is marked."""
 
 
 def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
-    """The drawing. Gaps are where nothing is valid; in the lane below stands which reasons hold, and when.
+    """The drawing. Gaps are where nothing is valid; the lanes below show which reasons hold, and when.
 
-    ``joined`` draws what follows each other as one line; else each stands for itself, as the nodes of a scan.
+    ``joined`` draws consecutive points as one line; else each is drawn alone, as the nodes of a scan.
     """
     codes = sorted(history.codes(), key=_is_warning)
     lanes = 1 + len(codes)

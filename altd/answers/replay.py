@@ -43,7 +43,7 @@ class Question:
 
 
 def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
-    """Measure, and write what was asked for; ``warn`` is told what the recording lacks.
+    """Measure, and write the requested output; ``warn`` receives what the recording lacks.
 
     Raises BadInputError; a file is then as it was.
     """

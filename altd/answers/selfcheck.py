@@ -25,7 +25,7 @@ from altd.vision.localise import locate
 _KINDS = ("self-check", "measurement", "scan")
 _MAX_PAIRS = 20
 _SPOT_FRAMES = 3
-"""As many frames tell where the spot stands; the effect of a drift changes by nothing over its noise."""
+"""So many frames give the place of the spot; its noise does not change the effect of a drift."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,7 @@ def _frames(recording: Recording, rows: Sequence[Row]) -> tuple[Frame, ...]:
 
 
 def _spot_place(dark: Sequence[Frame], target: TargetCalibration) -> tuple[float, float] | None:
-    """Where the spot stands while the LEDs are off, px; None: there is none."""
+    """The place of the spot while the LEDs are off, px; None: there is none."""
     spots = [locate(frame, target.localiser, target.flat) for frame in dark[:_SPOT_FRAMES]]
     places = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
     if not places:

@@ -261,7 +261,7 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
 
 
 def check_place(calibration: Calibration, path: Path, target: str, z_mm: float) -> None:
-    """Refuse a target that stands elsewhere on the beam than where it was calibrated."""
+    """Refuse a target whose place on the beam is not that of its calibration."""
     known = calibration.target(target)
     if known is not None and abs(known.z_mm - z_mm) > _Z_TOLERANCE_MM:
         raise BadInputError(path, f"target {target!r} was calibrated at z {known.z_mm:g} mm, not {z_mm:g}")

@@ -28,7 +28,7 @@ class FingerprintTable(BaseModel):
     """``fingerprint``: hot pixels as (u, v), and where the texture comes from.
 
     ``texture`` ``flat``: from the target's flat in the same file; ``scan``: as the grey picture ``png``,
-    base64, whose level 128 stands for even ground and 200 levels for twice its brightness. ``doubled_px``:
+    base64, whose level 128 means even ground and 200 levels above it twice its brightness. ``doubled_px``:
     what good spots show of a doubled picture.
     """
 

@@ -1,7 +1,7 @@
 """Recordings of an LED plate become calibrated targets (thesis 3.3.2, 3.3.4): discs, grid, maps.
 
-The LEDs stand where the plate says; no stage, no beam. What they cannot show of a laser spot is said in
-docs/calibration.md, and ``LASER_SPOT_SIGMA_MM`` stands for it.
+The plate gives the places of the LEDs; no stage, no beam. docs/calibration.md describes what they cannot
+show of a laser spot; ``LASER_SPOT_SIGMA_MM`` accounts for it.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class _Leds:
 def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> TargetsResult:
     """Fit the maps of targets from the plates at their places.
 
-    Raises BadInputError when too few LEDs shine, or when it cannot be told which is which.
+    Raises BadInputError when too few LEDs shine, or when they cannot be identified.
     """
     if not targets:
         return TargetsResult()
@@ -168,7 +168,7 @@ def _mean(frames: Iterable[Frame]) -> Image | None:
 
 
 def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
-    """The plate's LEDs in a picture of them; raises ValueError when it cannot be told which is which."""
+    """The plate's LEDs in a picture of them; raises ValueError when they cannot be identified."""
     seen = find_discs(difference)
     if not seen.found:
         detail = f": {seen.rejected[0]}" if seen.rejected else ""
@@ -274,7 +274,7 @@ def _pooled(scatter_px: FloatArray) -> FloatArray:
 
 
 def _at(plate: PlateHeader, cell: tuple[int, int]) -> tuple[float, float]:
-    """Where an LED (column, row) stands, mm."""
+    """The place of an LED (column, row), mm."""
     x, y = (origin + plate.pitch_mm * at for origin, at in zip(plate.origin_mm, cell, strict=True))
     return x, y
 

@@ -62,7 +62,7 @@ def pattern_noise_px(targets: Sequence[NodeScatter]) -> list[float]:
 
 
 def _pattern_px(target: NodeScatter, stage_mm2: float, vibration_mm2: float) -> float:
-    """Without the stage, and without each exposure's own noise; trembling is in both and comes off once."""
+    """Without the stage, and without each exposure's own noise; vibration is in both, subtracted once."""
     per_node = target.exposures_per_node
     own_mm2 = max(_vibration_mm2(target, target) - vibration_mm2, 0.0) / per_node
     other_px2 = (max(stage_mm2, vibration_mm2 / per_node) + own_mm2) / target.mm_per_px**2

@@ -1,6 +1,6 @@
-"""What a calibration was made from, and what it must be to be measured with beyond the types of its fields.
+"""What a calibration was made from, and the conditions beyond field types under which it can be used.
 
-The checksum says that a file is as somebody wrote it, not that it is right.
+The checksum shows that a file is unchanged since it was written, not that it is right.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class RecordedTarget:
 
     @property
     def header_file(self) -> Path:
-        """Where the recording says so, for a complaint."""
+        """The file with the recording's header, for an error message."""
         return self.recording.path / HEADER_FILE
 
     @property
@@ -75,7 +75,7 @@ class TargetFrames:
 
     @property
     def z_mm(self) -> float:
-        """Where it stands on the beam."""
+        """Its place on the beam."""
         return self.parts[0].target.z_mm
 
     @property
@@ -112,7 +112,7 @@ class TargetFrames:
 
     @property
     def plate(self) -> PlateHeader:
-        """The plate that stands at its place; raises BadInputError where the recording does not tell."""
+        """The plate at its place; raises BadInputError where the recording does not give it."""
         part = self.parts[0]
         if part.recording.header.plate is None:
             raise BadInputError(part.header_file, "plate: Field required in a recording of a plate")
@@ -160,8 +160,8 @@ def target_frames(recordings: Sequence[Recording]) -> tuple[TargetFrames, ...]:
         if farther.z_mm - nearer.z_mm <= _Z_TOLERANCE_MM:
             raise BadInputError(
                 farther.parts[0].header_file,
-                f"target {farther.name!r} stands at z {farther.z_mm:g} mm, where target {nearer.name!r} of "
-                f"{nearer.parts[0].recording.path} stands",
+                f"target {farther.name!r} is at z {farther.z_mm:g} mm, where target {nearer.name!r} of "
+                f"{nearer.parts[0].recording.path} is",
             )
     return in_order
 
@@ -200,7 +200,7 @@ def _check_same_target(known: TargetFrames, part: RecordedTarget) -> None:
     if part.kind == "plate":
         raise refusal(f"is shown by the plate in {first.recording.path} already")
     if abs(target.z_mm - known.z_mm) > _Z_TOLERANCE_MM:
-        raise refusal(f"stands at z {target.z_mm:g} mm, in {first.recording.path} at {known.z_mm:g} mm")
+        raise refusal(f"is at z {target.z_mm:g} mm, in {first.recording.path} at {known.z_mm:g} mm")
     if part.image_size != known.image_size:
         sizes = [f"{width} × {height}" for width, height in (part.image_size, known.image_size)]
         raise refusal(f"has pictures of {sizes[0]}, in {first.recording.path} of {sizes[1]}")

@@ -19,14 +19,16 @@ if TYPE_CHECKING:
 _BESIDE = Path()
 """The value of ``--report`` without a folder."""
 
-SUMMARY = "fit the maps from scans or LED plates; prints the residuals"
+SUMMARY = "make a calibration file from scans or LED plates; print the residuals"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="a scan or a plate")
-    add_output(parser, "FILE")
-    parser.add_argument("--flat", type=Path, metavar="DIR", help="a recording of the evenly lit targets")
+    parser.add_argument(
+        "recordings", type=Path, nargs="+", metavar="RECORDING", help="folder of a scan or plate"
+    )
+    add_output(parser, "FILE", "calibration file to write")
+    parser.add_argument("--flat", type=Path, metavar="DIR", help="recording of the evenly lit targets")
     parser.add_argument(
         "--report",
         type=Path,

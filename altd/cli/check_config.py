@@ -8,12 +8,14 @@ from pathlib import Path
 from altd.cli.options import DEFAULT_CONFIG
 from altd.process.standard_streams import complain, say
 
-SUMMARY = "say whether a config can be used"
+SUMMARY = "check settings and the files that they name"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument("config", type=Path, nargs="?", metavar="FILE", help=f"({DEFAULT_CONFIG})")
+    parser.add_argument(
+        "config", type=Path, nargs="?", metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

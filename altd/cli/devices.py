@@ -6,7 +6,7 @@ import argparse
 
 from altd.process.standard_streams import say
 
-SUMMARY = "list cameras, GPIO lines and serial ports as the config wants them"
+SUMMARY = "list the connected cameras, GPIO lines and serial ports as settings name them"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

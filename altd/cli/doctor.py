@@ -7,7 +7,7 @@ import argparse
 from altd.cli.options import add_config
 from altd.process.standard_streams import say
 
-SUMMARY = "say what is wrong on this computer, and what mends it"
+SUMMARY = "list what is wrong on this computer, with remedies"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

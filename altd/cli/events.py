@@ -6,7 +6,7 @@ import argparse
 
 from altd.cli.history_options import add_history, add_span, history_of, span_of
 
-SUMMARY = "what happened to the unit: states, causes, self-checks, starts, changes, requests"
+SUMMARY = "print the events of the history: states, causes, self-checks, starts, changes, requests"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,10 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KIND",
-        help="of this kind only; may be given several times",
+        help="events of this kind; can be repeated (default: all)",
     )
-    parser.add_argument("--format", choices=("text", "csv", "jsonl"), default="text", help="(text)")
-    parser.add_argument("--follow", action="store_true", help="continue with what happens now, until Ctrl-C")
+    parser.add_argument(
+        "--format", choices=("text", "csv", "jsonl"), default="text", help="output format (default: text)"
+    )
+    parser.add_argument("--follow", action="store_true", help="continue with new events until Ctrl-C")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from altd.cli.history_options import add_history, add_span, history_of, span_of
 
-SUMMARY = "what the unit measured, out of its history, as a table"
+SUMMARY = "write the measurements of the history as a table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,10 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--every",
         choices=("measurement", "second", "minute", "hour"),
         default="second",
-        help="a row for each: measurements of the last hour, seconds of a month (second)",
+        help="one row for each (default: second); measurements of the last hour, seconds of a month",
     )
-    parser.add_argument("--format", choices=("csv", "jsonl", "parquet"), default="csv", help="(csv)")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="into a file instead of on stdout")
+    parser.add_argument(
+        "--format", choices=("csv", "jsonl", "parquet"), default="csv", help="output format (default: csv)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write to FILE (default: standard output)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

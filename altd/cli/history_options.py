@@ -12,6 +12,7 @@ from altd.errors import BadInputError
 
 _AGO = re.compile(r"-?(\d{1,9})([smhd])")
 _UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86_400}
+_FROM = "start: a time such as 2026-11-20T08:15 (UTC), or -2h, also s, m, d (default: the oldest)"
 _EARLIEST = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -41,8 +42,10 @@ def _time(text: str) -> datetime:
 
 def add_span(parser: argparse.ArgumentParser) -> None:
     """From when to when."""
-    parser.add_argument("--from", dest="from_us", type=time_us, metavar="TIME", help="UTC, or -2h (all)")
-    parser.add_argument("--to", dest="to_us", type=time_us, metavar="TIME", help="before that time (all)")
+    parser.add_argument("--from", dest="from_us", type=time_us, metavar="TIME", help=_FROM)
+    parser.add_argument(
+        "--to", dest="to_us", type=time_us, metavar="TIME", help="end, not included (default: now)"
+    )
 
 
 def span_of(options: argparse.Namespace) -> tuple[int, int]:
@@ -61,9 +64,9 @@ def add_history(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         default=argparse.SUPPRESS,  # a file needs none
-        help=f"the settings of the daemon whose history it is ({DEFAULT_CONFIG})",
+        help=f"settings of the daemon whose history it is (default: {DEFAULT_CONFIG})",
     )
-    parser.add_argument("--history", type=Path, metavar="FILE", help="the history itself, or a copy of it")
+    parser.add_argument("--history", type=Path, metavar="FILE", help="history file, or a copy of it")
 
 
 def history_of(options: argparse.Namespace) -> Path:

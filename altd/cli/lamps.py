@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "look",
         choices=("off", "on", "test", "stopped"),
-        help="off: dark; on: all lit until Ctrl-C; test: each in turn, by name; "
-        "stopped: dark but for Error if the service has failed (for systemd, reads $SERVICE_RESULT)",
+        help="off: dark; on: all lit until Ctrl-C; test: each in turn, with its name; "
+        "stopped: dark, Error lit if the service has failed (for systemd, reads $SERVICE_RESULT)",
     )
     add_config(parser)
 

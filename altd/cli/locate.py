@@ -7,13 +7,15 @@ from pathlib import Path
 
 from altd.process.standard_streams import complain
 
-SUMMARY = "find the spot in images by two localisers; one JSON object an image"
+SUMMARY = "find the laser spot in pictures with two localisers"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument("images", type=Path, nargs="+", metavar="IMAGE")
-    parser.add_argument("--format", choices=("jsonl", "csv"), default="jsonl", help="(jsonl)")
+    parser.add_argument("images", type=Path, nargs="+", metavar="IMAGE", help="picture file")
+    parser.add_argument(
+        "--format", choices=("jsonl", "csv"), default="jsonl", help="output format (default: jsonl)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

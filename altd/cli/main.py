@@ -75,10 +75,10 @@ COMMANDS: dict[str, Command] = {
 _WITHOUT_CONFIG = ("doctor", "status", "watch")
 
 _FIRST_STEPS = """first steps:
-  altd doctor             what this computer lacks, and what mends it
-  altd devices            which cameras, GPIO lines and serial ports are connected
-  altd check-config FILE  whether settings can be used, and where not
-  altd COMMAND --help     what a command takes
+  altd doctor             list what is wrong on this computer, with remedies
+  altd devices            list the connected cameras, GPIO lines and serial ports
+  altd check-config FILE  check settings; each error with its line
+  altd COMMAND --help     list the options of a command
 """
 
 
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         nonlocal name
-        parser = _parser()
+        parser = command_parser()
         options = parser.parse_command(arguments)
         if options is None:
             return 2
@@ -124,7 +124,8 @@ def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
         parser.refuse(options.command, f"missing: {argument}, for there is no {DEFAULT_CONFIG}")
 
 
-def _parser() -> Parser:
+def command_parser() -> Parser:
+    """The parser of all commands."""
     parser = Parser(
         prog="altd",
         description="The measuring daemon of an Active Laser Target.",
@@ -133,5 +134,5 @@ def _parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"altd {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for name, command in COMMANDS.items():
-        command.add_arguments(commands.add_parser(name, help=command.SUMMARY))
+        command.add_arguments(commands.add_parser(name, help=command.SUMMARY, description=command.SUMMARY))
     return parser

@@ -7,15 +7,19 @@ from pathlib import Path
 
 from altd.process.standard_streams import complain
 
-SUMMARY = "px to mm: reads 'u v' lines"
+SUMMARY = "convert px to mm: reads lines 'u v' from standard input"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE")
-    parser.add_argument("--target", required=True, metavar="NAME")
     parser.add_argument(
-        "--format", choices=("jsonl", "csv"), help="without: 'x_mm y_mm sigma_x_mm sigma_y_mm'"
+        "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the unit"
+    )
+    parser.add_argument("--target", required=True, metavar="NAME", help="target whose camera has the pixels")
+    parser.add_argument(
+        "--format",
+        choices=("jsonl", "csv"),
+        help="output format (default: lines 'x_mm y_mm sigma_x_mm sigma_y_mm')",
     )
 
 

@@ -14,13 +14,13 @@ DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
 def add_credentials(parser: argparse.ArgumentParser) -> None:
     """The arguments of a command that changes a file of credentials."""
     parser.add_argument("file", type=Path, metavar="FILE", help="the file that `[http] credentials` names")
-    parser.add_argument("name", metavar="NAME", help="whose: small letters, digits and _, a letter first")
-    parser.add_argument("--remove", action="store_true", help="take it away")
+    parser.add_argument("name", metavar="NAME", help="user: lower-case letters, digits and _, a letter first")
+    parser.add_argument("--remove", action="store_true", help="remove it")
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     """The settings; without, those of the service."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help=f"the settings ({DEFAULT_CONFIG})")
+    parser.add_argument("--config", type=Path, metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})")
 
 
 def add_socket(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add_socket(parser: argparse.ArgumentParser) -> None:
         "--socket",
         type=Path,
         metavar="PATH",
-        help="the daemon's local socket, if not that of its settings",
+        help="local socket of the daemon (default: that of its settings)",
     )
 
 
@@ -44,9 +44,9 @@ def socket_of(options: argparse.Namespace) -> Path:
     return SERVICE_SOCKET if options.config is None else socket_to_ask(load_settings(options.config))
 
 
-def add_output(parser: argparse.ArgumentParser, metavar: str) -> None:
+def add_output(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
     """Where the result goes."""
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=what)
 
 
 def progress_on(what: str) -> Callable[[int, int], None]:

@@ -16,25 +16,25 @@ from altd.process.standard_streams import complain
 if TYPE_CHECKING:
     from altd.recording.header import PlateHeader
 
-SUMMARY = "keep frames for replay"
+SUMMARY = "record frames of the cameras, to replay, calibrate or check"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add_config(parser)
-    add_output(parser, "DIR")
-    parser.add_argument("--seconds", type=_seconds, required=True, metavar="S")
+    add_output(parser, "DIR", "new folder for the recording")
+    parser.add_argument("--seconds", type=_seconds, required=True, metavar="S", help="duration")
     parser.add_argument(
         "--kind",
         choices=("measurement", "flat", "plate", "self-check"),
         default="measurement",
-        help="what it shows (measurement)",
+        help="what the frames show (default: measurement)",
     )
     parser.add_argument(
         "--plate",
         type=_plate,
         metavar="C,R,MM",
-        help="columns, rows and pitch of the LEDs of a plate",
+        help="columns, rows and pitch of the plate's LEDs; needed with `--kind plate`",
     )
 
 

@@ -20,7 +20,10 @@ _IEC_TYPES = {"u16": "UINT", "u32": "UDINT", "s32": "DINT", "f32": "REAL"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     parser.add_argument(
-        "--format", choices=("json", "csv", "st"), default="json", help="st: constants for IEC 61131-3"
+        "--format",
+        choices=("json", "csv", "st"),
+        default="json",
+        help="output format; st: constants for IEC 61131-3 (default: json)",
     )
 
 

@@ -8,21 +8,35 @@ from pathlib import Path
 from altd.cli.options import progress_on
 from altd.process.standard_streams import complain
 
-SUMMARY = "measure a recording: a JSON object a line, a table, a plot"
+SUMMARY = "measure a recording again; write the values as JSON, table or plot"
 _MAX_EXPOSURES = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING")
-    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE")
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     parser.add_argument(
-        "--window", type=_count, metavar="N", help="exposures averaged (20; of a scan all of a node)"
+        "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the recorded unit"
     )
-    parser.add_argument("--every", type=_count, metavar="N", help="a line after so many (1)")
-    parser.add_argument("--format", choices=("jsonl", "csv", "parquet"), default="jsonl", help="(jsonl)")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="into a file instead of on stdout")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="values over time and reasons, as SVG")
+    parser.add_argument(
+        "--window",
+        type=_count,
+        metavar="N",
+        help="exposures averaged (default: 20; of a scan all of a node)",
+    )
+    parser.add_argument("--every", type=_count, metavar="N", help="one line per N exposures (default: 1)")
+    parser.add_argument(
+        "--format",
+        choices=("jsonl", "csv", "parquet"),
+        default="jsonl",
+        help="output format (default: jsonl)",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write to FILE (default: standard output)"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="also plot values and reasons over time, SVG"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
 
-SUMMARY = "the daemon"
+SUMMARY = "run the daemon: measure and publish until it is stopped"
 
 log = logging.getLogger("altd")
 
@@ -23,11 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rehearsal",
         action="store_true",
-        help="give valid values of played and simulated frames too, to try out what reads them; "
-        "every interface reports it; a service refuses it",
+        help="mark values of played and simulated frames as valid, to try out readers; "
+        "every interface reports it; not possible in a service",
     )
     parser.add_argument(
-        "--trace-frames", action="store_true", help="log the way of each frame, with times, on standard error"
+        "--trace-frames", action="store_true", help="log each step of each frame, with its time"
     )
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from altd.acquisition.scan.scanner import Scanner
     from altd.cli.scan_screen import ScanScreen
 
-SUMMARY = "make a calibration scan with the stage; continues where it stopped"
+SUMMARY = "record a calibration scan with the stage; continue one that was interrupted"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add_config(parser)
-    add_output(parser, "DIR")
+    add_output(parser, "DIR", "folder of the recording")
 
 
 def run(options: argparse.Namespace) -> int:

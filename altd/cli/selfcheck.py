@@ -11,21 +11,27 @@ from altd.cli.options import DEFAULT_CONFIG
 from altd.errors import BadInputError
 from altd.process.standard_streams import complain
 
-SUMMARY = "is every camera where it was calibrated? of the running daemon, or of a recording"
+SUMMARY = "check that each camera is where it was calibrated: a running unit, or a recording"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     parser.add_argument(
-        "recording", type=Path, nargs="?", metavar="RECORDING", help="of the frame LEDs; needs --calibration"
+        "recording",
+        type=Path,
+        nargs="?",
+        metavar="RECORDING",
+        help="recording of the frame LEDs; needs --calibration",
     )
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="what the recording is held against")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="calibration to compare the recording with"
+    )
     parser.add_argument(
         "--config",
         type=Path,
         metavar="FILE",
         default=argparse.SUPPRESS,  # a recording needs none, and takes not that of the service
-        help=f"the settings of the daemon that is to check itself now ({DEFAULT_CONFIG})",
+        help=f"settings of the daemon that checks itself now (default: {DEFAULT_CONFIG})",
     )
 
 

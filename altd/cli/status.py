@@ -9,7 +9,7 @@ import sys
 from altd.cli.options import add_socket, socket_of
 from altd.process.standard_streams import complain, say
 
-SUMMARY = "how is the unit? numbers, state, causes and what to do, of the running daemon"
+SUMMARY = "print values, state, causes and remedies of the running daemon"
 
 _TIMEOUT_S = 5.0
 
@@ -17,7 +17,7 @@ _TIMEOUT_S = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add_socket(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 
 def run(options: argparse.Namespace) -> int:

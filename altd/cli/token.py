@@ -7,7 +7,7 @@ import argparse
 from altd.cli.options import add_credentials
 from altd.process.standard_streams import say
 
-SUMMARY = "make or remove a token for the unit's API"
+SUMMARY = "make or remove a token for the unit's API; print a new one once"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

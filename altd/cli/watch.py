@@ -7,7 +7,7 @@ import time
 
 from altd.cli.options import add_socket, socket_of
 
-SUMMARY = "the unit live on this terminal: targets, numbers, trends, causes and what to do"
+SUMMARY = "show the running daemon live: targets, values, trends, causes and remedies"
 
 _TIMEOUT_S = 1.0
 

@@ -11,8 +11,8 @@ from altd.ports import CameraError, LampsError, SwitchingCamera
 class CameraLamps:
     """See ``altd.ports.Lamps``: one output line of each camera, all switched together.
 
-    The cameras are opened and closed by whoever takes their frames; with ``alone`` nobody does, and this
-    driver opens them itself. A camera that is not open, or was lost, is a LampsError that names it.
+    The code that takes the cameras' frames opens and closes them; with ``alone`` this driver does. A camera
+    that is not open, or was lost, is a LampsError that names it.
     """
 
     def __init__(self, cameras: Mapping[str, SwitchingCamera], line: str, alone: bool = False) -> None:

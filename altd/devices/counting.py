@@ -18,7 +18,7 @@ class FrameCounter:
         self._last = -1
 
     def reopened(self) -> None:
-        """The camera's numbers start again; ours go on."""
+        """The camera's numbers start again; ours continue."""
         self._last_raw = None
 
     def number(self, raw: int) -> int:

@@ -12,14 +12,14 @@ from altd.recording.reader import Recording
 from altd.records import Frame
 
 _MAX_OVERDUE_S = 0.5
-"""In real time a frame that nobody fetched for so long is left out, as a camera would have lost it."""
+"""In real time a frame that was not fetched for so long is dropped, as a camera would have lost it."""
 
 
 class Playback:
     """What the cameras of one recording share: their frames' times on today's clock, and the pace.
 
     In real time the first camera that asks starts the clock for all. At the fast pace no camera runs ahead
-    of another by more than an exposure, whoever takes its frames faster.
+    of another by more than an exposure, however fast its frames are taken.
     """
 
     def __init__(self, recording: Recording, clock: Clock, realtime: bool, repeat: bool) -> None:
@@ -132,7 +132,7 @@ class PlaybackCamera:
     def _advance(self) -> None:
         """To the next row, from the last one to the first where the recording is repeated.
 
-        A table that is not any more what was checked ends it for good: nobody knows what its frames are.
+        A table that has changed since it was checked ends the playback: its frames are unknown.
         """
         try:
             self._next = next(self._rows, None)

@@ -1,1 +1,1 @@
-"""What the unit measured and what happened to it, in a SQLite file that outlives restarts and power cuts."""
+"""The measurements and events of the unit, in a SQLite file that survives restarts and power cuts."""

@@ -1,4 +1,4 @@
-"""What the event loop hands to the thread that writes the history: frozen, in the order in which it came."""
+"""Data from the event loop to the thread that writes the history: frozen, in the order of arrival."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class StateSample:
-    """What the unit's state was at this UTC, µs."""
+    """The unit's state at this UTC, µs."""
 
     wall_us: int
     fault: WorstFault
@@ -49,9 +49,9 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a history is of: its columns, and facts that are compared with those of the last start.
+    """The columns of a history, and facts that are compared with those of the last start.
 
-    A fact's value is text, or a JSON document of which the keys that changed are told.
+    A fact's value is text, or a JSON document whose changed keys are reported.
     """
 
     columns: Sequence[Column]
@@ -69,7 +69,7 @@ class Notice:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What came of a batch: what else was written as events, and the size of the file's used pages."""
+    """The result of a batch: the other events that were written, and the size of the file's used pages."""
 
     notices: Sequence[Notice]
     used_bytes: int

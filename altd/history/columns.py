@@ -43,7 +43,7 @@ class Column:
 
     @property
     def identity(self) -> tuple[str, str, int]:
-        """What may not change while its numbers stay what they are."""
+        """The part that may not change while its numbers keep their meaning."""
         return self.key, self.unit, self.decimals
 
     def steps(self, value: float | None) -> int | None:
@@ -84,7 +84,7 @@ def _column(quantity: Quantity, prefix: str, is_summarised: bool) -> Column:
 
 
 def value_of(measurement: Measurement, column: Column) -> Value | None:
-    """What a measurement says of a column's quantity; None: not known."""
+    """The value of a column's quantity in a measurement; None: not known."""
     target, _, key = column.key.rpartition(".")
     if target:
         return (measurement.targets.get(target) or {}).get(key)

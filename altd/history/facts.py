@@ -1,4 +1,4 @@
-"""What is otherwise than at the last start: settings, calibration, program."""
+"""Changes since the last start: settings, calibration, program."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class History:
         return await self.ask(lambda reader: reader.events(from_us, to_us, kinds, limit, before))
 
     async def ask(self, query: Callable[[Reader], Result]) -> Result:
-        """What a query makes of an open file, in a thread; raises what it raises, and NoHistoryError."""
+        """The result of a query on an open file, in a thread; raises what it raises, and NoHistoryError."""
         if self.path is None:
             raise NoHistoryError(self.unavailable)
         if self.waiting >= MAX_WAITING:

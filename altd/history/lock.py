@@ -16,7 +16,7 @@ class WriteLock:
 
     Raises OSError, and UnusableFileError while another holds it.
 
-    SQLite would let two write by turns: what they measure would stand mixed, and each would take the other
+    SQLite would let two write by turns: their measurements would be mixed, and each would take the other
     for one that crashed.
     """
 

@@ -79,7 +79,7 @@ class Reasons:
         self._numbers: dict[str, int] = dict(connection.execute("SELECT code, number FROM reasons"))
 
     def number_of(self, fault: WorstFault) -> int:
-        """What stands in the file for a severity and its code; inside of a transaction."""
+        """The number in the file for a severity and its code; inside of a transaction."""
         severity, code = fault
         return severity * SEVERITY_UNIT + (self._number(code) if code else 0)
 
@@ -94,7 +94,7 @@ class Reasons:
 
 
 def fault_in(number: object, codes: dict[int, str]) -> WorstFault:
-    """A severity and its code of what stands in the file."""
+    """The severity and the code of a number in the file."""
     if not isinstance(number, int) or number < 0:
         return 0, ""
     return min(number // SEVERITY_UNIT, 4), codes.get(number % SEVERITY_UNIT, "")

@@ -1,4 +1,4 @@
-"""Opening a history file: to write, to read, and what becomes of one that is damaged."""
+"""Opening a history file: for writing, for reading, and the treatment of a damaged one."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def open_to_read(path: Path) -> sqlite3.Connection:
 
 
 def set_aside(path: Path, error: Exception) -> Path | None:
-    """Move a file away that is damaged or of another unit, by what was said of it; None: it stays.
+    """Move a file away if ``error`` shows that it is damaged or of another unit; None: it stays.
 
     Raises as ``move_aside`` does.
     """
@@ -189,7 +189,7 @@ class transaction:  # noqa: N801  used as a statement
 def touched(path: Path) -> tuple[object, ...]:
     """What changes when a file of a history is replaced, deleted or written.
 
-    The index of the log is mapped into memory, also by who reads: there only which file it is.
+    Readers too map the index of the log into memory: of it, only the identity of the file counts.
     """
     files = (_stat(path), _stat(path.with_name(f"{path.name}-wal")))
     index = _stat(path.with_name(f"{path.name}-shm"))

@@ -86,7 +86,7 @@ class Reader:
         return self._codes
 
     def facts(self) -> dict[str, str]:
-        """What the newest daemon said of itself: ``serial``, ``version``, ``config``, ``calibration``."""
+        """The facts of the newest daemon: ``serial``, ``version``, ``config``, ``calibration``."""
         return {str(name): str(value) for name, value in self.rows("SELECT name, value FROM facts LIMIT 100")}
 
     def check_unit(self, serial: str) -> None:

@@ -77,7 +77,7 @@ class HistoryRecorder:
             while True:
                 try:
                     self.step()  # at once: to open a file takes time, and what is measured meanwhile waits
-                except Exception as error:  # whatever is wrong with it, it must not end the measurement
+                except Exception as error:  # a defect here must not end the measurement
                     log.exception("history: a defect")
                     self._tell(f"a defect: {type(error).__name__}: {error}")
                 await self._clock.sleep(WRITE_INTERVAL_S)
@@ -116,7 +116,7 @@ class HistoryRecorder:
             what = "" if isinstance(error, MovedFileError) else "not written: "
             self._tell(f"{what}{self._store.path}: {_sentence(error)}")
             return True
-        except Exception as error:  # whatever is wrong with it, it must not end the measurement
+        except Exception as error:  # a defect here must not end the measurement
             log.exception("history: a defect")
             self._events_written = self._events_taken
             self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
@@ -202,7 +202,7 @@ class HistoryRecorder:
 def _end_store(store: Store, last: Batch | None) -> None:
     try:
         store.end(last)
-    except Exception:  # there is nobody behind it any more
+    except Exception:  # no caller is left to handle it
         log.exception("history: a defect")
 
 

@@ -1,7 +1,7 @@
-"""What goes when the history grows: by age, by size, by count; a little with each batch, the oldest first.
+"""Deletes old parts of the history: by age, by size, by count; a little with each batch, the oldest first.
 
-The oldest is told by epoch, not by the clock: hours that a wrong clock has put into another year neither
-push out what was measured since nor stay for ever.
+The oldest is found by epoch, not by the clock: hours that a wrong clock has put into another year neither
+displace later measurements nor stay indefinitely.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Retention:
             "WHERE key BETWEEN ? AND ? AND epoch = ? ORDER BY key LIMIT ?)",
             (first_s * ROWS_PER_SPAN, (last_s + 1) * ROWS_PER_SPAN, epoch, min(rows, _ROWS_AT_ONCE)),
         ).rowcount
-        counted = gone or there  # what the epoch says of itself is wrong: it is not asked again
+        counted = gone or there  # the epoch's own figures are wrong: it is not tried again
         self._connection.execute(
             f"UPDATE epochs SET {table.name} = max({table.name} - ?, 0) WHERE epoch = ?",  # noqa: S608
             (counted, epoch),

@@ -1,9 +1,9 @@
 """When the daemons before this one ran, and how much of that time they measured something valid.
 
-The rows of minutes say it of the last day, those of hours of what was before, each within the first and last
-second of its epoch. Where the clock was set while
-a daemon ran, its epochs follow each other without a gap, whatever their times say: each is moved so that it
-ends where the next one begins, and only the clock of a run's end is believed.
+The rows of minutes give it for the last day, those of hours for the time before, each within the first and
+last second of its epoch. Where the clock was set while a daemon ran, its epochs follow each other without a
+gap, whatever their times are: each is moved so that it ends where the next one begins, and only the clock of
+a run's end is trusted.
 """
 
 from __future__ import annotations

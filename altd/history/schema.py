@@ -1,4 +1,4 @@
-"""The tables of a history file, version by version, and what a file must be before it is believed.
+"""The tables of a history file, version by version, and the checks that a file must pass before it is used.
 
 ``seconds``, ``minutes`` and ``hours`` are alike. Their ``key`` is the UTC second at which the span begins,
 times 1000, plus a number that tells apart the rows of one span: after a restart or a clock that was set back
@@ -93,7 +93,7 @@ class DamagedFileError(UnusableFileError):
 
 
 class TouchedFileError(UnusableFileError):
-    """A history that somebody else replaced, deleted or wrote into while it was open."""
+    """A history that another program replaced, deleted or wrote into while it was open."""
 
 
 class MovedFileError(UnusableFileError):

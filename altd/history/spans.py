@@ -11,10 +11,10 @@ from altd.history.schema import ROWS_PER_SPAN, SUMMARY_PARTS, SummaryTable, colu
 from altd.history.summary import GOOD, Summary, WorstFault
 
 GRACE_S = 3
-"""A span takes what comes so long after its end, beyond the usual delay of a measurement."""
+"""A span accepts measurements for so long after its end, beyond their usual delay."""
 
 FaultNumber = Callable[[WorstFault], int | None]
-"""What stands in the file for a severity and its code; None: good."""
+"""The number in the file for a severity and its code; None: good."""
 
 
 @dataclass(slots=True)

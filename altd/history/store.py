@@ -210,7 +210,7 @@ class _OpenStore:
             self.epochs.end(wall_us)
 
     def take_notices(self) -> list[Notice]:
-        """What was found out since the last call."""
+        """The notices since the last call."""
         notices, self._notices = self._notices, []
         return notices
 

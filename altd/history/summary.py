@@ -49,7 +49,7 @@ class _Sums:
 
 @dataclass(slots=True)
 class Summary:
-    """What was measured in a span of time, and the worst that the unit said in it.
+    """The measurements in a span of time, and the worst fault in it.
 
     The mean is that of the valid measurements, sigma the root of the mean of their variances: what one of
     them is uncertain by, not how they scatter. ``worst`` is of the unit's state, ``lost_to`` of the

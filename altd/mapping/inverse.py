@@ -18,7 +18,7 @@ _MAX_ITERATIONS = 12
 _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
 _MAX_SIGMA_OUTSIDE_MM = 0.05
-"""What a place outside the nodes' hull may be uncertain by, an axis: the accuracy of Tables 3.3 and 3.4."""
+"""The largest sigma outside the nodes' hull, an axis: the accuracy of Tables 3.3 and 3.4."""
 _MIN_DETERMINANT = 1e-12
 
 _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))

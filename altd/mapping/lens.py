@@ -31,7 +31,7 @@ _MAX_FITTED_SHARE = 0.75
 _DENSE_NODES = 12
 _DENSE_DEGREES = range(4, 10)
 _MAX_DENSE_ERROR_PX = 5e-4
-"""How far the tensor polynomial that stands for a lens may lie off it: a hundredth of the nodes' noise."""
+"""How far the tensor polynomial of a lens may deviate from it: a hundredth of the nodes' noise."""
 
 
 def _residuals(nodes: Nodes, camera: Camera) -> FloatArray:

@@ -21,7 +21,7 @@ from altd.mapping.camera_model import ToPx, jacobian_px_per_mm
 from altd.records import FloatArray
 
 _DELTA_MM = 0.5
-"""Of all derivatives: second ones want so long a step, and first ones stand beside them."""
+"""The step of all derivatives: second ones need one so long, and first ones use it too."""
 
 
 def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:

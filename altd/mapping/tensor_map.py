@@ -13,10 +13,10 @@ from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.records import FloatArray
 
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
-"""What was fitted: the tensor polynomial itself, or a lens that it stands for."""
+"""What was fitted: the tensor polynomial itself, or a lens that it represents."""
 
 _POINTS_ACROSS = 21
-"""Points along each axis for what is said of the whole hull."""
+"""Points along each axis for figures of the whole hull."""
 
 _MAX_DEGREE = 6
 _MIN_DEGREES_OF_FREEDOM = 2
@@ -80,7 +80,7 @@ class TensorMap:
         return bool(determinant.min() <= 0 <= determinant.max())
 
     def dense_mm(self) -> FloatArray:
-        """Points (n, 2) on a fine grid over the hull, for what is said of all of it."""
+        """Points (n, 2) on a fine grid over the hull, for figures of all of it."""
         x_mm, y_mm = (
             np.linspace(low, high, _POINTS_ACROSS)
             for low, high in zip(self.hull_mm.min(axis=0), self.hull_mm.max(axis=0), strict=True)

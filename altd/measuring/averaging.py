@@ -81,7 +81,7 @@ class FrameSetWindow:
         self._since_mean = 0
 
     def pass_over(self, sequence: int) -> None:
-        """Take the number of a frame set that nobody wants to measure: what it lacks is no fault."""
+        """Take the number of a frame set that is not to be measured: what it lacks is no fault."""
         self._passed_over.append(sequence)
 
     def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
@@ -98,7 +98,7 @@ class FrameSetWindow:
         return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._passed_over))
 
     def forget(self) -> None:
-        """Drop the frame sets that came before a gap; the count to the next mean goes on."""
+        """Drop the frame sets that came before a gap; the count to the next mean continues."""
         self._frame_sets.clear()
         self._passed_over.clear()
 

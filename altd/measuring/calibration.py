@@ -1,4 +1,4 @@
-"""What a calibration knows of a unit."""
+"""The data of a unit in a calibration."""
 
 from __future__ import annotations
 

@@ -37,8 +37,7 @@ _MOTION_UNKNOWN = Fault(Reason.WARMING_UP, detail="how the beam moves is not kno
 class View:
     """A target and the camera that looks at it.
 
-    ``expected`` is the camera that should stand behind the name, beside the one that was calibrated; None:
-    whichever.
+    ``expected`` is the camera that the name should refer to, beside the one that was calibrated; None: any.
     """
 
     target: str
@@ -59,11 +58,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Of the frames, what no pixel tells: where they come from, when and where they were exposed.
+    """Of the frames, what their pixels do not contain: their source, and when and where they were exposed.
 
-    ``origins`` gives what every measurement has to say of where they come from now, ``identity`` which camera
-    stands behind a name now (None: not known), ``utc`` the time of day of a ``t_ns`` (None: not known),
-    ``place`` where the exposure of a sequence was made (None: not known).
+    ``origins`` gives the faults that every measurement must carry because of the current source, ``identity``
+    the camera that a name refers to now (None: not known), ``utc`` the time of day of a ``t_ns`` (None: not
+    known), ``place`` where the exposure of a sequence was made (None: not known).
     """
 
     origins: Callable[[], Iterable[Fault]] = tuple
@@ -126,7 +125,7 @@ class MeasuringChain:
         self._motion_memory = MotionMemory()
         self._gate = Gate()
         self.correct: Callable[[MeanSpots], MeanSpots] | None = None
-        """What takes a known drift of the cameras out of the mean spots before they are mapped."""
+        """The correction of the mean spots for a known drift of the cameras, before they are mapped."""
         self._breaks_in_window = dict.fromkeys(self._views, 0)
         self._last_frame_set: FrameSet | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
@@ -153,7 +152,7 @@ class MeasuringChain:
         return self.pairer.lost_pairs
 
     def seen(self) -> str:
-        """What each camera saw last, in words: for the technician who aims the beam."""
+        """The last finding of each camera, in words: for the technician who aims the beam."""
         seen = self._last_spots
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
 
@@ -202,7 +201,7 @@ class MeasuringChain:
         return [measurement for measurement in measurements if measurement is not None]
 
     def located(self, frame: Frame) -> Located:
-        """What one frame holds."""
+        """The spot in one frame, or why there is none."""
         return self.locators[frame.camera].locate(frame)
 
     def add(self, pair: Pair[Located]) -> Measurement | None:
@@ -232,8 +231,8 @@ class MeasuringChain:
     def _is_passed_over(self, pair: Pair[Located]) -> bool:
         """Whether the frame LEDs were lit, or switched, in any frame of an exposure.
 
-        Time goes on with it, so it is no gap in which anything may have happened; it is no exposure of the
-        window, whose reach counts by the exposures' numbers.
+        Time continues with it, so it is no gap in which anything may have happened; it is no exposure of the
+        window, whose length counts by the exposures' numbers.
         """
         if not any(located.leds_on for located in pair.items.values()):
             return False
@@ -342,7 +341,7 @@ class MeasuringChain:
 
 
 def calibration_faults(calibration: Calibration) -> tuple[Fault, ...]:
-    """What a calibration of simulated frames brings into each measurement."""
+    """The faults that a calibration of simulated frames adds to each measurement."""
     if not calibration.simulated:
         return ()
     return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)

@@ -39,9 +39,9 @@ class FreshnessCheck:
     Two blocks with different noise have the same digest with a probability of 2⁻³². Blocks find a picture of
     which only a part is frozen, and a frozen one into which a clock is written.
 
-    What cannot be detected: a repeat of a picture older than that, or of one that was dropped before it came
-    here; a picture that an averaging camera mixes of old and new light; frames that somebody adds noise to;
-    black and saturated parts.
+    Not detected: a repeat of a picture older than that, or of one that was dropped before this check; a
+    picture that an averaging camera mixes of old and new light; frames to which noise is added; black and
+    saturated parts.
     """
 
     def __init__(self) -> None:

@@ -142,7 +142,7 @@ class Pairer(Generic[Item]):
     only grow. A camera that did not deliver at that time is silent; one that did, but nothing that fits,
     is out of step.
 
-    A number or a time that jumps spoils its own frame set and a few after it, whichever way it jumps: see
+    A number or a time that jumps disturbs its own frame set and a few after it, in either direction: see
     ``_is_late`` and ``_expire``.
     """
 
@@ -231,9 +231,9 @@ class Pairer(Generic[Item]):
     def _is_late(self, new: _Waiting[Item]) -> bool:
         """Whether the frame set of a frame was given up before it came.
 
-        A number that fell back although its time did not was counted from zero again. When a camera goes on
-        delivering what is late, a time that was settled lay in the future: then the order starts again with
-        this frame.
+        A number that fell back although its time did not was counted from zero again. When a camera continues
+        to deliver late frames, a time of an earlier frame set was in the future: then the order starts again
+        with this frame.
         """
         if self._last_out is None or self._order(new) > self._last_out:
             self._late_in_a_row[new.camera] = 0
@@ -299,7 +299,7 @@ class Pairer(Generic[Item]):
         return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns, late)
 
     def _number_of(self, group: Mapping[str, _Waiting[Item]]) -> int:
-        """The number of a frame set; by time it goes on counting while cameras come and go."""
+        """The number of a frame set; by time it continues to count while cameras come and go."""
         if not self._lags:
             return next(iter(group.values())).sequence
         camera = next((camera for camera in group if camera in self._ahead), next(iter(group)))

@@ -14,7 +14,7 @@ JUMP_PX = 8.0
 work brings no spot from one frame to the next."""
 TOGETHER_NS = 150_000_000
 _GAP_NS = 400_000_000
-"""After a pause so long nobody knows how the spot moved."""
+"""After so long a pause the movement of the spot is unknown."""
 
 
 @dataclass(slots=True)

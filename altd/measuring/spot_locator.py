@@ -21,7 +21,7 @@ from altd.vision.localise import locate_in
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 DUST_INTERVAL_NS = 5 * 10**9
-"""Dust comes in weeks, and to look for it takes one to three milliseconds."""
+"""Dust settles over weeks, and a search for it takes one to three milliseconds."""
 _UNDER_LEDS = NoSpot(Reason.SPOT_MISSING, f"not looked for, {LEDS_LIT}")
 
 

@@ -64,7 +64,7 @@ class TrendFigures:
 
     @property
     def share(self) -> float | None:
-        """What is now over the reference; None: not known."""
+        """The current value over the reference; None: not known."""
         if self.reference is None or self.recent is None or self.reference <= 0:
             return None
         return self.recent / self.reference
@@ -73,8 +73,8 @@ class TrendFigures:
 class Trend:
     """Medians of minutes, by the time of the frames: bounded memory, and no outlier counts.
 
-    ``reference`` is kept for ever once it is known. A minute in which too little was seen counts for nothing,
-    so that a beam which is switched off for the night changes nothing.
+    ``reference`` is kept indefinitely once it is known. A minute with too few values does not count, so a
+    beam that is switched off for the night changes nothing.
     """
 
     def __init__(self, reference: float | None = None) -> None:
@@ -99,7 +99,7 @@ class Trend:
         self._samples.append(value)
 
     def figures(self) -> TrendFigures:
-        """What is known by the minutes that are over."""
+        """The trend by the completed minutes."""
         recent = _median(self._recent) if len(self._recent) == RECENT_BUCKETS else None
         return TrendFigures(self._reference, recent)
 

@@ -1,4 +1,4 @@
-"""Whether a target's camera is the one that was calibrated, and stands as it did: by name and view."""
+"""Whether a target's camera is the one that was calibrated, in the same place: by name and view."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ViewStatus:
     frame_ns: int | None
 
     def figures(self, now_ns: int) -> dict[str, float | str]:
-        """What health shows: whether the view is verified, since when, and the picture's shift.
+        """The figures for health: whether the view is verified, since when, and the picture's shift.
 
         Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
         """
@@ -103,7 +103,7 @@ class ViewCheck:
         self._restart_examination()
 
     def _restart_examination(self) -> None:
-        """Examine the next frames; what was found wrong or displaced stands until they show the contrary."""
+        """Examine the next frames; an earlier finding, wrong or displaced, holds until they refute it."""
         self._doubt = "nothing was seen yet"
         self._shift_px: float | None = None
         self._verified_ns: int | None = None

@@ -1,4 +1,4 @@
-"""``frames.csv`` of a recording: one row a frame, read again whenever somebody goes through them."""
+"""``frames.csv`` of a recording: one row for each frame, read again for each iteration."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Row:
 class Rows:
     """The rows of a table that has been checked, in its order.
 
-    They are read from the table again whenever somebody goes through them, so a day of frames takes no more
-    memory than a second; that raises BadInputError when the table is not any more what was checked.
+    They are read from the table again for each iteration, so a day of frames takes no more memory than a
+    second; that raises BadInputError when the table has changed since it was checked.
     """
 
     table: UnchangedFile
@@ -80,7 +80,7 @@ class Rows:
         return (row for row in self if row.camera == camera)
 
     def place(self, row: Row) -> str:
-        """Where the row stands, for a complaint."""
+        """The file and the number of the row, for an error message."""
         return f"{self.table.path}: row {row.number}"
 
 
@@ -91,7 +91,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
         columns = list(reader.fieldnames or ())
         for column in COLUMNS:
             if columns.count(column) != 1:
-                what = "stands twice" if column in columns else "is missing"
+                what = "is repeated" if column in columns else "is missing"
                 raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
         last: dict[str, Row] = {}
         for record in reader:
@@ -106,7 +106,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
 
 
 def _check_order(place: str, above: Row, row: Row) -> None:
-    """One camera's rows stand in the order of their exposures, and none stands there twice."""
+    """One camera's rows must be in the order of their exposures, without repeated ones."""
     for column, value, before in (
         ("sequence", row.sequence, above.sequence),
         ("t_s", row.t_s, above.t_s),

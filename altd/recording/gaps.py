@@ -1,7 +1,7 @@
 """Rows that a recording's table lacks: an exposure that not every camera has, numbers that leap.
 
-A recording of a live unit may have lost frames, so this is said and no reason to refuse it; what is measured
-of such an exposure says so itself (``camera_silent``, ``out_of_step``, ``exposures_lost``).
+A recording of a live unit may have lost frames, so this is reported and no reason to refuse it; measurements
+of such an exposure carry a reason (``camera_silent``, ``out_of_step``, ``exposures_lost``).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def gaps(rows: Iterable[Row], cameras: Sequence[str]) -> Iterator[Gap]:
 
 
 def gap_lines(recording: Recording) -> list[str]:
-    """What a table lacks, a line each for the first places and one for the others."""
+    """The missing rows of a table, a line each for the first places and one for the others."""
     table = recording.path / FRAMES_FILE
     cameras = list(recording.header.cameras)
     empty = [camera for camera in cameras if not recording.rows.count[camera]]

@@ -106,7 +106,7 @@ class UnitHeader(_Header):
 
 
 class TargetHeader(_Header):
-    """A target that the recording shows, where it stands on the beam, and the camera that looks at it."""
+    """A target that the recording shows, its place on the beam, and the camera that looks at it."""
 
     name: Annotated[str, Field(pattern=NAME_PATTERN, max_length=32)]
     z_mm: Annotated[float, Field(ge=-100_000, le=100_000)]
@@ -145,7 +145,7 @@ class SelfCheckHeader(_Header):
     verdict: Literal["good", "suspect", "bad", "unknown"]
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    """What else was seen, such as a light that blinks by itself."""
+    """Other observations, such as a light that blinks independently of the LEDs."""
 
 
 class RecordingHeader(_Header):
@@ -187,7 +187,7 @@ class RecordingHeader(_Header):
             if target.z_mm <= nearer.z_mm:
                 raise ValueError(
                     f"targets.{number}.z_mm: {target.z_mm:g} is not behind targets.{number - 1}, "
-                    f"{nearer.z_mm:g}: targets stand in beam order"
+                    f"{nearer.z_mm:g}: targets must be in beam order"
                 )
         return self
 

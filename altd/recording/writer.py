@@ -44,9 +44,9 @@ def _comparable(header: RecordingHeader) -> dict[str, CameraHeader]:
 class RecordingWriter:
     """Writes a recording frame by frame; what is on disk is readable after each frame.
 
-    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it goes on in a folder
-    that another writer left, behind the first so many bytes of its table; the header there stays, and must
-    have the same cameras and unit.
+    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it continues in a folder
+    that another writer left, after that many bytes of its table; the header there stays, and must have the
+    same cameras and unit.
     """
 
     def __init__(self, path: Path, header: RecordingHeader, resume_at: int | None = None) -> None:
@@ -90,7 +90,7 @@ class RecordingWriter:
             raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
 
     def _append(self, row: Iterable[object]) -> None:
-        """A row as a whole; raises OSError, and then there is nothing of it."""
+        """Write a row completely; raises OSError, and then nothing of it remains."""
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerow(row)
         line, before_bytes = text.getvalue().encode(), os.fstat(self._file.fileno()).st_size

@@ -19,9 +19,9 @@ PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 class Origin(StrEnum):
-    """How frames came to be: light fell on a camera, or a simulator computed them.
+    """The origin of frames: a camera exposed them, or a simulator computed them.
 
-    It travels with them: into recordings and calibrations, and what comes of simulated frames says so.
+    It is kept in recordings and calibrations, and everything derived from simulated frames is marked.
     """
 
     CAMERA = "camera"
@@ -37,7 +37,7 @@ class CameraIdentity:
     driver: str | None = None
 
     def difference_from(self, expected: CameraIdentity) -> str:
-        """What tells this camera from the expected one, in words; empty when nothing does.
+        """The difference between this camera and the expected one, in words; empty when there is none.
 
         What one of the two does not know tells nothing, and another driver names cameras otherwise.
         """

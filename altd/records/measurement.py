@@ -41,7 +41,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Quantities:
-    """What a kind of unit publishes: of the unit as a whole, and of each of its targets."""
+    """The quantities that a kind of unit publishes: of the whole unit, and of each of its targets."""
 
     instrument: str
     of_unit: tuple[Quantity, ...]
@@ -76,7 +76,7 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What the unit says about one window of exposures.
+    """The result of one window of exposures.
 
     ``sequence`` is that of the window's last exposure, ``t_ns`` the middle of the exposures that were
     averaged and ``time`` the same instant in UTC (None where the source of the frames does not know it).

@@ -1,4 +1,4 @@
-"""What sensors beside the cameras say, each at its own time, and how far it can be used."""
+"""Readings of sensors beside the cameras, each at its own time, and how far they can be used."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Quality(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SensorValue:
-    """What a sensor says of a quantity with its sigma, or why it says nothing: then ``value`` is None.
+    """A sensor's value of a quantity with its sigma, or why there is none: then ``value`` is None.
 
     ``t_ns`` is when it was measured, ``age_s`` how old it was when it was put into a measurement; after
-    ``expires_ns`` nobody shows it any more. ``detail`` is the sentence for people.
+    ``expires_ns`` it is not shown any more. ``detail`` is the sentence for people.
     """
 
     quality: Quality

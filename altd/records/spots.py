@@ -48,7 +48,7 @@ class Motion:
     about the steady motion. ``probable_rate`` is the root mean square of what the rate may be,
     ``acceleration`` of its change in a second, both by the windows before; None: not known yet. ``onset``,
     ``onset_s``, ``spread_s2`` and ``at_s`` are as in ``SpotMotion``. ``is_in_sigma``: the sigma of the value
-    holds what is said here of its own instant.
+    includes the motion at its own instant.
     """
 
     rate: float

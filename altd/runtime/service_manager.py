@@ -1,4 +1,4 @@
-"""What the service manager and the journal are told: ready, alive by progress only, measuring or why not."""
+"""Reports to the service manager and the journal: ready, alive by progress only, measuring or why not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Publishers run alone: one that dies is started again, more and more rarely, and troubles nobody else."""
+"""Publishers run independently: one that fails is restarted, at growing intervals; the others continue."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ log = logging.getLogger("altd")
 MIN_BACKOFF_S = 0.5
 MAX_BACKOFF_S = 30.0
 MAX_DEVICE_BACKOFF_S = 1.0
-"""Somebody who plugs a cable in stands beside it and waits; to look for a device costs next to nothing."""
+"""A person who plugs a cable in waits for the result; to look for a device costs next to nothing."""
 
 MIN_STEADY_S = 10.0
-"""What served for a shorter time and died again is not logged again, and its back-off goes on growing."""
+"""A publisher that failed after a shorter time is not logged again; its back-off continues to grow."""
 
 _FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
 """An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
 
 
 def _failure_text(error: Exception, place: str) -> str:
-    """What failed; ``place``, of which some errors begin with the address, is not repeated."""
+    """The failure; ``place``, with whose address some errors begin, is not repeated."""
     if isinstance(error, OSError):
         return (error.strerror or str(error)).removeprefix(f"{place.partition(' ')[2]}: ")
     return f"{type(error).__name__}: {error}"
@@ -65,7 +65,7 @@ async def keep_running(
     clock: Clock,
     up: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run a publisher for ever.
+    """Run a publisher indefinitely.
 
     An address that is taken or forbidden at the first start is a mistake in the config: BadInputError that
     names ``place``. A device (an OSError with its file's name) may be missing or still forbidden then, for
@@ -87,7 +87,7 @@ async def keep_running(
     while True:
         try:
             await _run(publisher, ready)
-            failure = "ended by itself"
+            failure = "ended unexpectedly"
             max_backoff_s = MAX_BACKOFF_S
         except Exception as error:
             device = isinstance(error, OSError) and error.filename is not None

@@ -1,8 +1,8 @@
-"""Blocking calls in threads; what comes of them is settled in the event loop.
+"""Blocking calls in threads; their results are set in the event loop.
 
-A call that never comes back holds its thread and nobody else: neither the loop nor the end of the process,
-which a thread of ``asyncio.to_thread`` would hold. Nothing here keeps what a call had in hand, not even after
-it has failed: frames take megabytes, and the garbage collector may not look for hours.
+A call that never returns blocks only its thread: neither the loop nor the end of the process, which a thread
+of ``asyncio.to_thread`` would block. Nothing here keeps the arguments of a call, not even after it
+has failed: frames take megabytes, and the garbage collector may not run for hours.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class DeviceThread:
     async def call(self, function: Callable[..., Result], *arguments: object, within_s: float) -> Result:
         """The call's result or what it raises; TimeoutError when it, or the one before, takes too long.
 
-        A call that took too long goes on; nothing more is called until it has come back.
+        A call that took too long continues; nothing more is called until it has returned.
         """
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         result.add_done_callback(self._came_back)
@@ -58,7 +58,7 @@ class DeviceThread:
         return not self._thread.is_alive()
 
     def _came_back(self, result: asyncio.Future[Result]) -> None:
-        """The thread is free; what the call raised is no news where who asked has left."""
+        """The thread is free; an exception of the call is ignored if its caller has left."""
         self._idle.set()
         if not result.cancelled():
             result.exception()
@@ -66,7 +66,7 @@ class DeviceThread:
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
             call()
-            del call  # and what it has in hand, before the next one comes
+            del call  # and its arguments, before the next one comes
 
     def _end_soon(self) -> None:
         self._calls.put(None)

@@ -1,1 +1,1 @@
-"""Whether camera and target still stand to each other as they did when they were calibrated (thesis 3.4)."""
+"""Whether camera and target are still in the same relative position as in the calibration (thesis 3.4)."""

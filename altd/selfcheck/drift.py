@@ -22,7 +22,7 @@ _RASTER_PX = 0.003
 """How much the raster of the pixels moves an LED's place when it comes to lie otherwise on it: 0.0025 px rms
 over 144 displaced LEDs of two simulated units (docs/selfcheck.md)."""
 _PRIOR_RATIO, _PRIOR_FREEDOM = 1.3, 8.0
-"""Places scatter 1.15 times as much as the frames' noise says; so much is believed before the pairs tell."""
+"""Places scatter 1.15 times as much as the frames' noise predicts; the prior before the pairs are known."""
 _MIN_SEEN_SHARE = 0.8
 _MISFIT_SIGMAS = 4.5
 _MODEL_SHARE = 0.05
@@ -170,7 +170,7 @@ def _foreign(lights: list[Lights], matched: list[Indices]) -> tuple[tuple[float,
 
 
 def _noise(places: _Places, used: Chosen) -> _Noise:
-    """How much the used LEDs' places scatter from pair to pair, each by itself and all together."""
+    """The scatter of the used LEDs' places from pair to pair: of each alone and of all together."""
     px, sigma = places.px[:, used], places.sigma_px[:, used]
     deviation = px - np.nanmean(px, axis=0)
     common = np.nanmean(deviation, axis=1)
@@ -187,7 +187,7 @@ def _noise(places: _Places, used: Chosen) -> _Noise:
 
 
 def _with_covariance(fitted: Fitted, noise: _Noise, pairs_seen: int) -> Similarity:
-    """With what the residuals and a trembling picture add; the reference is taken to be of one pair."""
+    """With the residuals and the picture's vibration added; the reference is taken to be of one pair."""
     found = fitted.similarity
     stretch = max(1.0, fitted.chi2 / fitted.degrees_of_freedom) if fitted.degrees_of_freedom else 1.0
     covariance = found.covariance * stretch
@@ -235,6 +235,6 @@ def _sentence(states: tuple[LedState, ...], places: _Places, found: int, *, few:
         if which and state is not LedState.USED:
             parts.append(f"LED {', '.join(which)}: {state.replace('_', ' ')}")
     for u, v, always in places.foreign:
-        when = "with the LEDs" if always else "by itself"
+        when = "with the LEDs" if always else "without the LEDs"
         parts.append(f"a light that is no LED shines {when} at u {u:.0f} v {v:.0f} px")
     return "; ".join(parts)

@@ -2,7 +2,7 @@
 
 Of each day the mean of its checks counts, so that neither a warm afternoon nor an hourly schedule makes a
 drift. Shift in u and v, and turn and scale as px at the LEDs, are summed up beyond an allowance K, each in
-both directions: S ← max(0, S ± x − K). A drift is told once S exceeds the limit H.
+both directions: S ← max(0, S ± x − K). A drift is reported once S exceeds the limit H.
 
 K is at least five standard deviations of x, the reference's included, which is the same in all checks of a
 calibration. So chance lifts S off zero at all in less than one day of a hundred thousand; that bounds the
@@ -35,7 +35,7 @@ _NOTHING: Numbers = (0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SlowDrift:
-    """A target whose camera wanders: how far from the calibration it is, and how fast it goes."""
+    """A target whose camera drifts: how far from the calibration it is, and how fast it moves."""
 
     target: str
     shift_px: tuple[float, float]

@@ -1,4 +1,4 @@
-"""What became of each LED: used, or why not."""
+"""The state of each LED: used, or why not."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ _MIN_BLINK_SHARE = 0.06
 """Of full scale: a light that changes by less is dim beside an LED and moves none."""
 _NEAR_LED_PX = 20
 _SPOT_MARGIN_PX = 16
-"""The beam trembles; what changes about its spot is no light of its own."""
+"""The beam vibrates; a change around its spot is no separate light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +114,10 @@ class Finding:
 def findings(
     before: Sequence[Frame], lit: Sequence[Frame], after: Sequence[Frame], leds_px: FloatArray
 ) -> tuple[Finding, ...]:
-    """What speaks against the frames of one camera, in the order of their exposure.
+    """The faults of one camera's frames, in the order of their exposure.
 
     ``before`` and ``after`` have the LEDs off, ``lit`` on; ``leds_px`` (n, 2) are their reference positions.
-    A light that comes or goes while the LEDs are left alone is told; near an LED it spoils the check.
+    A light that changes while the LEDs do not is reported; near an LED it makes the check useless.
     """
     frames = (*before, *lit, *after)
     freshness = FreshnessCheck()
@@ -164,8 +164,8 @@ def _blinking(same: Sequence[Frame], dark: Sequence[Frame], leds_px: FloatArray)
         is_near = any(math.hypot(u_px - u, v_px - v) <= _NEAR_LED_PX for u, v in leds_px)
         found.append(
             Finding(
-                f"a light at u {u_px:.0f} v {v_px:.0f} px{', near an LED,' if is_near else ''} came or went "
-                "by itself",
+                f"a light at u {u_px:.0f} v {v_px:.0f} px{', near an LED,' if is_near else ''} appeared or "
+                "vanished without the LEDs",
                 spoils=is_near,
             )
         )

@@ -34,7 +34,7 @@ class _Reach:
 
 
 _NEAR = _Reach(40.0, 5.0, 0.05)
-"""What a camera does that works itself loose; a symmetric layout fits itself again at 180°."""
+"""The motion of a camera that comes loose; a symmetric layout fits itself again at 180°."""
 _FAR = _Reach(math.inf, 180.0, 0.2)
 """A camera that was knocked out of its place, or another one. The LEDs of a target behind it look smaller."""
 
@@ -153,7 +153,7 @@ def _bases(references: ComplexArray) -> tuple[Indices, Indices]:
 def _agreement(
     a: ComplexArray, b: ComplexArray, references: ComplexArray, lights: ComplexArray
 ) -> _Candidates:
-    """Who agrees with each of these similarities; a light is one LED's at most."""
+    """The lights that agree with each of these similarities; a light belongs to one LED at most."""
     predicted = a[:, None] * references[None] + b[:, None]
     distance = np.abs(predicted[:, :, None] - lights[None, None, :])
     nearest = distance.argmin(axis=2)

@@ -13,7 +13,7 @@ from altd.records import FloatArray, Frame, Value
 
 
 class Verdict(StrEnum):
-    """What a check says of the unit's geometry."""
+    """The result of a check of the unit's geometry."""
 
     GOOD = "good"
     SUSPECT = "suspect"
@@ -22,7 +22,7 @@ class Verdict(StrEnum):
 
 
 class LedState(StrEnum):
-    """What became of one of the calibration's LEDs in a check; only those ``used`` are fitted."""
+    """The state of one of the calibration's LEDs in a check; only those ``used`` are fitted."""
 
     USED = "used"
     DARK = "dark"
@@ -110,9 +110,9 @@ def design_rows(right_px: float, down_px: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetDrift:
-    """What a check found of one target.
+    """The result of a check for one target.
 
-    ``leds`` holds what became of each reference, in the calibration's order; ``leds_found`` counts those
+    ``leds`` holds the state of each reference, in the calibration's order; ``leds_found`` counts those
     used. ``foreign_px`` are lights that switch with the LEDs and are none of them. ``similarity`` is None
     where too few LEDs were found. ``rms_px`` is the root mean square of the used LEDs' distances from it, an
     axis; ``is_similarity`` is False where that is more than their noise explains: then print, LEDs and camera
@@ -155,7 +155,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfCheck:
-    """What one check says.
+    """The result of one check.
 
     ``effects`` holds, by the keys of the beam (``yaw_deg``, ``pitch_deg``, ``x_mm``, ``y_mm``), what the
     drift makes of a measurement at the beam's place, measured minus true, with its sigma; it is empty where

@@ -38,12 +38,12 @@ def judge(
     previous: Verdict | None = None,
     reference_plane_mm: float = 0.0,
 ) -> SelfCheck:
-    """What LEDs on and off, by target, say of the unit's geometry. Pure; takes 10 to 50 ms a target.
+    """The state of the unit's geometry, from LEDs on and off by target. Pure; takes 10 to 50 ms a target.
 
-    ``at`` is where the spots stand now, (u, v) px by target, uncorrected; of a target that is not in it, or
+    ``at`` is where the spots are now, (u, v) px by target, uncorrected; of a target that is not in it, or
     without it, the middle of the calibrated area counts. ``previous`` is, for the hysteresis, the last
-    verdict that was not unknown: after a bad one a check that sees but a part is unknown, unless that
-    part is bad. ``reference_plane_mm`` is where x and y are told. A target of the calibration that is not in
+    verdict that was not unknown: after a bad one a check that sees only a part is unknown, unless that
+    part is bad. ``reference_plane_mm`` is the plane of x and y. A target of the calibration that is not in
     ``views`` makes the verdict unknown, as does one without LED references; a view of a target that the
     calibration does not know raises KeyError, frames of another size ValueError.
     """

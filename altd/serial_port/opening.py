@@ -80,7 +80,7 @@ class LineSettings:
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     rs485: Rs485Settings | None = None
-    """None: nobody has to switch the direction."""
+    """None: the direction needs no switching."""
 
 
 def open_serial(
@@ -118,9 +118,9 @@ def open_serial(
 
 
 def close_serial(port: serial.Serial) -> None:
-    """Let go of the port. What waits to go out is thrown away, where the driver can: closing waits for it.
+    """Release the port. Unsent bytes are discarded, where the driver can: closing would wait for them.
 
-    cdc_acm cannot: an adapter that takes nothing holds this call for 30 s.
+    cdc_acm cannot: an adapter that takes nothing blocks this call for 30 s.
     """
     with contextlib.suppress(OSError, termios.error):
         port.reset_output_buffer()
@@ -142,7 +142,7 @@ def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485Settings) -> No
     except OSError as error:
         if error.errno not in (errno.ENOTTY, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-        sentence = "has no RS485 mode: leave rs485 out if the adapter switches direction by itself"
+        sentence = "has no RS485 mode: leave rs485 out if the adapter switches direction automatically"
         raise OSError(errno.ENOTTY, sentence, str(device)) from error
     given = (flags & (_ENABLED | _RTS_ON_SEND | _RTS_AFTER_SEND), before_ms, after_ms)
     if given != asked:

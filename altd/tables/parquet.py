@@ -32,8 +32,8 @@ def check_parquet() -> None:
 class _Sink(io.RawIOBase):
     """A file that takes what is written and, once it is closed, drops it.
 
-    pyarrow's writer writes its footer when it is destroyed, wherever a signal or a full disk has ended the
-    work; of that nobody may hear.
+    pyarrow's writer writes its footer when it is destroyed, also after a signal or a full disk has ended the
+    work; that must not raise.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -49,7 +49,7 @@ class _Sink(io.RawIOBase):
 class ParquetTable:
     """Rows into a file that is open; ``about`` becomes the file's metadata, each value as JSON.
 
-    A column's unit and meaning stand in the metadata of its field.
+    A column's unit and meaning are in the metadata of its field.
     """
 
     def __init__(self, file: BinaryIO, columns: Sequence[Column], about: Mapping[str, Any]) -> None:

@@ -22,8 +22,8 @@ READ_NOISE, SHOT_NOISE, SPOT_TEXTURE, ROWS = range(12, 16)
 class Blocks:
     """Blocks as the columns of one array, ``rows`` (15, n), which compiled code takes as it is.
 
-    LIGHT is Σ F·I, F1 and F2 the sums of F and F². MONOMIALS are 1, x, y, x², xy, y² of the places that the
-    blocks stand for, which count from the initial estimate in units of its sigma. HALF_MOMENTS are ½ xx, xy,
+    LIGHT is Σ F·I, F1 and F2 the sums of F and F². MONOMIALS are 1, x, y, x², xy, y² of the places of the
+    blocks, which count from the initial estimate in units of its sigma. HALF_MOMENTS are ½ xx, xy,
     ½ yy, half the second moments of F² about the places; without ``has_moments`` they are the same in all
     blocks, only widen the spot, and are not set. READ_NOISE, SHOT_NOISE per count of irradiance and
     SPOT_TEXTURE per squared count of irradiance and squared texture contrast are variances of the light.

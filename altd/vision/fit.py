@@ -165,7 +165,7 @@ def _is_converged(change: Sequence[float], contrast_is_steady: bool, is_late: bo
     """Whether the last step changed centre and shape by less than the tolerances.
 
     ``contrast_is_steady``: so did the texture contrast, which decides on the weights. A small spot with a
-    hard edge may oscillate between shapes for ever: in late iterations a converged centre is enough.
+    hard edge may oscillate between shapes indefinitely: in late iterations a converged centre is enough.
     """
     if is_late:
         return max(change[U], change[V]) < _LATE_CONVERGED_SIGMAS

@@ -106,7 +106,7 @@ LED_SETTINGS = SpotSettings(
 
 _MARGIN_PX = 8
 _PLACE_TOLERANCE_PX = 3
-"""An LED need not stand in its reference position to be told from a laser spot."""
+"""An LED need not be at its reference position to be distinguished from a laser spot."""
 _INITIAL_RADIUS_PX = 9.0
 _MAX_SIZE_RATIO = 1.4
 """A disc at the border is an LED when it is at most this much larger or smaller than the others."""

@@ -1,7 +1,7 @@
 """The hot pixels of a sensor: single pixels that are bright in every frame, and so identify the sensor.
 
 What a lens images is wider than a pixel, so light is not taken for them. A mirrored image, one of another
-part of the sensor and one of another sensor have them elsewhere; what stands before the lens changes nothing.
+part of the sensor and one of another sensor have them elsewhere; the scene before the lens has no effect.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ _MAX_CUBIC_DEVIATION = 0.2
 """The same for the place that a cubic map through all the others predicts."""
 _MIN_FOR_CUBIC = 16
 _MIN_REDUNDANCY = 0.08
-"""1 − leverage: a point with less determines the cubic by itself, no other can check it."""
+"""1 − leverage: a point with less determines the cubic alone; no other can check it."""
 _MIN_LATTICE_SHARE = 0.5
 _MIN_MARGIN_LEDS = 2
 """By so many LEDs the grid must fit better than when shifted by a line."""
@@ -50,7 +50,7 @@ class GridMatch:
 def match_grid(points_px: FloatArray, columns: int, rows: int, mirrored: bool) -> GridMatch:
     """Match points (n, 2) px to a grid of columns × rows, some of them missing, some points false.
 
-    Raises ValueError, in words for the user, when they are no such grid or their place in it cannot be told.
+    Raises ValueError, with a message for the user, when they are no such grid or their place is unknown.
     """
     cells = _largest_lattice(points_px, columns, rows)
     if len(cells) < max(_MIN_LATTICE_SHARE * columns * rows, 6):
@@ -256,8 +256,8 @@ def _oriented(points: FloatArray, cells: Mapping[Cell, int], mirrored: bool) -> 
     _, turn, swapped, sign_x, sign_y = min(orientations)
     if abs(turn) > math.radians(MAX_TURN_DEG):
         raise ValueError(
-            f"the plate's rows are turned by {math.degrees(turn):.0f}° in the picture; it must stand upright "
-            f"to within {MAX_TURN_DEG:.0f}°, or its origin cannot be told"
+            f"the plate's rows are turned by {math.degrees(turn):.0f}° in the picture; it must be upright "
+            f"to within {MAX_TURN_DEG:.0f}°, or its origin cannot be found"
         )
     return {
         ((sign_x * j, sign_y * i) if swapped else (sign_x * i, sign_y * j)): row
@@ -277,12 +277,12 @@ def _placed_in_grid(cells: Mapping[Cell, int], columns: int, rows: int) -> npt.N
     count, first_column, first_row = windows[0]
     upright = f"{columns} × {rows} (columns × rows)"
     if _max_count(cells, rows, columns) > count + _MIN_MARGIN_LEDS:
-        raise ValueError(f"the lit LEDs stand {rows} × {columns} in the picture, the plate has {upright}")
+        raise ValueError(f"the lit LEDs form {rows} × {columns} in the picture, the plate has {upright}")
     if len(windows) > 1 and count - windows[1][0] < _MIN_MARGIN_LEDS:
         seen = np.ptp(np.array(list(cells)), axis=0) + 1
         raise ValueError(
             f"{seen[0]} × {seen[1]} lit LEDs are seen, the plate has {upright}: where they belong in it "
-            f"cannot be told, because a whole line at its edge is dark or out of the picture"
+            f"is unknown, because a whole line at its edge is dark or out of the picture"
         )
     placed = np.full((rows, columns), -1, dtype=np.int64)
     for (i, j), row in cells.items():

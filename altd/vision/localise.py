@@ -132,7 +132,7 @@ def _compared_with_reference(
         return replace(spot, shape=shape)
     misfit = misfit_of(profile.residuals, reference.grain if reference else None)
     if misfit is None:
-        return NoSpot(Reason.WRONG_SHAPE, "too little of it is seen to tell whether it is one spot")
+        return NoSpot(Reason.WRONG_SHAPE, "too little of it is visible to decide whether it is one spot")
     excess_px = 0.0
     if reference is not None:
         excess_px = _BIAS_PER_EXCESS * misfit.centre_px * math.sqrt(_unexplained(misfit, reference))

@@ -1,7 +1,7 @@
 """The surface texture under a spot, print or grain, and its shift since the calibration.
 
-A camera that stands as it was calibrated sees the same texture at the same pixels, wherever the spot lies.
-The relative brightness under the spot is correlated with the texture that the calibration knows; the peak's
+A camera in its calibrated place sees the same texture at the same pixels, wherever the spot is.
+The relative brightness under the spot is correlated with the texture that the calibration holds; the peak's
 place is the shift of the image, and the residual of the peak, correlated likewise, is its noise. So the
 significance of a peak follows from the frame itself.
 """

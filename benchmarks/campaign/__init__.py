@@ -1,4 +1,4 @@
-"""A campaign against the measuring chain: light, frames and cameras spoilt, what is measured judged by truth.
+"""A campaign against the measuring chain: disturbed light, frames and cameras; the truth judges the results.
 
-Nobody imports it; ``python -m benchmarks.campaign`` (``make campaign``) runs it.
+It is not imported; ``python -m benchmarks.campaign`` (``make campaign``) runs it.
 """

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.campaign`` (``make campaign``): spoilt measurements, judged against the truth."""
+"""``python -m benchmarks.campaign`` (``make campaign``): disturbed measurements, judged against the truth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from benchmarks.progress import show
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run, print the table; 1 when a wrong measurement was called valid that physics lets see."""
+    """Run, print the table; 1 when a measurement was wrong and marked valid although physics can show it."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments[:1] == ["good"]:
         return _good(arguments[1:])
@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ways", default="", metavar="NAME,...", help="names or kinds; --list shows them")
     parser.add_argument("--units", default="", metavar="NAME,...", help=", ".join(NAMES))
     parser.add_argument(
-        "--pairs", type=float, default=0.2, help="share spoilt in two ways at once (default 0.2)"
+        "--pairs", type=float, default=0.2, help="share disturbed in two ways at once (default 0.2)"
     )
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")

@@ -20,7 +20,7 @@ CLEAN, ANOTHER_UNIT = "clean", "another_unit"
 
 def _nothing(draw: Draw) -> Spoil:
     """No disturbance."""
-    return Spoil("nothing spoilt")
+    return Spoil("nothing disturbed")
 
 
 def _foreign(draw: Draw) -> Spoil:

@@ -44,7 +44,7 @@ class Clip(Protocol):
         """The light of a camera's frame."""
 
     def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
-        """A frame of this scene, spoilt or not."""
+        """A frame of this scene, disturbed or not."""
 
     def truth(self, k: int) -> FloatArray:
         """X mm, y mm, yaw °, pitch ° in the middle of frame set ``k``."""

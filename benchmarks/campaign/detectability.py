@@ -55,7 +55,7 @@ def near_on_one(share: float, far_mm: float) -> Undetectable:
             return ""
         return (
             "a second light within 0.6 of the spot's 1/e² radius that stretches it by less than 0.9 % (0.4 % "
-            "with a flat) looks like a shift: share × distance, up to 0.5 mm"
+            "with a flat) looks like a shift. Error: share × distance, up to 0.5 mm"
         )
 
     return undetectable
@@ -69,7 +69,7 @@ def near_on_both(far_mm: float) -> Undetectable:
             return ""
         return (
             "a second light beside both spots within half their 1/e² radius looks like a laser of another "
-            "shape: share × distance, up to 1.5 mm for two equal spots 3 mm apart"
+            "shape. Error: share × distance, up to 1.5 mm for two equal spots 3 mm apart"
         )
 
     return undetectable
@@ -82,8 +82,8 @@ def on_a_plate(cameras: frozenset[str]) -> Undetectable:
         if subject.has_flat or "front" in cameras:
             return ""
         return (
-            "a plain plate without a recorded flat has no features that show its camera's pose: up to 1° or "
-            "1 %, 0.5 mm on the plate, 0.1°; the frame LEDs show it (`altd selfcheck`)"
+            "a plain plate without a recorded flat has no features that show its camera's pose. Error: up to "
+            "1° or 1 %, 0.5 mm on the plate, 0.1°. The frame LEDs show it (`altd selfcheck`)"
         )
 
     return undetectable
@@ -107,8 +107,8 @@ def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Undetectable:
         if "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:
             return ""
         return (
-            "on a plain plate a picture doubled by less than half a spot looks like a shift: share × "
-            "distance, up to 2 mm; surface texture is too faint to show it"
+            "on a plain plate a picture doubled by less than half a spot looks like a shift. Error: "
+            "share × distance, up to 2 mm. Surface texture is too faint to show it"
         )
 
     return undetectable

@@ -1,4 +1,4 @@
-"""One episode: clean exposures, then spoilt ones, through the daemon's own measuring chain."""
+"""One episode: clean exposures, then disturbed ones, through the daemon's own measuring chain."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAME_TIME_NS = 5_000_000
 def run_episode(
     rig: Rig, spoil: Spoil, rng: np.random.Generator, moving: bool, foreign: Rig | None = None
 ) -> Outcome:
-    """Measure one clip of a unit, spoilt from the onset on; with ``foreign`` that unit's frames come then."""
+    """Measure one clip of a unit, disturbed from the onset on; ``foreign``: then that unit's frames come."""
     onset = WINDOW if rng.random() < 0.8 else 0
     clip = rig.clip(rng, WINDOW + SPOILT, moving)
     if clip.length < WINDOW + SPOILT:

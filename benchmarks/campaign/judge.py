@@ -80,7 +80,7 @@ def arrays(measurement: Measurement) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one episode: the measurements before the onset, and one a frame from it on.
+    """The result of one episode: the measurements before the onset, and one a frame from it on.
 
     ``recovered_s``: where a disturbance ended, how long until a measurement was valid again.
     """
@@ -95,8 +95,8 @@ class Tally:
     """The sums of one way.
 
     ``noticed`` are frames from the onset until the first invalid measurement, of the episodes that had one;
-    ``worst`` the wrong ones' notes with their errors, largest in sigmas first. ``invisible``: why nobody
-    could tell a wrong one, empty where that can be seen.
+    ``worst`` the wrong ones' notes with their errors, largest in sigmas first. ``invisible``: why a wrong one
+    cannot be detected, empty where it can.
     """
 
     episodes: int = 0
@@ -116,7 +116,7 @@ class Tally:
 
     @property
     def measurements(self) -> int:
-        """All that were made while something was spoilt."""
+        """All that were made while something was disturbed."""
         return sum(self.verdicts.values())
 
     def add(self, outcome: Outcome, note: str, invisible: str = "") -> None:

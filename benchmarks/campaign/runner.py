@@ -34,7 +34,7 @@ _COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is drawn from; ``pairs`` is the share of episodes that are spoilt in two ways at once."""
+    """What is drawn from; ``pairs`` is the share of episodes that are disturbed in two ways at once."""
 
     ways: tuple[str, ...]
     units: tuple[str, ...]
@@ -120,7 +120,7 @@ def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
 
 
 def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
-    """Run one episode; the name of its way, what was drawn, what came of it, and why it cannot be detected.
+    """Run one episode; the name of its way, what was drawn, the result, and why it cannot be detected.
 
     Ways come in turn, so that each gets its share however short the run; the unit is drawn.
     """
@@ -145,7 +145,7 @@ def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
 def _spoilt(
     plan: Plan, way: Way, spoil: Spoil, rig: Rig, rng: np.random.Generator, number: int
 ) -> tuple[str, str, Outcome, str]:
-    """An episode of frames, in some cases spoilt by a second way too."""
+    """An episode of frames, in some cases disturbed by a second way too."""
     name, note, moving = way.name, spoil.note, way.moving or rng.random() < _MOVING_SHARE
     if rng.random() < plan.pairs and way.kind != "good" and not way.invisible:
         other = _other(plan, way, rng)

@@ -1,6 +1,6 @@
 """The light of one frame before any noise, and the noise that belongs to it.
 
-A way that spoils light changes mean electrons: noise is drawn of what is left. Pictures are (rows, columns).
+A way that disturbs light changes mean electrons; noise is drawn from these. Pictures are (rows, columns).
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class UnitSpec:
 
 
 def _switched(t_s: float) -> float:
-    """Lights that go on and off between 0 and 1000 lx."""
+    """Lights that are switched between 0 and 1000 lx."""
     return 0.0 if t_s < 0.25 else 1000.0
 
 

@@ -1,4 +1,4 @@
-"""A way to spoil measurements: what it does to light, to grey values and to the stream of frames."""
+"""A way to disturb measurements: what it does to light, to grey values and to the stream of frames."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class OnLight(Protocol):
     """Changes the light of frame set ``since`` after the onset."""
 
     def __call__(self, scene: Scene, since: int) -> Scene:
-        """The scene as it is spoilt."""
+        """The disturbed scene."""
 
 
 class OnPixels(Protocol):
     """Changes grey values; ``before`` is the camera's frame before this one, None for the first."""
 
     def __call__(self, pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        """The frame as it is spoilt."""
+        """The disturbed frame."""
 
 
 OnStream = Callable[[list[Shot], int], list[Shot]]
@@ -51,7 +51,7 @@ OnStream = Callable[[list[Shot], int], list[Shot]]
 class Spoil:
     """One way with its parameters drawn; what it does not touch is None.
 
-    ``cameras`` are those that light and pixels are spoilt of. ``varies``: its light is another one at each
+    ``cameras`` are those whose light and pixels are disturbed. ``varies``: its light is another one at each
     exposure. ``no_beam``: no laser is left that could be measured, any number is wrong. ``undetectable`` says
     on which units it cannot be detected.
     """

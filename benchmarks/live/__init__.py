@@ -1,1 +1,1 @@
-"""The whole unit over a real wire: simulated cameras as processes, ``altd run``, and who reads from it."""
+"""The whole unit over a real wire: simulated cameras as processes, ``altd run``, and its readers."""

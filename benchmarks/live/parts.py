@@ -1,4 +1,4 @@
-"""The processes of a unit on a real wire: cameras to do faults to, the daemon, and who reads from it."""
+"""The processes of a unit on a real wire: cameras that can be disturbed, the daemon, and its reader."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SEED = 1
 FRONT, REAR = "127.0.0.1", "127.0.0.2"
 LINKED = "10.77.0.2"
-"""The front camera's address where it stands behind a link of its own."""
+"""The front camera's address where it has a link of its own."""
 _UNITS_END = "10.77.0.1"
 _READY = "Ctrl-C ends it"
 _START_TIMEOUT_S = 20.0
@@ -209,7 +209,7 @@ def set_link(state: str) -> float:
 def measuring_daemon(
     folder: Path, calibration: Path, addresses: tuple[str, str], more: str = ""
 ) -> Iterator[tuple[Running, Watch]]:
-    """The daemon on the cameras at these addresses, with ``more`` tables, and somebody who reads from it."""
+    """The daemon on the cameras at these addresses, with ``more`` tables, and a client that reads from it."""
     ports = Ports.free()
     config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, ports, more)
     log = folder / "altd.log"

@@ -23,7 +23,7 @@ _ANSWER_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """The TCP ports of a unit's faces."""
+    """The TCP ports of a unit's interfaces."""
 
     http: int
     modbus: int
@@ -43,7 +43,7 @@ class Received:
 
     @property
     def valid(self) -> bool:
-        """Whether the unit calls it valid."""
+        """Whether the unit marks it valid."""
         return bool(self.measurement["valid"])
 
     @property

@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="for which the page is kept open")
     parser.add_argument(
-        "--spoilt", action="store_true", help="with a page that forgets nothing: it must be seen"
+        "--spoilt", action="store_true", help="with a page that frees no memory: it must be detected"
     )
     options = parser.parse_args(arguments)
     material = make_material(_PAIRS, 1)

@@ -1,6 +1,6 @@
-"""What the page takes in memory over time, while somebody goes through its views, and how fast that grows.
+"""The memory that the page takes over time, while its views are visited in turn, and how fast that grows.
 
-Chromium is spoken to by its own protocol alone (Chrome DevTools Protocol, domains 1.3). Playwright lets the
+Chromium is driven by its own protocol alone (Chrome DevTools Protocol, domains 1.3). Playwright lets the
 process that draws a page keep the answers that the page gets (``Network.enable``), which looks as if the page
 itself took more and more memory.
 """
@@ -38,7 +38,7 @@ class Slope:
 
     @property
     def grows(self) -> bool:
-        """Whether it grows beyond chance, and by more than 1 % of itself an hour."""
+        """Whether it grows beyond chance, and by more than 1 % of its median an hour."""
         return self.per_h > max(_SIGMAS * self.sigma_per_h, _NOTEWORTHY_SHARE * self.median)
 
 
@@ -147,7 +147,7 @@ async def _address(profile: Path) -> str:
 
 INTERVAL_S = 30.0
 SETTLE_S = 600.0
-"""So long the page fills its own memory of ten minutes; what grows later grows for ever."""
+"""So long the page fills its own memory of ten minutes; what grows later grows without limit."""
 
 _SIZE = 1280, 900
 _LOOK_S = 1.5
@@ -188,7 +188,7 @@ QUANTITIES = tuple(field.name for field in fields(Sample))[1:]
 async def samples(http_port: int, seconds: float, is_spoilt: bool) -> AsyncIterator[Sample]:
     """A sample each half minute, or oftener in a short run; between two all views are looked at.
 
-    ``is_spoilt``: the page keeps every measurement and a listener for it for ever, on purpose.
+    ``is_spoilt``: the page keeps every measurement and a listener for it indefinitely, on purpose.
     """
     async with devtools(*_SIZE) as browser:
         await browser.open(f"http://127.0.0.1:{http_port}/", before=_DEFECT if is_spoilt else "")

@@ -1,6 +1,6 @@
-"""The errors of IEC 61784-3, 5.3 as what a line makes of the messages that are put into it.
+"""The errors of IEC 61784-3, 5.3, as the changes that a line makes to the messages that are put into it.
 
-Content is spoilt so that the wire's own checks still pass: only the CRC-32 can tell.
+Content is corrupted so that the wire's own checks still pass: only the CRC-32 can detect it.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Delivery:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What stands at the line's far end: this unit, another one, and the content of their messages."""
+    """What is at the line's far end: this unit, another one, and the content of their messages."""
 
     unit: Callable[[], bytes]
     other: Callable[[], bytes]
@@ -120,7 +120,7 @@ class Line:
 
 
 Error = Callable[[Line], Iterator[Delivery]]
-"""Deliveries for ever, good and spoilt by turns."""
+"""Deliveries without end, good and corrupted by turns."""
 
 
 def corruption(line: Line) -> Iterator[Delivery]:

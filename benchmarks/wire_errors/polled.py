@@ -38,7 +38,7 @@ class Client(Protocol):
         """The block."""
 
     def close(self) -> None:
-        """Let go of the wire."""
+        """Release the wire."""
 
 
 class TcpClient:
@@ -95,7 +95,7 @@ class RtuClient:
 
 
 def tcp_proxy(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> int:
-    """The port at which a thread answers with these deliveries; says first whether each is spoilt."""
+    """The port at which a thread answers with these deliveries; puts first whether each is corrupted."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:

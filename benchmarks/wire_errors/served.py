@@ -1,4 +1,4 @@
-"""Two units that differ in their serial numbers alone, each with all its faces, in a process of its own.
+"""Two units that differ only in their serial numbers, each with all its interfaces, in a process of its own.
 
 ``python -m benchmarks.wire_errors.served PORTS`` takes the serial ports of both as JSON and says, as one line
 of JSON, on which TCP ports they serve. It ends when its standard input does.
@@ -36,7 +36,7 @@ _BAUD: Final = 230400
 
 
 class _Unit:
-    """A board that is measured on, and its faces."""
+    """A board with measurements, and its interfaces."""
 
     def __init__(self, serial: str, ports: dict[str, list[str]]) -> None:
         self.clock = SystemClock()
@@ -75,7 +75,7 @@ class _Unit:
         yield from self.serial
 
     async def measure(self) -> None:
-        """Publish measurements that differ, for ever."""
+        """Publish measurements that differ, without end."""
         sequence = 0
         while True:
             sequence += 1

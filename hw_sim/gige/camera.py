@@ -110,7 +110,7 @@ class GigeCamera:
         rows = slice(buffer.y_px, buffer.y_px + buffer.height_px)
         on_chip = 0 <= columns.start < columns.stop <= WIDTH_PX and 0 <= rows.start < rows.stop <= HEIGHT_PX
         if bits is None or not on_chip:
-            self._camera.set_packet_loss(1.0)  # no chip can do that, whoever wrote it into the registers
+            self._camera.set_packet_loss(1.0)  # no chip can do that: a client wrote it into the registers
             return
         exposure_us = self._clamped(_EXPOSURE_US, buffer.exposure_us, _EXPOSURES_US)
         gain = self._clamped(_GAIN, buffer.gain_raw, _GAINS)

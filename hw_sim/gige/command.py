@@ -40,7 +40,7 @@ def add_addresses(parser: argparse.ArgumentParser) -> None:
             type=_address,
             default=ADDRESSES[name],
             metavar="ADDRESS",
-            help=f"address of the {name} GigE Vision camera (default {ADDRESSES[name]})",
+            help=f"address of the {name} GigE Vision camera (default: {ADDRESSES[name]})",
         )
 
 
@@ -48,23 +48,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the cameras take on the command line."""
     add_addresses(parser)
     parser.add_argument(
-        "--only", choices=CAMERAS, help="this camera alone; the other one may be another process"
+        "--only", choices=CAMERAS, help="serve this camera only; the other can be another process"
     )
+    parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
     parser.add_argument(
-        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
-    )
-    parser.add_argument(
-        "--fps", type=_fps, default=20.0, metavar="N", help="frames a second, until set again (default 20)"
+        "--fps", type=_fps, default=20.0, metavar="N", help="initial frames per second (default: 20)"
     )
     parser.add_argument(
         "--bits",
         type=int,
         choices=PIXEL_FORMATS,
         default=8,
-        help="of a pixel, until set again (default 8)",
+        help="initial bits per pixel (default: 8)",
     )
     parser.add_argument(
-        "--drive", action="store_true", help="the machine goes a slow way, and vibrates; as in the demo"
+        "--drive", action="store_true", help="the machine follows a slow Lissajous figure and vibrates"
     )
     parser.add_argument(
         "--pose",
@@ -72,21 +70,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=(0.0, 0.0, 0.0, 0.0),
         metavar=("X", "Y", "YAW", "PITCH"),
-        help="where the beam is, or is without the drive: mm and degrees (default 0 0 0 0)",
+        help="pose of the beam, mm and degrees (default: 0 0 0 0)",
     )
-    parser.add_argument("--faults", default="", metavar="NAME,...", help="faults that are present")
+    parser.add_argument(
+        "--faults", default="", metavar="NAME,...", help="faults, by the names in hw_sim/faults.py"
+    )
     parser.add_argument(
         "--listen",
         action="store_true",
-        help="each line on standard input names the faults that are present from then on",
+        help="each line on standard input is the new list of faults; an empty line ends all",
     )
     parser.add_argument(
         "--celsius",
         type=float,
         default=USUAL_CELSIUS,
-        help=f"how warm the cameras are inside (default {USUAL_CELSIUS:g})",
+        help=f"DeviceTemperature (default: {USUAL_CELSIUS:g})",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
 
 
 def run(arguments: argparse.Namespace) -> int:

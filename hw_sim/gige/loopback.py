@@ -40,10 +40,10 @@ def camera_address(address: str) -> Iterator[None]:
 
 
 def keep_discovery_on_loopback() -> None:
-    """Let this process's cameras hear only those who look for cameras on ``lo``.
+    """Let this process's cameras answer only clients that look for cameras on ``lo``.
 
-    Aravis listens to broadcasts on every network. A client that has heard of a camera on a network card waits
-    there for frames, which come on ``lo``; and nobody else in the house needs to see it.
+    Aravis listens to broadcasts on every network. A client that has found a camera on a network card waits
+    there for frames, which come on ``lo``; and other computers of the network need not see it.
     """
     for entry in Path("/proc/self/fd").iterdir():
         if not entry.is_socket():
@@ -65,7 +65,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 def _check_port_free(address: str) -> None:
-    """Aravis does not say it when somebody else answers at the port."""
+    """Aravis does not report that another process answers at the port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, GVCP_PORT))

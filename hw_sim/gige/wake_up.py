@@ -45,7 +45,7 @@ class WakeUp:
                 try:
                     link.send(_DISCOVERY)
                     link.recv(1024)  # the answer to the last one
-                except OSError:  # nothing there yet, or nobody any more
+                except OSError:  # no camera there yet, or no longer
                     continue
 
     def _until_next_s(self) -> float:

@@ -22,7 +22,7 @@ def folder(name: str) -> Path:
 
 
 def one_line(error: Exception) -> None:
-    """What a person is told of a bad file: one line, and not without end."""
+    """The message about a bad file: one line, of limited length."""
     text = str(error)
     assert text.isprintable(), text
     assert len(text) < 10_000

@@ -34,7 +34,7 @@ class Finding:
 
 @dataclass
 class Tally:
-    """What came of a run."""
+    """The result of a run."""
 
     inputs: int
     seconds: float

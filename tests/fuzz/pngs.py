@@ -1,4 +1,4 @@
-"""PNG files, spoilt; their checksums made again, so that what is behind them is reached."""
+"""Corrupted PNG files with right checksums, so that the parser behind them is reached."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _chunks(png: bytes) -> list[tuple[bytes, bytes]]:
 
 @st.composite
 def _rebuilt(draw: st.DrawFn, valid: st.SearchStrategy[bytes]) -> bytes:
-    """Another size, depth or colour, spoilt pixels, chunks left out and doubled; each with a good CRC."""
+    """Another size, depth or colour, corrupted pixels, chunks left out and doubled; each with a good CRC."""
     parts = []
     for kind, data in _chunks(draw(valid)):
         if kind == b"IHDR" and draw(st.booleans()):
@@ -48,5 +48,5 @@ def _rebuilt(draw: st.DrawFn, valid: st.SearchStrategy[bytes]) -> bytes:
 
 
 def spoilt_png(valid: st.SearchStrategy[bytes]) -> st.SearchStrategy[bytes]:
-    """A PNG spoilt in its bytes, or in what they mean."""
+    """A PNG corrupted in its bytes, or in their meaning."""
     return spoilt_bytes(valid) | _rebuilt(valid)

@@ -1,4 +1,4 @@
-"""Faces that are served while the examples of one process are tried, and measurements to be served."""
+"""Interfaces that are served while the examples of one process are tried, and measurements to be served."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Faces:
         return self.health.component(name)
 
     def do(self, work: Coroutine[Any, Any, Result]) -> Result:
-        """Run until the work is done; whatever a face logs meanwhile is a defect."""
+        """Run until the work is done; any log line of an interface meanwhile is a defect."""
         self.said.lines.clear()
         result = self._loop.run_until_complete(work)
         assert not self.said.lines, "\n".join(self.said.lines)
@@ -77,7 +77,7 @@ class Faces:
 
 
 class Said(logging.Handler):
-    """Keeps what is logged: nobody outside may make a unit log anything."""
+    """Keeps what is logged: no client may make a unit log anything."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -101,7 +101,7 @@ def served(make: Callable[[Faces], Any]) -> Callable[[], tuple[Faces, Any]]:
 
 
 async def read_all(reader: asyncio.StreamReader) -> bytes:
-    """What a face sends until it closes; a reset ends it, too."""
+    """What an interface sends until it closes; a reset ends it, too."""
     heard = b""
     with contextlib.suppress(ConnectionError):
         while piece := await reader.read(65536):

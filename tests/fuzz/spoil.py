@@ -1,4 +1,4 @@
-"""Valid inputs, spoilt a little: what a parser meets where it is weakest."""
+"""Valid inputs, corrupted a little: what a parser meets where it is weakest."""
 
 from __future__ import annotations
 

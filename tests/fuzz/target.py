@@ -2,7 +2,7 @@
 
 A module ``targets/<name>.py`` with ``NAME``, ``EXAMPLES`` (a hypothesis strategy of inputs, most of them
 nearly valid: see ``spoil``) and ``check(example)``, which raises on a defect: an exception that is not the
-documented one, a wrong answer, a number that is not finite and called valid. Time and memory are watched from
+documented one, a wrong answer, a number that is not finite but marked valid. Time and memory are watched from
 outside (``limits``); a module that takes long to start does so in ``begin()``, which is not watched.
 """
 

@@ -61,7 +61,7 @@ def breaking() -> None:
 
 
 def pulled_out() -> None:
-    """vivid comes back when the last program has let go of it, and this one holds it for a while."""
+    """vivid comes back when the last program has released it, and this one holds it for a while."""
     held = os.open(FRONT, os.O_RDWR)
     v4l2_ctl(FRONT, "-c", "disconnect=1")
     time.sleep(AWAY_S)

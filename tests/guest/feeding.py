@@ -1,4 +1,4 @@
-"""Feeds frames to video outputs, in step: ``feeding.py FRAMES FPS DEVICE...``, for ever.
+"""Feeds frames to video outputs, in step: ``feeding.py FRAMES FPS DEVICE...``, without end.
 
 A device that is gone is opened again until it is back.
 """
@@ -87,7 +87,7 @@ def _buffer(index: int) -> abi.v4l2_buffer:
 
 
 def feed(take: Callable[[int], Iterable[np.ndarray]], fps: float, outputs: list[Output]) -> None:
-    """For ever what ``take`` gives for each exposure: a picture an output.
+    """Show what ``take`` gives for each exposure, a picture an output, without end.
 
     An exposure that no output took is offered again.
     """

@@ -28,7 +28,7 @@ def opened(chip: object, *lines: str) -> Callable[[], None]:
 
 
 def as_nobody(act: Callable[[], object]) -> str:
-    """What a user without any right is told."""
+    """The message for a user without any right."""
     reading, writing = os.pipe()
     if os.fork() == 0:
         os.setgroups([])
@@ -46,7 +46,7 @@ plain = SimulatedChip("plain", ["", "", ""])
 
 results["devices"] = [line.split()[-1] for line in Path("/proc/devices").read_text().splitlines() if line]
 
-# frame LEDs; LED_B is high when nobody drives it, so dark and let go can be told apart
+# frame LEDs; LED_B is high when it is not driven, so dark and released can be distinguished
 unit.pull_up("LED_B")
 pins = "LED_A", "LED_B"
 for active_low in (False, True):

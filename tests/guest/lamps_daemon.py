@@ -1,4 +1,4 @@
-"""Leaves how the whole daemon does with its lamps on a simulated chip: taken, let go, lost, ended, killed.
+"""Reports how the whole daemon does with its lamps on a simulated chip: taken, released, lost, ended, killed.
 
 Its first argument is the folder of the host with calibration and recording.
 """
@@ -115,7 +115,7 @@ def shares(samples: list[dict[str, int]]) -> dict[str, float]:
 folder = Path(sys.argv[1])
 CONFIG = write_config(Path("altd.toml"), folder / "cal.json", folder / "beam", LAMPS)
 unit = SimulatedChip("unit", LINES)
-unit.pull_up("OK", "LED_B")  # wired so that they are lit when nobody drives them
+unit.pull_up("OK", "LED_B")  # wired so that they are lit when they are not driven
 results: dict[str, Any] = {}
 
 first = Path("first.notes").absolute()

@@ -86,7 +86,7 @@ async def keep_names() -> None:
 
 
 class FarEnd:
-    """A controller at the far end of one line, who reads at his own pace."""
+    """A controller at the far end of one line, which reads at its own pace."""
 
     def __init__(self, number: int) -> None:
         self.device = f"/dev/ttyGS{number}"
@@ -293,7 +293,7 @@ async def unplugged(times: int) -> dict[str, Any]:
 
 
 def opened_by_a_stranger(device: Path) -> str:
-    """What a program that is not root and heeds no locks is told when it opens the port."""
+    """The message for a program that is not root and ignores locks when it opens the port."""
     device.chmod(0o666)
     stranger = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "sh", "-c", f": <>{device}"]
     return subprocess.run(stranger, capture_output=True, text=True, check=False).stderr

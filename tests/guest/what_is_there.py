@@ -16,6 +16,6 @@ leave_results(
         "gpio_sim": Path("/sys/kernel/config/gpio-sim").is_dir(),
         "usb_gadgets": Path("/sys/kernel/config/usb_gadget").is_dir(),
         "loopback": Path("/sys/class/net/lo/operstate").read_text().strip(),
-        "random": random.SystemRandom().random(),  # without a source of it this would wait for ever
+        "random": random.SystemRandom().random(),  # without a source of it this would not return
     }
 )

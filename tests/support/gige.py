@@ -72,7 +72,7 @@ class Cameras:
             wait_for(lambda: register(address, 0) is not None)
 
     def start_with(self, features: str, folder: Path, address: str = HOME) -> None:
-        """One whose description of itself (GenICam) has further features, in its spare registers."""
+        """One whose own description (GenICam) has further features, in its spare registers."""
         self.start(address)
         told = subprocess.run(
             ["arv-tool-0.8", "-a", address, "genicam"], capture_output=True, text=True, check=True

@@ -168,7 +168,7 @@ class Client:
         return received
 
     def abandon(self) -> None:
-        """Let go of the stream of a camera that is gone: to ask it to stop would wait for an answer."""
+        """Release the stream of a camera that is gone: to ask it to stop would wait for an answer."""
         self._gobject.g_object_unref(c_void_p(self._stream))
         self._stream = None
 
@@ -190,7 +190,7 @@ _NUMBERS = itertools.count(1)
 
 
 def new_addresses() -> dict[str, str]:
-    """Two that nobody else has: GigE Vision has one port, and tests may run side by side."""
+    """Two that no other test has: GigE Vision has one port, and tests may run side by side."""
     high, low = divmod(os.getpid() % (250 * 250), 250)
     return {name: f"127.{1 + high}.{1 + low}.{next(_NUMBERS)}" for name in ("front", "rear")}
 

@@ -1,6 +1,6 @@
 """GPIO chips of the kernel's simulator, seen from the other side: at their pins.
 
-For programs in a guest. A line that nobody holds has the level of its pull.
+For programs in a guest. A line without a consumer has the level of its pull.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class SimulatedChip:
         (self._place / "live").write_text("1")
 
     def unplug(self) -> None:
-        """The chip goes away, as a USB expander does, even while somebody holds its lines."""
+        """The chip goes away, as a USB expander does, even while a program holds its lines."""
         (self._place / "live").write_text("0")
 
     def levels(self, *lines: str) -> list[int]:
@@ -78,7 +78,7 @@ class SimulatedChip:
         return levels_of(self._place.name, lines)
 
     def pull_up(self, *lines: str) -> None:
-        """From now on these are high when nobody drives them."""
+        """From now on these are high when they are not driven."""
         for line in lines:
             pin = _pins(self._place.name) / f"sim_gpio{self._lines.index(line)}"
             (pin / "pull").write_text("pull-up")

@@ -1,7 +1,7 @@
 """A conversation with Grbl 1.1h (2019-08-30), its own source compiled for Linux with grbl-sim, written down.
 
 Each step is what was sent, how long it was listened (s), and the lines that came. ``Pn:``, the input pins,
-which nothing is wired to, were taken out of the reports, and ``FS:``, the speeds, which nobody needs. A star
+which nothing is wired to, were taken out of the reports, and ``FS:``, the speeds, which no test needs. A star
 is a position that depends on the instant at which it was asked.
 """
 

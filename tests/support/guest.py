@@ -2,7 +2,7 @@
 
 The guest is a User-Mode Linux that ``.ci/kernel`` builds: a process of this machine, no root needed. Its root
 is this machine's tree, read-only; a program of ``tests/guest/`` runs there as root with the tests' Python, in
-a folder that it may write to. No udev runs there: who wants the names under /dev/v4l/by-path makes them.
+a folder that it may write to. No udev runs there: a program makes its own names under /dev/v4l/by-path.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ RESULTS = "results.json"
 
 @dataclass(frozen=True)
 class GuestRun:
-    """What became of a program in the guest: its exit status, all it printed, and the folder it wrote to."""
+    """The result of a program in the guest: its exit status, all it printed, and the folder it wrote to."""
 
     status: int
     out: str
@@ -80,7 +80,7 @@ def cut_power(
 ) -> str:
     """Run a program as ``run_in_guest`` does, and take the machine's power away at a moment.
 
-    ``is_due`` is asked every 10 ms, and shown what stands on the console, ``/dev/console`` in the guest:
+    ``is_due`` is called every 10 ms with the text on the console, ``/dev/console`` in the guest:
     what was written there came out, whatever the guest still had in memory. Returns all of it. Of the guest's
     disks there is left what it had given to them. Raises TimeoutError.
     """
@@ -148,7 +148,7 @@ def _kernel() -> tuple[str, str]:
     """The path of the kernel, or an empty string and why there is none."""
     environment = {
         name: value for name, value in os.environ.items() if name != "CI"
-    }  # asks, and may be told no
+    }  # asks, and may be refused
     found = subprocess.run(
         [ROOT / ".ci" / "kernel", "find"], capture_output=True, text=True, check=False, env=environment
     )

@@ -1,4 +1,4 @@
-"""A daemon that is held and goes on, as on a suspended computer, and controllers that poll meanwhile."""
+"""A daemon that is held and resumed, as on a suspended computer, and controllers that poll meanwhile."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Answer:
 
 
 def hold(pid: int, modbus_port: int, http_port: int, hold_s: float, polls_s: float) -> list[Answer]:
-    """Stop the process for ``hold_s``, let it go on, and poll both faces as fast as they answer meanwhile.
+    """Stop the process for ``hold_s``, resume it, and poll both interfaces as fast as they answer meanwhile.
 
-    Each face has a request waiting before the process goes on.
+    Each interface has a request waiting before the process is resumed.
     """
     answers: list[Answer] = []
     with _modbus(modbus_port) as read_registers, _http(http_port) as get:

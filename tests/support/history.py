@@ -26,7 +26,7 @@ MAX_BYTES = 400 * 10**6
 
 
 class WallClock(FakeClock):
-    """A clock whose time of day is set while the monotonic one goes on."""
+    """A clock whose time of day is set while the monotonic one continues."""
 
     def __init__(self, now_ns: int = 0) -> None:
         super().__init__(now_ns)

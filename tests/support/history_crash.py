@@ -54,9 +54,9 @@ def write(
     note: Callable[[int, int], object],
     begin: Callable[[int, int], object] = lambda last, t_ns: None,
 ) -> NoReturn:
-    """Record for ever; ``note`` is told the number of each measurement, and its monotonic time, ns.
+    """Record without end; ``note`` receives the number of each measurement, and its monotonic time, ns.
 
-    ``begin`` is told the last number of each batch when its writing begins: the batch before it is written.
+    ``begin`` gets the last number of each batch when its writing begins: the batch before it is written.
     """
     from altd.history.batch import About, Batch, Sample, Written
     from altd.history.columns import columns_of

@@ -97,7 +97,7 @@ class LedCamera:
 
 
 class StillStage:
-    """See ``altd.ports.Stage``: it is where it was told to be; ``at`` is called before each movement."""
+    """See ``altd.ports.Stage``: it is where it was sent; ``at`` is called before each movement."""
 
     def __init__(self, at: Callable[[float, float], None] = lambda x_mm, y_mm: None) -> None:
         self._at = at

@@ -33,7 +33,7 @@ MOVED = Displacement((0.6, -0.2), turn_deg=0.1)
 class TimedLeds:
     """The LEDs behind ``altd.ports.Lamps``, with the times at which their line was switched.
 
-    ``follow`` is what the LEDs do when the line is at a level; a test spoils it.
+    ``follow`` is what the LEDs do when the line is at a level; a test disturbs it.
     """
 
     def __init__(self) -> None:

@@ -22,7 +22,7 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     with (base / f"{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not made.exists():
-            folder.mkdir()  # fails where making it failed before: its cause stands in the first test's report
+            folder.mkdir()  # fails where making it failed before: its cause is in the first test's report
             make(folder)
             made.touch()
     return folder

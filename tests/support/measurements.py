@@ -18,7 +18,7 @@ Points = Mapping[str, tuple[float, float] | None]
 
 
 def measurement(sequence: int = 160, t_ns: int = 8_000_000_000, *reasons: Reason) -> Measurement:
-    """A valid measurement, or an invalid one when a reason says so."""
+    """A valid measurement, or an invalid one when a reason makes it so."""
     invalid = any(not reason.is_warning for reason in reasons)
     return measured(
         None if invalid else BEAM,

@@ -63,7 +63,7 @@ class Client:
 async def connected(
     tcp: ModbusTcpPublisher, address: str = "127.0.0.1", tls: ssl.SSLContext | None = None
 ) -> AsyncIterator[Client]:
-    """A connection from an address of the loopback; at the end the server has let go of it, too."""
+    """A connection from an address of the loopback; at the end the server has released it, too."""
     reader, writer = await asyncio.open_connection("127.0.0.1", tcp.port, local_addr=(address, 0), ssl=tls)
     try:
         yield Client(reader, writer)

@@ -240,7 +240,7 @@ class Subscriber:
         raise AssertionError("mosquitto_sub has ended")
 
     async def all(self) -> list[tuple[str, int, bool, str]]:
-        """All messages until it ends by itself."""
+        """All messages until it ends."""
         messages = []
         with contextlib.suppress(AssertionError):
             while True:

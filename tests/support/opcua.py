@@ -113,7 +113,7 @@ _kept: list[NodeData] = []
 
 @contextlib.contextmanager
 def _standard_nodes_kept() -> Any:
-    """asyncua makes the standard's nodes anew for each server, which takes a second."""
+    """asyncua makes the standard's nodes again for each server, which takes a second."""
     load = LimitedServer.load_standard_address_space
 
     async def load_kept(server: LimitedServer, shelf_file: Path | None = None) -> None:

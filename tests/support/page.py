@@ -71,7 +71,7 @@ class Seen:
     ) -> dict[str, Any]:
         """What the page shows as soon as it is so; asked once more, it may show something else."""
         async with asyncio.timeout(timeout_s):
-            while not holds(now := await self.now()):  # noqa: ASYNC110  a browser tells nothing by itself
+            while not holds(now := await self.now()):  # noqa: ASYNC110  a browser reports nothing unasked
                 await asyncio.sleep(0.02)
         return now
 

@@ -20,7 +20,7 @@ from support.measurements import measurement
 
 
 class Chain:
-    """Stands in for the measuring chain: a measurement for every frame set with the rear camera."""
+    """Replaces the measuring chain: a measurement for every frame set with the rear camera."""
 
     silent_after_s = 0.4
     late_frames = 0
@@ -66,7 +66,7 @@ class Bench:
         self.progress = 0
         self.pipeline = Pipeline(
             self.located,
-            self.chain,  # type: ignore[arg-type]  # it stands in for one
+            self.chain,  # type: ignore[arg-type]  # it replaces one
             self.board,
             self.component,
             self.count,

@@ -1,4 +1,4 @@
-"""Ports for programs that are told theirs before they open it, also while other tests look for some."""
+"""Ports for programs that receive theirs before they open it, also while other tests look for some."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import random
 import socket
 
 _PORTS = range(15_000, 32_000)
-"""Below those that the kernel gives out by itself (32768 on, see ip(7)): it gives none of them to another."""
+"""Below those that the kernel assigns automatically (32768 on, see ip(7)): none of them goes to another."""
 _WORKERS = 16
 _given: set[int] = set()
 
 
 def free_port() -> int:
-    """One that nobody listens on at any address of this machine, and that no test was given before.
+    """One without a listener at any address of this machine, and that no test was given before.
 
     Each of pytest's processes has ports of its own to choose from; by chance, for two runs at once.
     """

@@ -96,7 +96,7 @@ def write_targets(
 ) -> Path:
     """A recording whose header says which ``targets`` it shows; each shot has the stage's position.
 
-    ``of_cameras`` stands in every camera's entry.
+    ``of_cameras`` is in every camera's entry.
     """
     rng = np.random.default_rng(seed)
     path.mkdir(parents=True)

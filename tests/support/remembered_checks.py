@@ -52,7 +52,7 @@ class Unit:
         return memory.slow_drift
 
     async def told_after_days(self, px_a_day: float, days: int = 12) -> int | None:
-        """Days of a drift until it is told, with a start each day; None: never."""
+        """Days of a drift until it is reported, with a start each day; None: never."""
         for day in range(days):
             if await self.run((px_a_day * day, FIRST + timedelta(days=day))):
                 return day

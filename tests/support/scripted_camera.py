@@ -19,7 +19,7 @@ PIXELS = frame(light(Blob(300, 200))).pixels
 
 
 class ScriptedCamera:
-    """Each call of next_frame does what the next line of the script says; then 20 frames a second for ever.
+    """Each call of next_frame does what the next line of the script says; then 20 frames a second.
 
     A number lets so many frames be lost.
     """
@@ -101,7 +101,7 @@ class SettableCamera(ScriptedCamera):
 
 
 class AllFrames:
-    """Keeps every frame that nobody has taken."""
+    """Keeps every frame that was not taken."""
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []

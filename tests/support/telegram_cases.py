@@ -63,7 +63,7 @@ CHANGES: dict[str, Callable[[bytes], Iterator[bytes]]] = {
 
 @dataclass(frozen=True)
 class Variant:
-    """One run of a parser: when it gets which bytes, None is a restart, and what must come of it."""
+    """One run of a parser: when it gets which bytes, None is a restart, and the expected result."""
 
     name: str
     unit: str | None
@@ -98,7 +98,7 @@ def wire(telegram: str) -> bytes:
 
 
 def variants() -> Iterator[Variant]:
-    """Every case, and each way of one that is spoilt in each place."""
+    """Every case, and each variant of one that is corrupted in each place."""
     for case in TABLE["cases"]:
         fed: list[list[tuple[int, bytes | None]]] = [[]]
         changed = False

@@ -47,7 +47,7 @@ def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(unit: Path, tmp_path: Path) -> Path:
-    """The same, to be spoilt."""
+    """The same, to be corrupted."""
     shutil.copytree(unit, tmp_path / "unit")
     write_config(tmp_path / "unit" / "altd.toml", tmp_path / "unit" / "cal.json", tmp_path / "unit" / "beams")
     return tmp_path / "unit"
@@ -234,7 +234,7 @@ TABLE_HEAD = b"sequence,t_s,camera,file,leds,x_mm,y_mm"
         (b"front0000.png", b'"front0000.png', "is no CSV text"),
         (b"front0000.png", b'"' + b"x" * 200_000, "is no CSV text: field larger than field limit"),
         (TABLE_HEAD, TABLE_HEAD + b",a" * 1_000_000, "row 2: "),
-        (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' stands twice"),
+        (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' is repeated"),
         (b"front0000.png", b"\xff.png", "is no CSV text: 'utf-8' codec"),
     ],
 )
@@ -245,7 +245,7 @@ def test_a_table_that_no_parser_expects(old: bytes, new: bytes, why: str, copy: 
     table.write_bytes(content.replace(old, new, 1))
     outcome = altd_here("check-config", copy / "altd.toml")
     if outcome.status == 0 and b",a" in new:
-        return  # a million columns that nobody asks for are ignored
+        return  # a million unknown columns are ignored
     assert why in refusal(outcome)
 
 

@@ -1,6 +1,6 @@
 """A camera moves after its calibration; the LEDs find it, what is corrected is held against the truth.
 
-The chain is the daemon's, and what sets it right after a check; time does not pass by itself here.
+The chain is the daemon's, and what sets it right after a check; the test advances the time here.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Bench:
         return self.unit.expose(camera, sequence, sequence * self.unit.config.period_ns)
 
     def measured(self, pose: BeamPose, expose: Expose | None = None) -> Measurement:
-        """The first full window of a beam that stands there, after a pause."""
+        """The first full window of a beam at rest there, after a pause."""
         self.unit.place(pose)
         self._sequence += 50
         for _ in range(WINDOW):

@@ -38,7 +38,7 @@ LARGEST_ERROR_MM = 0.03
 class Loop:
     """The simulated unit with seed 3, measured with its exposure under control.
 
-    A camera that tells nothing stands for one without chunk data, which uses a setting two frames late.
+    A camera that reports nothing represents one without chunk data, which uses a setting two frames late.
     """
 
     def __init__(

@@ -134,7 +134,7 @@ def test_a_light_that_blinks_by_itself_is_named_and_spoils_nothing(seen: dict[st
     assert (check["cause"], check["verdict"]) == ("start", "good")
     assert check["notes"]
     assert all(
-        note.startswith("front: a light at u ") and note.endswith(" px came or went by itself")
+        note.startswith("front: a light at u ") and note.endswith(" px appeared or vanished without the LEDs")
         for note in check["notes"]
     )
     assert set(seen["measured, blinking"]["status"]) <= {"simulated", "rehearsal", "exposures_lost"}

@@ -1,4 +1,4 @@
-"""No value is valid with an old age, not for an instant, when a daemon was held and goes on."""
+"""No value is valid with an old age, not for an instant, when a daemon was held and is resumed."""
 
 from __future__ import annotations
 

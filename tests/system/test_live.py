@@ -142,7 +142,7 @@ def self_checked(config: Path) -> tuple[int, dict[str, Any]]:
 
 
 def test_the_daemon_checks_itself_with_leds_on_the_cameras_outputs(calibration: Path, tmp_path: Path) -> None:
-    """Asked through its local socket, and over HTTP by who has settings without one."""
+    """Asked through its local socket, and over HTTP where the settings have none."""
     local = f'[local]\nsocket = "{tmp_path}/altd.sock"\n'
     with (
         Camera(tmp_path, "front", FRONT),
@@ -207,7 +207,7 @@ def await_lamps(watch: Watch, state: str, timeout_s: float = 20.0) -> None:
 def test_a_daemon_that_was_held_for_ten_seconds_never_calls_an_old_value_valid(
     calibration: Path, tmp_path: Path
 ) -> None:
-    """Its cameras go on sending meanwhile; takes ten seconds of holding."""
+    """Its cameras continue to send meanwhile; takes ten seconds of holding."""
     ports = Ports.free()
     config = write_config(tmp_path / "altd.toml", f"SIM-{SEED}", calibration, (FRONT, REAR), ports)
     log = tmp_path / "altd.log"

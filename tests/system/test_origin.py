@@ -1,7 +1,7 @@
 """Simulated frames are known as such at the end of every way that data can take.
 
 The ways: a camera or the simulator's own recorders, a recording, its playback, a recording of the playback, a
-scan, a flat or a plate, a calibration, its report, and what is measured, on each face.
+scan, a flat or a plate, a calibration, its report, and what is measured, on each interface.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class TestCalibration:
 
 @contextlib.contextmanager
 def line_to(device_of: Callable[[str], None]) -> Iterator[int]:
-    """The far end of a serial line; ``device_of`` is told the name of the near one."""
+    """The far end of a serial line; ``device_of`` receives the name of the near one."""
     far, near = os.openpty()
     tty.setraw(near)
     device_of(os.ttyname(near))

@@ -137,7 +137,7 @@ async def test_a_beam_that_jumps_during_a_check_makes_no_drift_and_is_checked_af
 
 
 async def test_a_blow_that_moves_all_spots_is_followed_by_a_check(calibration_of_unit_3: Calibration) -> None:
-    """Until then nobody knows what it did to cameras and targets, and each measurement says so."""
+    """Until then its effect on cameras and targets is unknown, and each measurement reports it."""
     async with driven_led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
         await running.measured(valid=True)

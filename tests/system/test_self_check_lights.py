@@ -70,7 +70,7 @@ async def test_a_light_that_blinks_by_itself_is_named_and_spoils_nothing(
 
     async with driven_led_unit(calibration_of_unit_3, config(exposures=8), prepare) as running:
         report = await running.report(1)
-        assert any("came or went by itself" in note for note in report.document["notes"])  # type: ignore[union-attr]
+        assert any("appeared or vanished without the LEDs" in note for note in report.document["notes"])  # type: ignore[union-attr]
         assert report.document["verdict"] == "good"
 
 

@@ -70,7 +70,7 @@ DEFECTS = (
         "max_sigma_mm: Annotated[float, Field(ge=0, le=1000)]",
     ),
     Defect(
-        "the words of a Modbus register stand in the wrong order",
+        "the words of a Modbus register are in the wrong order",
         "altd/publish/modbus/registers.py",
         'return struct.unpack(f">{self.words}H", packed)',
         'return struct.unpack(f">{self.words}H", packed)[::-1]',
@@ -94,7 +94,7 @@ DEFECTS = (
         "        backoff_s *= 1\n",
     ),
     Defect(
-        "frames that nobody took in time are not counted",
+        "frames that were not taken in time are not counted",
         "altd/acquisition/frame_pairs.py",
         "            self.dropped[frame.camera] += 1\n",
         "            self.dropped[frame.camera] += 0\n",

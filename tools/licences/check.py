@@ -16,16 +16,16 @@ _CLASSIFIERS = {
     "MIT License": {"MIT"},
     "Python Software Foundation License": {"PSF-2.0"},
 }
-"""What a classifier can stand for; the first three leave versions or variants open."""
+"""The licences that a classifier can mean; the first three leave versions or variants open."""
 _EXACT = ("MIT License",)
 
 
 def licence_of(package: Package) -> str | None:
-    """The SPDX expression of a package; None when what it says is no expression, or not of one mind.
+    """The SPDX expression of a package; None when its metadata hold no expression, or contradict each other.
 
     It comes from the metadata: the expression, else the field when that is one, else a classifier that has
-    but one meaning. Where classifiers stand beside it, each must fit. For a package in ``STATED`` that is the
-    answer, as long as its metadata say what they said.
+    only one meaning. Where there are classifiers too, each must fit. For a package in ``STATED`` that is the
+    answer, as long as its metadata are unchanged.
     """
     if package.name in STATED:
         stated = STATED[package.name]
@@ -76,13 +76,13 @@ def _bundled_faults(package: Package) -> Iterator[str]:
             yield f"{package.name} brings {part.name} along, {part.licence}: nothing says why that goes"
     for library in package.libraries:
         if not any(fnmatch(library, pattern) for part in parts for pattern in part.files):
-            yield f"{package.name} {package.version} brings {library} along, whose licence nobody has read"
+            yield f"{package.name} {package.version} brings {library} along, whose licence was not checked"
     known = {part.component: part.licence for part in parts if part.component}
     for component in package.components:
         yield from _component_faults(package, component, known)
     for kind in sorted(package.texts):
         if (package.name, kind) not in TEXTS:
-            yield f"{package.name} {package.version} has a whole licence text, {kind}, whose nobody knows"
+            yield f"{package.name} {package.version} has a whole licence text, {kind}, of an unknown part"
 
 
 def _component_faults(package: Package, component: Component, known: dict[str, str]) -> Iterator[str]:

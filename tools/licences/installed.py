@@ -1,4 +1,4 @@
-"""The packages that altd runs on: which those are, and what they say of themselves in their metadata."""
+"""The packages that altd runs on, and their metadata."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class NotAsLockedError(Exception):
 
 
 def run_time_packages(project: Path) -> list[Package]:
-    """All that altd needs to run, with every extra that a unit may have, by name; altd stands for itself.
+    """All that altd needs to run, with every extra that a unit may have, by name; ``needed_by`` may be altd.
 
     Raises NotAsLockedError when one is missing, or there in another version than the project's lock has.
     """

@@ -25,7 +25,7 @@ def is_accepted(expression: str, accepted: Container[str]) -> bool:
 
 
 def is_own_text(expression: str) -> bool:
-    """Whether it stands for a text that SPDX has no name for."""
+    """Whether it means a text that SPDX has no name for."""
     return expression.startswith("LicenseRef-")
 
 

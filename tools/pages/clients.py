@@ -107,16 +107,9 @@ The function block `ALTD_TARGET` takes the registers that the PLC's Modbus maste
 ```
 {block}```
 
-Without a PLC, [matiec](https://github.com/beremiz/matiec) makes C99 of the file (it needs autoconf,
-automake, bison, flex and a C++ compiler):
-
-    $ git clone https://github.com/beremiz/matiec
-    $ (cd matiec && autoreconf -i && ./configure && make)
-    $ mkdir plc && matiec/iec2c -I matiec/lib -T plc altd_target.st
-    $ cc -std=c99 -w -I matiec/lib/C -I plc -include POUS.h -c plc/POUS.c -o plc/POUS.o
-
-Call `GUIDANCE_init__` once and `GUIDANCE_body__` in each cycle; the inputs and outputs are members of the
-structure `GUIDANCE` (`g.REGISTERS.value.table[0]`, `g.DRIVE.value`). Define the clock `TIME __CURRENT_TIME`.
+Without a PLC, [matiec](https://github.com/beremiz/matiec) makes C99 of the file
+(`iec2c -I matiec/lib -T plc altd_target.st`). The program that you compile it with calls `GUIDANCE_init__`
+once, `GUIDANCE_body__` in each cycle, and defines the clock `TIME __CURRENT_TIME`.
 The tests run the file with an interpreter of their own, not with matiec.
 
 ## Node-RED

@@ -46,7 +46,7 @@ NAMEPLATE = Nameplate(unit=STAMP.identity.unit, serial=SERIAL, firmware="0.1.0",
 
 
 class _Standing:
-    """A clock that stands ``AGE_S`` after the measurement."""
+    """A clock that always reads ``AGE_S`` after the measurement."""
 
     def monotonic_ns(self) -> int:
         return MEASURED.t_ns + round(AGE_S * 1e9)

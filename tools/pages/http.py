@@ -85,14 +85,9 @@ with `rates` when fewer than four exposures are averaged.
 
 ### Age and limits
 
-A value is the mean of `window` exposures, 20 by default, that is of one second at 20 frames/s. It is
-therefore about 0.5 s old when it is new. New values come 20 times a second.
-
-| quantity | value |
-|---|---|
-| normal `age_s` | 0.5 to 0.6 |
-| recommended limit of `age_s` | 1.0; below 0.6 most values are refused |
-| time without an event or a comment after which a stream is lost | 3 s |
+A value is the mean of one second, so its normal `age_s` is 0.5 to 0.6; use it up to 1.0
+([specification](specification.md#latency-and-age)). New values come 20 times a second. A stream without an
+event or a comment for 3 s is lost.
 
 To steer a machine by HTTP, follow the rules of [Integrate a controller](integrate.md#rules).
 

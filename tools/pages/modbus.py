@@ -123,7 +123,7 @@ This page defines the registers, inputs and commands that a controller reads and
 ## Connect
 
 | | Modbus TCP | Modbus RTU (RS232, RS485) |
-| --- | --- | --- |
+|---|---|---|
 | in `altd.toml` | `[modbus_tcp]` | `[[serial]]` with `speaks = "modbus_rtu"` |
 | default | port {tcp.port_or_default}, with [TLS](#tls) 802 | \
 {baud} baud, 8 data bits, parity {parity}, {stop_bits} stop bit |
@@ -174,14 +174,11 @@ from address 0 are everything, the first {float_end} are header and floating poi
 
 ### Age and limits
 
-A value is the mean of the last `window` frames of `[measuring]`, 20 by default: one second at 20 frames/s.
-It describes the middle of that second and is therefore about 0.5 s old when it is new. A new measurement
-comes with every frame, every 50 ms.
+A value is the mean of one second, so its normal `age` is 500 to 600 ms; use it up to 1000 ms
+([specification](specification.md#latency-and-age)). A new measurement comes every 50 ms.
 
 | quantity | value |
-| --- | --- |
-| normal `age` | 500 to 600 ms |
-| recommended limit of `age` | 1000 ms; below 600 ms most values are refused |
+|---|---|
 | interval of requests | 50 ms or more |
 | time-out of an answer | TCP: 50 ms; RTU: twice the time on the wire, below |
 
@@ -246,7 +243,7 @@ Exactly one of 1 to 4 is set unless the state is good.
 Read codes 1 to 3 (stream) and 4 (one object):
 
 | object | holds |
-| --- | --- |
+|---|---|
 | 0, 1, 2, 4 | vendor, product code, version, product name |
 | 0x{SERIAL:02X} | the unit's serial number |
 | 0x{CALIBRATION_DATE:02X} | date of the calibration, `2026-11-02` |
@@ -343,7 +340,7 @@ address) instead of the role.
 ## Exceptions
 
 | code | when |
-| --- | --- |
+|---|---|
 | 1 | a function that is not on this page, or a write that this client may not make |
 | 2 | a read beyond its block, or an input that does not exist |
 | 3 | no register, more than 125, a malformed request, or a command's wrong value |
@@ -475,8 +472,9 @@ def _indented(lines: Iterable[str]) -> str:
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     titles = list(head)
-    lines = [titles, ["---"] * len(titles), *([str(cell) for cell in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    lines = ["| " + " | ".join(map(str, line)) + " |" for line in (titles, *rows)]
+    lines.insert(1, "|" + "---|" * len(titles))
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -94,9 +94,9 @@ telegram that does not fit on the line in time as a whole.
 
 ## Latency and time-outs
 
-A value is the mean of one second (`window`, 20 exposures at 20 frames/s), and therefore about 0.5 s old when
-it is new. The unit measures 20 times a second and sends the newest value: `age_ms` of `$PALTC`, taken at the
-first character, is normally 500 to 600. The time of the telegram on the line is added (table above). With
+A value is the mean of one second, so its normal `age_ms` is 500 to 600; use it up to 1000
+([specification](specification.md#latency-and-age)). `age_ms` of `$PALTC` is taken at the first character;
+the time of the telegram on the line is added (table above). With
 `[measuring] output = "now"` a new value has an age near 0 ([accuracy](accuracy.md#output-without-lag)).
 
 | limit | recommended |

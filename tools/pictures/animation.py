@@ -16,7 +16,7 @@ _INK, _DIM, _GROUND = "#d6dde6", "#8b949e", "#161b22"
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """A screen, and how long it stands."""
+    """A screen, and how long it is shown."""
 
     screen: Screen
     seconds: float
@@ -55,7 +55,7 @@ def animated_svg(stills: Sequence[Still], columns: int, rows: int, title: str) -
 
 
 def _intervals(stills: Sequence[Still], row: int) -> list[tuple[tuple[Run, ...], float, float]]:
-    """What stands in a row, and from when to when, s."""
+    """The text of a row, and from when to when it is shown, s."""
     intervals: list[tuple[tuple[Run, ...], float, float]] = []
     at_s = 0.0
     for still in stills:

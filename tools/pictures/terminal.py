@@ -42,7 +42,7 @@ class Terminal:
         self._tmux("resize-window", "-x", str(columns), "-y", str(rows))
 
     def text(self) -> str:
-        """What stands on the screen now."""
+        """The text on the screen now."""
         return self._tmux("capture-pane", "-p")
 
     def screen(self) -> Screen:

@@ -1,1 +1,1 @@
-"""What exposure and gain a camera should have next, and how it gets them."""
+"""The next exposure and gain of a camera, and how they are applied."""

@@ -21,10 +21,10 @@ from altd.ports import Camera, CameraRefusedError, ExposureRange
 from altd.records import Frame, NoSpot, Spot
 
 MAX_MARKED_FRAMES = 4
-"""So many frames after a change belong to nobody, unless they tell: what waits in a driver's buffers or is
-just being exposed is one or two of them."""
+"""So many frames after a change have an unknown exposure, unless they carry it: one or two wait in a driver's
+buffers or are just being exposed."""
 _EXPOSURE_TIME_TOLERANCE = 0.05
-"""Relative, of an exposure time that a frame tells."""
+"""Relative, of an exposure time that a frame carries."""
 _GAIN_TOLERANCE_DB = 0.5
 
 
@@ -37,14 +37,14 @@ class Applied:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """The camera did not take a setting; it goes on with what it had. ``complaint`` says why."""
+    """The camera did not take a setting and keeps the previous one. ``complaint`` says why."""
 
     complaint: str
 
 
 @dataclass(frozen=True, slots=True)
 class ExposureFigures:
-    """What health shows of a camera's exposure, of the last frame that tells; None: that is not known."""
+    """A camera's exposure in health, of the last frame that carries it; None: that is not known."""
 
     exposure_control: str
     level: float
@@ -55,7 +55,7 @@ class ExposureFigures:
 
 @dataclass(frozen=True, slots=True)
 class _Ability:
-    """What the camera that is open lets itself be set to: nothing without ``limits`` or when it refuses."""
+    """The possible settings of the open camera: none without ``limits`` or when it refuses."""
 
     limits: ExposureRange | None = None
     refuses: bool = False
@@ -92,7 +92,7 @@ class ExposureControl:
             return
         ability = self._ability
         brightness = sample_brightness(frame, found)
-        # without an exposure the frame comes of a camera that tells nonsense, or nothing and was never set
+        # without an exposure time the camera reports nonsense, or reports nothing and was never set
         exposed = frame.exposure_ms is not None and frame.exposure_ms > 0
         if (
             self._settings.control == "auto"

@@ -57,12 +57,12 @@ class Setting:
 
     @property
     def light(self) -> float:
-        """What the grey values go with: the exposure that without gain would do the same, ms."""
+        """The quantity that grey values follow: the equivalent exposure time without gain, ms."""
         return self.exposure_ms * _factor(self.gain_db)
 
 
 class Content(Enum):
-    """What a frame holds, as far as that decides on its exposure."""
+    """The contents of a frame that decide on its exposure."""
 
     SPOT = auto()
     OVEREXPOSED = auto()
@@ -148,7 +148,7 @@ class ExposureRule:
         self._count = 0
 
     def next(self, sample: BrightnessSample, present: Setting) -> Setting | None:
-        """What to set now that a frame exposed with ``present`` shows ``sample``; None: leave it."""
+        """The next setting after a frame exposed with ``present`` that shows ``sample``; None: no change."""
         demand = self._demand(sample, present.light)
         if demand is None:
             self._count = 0

@@ -15,9 +15,9 @@ _MIN_READINGS = 4
 _MAX_READINGS = 10
 """What noise is estimated from: the last two seconds."""
 _MIN_SAME = 3
-"""Readings like the one before them; fewer say nothing, whatever time lies between."""
+"""Readings equal to the one before; fewer show nothing, whatever time is between them."""
 _MAX_STILL_S = 60.0
-"""So long the angle alone may stand on one digit while the rest moves: its axis may have died alone."""
+"""The angle alone may stay on one digit for so long while the rest moves: its axis may have died alone."""
 _POSSIBLE_C = (-40.0, 85.0)
 """Temperatures at which such sensors work; the unit is for -10 to +60 °C."""
 

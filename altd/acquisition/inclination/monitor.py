@@ -1,7 +1,7 @@
-"""The inclinometer's task: reads it for ever, and adds its newest roll to each measurement.
+"""The inclinometer's task: reads it indefinitely, and adds its newest roll to each measurement.
 
-What the sensor does ends nothing else: its calls block in a thread of their own, and a measurement gets what
-was read last, without waiting.
+A failing sensor ends nothing else: its calls block in a thread of their own, and a measurement gets the last
+reading without waiting.
 
 The beam's pitch in the unit and the unit's pitch against gravity add up to the beam's own inclination, which
 stays while the machine moves. ``PitchDivergence`` compares it with what it was: refraction, or a laser that
@@ -32,7 +32,7 @@ from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
 
 MEAN_S = 600.0
-"""The time over which the reference and the inclination of now are averaged: shorter is vibration."""
+"""The time over which the reference and the current inclination are averaged: shorter is vibration."""
 MAX_GAP_S = 600.0
 """A beam that was away for longer may be another one, of a laser that was set up again: a new reference."""
 INTERVAL_S = 1.0
@@ -64,7 +64,7 @@ class PitchDivergence:
             self._now_deg += (1.0 - math.exp(-since_s / MEAN_S)) * (inclination_deg - self._now_deg)
 
     def divergence_deg(self, now_ns: int) -> float | None:
-        """The inclination of now minus the reference; None: not known yet, or not of now."""
+        """The current inclination minus the reference; None: not known yet, or too old."""
         if self._last_ns is None or (self._last_ns - self._begin_ns) * 1e-9 < MEAN_S:
             return None
         if (now_ns - self._last_ns) * 1e-9 > MAX_GAP_S:
@@ -83,7 +83,7 @@ _OPEN_TIMEOUT_S = 10.0
 """A USB adapter is asked for everything over its bus."""
 _CLOSE_TIMEOUT_S = 1.0
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 1.0
-"""Somebody who plugs a cable in stands beside it and waits."""
+"""A person who plugs a cable in waits for the result."""
 _MAX_FAILURES = 3
 """In a row; then the port is opened again."""
 

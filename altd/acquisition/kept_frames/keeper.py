@@ -1,4 +1,4 @@
-"""Writes the frames of the last seconds as a recording: after a fault, or when somebody asks."""
+"""Writes the frames of the last seconds as a recording: after a fault, or on request."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Result = TypeVar("Result")
 
 _LOOK_INTERVAL_S = 0.25
 _GRAVE = (Signal.FAILURE, Signal.OUT_OF_SPECIFICATION)
-"""What is done on purpose, as a self-check, is no fault; nor is what only asks for maintenance."""
+"""An intended state, such as a self-check, is no fault; nor is required maintenance alone."""
 _MAX_PAUSE_S = 0.1
 _DISK_TIMEOUT_S = 120.0
 """A recording is written at half a core's pace: seconds."""
@@ -89,7 +89,7 @@ class FrameKeeper:
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """What there is, the newest first."""
+        """The kept recordings, the newest first."""
         return self._recordings
 
     async def run(self) -> None:
@@ -210,14 +210,14 @@ class FrameKeeper:
                     raise NotKeptError("the daemon ends")
                 began_s = time.monotonic()
                 writer.write(pair)
-                # half of one core at most: the frames of now come first
+                # half of one core at most: current frames have priority
                 self._stop.wait(min(time.monotonic() - began_s, _MAX_PAUSE_S))
         finally:
             writer.close()
         return Written(writer.exposures, writer.length_s)
 
     def _pairs(self, frames: deque[Frame]) -> Iterator[Pair[Frame]]:
-        """The exposures; a frame is let go once it was given. Those of a change of exposure are left out."""
+        """The exposures; a frame is released once yielded. Those of a change of exposure are left out."""
         measuring = self._source.measuring
         pairer: Pairer[Frame] = Pairer(
             tuple(self._source.cameras), measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
@@ -240,7 +240,7 @@ class FrameKeeper:
             raise NotKeptError(f"the disk does not answer within {_DISK_TIMEOUT_S:g} s") from None
         except OSError as error:
             raise NotKeptError(error.strerror or str(error)) from error
-        except Exception as error:  # whatever is wrong with it, the next fault is to be recorded
+        except Exception as error:  # despite any defect, the next fault must be recorded
             log.exception("kept frames: a defect")
             raise NotKeptError(f"a defect: {type(error).__name__}: {error}") from error
 
@@ -253,7 +253,7 @@ class FrameKeeper:
 
 
 async def _beside(call: Callable[[], Result]) -> Result:
-    """What the disk says while a recording may be written; raises NotKeptError, also for a disk that hangs.
+    """The disk's answer while a recording may be written; raises NotKeptError, also for a disk that hangs.
 
     In a thread that ends with it: one that hangs holds neither the loop nor the end of the process.
     """

@@ -38,7 +38,7 @@ class FrameRing:
 
     @property
     def nbytes(self) -> int:
-        """What the kept pixels take."""
+        """The memory of the kept pixels."""
         return self._bytes
 
     def keep(self, frame: Frame) -> None:

@@ -45,7 +45,7 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What a recording holds, once it is written."""
+    """The length of a recording, once it is written."""
 
     exposures: int
     seconds: float
@@ -54,12 +54,13 @@ class Written:
 class RecordingStore:
     """The recordings in ``folder``, which may take ``max_bytes`` together. Its calls block.
 
-    A recording is written beside the others and gets its name when it is whole; until then who writes it
-    holds the lock of its folder (flock(2)), which ends with the process. Each has a number, by which the
-    oldest is told: a clock that nobody set names the newest by a day of long ago.
+    A recording is written beside the others and gets its name when it is complete; until then its writer
+    holds the lock of its folder (flock(2)), which ends with the process. Each has a number, which identifies
+    the oldest: with a clock that is not set, the name of the newest holds a day of long ago.
 
-    What lies there is not trusted. A recording is a folder with a ``kept.json``; one that cannot be believed
-    costs what it says, not the recording. What a recording takes is counted, and no link is followed.
+    The contents of the folder are not trusted. A recording is a folder with a ``kept.json``; if that file is
+    not plausible, its contents are ignored and the recording is kept. The bytes of a recording are counted,
+    and no link is followed.
     """
 
     def __init__(self, folder: Path, max_bytes: int) -> None:
@@ -76,12 +77,12 @@ class RecordingStore:
             raise self._refused(error) from error
 
     def recordings(self) -> tuple[KeptRecording, ...]:
-        """What there is, the newest first; what altd did not put there is passed over."""
+        """The kept recordings, the newest first; files that altd did not write are skipped."""
         newest_first = sorted(self._numbered(), key=lambda each: (each[0], each[1].name), reverse=True)
         return tuple(kept for _, kept in newest_first)
 
     def folder_of(self, name: str) -> Path:
-        """Where a recording lies; raises NotKeptError when there is none of that name."""
+        """The folder of a recording; raises NotKeptError when there is none of that name."""
         path = self._folder / name
         if not _NAME.fullmatch(name) or path.is_symlink() or not os.path.lexists(path / _ABOUT_FILE):
             raise NotKeptError("there is no such recording")
@@ -122,7 +123,7 @@ class RecordingStore:
     ) -> KeptRecording:
         """Have a recording of up to ``max_bytes`` written, after room was made for it.
 
-        Raises NotKeptError where there is no room or the disk refuses, and then there is nothing of it.
+        Raises NotKeptError where there is no room or the disk refuses, and then nothing of it remains.
         """
         under_way = self._under_way()
         try:
@@ -153,7 +154,7 @@ class RecordingStore:
         return kept
 
     def _remove_unfinished(self) -> None:
-        """Remove what nobody writes any more; another daemon may be writing here."""
+        """Remove unfinished recordings without a writer; another daemon may be writing here."""
         for left in self._folder.glob(f"{_UNDER_WAY}*"):
             with suppress(OSError), _locked(left):
                 shutil.rmtree(left, ignore_errors=True)
@@ -191,7 +192,7 @@ class RecordingStore:
         raise NotKeptError(f"there are {_MAX_SAME_NAME} recordings of the name {base}")
 
     def _numbered(self) -> list[tuple[int, KeptRecording]]:
-        """What there is, each with its number."""
+        """The kept recordings, each with its number."""
         found = (self._read(path.name) for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
         return [each for each in found if each is not None]
 
@@ -276,7 +277,7 @@ def _write_about(path: Path, number: int, kept: KeptRecording) -> None:
 
 
 def _bytes_of(folder: Path) -> int:
-    """What a folder takes on the disk, in whole blocks: some file systems count them only later."""
+    """The size of a folder on the disk, in whole blocks: some file systems count them only later."""
     sizes = (entry.stat(follow_symlinks=False).st_size for entry in _entries(folder))
     return sum(_BLOCK_BYTES * -(-size // _BLOCK_BYTES) for size in sizes)
 

@@ -29,7 +29,7 @@ _HEARTBEAT_S = MAX_BACKOFF_S + 5 * CALL_TIMEOUT_S
 
 
 class Openable(Protocol):
-    """What lamps of all kinds have."""
+    """The methods that lamps of all kinds have."""
 
     def open(self) -> None:
         """Open them, dark; raises LampsError."""
@@ -41,8 +41,8 @@ class Openable(Protocol):
 class LampController(Generic[Setpoint]):
     """Controls one driver's lamps. ``show`` applies a setpoint; ``dark`` is the one that they open with.
 
-    Whatever the driver does, it ends nothing else: a failure is reported in health, the lamps are closed and
-    opened again, more and more rarely, for ever. After a failure the setpoint is ``dark`` again.
+    A failing driver ends nothing else: the failure is reported in health, and the lamps are closed and opened
+    again, at growing intervals, indefinitely. After a failure the setpoint is ``dark`` again.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class LampController(Generic[Setpoint]):
     async def apply(self, setpoint: Setpoint) -> None:
         """Change the setpoint; returns once it is applied, raises LampsError when it cannot be.
 
-        Who waits when the lamps are given up because the daemon ends is cancelled: no lamp has failed.
+        When the daemon ends and gives up the lamps, waiting calls are cancelled: no lamp has failed.
         """
         if complaint := self.complaint:
             raise LampsError(complaint)
@@ -188,5 +188,5 @@ class FrameLamps:
 
     @property
     def complaint(self) -> str:
-        """Why they are not at hand; empty: they are."""
+        """Why they are not available; empty: they are."""
         return self._controller.complaint

@@ -1,4 +1,4 @@
-"""What the lamps on the housing show to the technician beside the unit (App. A.1.4)."""
+"""The lamps on the housing, for the technician beside the unit (App. A.1.4)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Validity(Enum):
 
 
 class Light(Enum):
-    """What one lamp does."""
+    """The state of one lamp."""
 
     DARK = auto()
     BLINKS = auto()
@@ -64,7 +64,7 @@ def validity_of(measurement: Measurement | None, running_s: float) -> Validity:
 
 
 def error_light(validity: Validity, needs_attention: bool) -> Light:
-    """What Error does, when something beside the measurement wants somebody and when nothing does."""
+    """What Error shows; ``needs_attention``: something other than the measurement needs a person."""
     if validity is Validity.INVALID:
         return Light.STEADY
     return Light.BLINKS if needs_attention else Light.DARK

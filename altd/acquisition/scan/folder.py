@@ -1,8 +1,8 @@
-"""The folder of a scan that is not finished: what is in it is whole, and it says what is done.
+"""The folder of an unfinished scan: its contents are complete, and list what is done.
 
-It is called DIR.unfinished, and becomes DIR at the end: nobody takes half a scan for a whole one. After each
-node ``scan.json`` is replaced; it says how much of the table counts. What an interruption left behind that is
-cut off when the scan is resumed.
+It is called DIR.unfinished, and becomes DIR at the end, so half a scan cannot be mistaken for a whole one.
+After each node ``scan.json`` is replaced; it says how much of the table counts. Data behind that, left by an
+interruption, is cut off when the scan is resumed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ SpotPx = tuple[float, float]
 
 
 class DoneNode(BaseModel):
-    """A node whose frames are kept: where the stage stood, and the mean spot per camera, px."""
+    """A node whose frames are kept: the position of the stage, and the mean spot per camera, px."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -154,7 +154,7 @@ class ScanFolder:
         self.path.replace(self._output)
 
     def close(self) -> None:
-        """Let go; harmless when done twice."""
+        """Release it; harmless when done twice."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None

@@ -31,7 +31,7 @@ same stage, laser and cameras."""
 
 
 class ScanStoppedError(Exception):
-    """The scan cannot go on; what was done is kept, and the sentence says where it stopped and why."""
+    """The scan cannot continue; what was done is kept, and the sentence says where it stopped and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class ScanResult:
 
 
 class ProgressReporter(Protocol):
-    """Who is told how the scan does."""
+    """Receives the progress of the scan."""
 
     def say(self, line: str) -> None:
         """Something that a person wants to know even afterwards."""
@@ -87,7 +87,7 @@ class Scanner:
         self._doing = "getting ready"
 
     async def run(self) -> ScanResult:
-        """Scan to the end, or go on with a scan that was interrupted.
+        """Scan to the end, or resume a scan that was interrupted.
 
         Cancellation stops the stage; what was kept until then stays. Raises ScanStoppedError, BadInputError
         for a stage that is not there, and a camera driver's own failure.
@@ -123,7 +123,7 @@ class Scanner:
 
     @asynccontextmanager
     async def _ready_stage(self) -> AsyncIterator[None]:
-        """The cameras deliver, then the stage is made ready; at the end it is let go."""
+        """Wait for the cameras, then make the stage ready; at the end it is released."""
         self._tell("waiting for the cameras")
         await self._frame_sets.after(self._clock.monotonic_ns(), 1)
         try:
@@ -137,7 +137,7 @@ class Scanner:
 
     @asynccontextmanager
     async def _ready_lamps(self) -> AsyncIterator[None]:
-        """The lamps are ours, and dark; at the end they are let go, dark."""
+        """Take control of the lamps, dark; at the end they are released, dark."""
         if self._leds is None:
             yield
             return
@@ -202,7 +202,7 @@ class Scanner:
         self._folder.commit()
 
     async def _self_check(self, known: KnownUnit | str, pairs: Sequence[Pair[Frame]]) -> None:
-        """Say whether the cameras stand as they were calibrated before; raise ScanStoppedError where not."""
+        """Report whether the cameras are where they were calibrated; raise ScanStoppedError if not."""
         if isinstance(known, str):
             self._progress.say(f"no self-check: {known}")
             return
@@ -211,7 +211,7 @@ class Scanner:
         if check.verdict is Verdict.BAD and self._config.when_bad == "stop":
             raise ScanStoppedError(
                 f"the self-check is {judged.sentence}. Put right what has moved; to calibrate the unit as it "
-                'stands now, set [scan] when_bad = "warning"'
+                'is now, set [scan] when_bad = "warning"'
             )
         self._progress.say(f"self-check: {judged.sentence}")
         self._folder.state.self_check = SelfCheckHeader(
@@ -258,14 +258,14 @@ class Scanner:
         self._progress.progress(len(self._folder.state.nodes), len(self._nodes), doing)
 
     async def _in_thread(self, call: Callable[..., Result], *arguments: object) -> Result:
-        """A blocking call; cancellation stops the stage and waits until it stands."""
+        """A blocking call; cancellation stops the stage and waits until it is at rest."""
         work = asyncio.ensure_future(asyncio.to_thread(call, *arguments))
         try:
             return await asyncio.shield(work)
         except asyncio.CancelledError:
             self._stage.stop()
             await asyncio.wait({work})
-            work.exception()  # it was told to fail
+            work.exception()  # the stop made it fail
             raise
 
 

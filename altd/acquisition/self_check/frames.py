@@ -15,13 +15,13 @@ from altd.records import Frame
 MARGIN_NS = 10_000_000
 """The times of frames and of switching lie on one clock, but a camera's own is known to milliseconds only."""
 DARK_AFTER_FAILURE_NS = 1_000_000_000
-"""LEDs that do not do as they are told are let go, which darkens them, within this time. From then on
-exposures are measured again: should the LEDs still shine, the locator sees them."""
+"""Lines of unresponsive LEDs are released, which darkens them, within this time. From then on exposures are
+measured again: should the LEDs still shine, the locator sees them."""
 _REMEMBERED = 8
 
 
 class Light(Enum):
-    """What the frame LEDs did during an exposure."""
+    """The state of the frame LEDs during an exposure."""
 
     OFF = auto()
     ON = auto()
@@ -75,7 +75,7 @@ class LedLog:
         self._end(False, self._clock.monotonic_ns() + DARK_AFTER_FAILURE_NS)
 
     def of(self, frame: Frame) -> Light:
-        """What the LEDs did while a frame was exposed."""
+        """The state of the LEDs while a frame was exposed."""
         half_ns = self._half_ns(frame) + MARGIN_NS
         begin_ns, end_ns = frame.t_ns - half_ns, frame.t_ns + half_ns
         light = Light.OFF
@@ -143,7 +143,7 @@ class MarkedFrames:
         return frame
 
     async def take(self, light: Light, count: int, after_ns: int) -> Taken:
-        """The next ``count`` frames of each camera that began after ``after_ns``; waits for ever.
+        """The next ``count`` frames of each camera that began after ``after_ns``; waits without limit.
 
         Frames that were exposed while the camera was being set are passed over.
         """

@@ -1,4 +1,4 @@
-"""What the last checks make of a measurement."""
+"""The effect of the last checks on a measurement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from altd.status.health import State
 
 MAX_UNCONFIRMED_INTERVALS = 3
 """For so many intervals of the schedule a correction is trusted after the check that it comes from. By then
-some nine checks ended without a verdict: nobody knows what the drift is now."""
+some nine checks ended without a verdict: the current drift is unknown."""
 _AFTER_SHOCK = "the spots of all targets have jumped, and the check after it has not ended"
 _BEFORE_START = "the last check before this start found it bad, and none since says otherwise"
 
@@ -62,7 +62,7 @@ class GeometryState:
 
     @property
     def correct(self) -> Callable[[MeanSpots], MeanSpots] | None:
-        """What takes the drift out of mean spots; None: nothing is to be."""
+        """The correction of the mean spots for the drift; None: no correction."""
         if self._compensation is None:
             return None
         return partial(compensated, compensation=self._compensation)
@@ -81,7 +81,7 @@ class GeometryState:
         self._of_known = self._faults(check)
 
     def note_shock(self) -> None:
-        """The unit may have been struck: until a check has ended nobody knows what that moved."""
+        """The unit may have been struck: until a check has ended, what that moved is unknown."""
         if self._settings.enabled:
             self._of_unknown = (self._fault_of_unknown(_AFTER_SHOCK),)
 
@@ -120,7 +120,7 @@ class GeometryState:
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What every measurement has to say now, worst first."""
+        """The faults of every measurement now, worst first."""
         return self._pending or (*self._of_known, *self._of_unknown)
 
     @property
@@ -141,7 +141,7 @@ class GeometryState:
         return replace(measurement, status=(*measurement.status, *faults))
 
     def _changes_nothing(self, check: SelfCheck) -> bool:
-        """Whether what was known before stands; a correction, too, where a check saw but a part of it."""
+        """Whether earlier knowledge stays in force; also a correction of which a check saw only a part."""
         in_part = check.verdict is Verdict.SUSPECT and not check.is_whole
         return check.verdict is Verdict.UNKNOWN or (in_part and self._compensation is not None)
 

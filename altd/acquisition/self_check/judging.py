@@ -50,7 +50,7 @@ def limits_of(settings: SelfCheckSettings) -> Limits:
 class CheckJudge:
     """Judges the frames of ``views``' cameras; holds nothing between two checks.
 
-    What a drift makes of a measurement is told with the signs of its installation.
+    The effect of a drift on a measurement is given with the signs of its installation.
     """
 
     def __init__(
@@ -62,9 +62,9 @@ class CheckJudge:
         self._installation = installation
 
     def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> Judged:
-        """The verdict; ``at`` is where the spots stand by target, ``previous`` the one before.
+        """The verdict; ``at`` is the place of the spot by target, ``previous`` the verdict before.
 
-        A target whose frames are spoilt is not looked at; what the others show counts.
+        A target with disturbed frames is skipped; the other targets count.
         """
         notes: list[str] = []
         spoilt: list[str] = []

@@ -48,7 +48,7 @@ class HistoryFile:
     calibration: Calibration
 
     def load(self) -> History:
-        """What it holds; nothing where it is not there yet or belongs to another calibration.
+        """Its contents; nothing where it does not exist yet or belongs to another calibration.
 
         Raises BadInputError.
         """
@@ -77,7 +77,7 @@ class HistoryFile:
 
 
 def _references_of(calibration: Calibration) -> str:
-    """What the checks are held against: which calibration, and where it saw the LEDs."""
+    """The reference of the checks: which calibration, and where it saw the LEDs."""
     return checksum_of(
         {
             "serial": calibration.unit_serial,
@@ -89,7 +89,7 @@ def _references_of(calibration: Calibration) -> str:
 
 
 class CheckMemory:
-    """What one daemon remembers of its checks. The disk is waited for in a thread of its own."""
+    """One daemon's memory of its checks. A thread of its own waits for the disk."""
 
     def __init__(self, calibration: Calibration, clock: Clock) -> None:
         self._calibration = calibration
@@ -133,7 +133,7 @@ class CheckMemory:
 
     @property
     def slow_drift(self) -> str:
-        """What all checks together show, in words; empty: nothing."""
+        """The findings of all checks together, in words; empty: none."""
         return "; ".join(
             f"{drift.target} drifts by {drift.px_per_day:.3f} px a day, "
             f"{drift.shift_px[0]:+.2f} {drift.shift_px[1]:+.2f} px so far"
@@ -141,9 +141,9 @@ class CheckMemory:
         )
 
     async def save(self) -> None:
-        """Write the history when that is due; a disk that refuses is told, and tried at the next check.
+        """Write the history when that is due; a failed write is reported, and repeated at the next check.
 
-        A verdict that became bad, or is so no more, is written at once.
+        A verdict that became bad, or is no longer bad, is written at once.
         """
         kept, now_ns, was_bad = self._kept, self._clock.monotonic_ns(), self._history.was_bad
         if kept is None or not self._is_loaded:
@@ -181,7 +181,7 @@ class _Kept:
         component.set_state(State.OK, "no check yet")
 
     async def load(self) -> History | None:
-        """What the file holds, nothing where it cannot be used; None: the disk does not answer."""
+        """The contents of the file, nothing where it cannot be used; None: the disk does not answer."""
         try:
             return await self._on_disk(self._file.load)
         except BadInputError as error:

@@ -8,13 +8,13 @@ from enum import StrEnum
 from altd.ports import Clock
 
 REST_S = 5.0
-"""Between two checks, whoever asks for them how often: each takes exposures from the measurement."""
+"""Between two checks, however often they are requested: each takes exposures from the measurement."""
 FIRST_REPEAT_S = 10.0
-"""A check that did not end well is made again after this long, then more and more rarely."""
+"""A check that is not good is repeated after this long, then at growing intervals."""
 
 
 class Cause(StrEnum):
-    """What a check was made for."""
+    """The cause of a check."""
 
     START = "start"
     SCHEDULE = "schedule"
@@ -45,7 +45,7 @@ class Schedule:
             return
         if self._asked is None or (cause is Cause.REQUEST and self._asked is not cause):
             self._asked = cause
-            self._changed.set()  # once: a flood of requests wakes nobody
+            self._changed.set()  # once: a flood of requests wakes no task
 
     def ended(self, is_good: bool) -> None:
         """A check has ended now; one that is not good is repeated."""

@@ -1,4 +1,4 @@
-"""The self-check of a running daemon: one after the other, for ever, and what the pipeline asks of it."""
+"""The self-check of a running daemon: check after check, indefinitely, and the calls of the pipeline."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Occasion:
 
 
 def report_of(occasion: Occasion, judged: Judged) -> SelfCheckReport:
-    """What a check said."""
+    """The result of a check."""
     check = judged.check
     return SelfCheckReport(
         occasion.number,
@@ -67,7 +67,7 @@ _LAMPS_ASKED_EVERY_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class CheckParts:
-    """What a check is made with."""
+    """The parts that a check needs."""
 
     leds: LedLog
     schedule: Schedule
@@ -101,7 +101,7 @@ class SelfChecks:
         self._targets = targets
         self._at: dict[str, SpotPx] = {}
         self._is_valid = False
-        """What was passed on last was valid."""
+        """The last measurement was valid."""
         self._has_jumped = False
         """There was a shock since the last check began."""
         self._logged = ""
@@ -112,7 +112,7 @@ class SelfChecks:
         self._memory.keep_in(path, component)
 
     def look(self, located: Located) -> None:
-        """A frame was located: where the spot stands, and whether all have jumped."""
+        """A frame was located: note the place of the spot, and whether all spots have jumped."""
         target = self._targets[located.camera]
         if isinstance(located.spot, Spot):
             self._at[target] = (located.spot.u_px, located.spot.v_px)
@@ -163,7 +163,7 @@ class SelfChecks:
             lost = _marked(frames) - lost_before
             occasion = Occasion(number, cause, self._clock.utc(self._clock.monotonic_ns()), lost)
             if self._geometry.awaits_first and not has_begun:
-                self._answer(occasion, judged)  # whoever asked; the first check is still to come
+                self._answer(occasion, judged)  # whatever the cause; the first check is still to come
                 continue
             await self._memory.add(judged.check, occasion.time)
             self._settle(occasion, judged)
@@ -171,7 +171,7 @@ class SelfChecks:
             await self._recall()
 
     async def _recall(self) -> None:
-        """What was bad before this start stays bad until a check has a verdict."""
+        """A bad verdict from before this start stays bad until a check has a verdict."""
         if self._geometry.verdict is None and await self._memory.was_bad():
             self._geometry.recall_bad()
             if not self._geometry.awaits_first:
@@ -188,7 +188,7 @@ class SelfChecks:
         frames = await exposer.expose()
         try:
             return await call_in_thread(partial(self._judged, frames, dict(self._at)), "self-check")
-        except Exception as error:  # whatever is wrong with it, it must not end the measurement
+        except Exception as error:  # a defect here must not end the measurement
             log.exception("self-check: a defect")
             return Judged(unknown(f"a defect: {type(error).__name__}: {error}"))
 
@@ -205,7 +205,7 @@ class SelfChecks:
         return judged
 
     def _settle(self, occasion: Occasion, judged: Judged) -> None:
-        """What follows from a check: for the measurements, for who asked, and for the next check."""
+        """Apply a check: to the measurements, to the waiting requests, and to the next check."""
         check = judged.check
         self._geometry.take(check, self._memory.slow_drift)
         if self._has_jumped:

@@ -23,7 +23,7 @@ from altd.vision.settings import SpotSettings
 
 _RIDGE = 1e-6
 _MAX_WEAKENING = 40.0
-"""Radians² per px²: higher harmonics are weakened no further, or noise would stand for them."""
+"""Radians² per px²: higher harmonics are weakened no further, or noise would replace them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

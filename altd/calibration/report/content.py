@@ -1,4 +1,4 @@
-"""What the report says and shows, in the order in which a person asks."""
+"""The contents of the report, in the order in which a person needs them."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def report_on(source: Source) -> Document:
 
 
 def _origin(calibration: Calibration) -> list[Block]:
-    """Nobody may take the report of a simulated unit for that of a real one."""
+    """Marks the report of a simulated unit, so that it is not mistaken for that of a real one."""
     if not calibration.simulated:
         return []
     names = " and ".join(target.name for target in calibration.targets if target.simulated)

@@ -76,7 +76,7 @@ Block = Heading | Words | Banner | Table | Row
 class Document:
     """The whole report, on the calibration whose file carries ``checksum``.
 
-    ``mark`` stands across every sheet; empty: nothing does.
+    ``mark`` is printed across every sheet; empty: no mark.
     """
 
     title: str

@@ -40,7 +40,7 @@ def name_of(key: str) -> str:
 
 
 def unit_of(key: str) -> str:
-    """A quantity's unit as it stands behind a number."""
+    """A quantity's unit as it is written behind a number."""
     unit = _QUANTITIES[key].unit
     return unit if unit == "°" else f" {unit}"
 

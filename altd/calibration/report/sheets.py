@@ -44,7 +44,7 @@ _FILLS = {
 
 
 def pdf_sheets(document: Document, created: datetime) -> bytes:
-    """Set the document as PDF; ``created`` is the time that the file says of itself."""
+    """Set the document as PDF; ``created`` is the creation time in the file's metadata."""
     with report_style():
         setter = _Setter()
         setter.words(document.title, 17, bold=True)
@@ -219,7 +219,7 @@ class _Setter:
 
 
 def _mark(sheet: Figure, mark: str) -> None:
-    """Large and pale across the sheet, over whatever is drawn there; small and dark at its head."""
+    """Large and pale across the sheet, over its content; small and dark at its head."""
     _, edge, dark = _FILLS[Level.BAD]
     middle: dict[str, Any] = {"ha": "center", "va": "center", "fontweight": "bold"}
     sheet.text(0.5, 0.5, mark, size=96, rotation=54, color=edge, alpha=0.14, zorder=1000, **middle)

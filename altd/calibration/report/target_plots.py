@@ -205,9 +205,8 @@ def contours(
     def draw(canvas: Canvas) -> None:
         axes = plane.axes(canvas, title, bar=True)
         low, high = limits
-        slack = (
-            max(_MIN_SPAN_SHARE * high - (high - low), 0.0) / 2
-        )  # hardly any difference is not to look like one
+        # a very small difference must not look large
+        slack = max(_MIN_SPAN_SHARE * high - (high - low), 0.0) / 2
         levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(low - slack, high + slack)
         filled = axes.contourf(over.x_mm, over.y_mm, over.values, levels=levels, cmap="YlGnBu")
         lines = axes.contour(over.x_mm, over.y_mm, over.values, levels=levels, colors=INK, linewidths=0.5)

@@ -157,8 +157,8 @@ def _of_cross_checks(targets: Sequence[TargetCalibration]) -> Check:
         _each(targets, [f"{check.limit_px:.2f}" for check in checks], " px"),
         Level.USABLE if apart else Level.GOOD,
         "Two independent maps disagree more than noise explains, and where they do a measurement will be "
-        "called implausible: look for nodes that stand out and for a stage with unequal steps, and repeat "
-        "the scan with more nodes.",
+        "marked implausible: look for nodes with large residuals and for a stage with unequal steps, and "
+        "repeat the scan with more nodes.",
     )
 
 
@@ -184,7 +184,7 @@ def _of_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
             _each(evidence, [f"{outlier:.1f}" for outlier in outliers], " times"),
             f"at most {_GOOD_OUTLIER:g} times",
             _level(max(outliers), _GOOD_OUTLIER, _USABLE_OUTLIER),
-            "One node stands out: look for a bumped stage, dirt or a reflection there, and repeat the scan.",
+            "One node is an outlier: look for a bumped stage, dirt or a reflection, and repeat the scan.",
         ),
     ]
 
@@ -196,8 +196,8 @@ def _of_leds(targets: Sequence[TargetCalibration]) -> Check:
         _each(targets, [str(count) for count in found], ""),
         f"at least {_MIN_LEDS}",
         Level.GOOD if min(found) >= _MIN_LEDS else Level.USABLE,
-        "Record LED reference pairs before the grid, LEDs off and then on: without them nobody can tell "
-        "later whether a camera has moved.",
+        "Record LED reference pairs before the grid, LEDs off and then on: without them a moved camera "
+        "cannot be detected later.",
     )
 
 

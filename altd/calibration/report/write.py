@@ -22,7 +22,7 @@ from altd.records import PixelArray
 PAGE_SUFFIX, SHEETS_SUFFIX = ".html", ".pdf"
 
 HEAD_BYTES = 1024
-"""What names the calibration stands within these first bytes of a report's page."""
+"""The name of the calibration is within these first bytes of a report's page."""
 
 _NAMED = re.compile(rb'<meta name="altd-calibration" content="(sha256:[0-9a-f]{64})">')
 
@@ -126,7 +126,7 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
             write_files({folder / name: content for name, content in files.items()})
         except BaseException:
             if is_new:
-                with suppress(OSError):  # somebody else has put something there
+                with suppress(OSError):  # another process has put a file there
                     folder.rmdir()
             raise
     except OSError as error:

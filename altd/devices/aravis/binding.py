@@ -57,7 +57,7 @@ def _typed_errors(what: str) -> Iterator[None]:
 
 
 class Device:
-    """A GigE Vision camera that was opened, and is controlled by us when nobody else does."""
+    """A GigE Vision camera that was opened, and is controlled by us unless another program does."""
 
     def __init__(self, own_address: str, address: str) -> None:
         self._own_address = int.from_bytes(socket.inet_aton(own_address), "big")
@@ -72,17 +72,17 @@ class Device:
         self._camera.set_access_check_policy(Aravis.AccessCheckPolicy.ENABLE)
 
     def close(self) -> None:
-        """Give control back and let go; with a camera that does not answer that takes seven seconds."""
+        """Give up control and release it; with a camera that does not answer that takes seven seconds."""
         self._camera = self._device = None
 
     @property
     def closed(self) -> bool:
-        """Whether it was let go of; nothing can be asked of it then."""
+        """Whether it was released; then it cannot be used."""
         return self._device is None
 
     @property
     def controlled(self) -> bool:
-        """Whether we have control, as far as the last heartbeat knows; asks nobody."""
+        """Whether we have control, according to the last heartbeat; sends nothing."""
         return bool(self._device.is_controller())
 
     def has(self, feature: str) -> bool:

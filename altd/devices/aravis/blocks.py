@@ -1,10 +1,10 @@
-"""Frames put together from the packets of a stream, whoever sent them.
+"""Frames assembled from the packets of a stream, from any sender.
 
-Bounded by construction: the size of a frame is what the camera was set to, never what a packet says; at most
-``max_open`` frames are under way; a packet that does not fit into one of them is dropped. And one sender
-alone: where two packets contradict each other, nobody can tell which of them is the camera's, and no frame is
-given out until ``QUARANTINE_NS`` after the last contradiction. No input or output here: packets and times are
-handed in.
+Bounded by construction: the size of a frame is what the camera was set to, never what a packet claims; at
+most ``max_open`` frames are open; a packet that does not fit into one of them is dropped. And from one sender
+only: where two packets contradict each other, it is unknown which of them is the camera's, and no frame is
+delivered until ``QUARANTINE_NS`` after the last contradiction. No input or output here: packets and times are
+arguments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from altd.devices.aravis import gvsp
 from altd.records import counted
 
 RETENTION_NS = 100_000_000
-"""A frame that lacks packets is given up so long after the last of them; it holds up those behind it."""
+"""A frame that lacks packets is given up so long after the last of them; it delays those behind it."""
 QUARANTINE_NS = 2_000_000_000
 
 _RESEND_TIMEOUT_NS = 10_000_000
@@ -62,7 +62,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Whence frames come and by which ids, as the first leader shows it, and hence what is in which packet.
+    """The source and the ids of frames, as the first leader shows them, and so the contents of each packet.
 
     ``needed`` payload packets hold the image, the last of them ``last_data_bytes`` of it; up to
     ``max_packets`` may come.
@@ -267,7 +267,7 @@ class Assembler:
             block.last_ns = now_ns
 
     def _contradict(self, what: str, now_ns: int) -> None:
-        """Nothing that came until now is believed any more; who sends next is taken for the camera."""
+        """Discard what arrived until now; the sender of the next packet is taken for the camera."""
         self.contradictions += 1
         self.last_contradiction = f"{what}: another sender uses the camera's address"
         self._quarantined_until_ns = now_ns + QUARANTINE_NS

@@ -22,7 +22,7 @@ _MIN_SHARE_ON_LINE = 0.75
 _MAX_FALL_NS = 1_000_000
 _MAX_LATE_KEPT = 100
 _STEP_TIMEOUT_NS = 3_000_000_000
-"""Who has come late on a line for so long, without one frame in time, was not held up."""
+"""A delay that grows on a line for so long, without one frame in time, is due to the clock."""
 _ENVELOPE_TIMEOUT_NS = 10_000_000_000
 """An envelope that no frame has met for so long is made again of those that came late."""
 _MAX_BACK_IN_A_ROW = 3
@@ -51,10 +51,10 @@ class DeviceClock:
     followed within 0.5 ms. A frame that comes late, from a camera that was held up for instance, does not
     move the envelope and keeps its true time.
 
-    Frames that come late one after the other, all by as much or more and more, were delayed, or the clock was
-    set back or runs slow: nobody knows which, and they have no time until one comes in time again or it has
-    lasted. A frame that comes too early has a stamp that is not true: it has the time of its arrival, and so
-    have those that follow if they agree.
+    Frames that come late one after the other, by the same time or more and more, were delayed, or the clock
+    was set back or runs slow. The cause is unknown, so they have no time until one comes in time again or the
+    condition has lasted. A frame that comes too early has a wrong stamp: it has the time of its arrival, and
+    so have those that follow if they agree.
 
     Before ``known`` the envelope is still falling, and the times of the first frames are too late by that.
 
@@ -87,7 +87,7 @@ class DeviceClock:
     def host_ns(self, device_ns: int, receive_ns: int) -> int | None:
         """The host's time of ``device_ns``, for a frame that was received at ``receive_ns``; never later.
 
-        None where nobody knows it. Frames are to be given in the order in which they were received.
+        None where it is unknown. Frames must be given in the order in which they were received.
         """
         offset_ns = receive_ns - device_ns
         if not self.known:
@@ -118,7 +118,7 @@ class DeviceClock:
         self.known = frames + 1 > _FIRST_FRAMES or receive_ns - began_ns >= _FIRST_TIMEOUT_NS
 
     def _back(self, device_ns: int, receive_ns: int) -> int | None:
-        """A stamp that is not later than the last: of a frame that was overtaken, or the clock stands."""
+        """A stamp that is not later than the last: the frame was overtaken, or the clock has stopped."""
         self._in_a_row_back += 1
         if self.trusted and self._in_a_row_back <= _MAX_BACK_IN_A_ROW:
             return None

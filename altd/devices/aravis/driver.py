@@ -3,7 +3,7 @@
 Aravis notices after six seconds that a camera is dead, and each question to a dead one takes it 2.5 s. So the
 driver asks the camera itself, by single packets, as soon as frames stay away: one that has dropped us or has
 restarted is given up and opened again at once; one that does not answer is waited for, with the stream
-open, for as long as it may still hold us for its controller, because then frames come again by themselves.
+open, for as long as it may still regard us as its controller, because then frames resume automatically.
 """
 
 from __future__ import annotations
@@ -272,8 +272,8 @@ class AravisCamera:
     def _middle_ns(self, block: Block, exposure_ns: int) -> int | None:
         """The camera stamps the start of the exposure, and its first packet leaves at the end.
 
-        One that stamps another instant is mapped as well: only the arrival says where its clock lies. None
-        where nobody knows.
+        One that stamps another instant is mapped as well: only the arrival relates its clock to ours. None
+        where the time is unknown.
         """
         trusted = self._clock.trusted
         start_ns = self._clock.host_ns(block.device_ns, block.arrived_ns - exposure_ns)

@@ -33,7 +33,7 @@ class FoundCamera:
 
 
 def find_cameras() -> list[FoundCamera]:
-    """All cameras that answer in half a second, by address; one that nobody controls is opened shortly."""
+    """All cameras that answer in half a second, by address; one without a controller is opened shortly."""
     return [_examined(camera) for camera in gvcp.discover(_DISCOVERY_TIMEOUT_S)]
 
 

@@ -1,8 +1,8 @@
 """The packets of GigE Vision's stream protocol (GVSP), to and from bytes.
 
 A block is a frame: a leader with packet id 0, payload packets from 1 on, a trailer. All numbers are
-big-endian. Ids are of 16 (block) and 24 bits (packet), or, where a header says so, of 64 and 32 bits. Nothing
-here believes a number: whoever reads a packet id bounds it by what he expects.
+big-endian. Ids are of 16 (block) and 24 bits (packet), or, with a flag in the header, of 64 and 32 bits.
+Nothing here checks a number: the caller must check that a packet id is in the expected range.
 
 Source: the GigE Vision standard, version 2.0: GVSP's headers, image leader and trailer; GVCP's PACKETRESEND.
 """

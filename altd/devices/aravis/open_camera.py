@@ -1,4 +1,4 @@
-"""One GigE Vision camera while it is open: its set-up, its output line, and how it is let go."""
+"""One GigE Vision camera while it is open: its set-up, its output line, and its release."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def set_up(
         device.manual_exposure()
     exposure_us, gain = device.exposure_limits_us(), device.gain_limits()
     device.without_chunks()
-    known = settings.exposure.control != "camera"  # else it changes by itself
+    known = settings.exposure.control != "camera"  # else it changes automatically
     exposure_ms = device.exposure_us() * 1e-3 if known and exposure_us is not None else None
     gain_db = device.gain() if known and gain is not None else None
     stream = _start_stream(device, settings, camera, own_address, address)

@@ -43,12 +43,12 @@ class Stream:
 
     @property
     def quarantined(self) -> bool:
-        """Whether frames are withheld because somebody else sends in the camera's name."""
+        """Whether frames are withheld because another sender uses the camera's address."""
         return self._assembler.quarantined(time.monotonic_ns())
 
     @property
     def remark(self) -> str:
-        """What is wrong with what comes, as far as anything is known."""
+        """The known faults of the received packets."""
         return self._assembler.last_contradiction if self.quarantined else self._assembler.last_refusal
 
     def pop(self, timeout_s: float) -> Block | None:
@@ -62,7 +62,7 @@ class Stream:
             return None
 
     def close(self) -> None:
-        """Let go of the port; within a twentieth of a second."""
+        """Release the port; within a twentieth of a second."""
         self._closing = True
         self._thread.join(_JOIN_TIMEOUT_S)
         self._receiving.close()
@@ -90,7 +90,7 @@ class Stream:
             count += 1
         if assembler.contradictions != before:
             with self._changed:
-                self._ready.clear()  # nobody knows whose these are
+                self._ready.clear()  # the sender of these is unknown
             if not self._logged_ns or now_ns - self._logged_ns > _LOG_REPEAT_S * 1e9:
                 self._logged_ns = now_ns
                 log.warning("camera %s: %s", self._camera, assembler.last_contradiction)

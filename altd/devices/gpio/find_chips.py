@@ -14,7 +14,7 @@ from altd.ports import LampsError
 
 @dataclass(frozen=True, slots=True)
 class GpioLine:
-    """One line: its number on the chip, its name ("" when it has none) and who holds it (None: nobody)."""
+    """One line: its number on the chip, its name ("" when it has none) and its consumer (None: free)."""
 
     offset: int
     name: str

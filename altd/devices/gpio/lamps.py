@@ -60,7 +60,7 @@ class OutputLines:
             raise LampsError(f"{self._place}{why}") from error
 
     def close(self) -> None:
-        """Darken the lines and let them go; harmless when they are not open."""
+        """Darken and release the lines; harmless when they are not open."""
         if self._request is None:
             return
         with contextlib.suppress(LampsError):  # of a chip that is gone nothing can be darkened
@@ -103,7 +103,7 @@ class GpioFrameLamps:
         self._lines.set(self._names if on else ())
 
     def close(self) -> None:
-        """Darken the LEDs and let go of the lines."""
+        """Darken the LEDs and release the lines."""
         self._lines.close()
 
 
@@ -123,5 +123,5 @@ class GpioIndicators:
         self._lines.set([line for indicator, line in self._names.items() if indicator in lit])
 
     def close(self) -> None:
-        """Darken the lamps and let go of the lines."""
+        """Darken the lamps and release the lines."""
         self._lines.close()

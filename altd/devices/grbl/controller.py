@@ -69,8 +69,8 @@ class _Session:
 class GrblController:
     """Used from one thread, but for ``stop``. Every method but ``close`` raises StageError of its kind.
 
-    An alarm is a StageAlarmError, a restart that nobody asked for a StageLostError, ``stop`` a
-    StageStoppedError, wherever they come.
+    An alarm is a StageAlarmError, an unrequested restart a StageLostError, ``stop`` a StageStoppedError,
+    in every method.
     """
 
     def __init__(self, settings: GrblStageSettings) -> None:
@@ -98,11 +98,11 @@ class GrblController:
             self._session = None
 
     def stop(self) -> None:
-        """End whatever is under way by a feed hold, which loses no steps, and a reset. From any thread."""
+        """End the movement by a feed hold, which loses no steps, and a reset. From any thread."""
         self._stopping.set()
 
     def home(self) -> None:
-        """Run to the limit switches; returns when the stage stands there."""
+        """Run to the limit switches; returns when the stage is at rest there."""
         self._open_session.is_homing = True
         self.command("$H", self._settings.home_within_s, tries=1)
         self._open_session.is_homing = False
@@ -145,9 +145,9 @@ class GrblController:
         raise StageTimeoutError("the stage's controller does not report its position")
 
     def position_mm(self, status: Status | None = None) -> Point:
-        """The position in the coordinates that count, of a report or of now.
+        """The position in the configured coordinates, from ``status`` or from a new report.
 
-        Asks on until the offset of the work coordinates was told.
+        Repeats the request until the offset of the work coordinates is known.
         """
         status = status or self.status()
         in_machine = self._settings.coordinates == "machine"
@@ -170,9 +170,9 @@ class GrblController:
         self._check_stop()
 
     def halt(self) -> None:
-        """Brake (``!``), wait until it stands, and reset: what is reset while it moves loses its position.
+        """Brake (``!``), wait until the stage is at rest, and reset: a reset in motion loses the position.
 
-        Homing neither brakes nor answers, and has no position to lose. A failure is no matter any more.
+        Homing neither brakes nor answers, and has no position to lose. Failures are ignored.
         """
         with contextlib.suppress(StageError):
             if not self._open_session.is_homing:
@@ -239,7 +239,7 @@ class GrblController:
             pass
 
     def _next_reply(self, timeout_s: float) -> Reply | None:
-        """The next reply; raises what nobody asked for: an alarm, a restart, or our own ``stop``."""
+        """The next reply; raises for an alarm, a restart, or our own ``stop``."""
         self._check_stop()
         reply = self._receive(timeout_s)
         if isinstance(reply, Alarm):
@@ -258,7 +258,7 @@ class GrblController:
     def _check_stop(self) -> None:
         if self._stopping.is_set():
             self.halt()
-            raise StageStoppedError("the stage was told to stop")
+            raise StageStoppedError("the stage was stopped on request")
 
     @property
     def _open_session(self) -> _Session:

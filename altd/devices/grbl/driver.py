@@ -1,8 +1,8 @@
 """An xy stage behind a Grbl 1.1 controller on a serial port.
 
-A report just behind a line's ``ok`` may still say ``Idle`` at the old place; so a movement is over when two
-reports in a row say ``Idle`` at its target. Grbl has no checksum: a number that noise has changed is found by
-where the stage then stands, and the line is sent again; targets are absolute, so that is harmless.
+A report just after a line's ``ok`` may still say ``Idle`` at the old place; so a movement is over when two
+reports in a row say ``Idle`` at its target. Grbl has no checksum: a number that noise has changed is detected
+by the final position of the stage, and the line is sent again; targets are absolute, so that is harmless.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class GrblStage:
         )
 
     def position(self) -> tuple[float, float]:
-        """Where the controller says that the stage is, in the unit frame, mm."""
+        """The position that the controller reports, in the unit frame, mm."""
         x_mm, y_mm = self.controller.position_mm()
         settings = self._settings
         return (
@@ -91,7 +91,7 @@ class GrblStage:
         self.controller.close()
 
     def _arrives(self, target: Point) -> bool:
-        """Wait until the stage stands; whether it stands at the target."""
+        """Wait until the stage is at rest; whether it is at the target."""
         last: tuple[str, Point] | None = None
         same, since = 1, time.monotonic()
         while True:

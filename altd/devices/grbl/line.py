@@ -35,7 +35,7 @@ class Line:
             raise StageNotFoundError(f"{device}: {error.strerror}") from error
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         close_serial(self._port)
 
     def send(self, data: bytes) -> None:

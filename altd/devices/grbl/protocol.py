@@ -1,4 +1,4 @@
-"""What a Grbl 1.1 controller says on its line, as records; no input or output.
+"""The lines of a Grbl 1.1 controller, as records; no input or output.
 
 Source: ``doc/markdown/interface.md`` and ``doc/csv`` of Grbl 1.1h.
 """
@@ -42,7 +42,7 @@ ERRORS: Mapping[int, str] = MappingProxyType(
         22: "no feed rate",
         23: "a whole number was expected",
         24: "two commands want the axes",
-        25: "a word stands twice",
+        25: "a word is repeated",
         26: "the axes are missing",
         27: "the line number is wrong",
         28: "a value is missing",
@@ -62,9 +62,9 @@ ERRORS: Mapping[int, str] = MappingProxyType(
 
 ALARMS: Mapping[int, str] = MappingProxyType(
     {
-        1: "a limit switch was hit; where it stands is not certain any more",
+        1: "a limit switch was hit; its position is not certain any more",
         2: "the target is outside of the stage's travel (soft limit)",
-        3: "it was reset while it moved; where it stands is not certain any more",
+        3: "it was reset while it moved; its position is not certain any more",
         4: "the probe is not in its initial state",
         5: "the probe touched nothing",
         6: "homing was interrupted",

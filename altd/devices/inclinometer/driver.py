@@ -33,7 +33,7 @@ _GAP_TIMEOUT_S = 0.03
 """Within an answer: longer than USB adapters hold bytes back (16 ms)."""
 _BITS_PER_CHARACTER = 11
 _MAX_BYTES = 300
-"""More than any answer has: what goes on longer, or takes longer, is somebody who does not stop."""
+"""More than any answer has: a sender of more bytes, or for a longer time, does not stop."""
 
 
 class Line:
@@ -55,7 +55,7 @@ class Line:
             raise InclinometerNotFoundError(f"{settings.device}: {error.strerror}") from error
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         close_serial(self._port)
 
     def ask(self, function: int, first: int, count: int) -> list[int]:
@@ -65,7 +65,7 @@ class Line:
         return question.registers(self._exchange(question), place)
 
     def _exchange(self, question: Question) -> bytes:
-        """What comes after a question until the line falls silent; what came before it is dropped."""
+        """The bytes after a request until the line is silent; earlier bytes are dropped."""
         frame = question.frame
         try:
             self._port.reset_input_buffer()
@@ -129,7 +129,7 @@ class ModbusInclinometer:
             raise
 
     def read(self) -> InclinometerReading:
-        """A reading of now."""
+        """The current reading."""
         if not self._is_in_step or self._unchecked >= MAX_READINGS_UNCHECKED:
             self._identify()
         self._unchecked += 1

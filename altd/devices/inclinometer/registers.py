@@ -43,7 +43,7 @@ class Kind(StrEnum):
 
 
 class Meaning(StrEnum):
-    """What the driver makes of a register."""
+    """How the driver uses a register."""
 
     ROLL = "roll"
     PITCH = "pitch"
@@ -76,7 +76,7 @@ class Register:
     """A larger word is no value of this register."""
 
     def value(self, word: int) -> float:
-        """What a word of this register says, in its unit."""
+        """The value of a word of this register, in its unit."""
         return self.kind.number(word) * self.scale
 
 
@@ -105,7 +105,7 @@ class Sensor:
 
 
 def _blocks(rows: Sequence[Register]) -> list[tuple[Register, ...]]:
-    """Rows that follow each other without a gap go into one block: nobody knows what lies in a gap."""
+    """Consecutive rows without a gap form one block: the contents of a gap are unknown."""
     blocks = [[rows[0]]]
     for before, row in pairwise(rows):
         if (row.function, row.address) == (before.function, before.address + 1):

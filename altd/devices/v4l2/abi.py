@@ -1,10 +1,10 @@
-"""What the kernel and a program say to each other about a camera: structures, call numbers, constants.
+"""The interface of kernel and program for a camera: structures, call numbers, constants.
 
 Written from the kernel's user-space headers <linux/videodev2.h> and <linux/v4l2-controls.h>, Copyright (C)
 1999-2012 the contributors, which are "(GPL-2.0+ WITH Linux-syscall-note) OR BSD-3-Clause"; used here under
 the BSD-3-Clause, whose text is in ``LICENSE.videodev2`` beside this file. The names are the kernel's, where
 their meaning is explained (Linux Media Infrastructure userspace API, part I). Only what altd uses is here:
-a field whose name begins with ``_`` stands for several that it does not use.
+a field whose name begins with ``_`` replaces several that it does not use.
 
 Call numbers are those of <asm-generic/ioctl.h>, as x86 and ARM have them.
 ``tests/unit/devices/v4l2/test_abi.py``
@@ -85,7 +85,7 @@ class _Format(ctypes.Union):
     _fields_ = (
         ("pix", v4l2_pix_format),
         ("_raw_data", c_uint8 * 200),
-        ("_window", c_void_p),  # another of its kinds has pointers: the union begins where one may stand
+        ("_window", c_void_p),  # another member has pointers: the union is aligned for one
     )
 
 
@@ -170,7 +170,7 @@ class v4l2_frmivalenum(ctypes.Structure):
 
 
 class v4l2_captureparm(ctypes.Structure):
-    """What a camera lets itself be told about its rate."""
+    """What can be set of a camera's rate."""
 
     _fields_ = (
         ("capability", c_uint32),
@@ -212,7 +212,7 @@ class _Memory(ctypes.Union):
 
 
 class v4l2_buffer(ctypes.Structure):
-    """A buffer that goes to and fro between driver and program."""
+    """A buffer that driver and program exchange."""
 
     _fields_ = (
         ("index", c_uint32),

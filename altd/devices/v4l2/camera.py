@@ -35,10 +35,10 @@ _KEEP_RATE = 0
 
 @dataclass(frozen=True, slots=True)
 class ExposureTime:
-    """``V4L2_CID_EXPOSURE_ABSOLUTE``, in units of 100 µs, and the controls that must let go of it.
+    """``V4L2_CID_EXPOSURE_ABSOLUTE``, in units of 100 µs, and the controls that must release it.
 
-    ``V4L2_CID_EXPOSURE`` is not used, nor is any gain: the one counts lines or whatever a driver's author
-    chose, the other has no unit at all.
+    ``V4L2_CID_EXPOSURE`` is not used, nor is any gain: the first counts lines or another unit of the driver,
+    the second has no unit at all.
     """
 
     time: Control
@@ -47,7 +47,7 @@ class ExposureTime:
 
     @classmethod
     def of(cls, controls: Iterable[Control]) -> Self | None:
-        """Out of a camera's controls; None when it cannot be told an exposure in milliseconds."""
+        """From a camera's controls; None when its exposure cannot be set in milliseconds."""
         by_number = {control.number: control for control in controls}
         time = by_number.get(abi.V4L2_CID_EXPOSURE_ABSOLUTE)
         if time is None or not time.writes or time.maximum < 1:
@@ -63,7 +63,7 @@ class ExposureTime:
         )
 
     def now_ms(self, node: Node) -> float | None:
-        """The exposure, or None while the camera chooses it by itself; raises OSError."""
+        """The exposure, or None while the camera chooses it automatically; raises OSError."""
         if self.automatic is not None and self.automatic.value(node) != _MANUAL:
             return None
         return self.time.value(node) * _EXPOSURE_UNIT_MS
@@ -99,7 +99,7 @@ _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = 
 
 @dataclass(slots=True)
 class _Running:
-    """What an open camera consists of."""
+    """The parts of an open camera."""
 
     node: Node
     layout: Layout
@@ -164,7 +164,7 @@ class V4l2Camera:
             running.exposure_ms = running.exposure.set(running.node, exposure_ms)
 
     def close(self) -> None:
-        """Let go of the camera; the kernel ends the stream."""
+        """Release the camera; the kernel ends the stream."""
         running, self._running = self._running, None
         if running is not None:
             running.stream.close()

@@ -32,7 +32,7 @@ class FoundCamera:
 
 @dataclass(frozen=True, slots=True)
 class UnreadableCamera:
-    """A device that may be a camera, and why nobody can tell."""
+    """A device that may be a camera, and why this is unknown."""
 
     path: Path
     why: str

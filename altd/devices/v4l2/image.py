@@ -148,12 +148,12 @@ def middle_of_exposure_ns(
     exposure_ms: float | None,
     now_ns: int,
 ) -> int:
-    """The middle of an exposure on the monotonic clock, as well as the driver lets it be known.
+    """The middle of an exposure on the monotonic clock, as exactly as the driver allows.
 
     A stamp of an unknown clock is taken for the monotonic one when it is less than a second from
-    ``now_ns``; otherwise ``now_ns``, when the frame was taken from the driver, stands for it. Half of the
-    exposure is added to its beginning or taken off its end; an unknown one counts as zero. The time that
-    the sensor takes to be read is in a stamp of the second kind, and stays: no driver tells it.
+    ``now_ns``; otherwise ``now_ns``, when the frame was taken from the driver, replaces it. Half of the
+    exposure is added to its beginning or subtracted from its end; an unknown one counts as zero. A stamp of
+    the second kind includes the readout time of the sensor, which stays: no driver reports it.
     """
     if clock == "unknown" and abs(stamp_ns - now_ns) > _MAX_CLOCK_DIFFERENCE_NS:
         stamp_ns = now_ns

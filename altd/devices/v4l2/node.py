@@ -39,7 +39,7 @@ class Node:
         self.streams = capabilities & needed == needed
 
     def call(self, request: int, argument: Argument) -> Argument:
-        """Let the kernel read and fill a structure, which comes back."""
+        """Let the kernel read and fill a structure; returns it."""
         fcntl.ioctl(self.descriptor, request, argument)
         return argument
 
@@ -55,7 +55,7 @@ class Node:
                 raise
 
     def close(self) -> None:
-        """Let go; the kernel ends the stream and frees its buffers."""
+        """Close it; the kernel ends the stream and frees its buffers."""
         os.close(self.descriptor)
 
 

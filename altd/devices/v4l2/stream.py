@@ -108,9 +108,8 @@ class Stream:
             except BlockingIOError:
                 if left_ms <= 0.0:
                     return None
-                time.sleep(
-                    _SPURIOUS_WAKE_BACKOFF_S
-                )  # woken for nothing; a driver that does so for ever costs no processor
+                # woken for nothing; a driver that repeats this must not take a whole core
+                time.sleep(_SPURIOUS_WAKE_BACKOFF_S)
 
     def memory(self, buffer: abi.v4l2_buffer) -> mmap:
         """What the driver wrote; its own again after ``requeue``."""

@@ -92,6 +92,8 @@ class SelfCheck(Answer):
 
     verdict: Literal["good", "suspect", "bad", "unknown"] | None
     reasons: list[str]
+    unavailable: str = ""
+    """Why this unit can make none; empty: it can."""
     targets: dict[str, TargetDrift] = Field(default={})
     yaw_deg: float | None = None
     """What the drift does to a measurement; so the next three."""

@@ -23,7 +23,7 @@ async def answer(request: Request, service: SelfCheckService, guard: Guard) -> R
     if request.method != "POST":
         if service.latest is None:
             why = service.unavailable or "there was no self-check since the unit started"
-            return JSONResponse({"verdict": None, "reasons": [why]})
+            return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
         return JSONResponse(service.latest.document)
     try:
         actor = guard.actor(request)

@@ -42,7 +42,7 @@ class Misnumbered:
 
     @property
     def is_none(self) -> bool:
-        """Whether the number is NaN or infinite: whatever is measured with it is wrong."""
+        """Whether the number is NaN or infinite: every measurement with it is wrong."""
         return not math.isfinite(float(self.value))
 
 
@@ -86,7 +86,7 @@ def accepted(
 
 
 def _spoil(file: Path, way: Misnumbered) -> None:
-    """Put the number in; the checksum is that of the spoilt content."""
+    """Put the number in; the checksum is that of the changed content."""
     document: dict[str, Any] = json.loads(file.read_text())
     document.pop("checksum")
     groups: dict[str, list[tuple[Any, Any]]] = {}
@@ -102,7 +102,7 @@ def _spoil(file: Path, way: Misnumbered) -> None:
 
 
 def _numbers(value: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
-    """Where the numbers of a document stand, with their keys; those of one list are one group."""
+    """The places of a document's numbers, with their keys; those of one list are one group."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, inner in items:
         if isinstance(inner, float | int) and not isinstance(inner, bool):

@@ -1,4 +1,4 @@
-"""Ways that spoil the laser's own light: reflections, lobes, tails, a beam that is cut or has changed."""
+"""Ways that disturb the laser's own light: reflections, lobes, tails, a beam that is cut or has changed."""
 
 from __future__ import annotations
 

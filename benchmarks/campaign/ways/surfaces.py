@@ -1,4 +1,4 @@
-"""Ways that spoil what the light meets: dirt, water, scratches, hands and cables, print that is lost."""
+"""Ways that disturb what the light meets: dirt, water, scratches, hands and cables, print that is lost."""
 
 from __future__ import annotations
 

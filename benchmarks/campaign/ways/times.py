@@ -14,7 +14,7 @@ PERIOD_NS = 50 * MS
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """A frame on its way: ``true_ns`` when its light fell, what it says of itself, and when it arrives."""
+    """A frame on its way: ``true_ns`` when it was exposed, its number and stamp, and when it arrives."""
 
     camera: str
     true_ns: int
@@ -105,7 +105,7 @@ def _far_ns(draw: Draw) -> int:
 @_enter
 def clean_times(draw: Draw) -> Mistimed:
     """No disturbance."""
-    return Mistimed("nothing spoilt", lambda deliveries, onset_ns: deliveries, _pairing(draw), 0)
+    return Mistimed("nothing disturbed", lambda deliveries, onset_ns: deliveries, _pairing(draw), 0)
 
 
 def _one_stamp(draw: Draw, sign: int) -> Mistimed:
@@ -135,7 +135,7 @@ def clock_steps(draw: Draw) -> Mistimed:
 
 
 def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mistimed:
-    """For a while frames say of themselves what the first one said."""
+    """For a while frames repeat the number or the stamp of the first one."""
     length_ns, cameras = draw.whole(2, 40) * PERIOD_NS, draw.targets()
 
     def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:

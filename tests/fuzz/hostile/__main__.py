@@ -1,8 +1,8 @@
-"""Hostile inputs at a unit's faces, beside who reads it: ``python -m fuzz.hostile --inputs 100000``.
+"""Hostile inputs at a unit's interfaces, beside a reader: ``python -m fuzz.hostile --inputs 100000``.
 
-What is nearly valid comes from other processes, from the unit's own computer, where no limit of requests
-keeps it off; at consoles it is typed. Each answer is held against the contract; who polls, looks or asks
-meanwhile must get what is right each time, nothing may be logged, and nothing be left behind.
+Nearly valid inputs come from other processes on the unit's own computer, where no limit of requests holds
+them off; at consoles they are typed. Each answer is checked against the contract; a client that polls, looks
+or asks meanwhile must get the right answer each time, nothing may be logged, and nothing be left behind.
 """
 
 from __future__ import annotations

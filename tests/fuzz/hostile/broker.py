@@ -1,4 +1,4 @@
-"""A hostile broker, to which units publish in both profiles; they measure, and somebody polls by HTTP."""
+"""A hostile broker, to which units publish in both profiles; they measure, and a client polls by HTTP."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class HostileBroker:
         self.done = asyncio.Event()
 
     def _hostile(self) -> bytes:
-        """Up to four packets, some of them spoilt."""
+        """Up to four packets, some of them corrupted."""
         stream = b""
         for packet in self._chance.choices(PACKETS, k=self._chance.randrange(5)):
             data = bytearray(packet)

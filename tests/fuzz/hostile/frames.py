@@ -38,7 +38,7 @@ _ADDED = (
 def frame(
     opcode: int, payload: bytes, first_bits: int = 0x80, is_masked: bool = True, length: int | None = None
 ) -> bytes:
-    """A frame; ``first_bits`` are FIN and the reserved ones, ``length`` what it says of itself."""
+    """A frame; ``first_bits`` are FIN and the reserved ones, ``length`` the one that it claims."""
     said = len(payload) if length is None else length
     mask_bit = 0x80 if is_masked else 0
     if said < 126:
@@ -144,7 +144,7 @@ _KINDS: tuple[Callable[[random.Random], bytes], ...] = (
 
 
 def handshake(chance: random.Random, is_good: bool) -> bytes:
-    """The request that opens a WebSocket, or one that is spoilt in up to three places."""
+    """The request that opens a WebSocket, or one that is corrupted in up to three places."""
     headers = list(_HEADERS)
     if not is_good:
         for _ in range(chance.randrange(1, 3)):

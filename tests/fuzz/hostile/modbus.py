@@ -1,4 +1,4 @@
-"""Requests of Modbus TCP that are nearly valid, none of them a right command; and who reads beside."""
+"""Requests of Modbus TCP that are nearly valid, none of them a right command; and a reader beside them."""
 
 from __future__ import annotations
 

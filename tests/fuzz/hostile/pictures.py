@@ -51,5 +51,5 @@ def complaint_of_pictures(message: bytes) -> str:
 
 
 def _jpeg(target: str, number: int) -> bytes:
-    """As long as a small picture; no JPEG, which nobody here looks into."""
+    """As long as a small picture; no JPEG, which no client here decodes."""
     return f"{target} {number} ".encode() * 1000

@@ -63,7 +63,7 @@ def connected(address: Address) -> socket.socket:
 
 
 def request(chance: random.Random) -> bytes:
-    """A request that is valid, or was spoilt in up to three places."""
+    """A request that is valid, or was corrupted in up to three places."""
     method = chance.choice(("GET",) * 5 + ("POST",) * 3 + ("HEAD", "OPTIONS", "PUT", "TRACE", "CONNECT"))
     headers = ["Host: unit", *chance.sample(_HEADERS, chance.randrange(4))]
     chance.shuffle(headers)
@@ -118,13 +118,13 @@ def send(address: Address, chance: random.Random) -> tuple[str, str]:
     """Send one; returns the answer's status, or that there was none, and what is wrong with it."""
     sent = request(chance)
     answer = _exchange(address, sent)
-    # over TCP pictures need a token, which nobody here has
+    # over TCP pictures need a token, which no client here has
     why = complaint(answer, STATUSES if isinstance(address, tuple) else {*STATUSES, 101})
     return answer[9:12].decode("latin-1") or "closed", f"{why}; sent {sent[:300]!r}" if why else ""
 
 
 def _exchange(address: Address, sent: bytes) -> bytes:
-    """What comes back; whoever waits for more than was sent gets no more."""
+    """The response; a client that waits for more than was sent gets no more."""
     heard = b""
     try:
         with connected(address) as connection:

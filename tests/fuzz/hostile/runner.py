@@ -1,4 +1,4 @@
-"""Serves a face, has it attacked, and reads it meanwhile."""
+"""Serves an interface, has it attacked, and reads it meanwhile."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Front:
 
 FRONTS = {
     "http": Front(served.http, requests.send, 16),
-    "websocket": Front(served.websocket, frames.send, 8),  # with who looks, one more than may look at a time
+    "websocket": Front(served.websocket, frames.send, 8),  # with the viewer, one more than is admitted
     "local": Front(served.local, requests.send, 16),
     "modbus": Front(served.modbus, modbus.send, 8, modbus.poll),
 }

@@ -46,7 +46,7 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class SprayResult:
-    """What became of a daemon under attack. ``rss_mb`` are resident sizes, one in five seconds."""
+    """The state of a daemon under attack. ``rss_mb`` are resident sizes, one in five seconds."""
 
     seconds: float
     measurements: int
@@ -59,7 +59,7 @@ class SprayResult:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Attack, print what became of it."""
+    """Attack, print the result."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.hostile.spray", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="how long (600)")
     parser.add_argument("--rate", type=float, default=4000.0, help="datagrams a second (4000)")

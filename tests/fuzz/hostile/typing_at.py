@@ -69,7 +69,7 @@ class Terminal:
                 await asyncio.sleep(_TURN_S)
 
     async def answer(self, keys: bytes, awaited: bytes) -> bytes:
-        """What is shown until what is ``awaited`` was, or until the patience ends."""
+        """What is shown until ``awaited`` is, or until the timeout."""
         self.take()
         await self.type(keys)
         shown, give_up_s = b"", time.monotonic() + _PATIENCE_S
@@ -88,7 +88,7 @@ class Terminal:
 
 
 def hostile_keys(chance: random.Random) -> bytes:
-    """A command with what nobody means to type, spoilt here and there."""
+    """A command with keys that are typed by mistake, corrupted here and there."""
     words = [chance.choice(list(COMMANDS)).encode(), *chance.choices(_STRANGE, k=chance.randrange(4))]
     keys = bytearray(b" ".join(words) + b"\r" * chance.randrange(2))
     for _ in range(chance.randrange(3)):
@@ -97,7 +97,7 @@ def hostile_keys(chance: random.Random) -> bytes:
 
 
 async def attack(inputs: int, seed: int, tally: Tally) -> None:
-    """So many hostile inputs at all consoles but one, at which somebody asks and is answered."""
+    """So many hostile inputs at all consoles but one, at which a user asks and is answered."""
     ended = asyncio.Event()
     async with contextlib.AsyncExitStack() as consoles:
         terminals = []

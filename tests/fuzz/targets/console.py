@@ -103,7 +103,7 @@ async def _session(faces: Faces, line: _Line, keys: bytes) -> bytes:
     ended = b""
     async with asyncio.timeout(10.0):
         while b"no command 'is-it-over'" not in ended:  # again where the kernel hands keys over late
-            await faces.clock.advance(2.0 * PASTE_TIMEOUT_S)  # nobody types: every key that was begun is over
+            await faces.clock.advance(2.0 * PASTE_TIMEOUT_S)  # no input: every key that was begun is over
             os.write(line.far, b"q\x15\ris-it-over\r")
             for _ in range(20):
                 ended += await _heard(line.far, 0.001)

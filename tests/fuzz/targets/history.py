@@ -1,4 +1,4 @@
-"""Files that might be a history: bytes spoilt on the disk, and rows that somebody forged in a good file."""
+"""Files that might be a history: bytes corrupted on the disk, and rows forged in a good file."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ EXAMPLES = st.deferred(
 
 
 def check(example: bytes | list[_Forgery]) -> None:
-    """Commands end with rows or one line; numbers are finite; the daemon goes on, in this or a new file."""
+    """Commands end with rows or one line; numbers are finite; the daemon continues, in this or a new file."""
     into = folder(NAME) / "tried"
     into.mkdir(exist_ok=True)
     for left in into.iterdir():

@@ -23,7 +23,7 @@ _face = served(lambda faces: LocalPublisher(_PATH, faces.board, faces.health, fa
 
 
 def check(example: tuple[bytes, int]) -> None:
-    """Whatever is sent: an answer of HTTP or none, and the next client has the measurement."""
+    """For any input: an answer of HTTP or none, and the next client has the measurement."""
     faces, _ = _face()
     heard = faces.do(_exchange(*example))
     assert heard == b"" or heard.startswith((b"HTTP/1.1 ", b"HTTP/1.0 ")), heard[:200]

@@ -78,7 +78,7 @@ _face = served(
 
 @dataclass
 class _Silent:
-    """Serves nobody: the framer and the responder are asked directly, the silences are numbers."""
+    """Serves no client: the framer and the responder are called directly, the silences are numbers."""
 
     responder: Responder
 

@@ -34,7 +34,7 @@ PACKETS = (
 )
 _STREAMS = st.lists(st.sampled_from(PACKETS) | st.binary(max_size=40), max_size=6).map(b"".join)
 EXAMPLES = st.tuples(st.booleans(), st.booleans(), _STREAMS | spoilt_bytes(_STREAMS.filter(bool)))
-"""Whether the profile is Sparkplug, whether a good greeting comes first, and what comes then."""
+"""Whether the profile is Sparkplug, whether a good CONNACK comes first, and what comes then."""
 
 _faces: list[Faces] = []
 

@@ -14,7 +14,7 @@ _NAMES = st.sampled_from([name for name, telegram in TABLE["telegrams"].items() 
 _ORDERS = st.sampled_from(("", "", "", ":M", ":Q", ":C", ":MQ", ":QC", ":MC"))
 _WHOLE = st.builds(lambda name, order: wire(name + order), _NAMES, _ORDERS)
 _SPOILT = spoilt_bytes(_WHOLE)
-_FRAMED = st.builds(  # spoilt, but with the checksum of what came of it
+_FRAMED = st.builds(  # corrupted, but with the checksum of the result
     lambda data: sentence(data.decode("latin-1").partition("*")[0].lstrip("$")), spoilt_bytes(_WHOLE)
 )
 _NOISE = st.binary(max_size=30) | st.sampled_from((b"\r\n", b"$", b"\n"))

@@ -261,7 +261,7 @@ def test_a_scan_that_contradicts_itself_or_knows_no_place(
 
 
 def test_a_scan_that_is_not_in_the_order_of_time(played_unit: PlayedUnit, tmp_path: Path) -> None:
-    """One camera's rows after all of the other's, whose numbers are larger: nobody can wait so long."""
+    """One camera's rows after all of the other's, whose numbers are larger: too long to wait."""
     path = write(tmp_path / "rec", "scan", [((5.0, 5.0), (5.0, 5.0), (5.0, 5.0))] * 2)
     rows = ["sequence,t_s,camera,file,leds,x_mm,y_mm"]
     for camera, step in (("front", 1000), ("rear", 7)):

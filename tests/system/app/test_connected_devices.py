@@ -1,4 +1,4 @@
-"""``altd devices``: what it prints can be written into ``altd.toml`` as it stands."""
+"""``altd devices``: what it prints can be written into ``altd.toml`` unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A daemon that is started again says so, on every wire that a reader checks."""
+"""A daemon that is started again reports it, on every wire that a reader checks."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from altd.recording.reader import open_recording
 COLUMNS_MM = -70.0, -42.0, -14.0, 14.0, 42.0, 70.0
 ROWS_MM = -55.0, -27.5, 0.0, 27.5, 55.0
 CUT_ROWS_MM = -60.0, -30.0, 0.0, 30.0, 60.0
-"""The spots of the outer rows have 40 px and stand 9 px from the border of the picture, which cuts them."""
+"""The spots of the outer rows have 40 px and are 9 px from the border of the picture, which cuts them."""
 
 Place = tuple[float, float]
 

@@ -132,7 +132,7 @@ def test_it_gives_the_verdicts_of_the_table() -> None:
 
 
 def test_values_that_are_not_live_are_used_only_to_rehearse() -> None:
-    """The time of a recording is not that of now."""
+    """The time of a recording is not the current one."""
     for reason in (Reason.PLAYBACK, Reason.SIMULATED, Reason.REHEARSAL):
         polls = [(100, message(1, of=measurement(160, 0, reason), time="2020-01-01T00:00:00.000Z"))]
         assert judged(polls, rehearsal=True) == [(GOOD, VALUES)]

@@ -47,7 +47,7 @@ def said_of_history(daemon: PlayingDaemon) -> tuple[str, str]:
 
 
 def until_started(path: Path, times: int) -> None:
-    """Wait until the history says so often that a daemon started: it is written some times a second."""
+    """Wait until the history has so many starts of a daemon: it is written some times a second."""
     until(lambda: [event.kind for event in events(path)].count("started") == times)
 
 
@@ -158,7 +158,7 @@ int fdatasync(int file) { sleep(10); return syscall(SYS_fdatasync, file); }
 def test_a_disk_that_takes_ten_seconds_a_write_leaves_the_measurement_as_it_is(
     played_unit: PlayedUnit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Between SQLite and the kernel stands an fsync that takes ten seconds, as that of a worn-out card."""
+    """Between SQLite and the kernel is an fsync that takes ten seconds, as that of a worn-out card."""
     need(shutil.which("gcc") is not None, "gcc is not installed")
     library = tmp_path / "slow.so"
     (tmp_path / "slow.c").write_text(_SLOW_C)

@@ -9,6 +9,7 @@ import os
 import re
 import select
 import shlex
+import shutil
 import signal
 import socket
 import struct
@@ -16,12 +17,15 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.places import ROOT
+
+from hw_sim.ports import free_port
 
 pytestmark = pytest.mark.alone
 
@@ -31,7 +35,7 @@ VALUE = re.compile(rf"(x|y|yaw|pitch) +{NUMBER} ±{NUMBER} \({NUMBER}\) (mm|deg)
 
 
 class Output:
-    """What comes out of a descriptor, read with patience but not for ever."""
+    """What comes out of a descriptor, read with a long timeout."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -199,66 +203,149 @@ def rows_of(data: bytes) -> dict[int, str]:
     return {int(row): text for row, text in drawn}
 
 
-def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None:
-    in_tmp = {**os.environ, "TMPDIR": "/tmp", "LANG": "C.UTF-8"}
+@contextmanager
+def demo_at_a_terminal(
+    arguments: Sequence[str], folder: Path
+) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """A demo on a terminal of 80 columns and 24 rows; yields our end of the terminal and the process."""
     terminal, device = os.openpty()
     try:
         fcntl.ioctl(device, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         before = termios.tcgetattr(device)
         name = os.ttyname(device)
         # the leader of a session gets the first terminal that it opens as its own
-        line = shlex.join([*DEMO, "--calibration", str(unit_3 / "cal.json")])
-        command = f"exec {line} <{name} >{name} 2>&1"
-        demo = subprocess.Popen(["sh", "-c", command], start_new_session=True, env=in_tmp)
+        command = f"exec {shlex.join(arguments)} <{name} >{name} 2>&1"
+        environment = {**os.environ, "TMPDIR": "/tmp", "LANG": "C.UTF-8"}
+        demo = subprocess.Popen(["sh", "-c", command], start_new_session=True, env=environment, cwd=folder)
         with ended(demo):
-            output = Output(terminal)
-
-            def showing(text: str, quantities: dict[int, str]) -> Callable[[bytes], bool]:
-                """The text, and rows that are so: while it is drawn, one row is there before another."""
-
-                def shows(data: bytes) -> bool:
-                    rows = rows_of(data)
-                    return any(text in row for row in rows.values()) and all(
-                        re.fullmatch(pattern, rows.get(number, "")) for number, pattern in quantities.items()
-                    )
-
-                return shows
-
-            names = enumerate(("x     mm", "y     mm", "yaw   deg", "pitch deg"), start=3)
-            measured = {number: rf"  {name}( +{NUMBER}){{5}}" for number, name in names}
-            output.until(showing("VALID, mean of 20 exposures; simulated", measured))
-            rows = rows_of(output.data)
-            assert len(rows) == 24, "made for 80 columns and 24 rows"
-            assert all(len(row) < 80 for row in rows.values())
-            assert termios.tcgetattr(device)[3] & termios.ECHO == 0
-
-            os.write(terminal, b"b")
-            truth_alone = {3: rf"  x     mm +- +- +{NUMBER} +- +-"}
-            not_valid = "NOT VALID: front_spot_missing, rear_spot_missing, simulated"
-            output.until(showing(not_valid, truth_alone))
-            rows = rows_of(output.data)
-            url = re.search(r"127.0.0.1:(\d+)/api/measurement", "\n".join(rows.values()))
-            folder = re.search(
-                r"cd (/tmp/altd-\w+) && ./altd watch --socket altd.sock", "\n".join(rows.values())
-            )
-            assert url
-            assert folder
-            assert Path(folder[1], "altd.sock").is_socket()
-            answer = json.load(get(int(url[1]), "/api/measurement"))
-            assert answer["valid"] is False
-            assert quantities(answer) == [None] * 4
-
-            os.write(terminal, b"c")
-            output.until(lambda data: b"VALID, mean" in data[data.rindex(b"NOT VALID") :])
-            os.write(terminal, b"q")
-            output.until(lambda data: b"difference / sigma" in data and data.endswith(b"\r\n"))
-            assert demo.wait(30) == 0
-        assert not Path(folder[1]).exists()
-        farewell = output.data[output.data.rindex(b"\x1b[?1049l") :]
-        assert b"\x1b[?25h" in output.data[output.data.rindex(b"\x1b[?25l") :]
-        assert b"The demo has ended" in farewell
-        assert b"Traceback" not in output.data
+            yield terminal, demo
         assert termios.tcgetattr(device) == before
     finally:
         os.close(device)
         os.close(terminal)
+
+
+def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None:
+    with demo_at_a_terminal([*DEMO, "--calibration", str(unit_3 / "cal.json")], unit_3) as (terminal, demo):
+        output = Output(terminal)
+
+        def showing(text: str, quantities: dict[int, str]) -> Callable[[bytes], bool]:
+            """The text, and rows that are so: while it is drawn, one row is there before another."""
+
+            def shows(data: bytes) -> bool:
+                rows = rows_of(data)
+                return any(text in row for row in rows.values()) and all(
+                    re.fullmatch(pattern, rows.get(number, "")) for number, pattern in quantities.items()
+                )
+
+            return shows
+
+        names = enumerate(("x     mm", "y     mm", "yaw   deg", "pitch deg"), start=3)
+        measured = {number: rf"  {name}( +{NUMBER}){{5}}" for number, name in names}
+        output.until(showing("VALID, mean of 20 exposures; simulated", measured))
+        rows = rows_of(output.data)
+        assert len(rows) == 24, "made for 80 columns and 24 rows"
+        assert all(len(row) < 80 for row in rows.values())
+        assert termios.tcgetattr(terminal)[3] & termios.ECHO == 0
+
+        os.write(terminal, b"b")
+        truth_alone = {3: rf"  x     mm +- +- +{NUMBER} +- +-"}
+        not_valid = "NOT VALID: front_spot_missing, rear_spot_missing, simulated"
+        output.until(showing(not_valid, truth_alone))
+        rows = rows_of(output.data)
+        url = re.search(r"127.0.0.1:(\d+)/api/measurement", "\n".join(rows.values()))
+        folder = re.search(r"cd (/tmp/altd-\w+) && ./altd watch --socket altd.sock", "\n".join(rows.values()))
+        assert url
+        assert folder
+        assert Path(folder[1], "altd.sock").is_socket()
+        answer = json.load(get(int(url[1]), "/api/measurement"))
+        assert answer["valid"] is False
+        assert quantities(answer) == [None] * 4
+
+        os.write(terminal, b"c")
+        output.until(lambda data: b"VALID, mean" in data[data.rindex(b"NOT VALID") :])
+        os.write(terminal, b"q")
+        output.until(lambda data: b"difference / sigma" in data and data.endswith(b"\r\n"))
+        assert demo.wait(30) == 0
+    assert not Path(folder[1]).exists()
+    farewell = output.data[output.data.rindex(b"\x1b[?1049l") :]
+    assert b"\x1b[?25h" in output.data[output.data.rindex(b"\x1b[?25l") :]
+    assert b"The demo has ended" in farewell
+    assert b"Traceback" not in output.data
+
+
+def commands_of(page: Path) -> list[str]:
+    """The command lines of a page, without the first: `make demo`."""
+    text = "".join(page.read_text().split("```")[::2])
+    return [line.strip() for line in text.splitlines() if line.startswith("    ")][1:]
+
+
+def test_the_tutorial_works_as_it_is_written(unit_3: Path, tmp_path: Path) -> None:
+    """Its commands in its order, on a unit that is calibrated already; picocom is a serial line here."""
+    http_port, modbus_port = free_port(), free_port()
+    changes = {
+        ".venv/bin/": f"{Path(sys.executable).parent}/",
+        "examples/": f"{ROOT}/examples/",
+        "8080": str(http_port),
+        "5020": str(modbus_port),
+        "SIM-1": "SIM-3",
+    }
+
+    def command(line: str) -> str:
+        for written, here in changes.items():
+            line = line.replace(written, here)
+        return line
+
+    start, http, modbus, telegram, status, keep, events, replay, console, *_ = map(
+        command, commands_of(ROOT / "docs" / "first-hour.md")
+    )
+
+    def shows(line: str, text: str) -> bytes:
+        """Runs a command until its output has the text."""
+        process = subprocess.Popen(["bash", "-c", f"exec {line}"], cwd=tmp_path, stdout=subprocess.PIPE)
+        with ended(process):
+            assert process.stdout is not None
+            return Output(process.stdout.fileno()).until(lambda data: text.encode() in data)
+
+    (tmp_path / "trial").mkdir()
+    shutil.copy(unit_3 / "cal.json", tmp_path / "trial" / "calibration.json")
+    demo_3 = [*shlex.split(start), "--seed", "3", "--calibration", "trial/calibration.json"]
+    with demo_at_a_terminal(demo_3, tmp_path) as (terminal, demo):
+        output = Output(terminal)
+        output.until(lambda data: b"VALID, mean of 20" in data and b"picocom" in data)
+        shown = "\n".join(rows_of(output.data).values())
+        changes["/dev/pts/2"] = re.search(r"cat (/dev/pts/\d+)", shown)[1]  # type: ignore[index]
+        changes["/dev/pts/4"] = re.search(r"picocom (/dev/pts/\d+)", shown)[1]  # type: ignore[index]
+
+        shows(http, '"valid": true, "status": ["simulated", "rehearsal"]')
+        shows(modbus, " deg (good)\n")
+        shows(modbus.removesuffix(" --rehearsal"), "no value (not live)\n")
+        shows(command(telegram), ",S,")
+
+        os.write(terminal, b"b")
+        output.until(lambda data: b"NOT VALID: front_spot_missing" in data)
+        shows(http, '"valid": false, "status": ["front_spot_missing", "rear_spot_missing"')
+        shows(modbus, "no value (not valid: front_spot_missing)\n")
+        shows(command(telegram), "front_spot_missing+rear_spot_missing")
+        shows(status, "  - no laser spot (front) [")
+        shows(keep, '"why":"asked by http 127.0.0.1"')
+        kept = shows(f"{events} --follow", "frames are kept: spot_missing front")
+        assert b"front: no laser spot: " in kept
+        shows(replay, ",false,front_spot_missing rear_spot_missing simulated,")
+
+        os.write(terminal, b"c")
+        for key, verdict in ((b"", b": good"), (b"m", b": bad: rear: the picture moved"), (b"c", b": good")):
+            os.write(terminal, key)
+            time.sleep(0.5)
+            with opened(shlex.split(command(console))[1]) as ask:
+                ask(b"selfcheck now\r", lambda data: b"(y: yes)" in data)
+                ask(b"y", lambda data: b"then type selfcheck" in data)
+                for _ in range(60):
+                    answer = ask(b"selfcheck\r", lambda data: data.endswith(b"> "))
+                    if verdict in answer:
+                        break
+                    time.sleep(0.5)
+                assert verdict in answer
+        os.write(terminal, b"q")
+        output.until(lambda data: b"difference / sigma" in data and data.endswith(b"\r\n"))
+        assert demo.wait(30) == 0

@@ -1,4 +1,4 @@
-"""What the demo keeps, and the commands that it prints, pasted as they stand."""
+"""What the demo keeps, and the commands that it prints, pasted unchanged."""
 
 from __future__ import annotations
 

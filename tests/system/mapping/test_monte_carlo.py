@@ -1,4 +1,4 @@
-"""Is sigma honest? Noise on nodes and spots, many times over, against what the maps say of themselves."""
+"""Is sigma honest? Noise on nodes and spots, many times over, against the sigma of the maps."""
 
 from __future__ import annotations
 

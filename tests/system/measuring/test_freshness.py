@@ -16,7 +16,7 @@ PERIOD_NS = 50_000_000
 
 @pytest.mark.parametrize("background", [-5.0, -1.0, 0.0, 0.4, 4.0])
 def test_a_camera_that_cuts_its_dark_off_at_black_is_no_repeat(background: float) -> None:
-    """The noise of the dark is hidden there, and hot pixels stand at full scale."""
+    """The noise of the dark is hidden there, and hot pixels are at full scale."""
     rng = np.random.default_rng(5)
     hot = rng.random((HEIGHT, WIDTH)) < 1e-3
     shot_noise = 0.1 * np.sqrt(SPOT)

@@ -46,7 +46,7 @@ def poses(seed: int) -> list[BeamPose]:
 
 @dataclass
 class Period:
-    """What five minutes brought: which causes are told, how many measurements are good, and how wrong."""
+    """The result of five minutes: the reported causes, how many measurements are good, and how wrong."""
 
     told: set[tuple[str, str | None]]
     share: dict[str, float]
@@ -146,7 +146,7 @@ def test_growing_dust_is_told_long_before_a_measurement_is_refused_or_wrong(
         assert 0.0005 < shares[-1] < 0.004  # specks cover 0.2 %, on the rear target the window's shadow too
     covered(lived.unit, 2)
     refused = lived.five_minutes()
-    assert 0 < refused.valid < PLACES / 2  # of ten times the dust that was told already
+    assert 0 < refused.valid < PLACES / 2  # of ten times the dust that was reported already
     assert refused.rms_sigmas < 1.25
 
 

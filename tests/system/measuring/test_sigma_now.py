@@ -1,4 +1,4 @@
-"""Sigma of now against the truth of a moving, vibrating machine.
+"""``sigma_now`` against the truth of a moving, vibrating machine.
 
 The essential cells of ``docs/studies/sigma-now.md``, without pictures.
 """
@@ -72,7 +72,7 @@ def test_the_output_now_has_no_lag_and_its_sigma_is_that_of_its_instant(
     of_cells = np.sqrt(np.mean(np.square(ratios), axis=0))
     assert of_cells.min() > 0.7
     assert of_cells.max() < 1.25
-    assert np.allclose(np.array(ratios)[:, 0], own)  # read at once, sigma of now is sigma
+    assert np.allclose(np.array(ratios)[:, 0], own)  # read at once, sigma_now is sigma
     if speed_mm_per_s:
         assert np.sqrt(np.mean(np.square(errors_mm))) < 0.3 * np.sqrt(np.mean(np.square(of_mean_mm)))
 

@@ -37,7 +37,7 @@ def frame_sets(
     motion: Motion, late: int = 0, apart_ms: int = 0, count: int = 400, first: int = 0
 ) -> Iterator[FrameSet]:
     """What the cameras see of it, the rear one's pictures so many exposures late but stamped as if they
-    were not. ``apart_ms``: the rear camera runs freely and exposes so much behind, and says so."""
+    were not. ``apart_ms``: the rear camera runs freely and exposes so much behind; its stamps show it."""
     rng = np.random.default_rng([first, count])
     for n in range(first, first + count):
         t_ns = n * PERIOD_NS

@@ -22,7 +22,7 @@ EXPOSE = "hw_sim.unit:Unit.expose 5"
 class Command:
     """A command line, and the call of a function at which it gets a signal.
 
-    ``leaves`` may stand in the working folder after that; ``ends_with`` is the status then, None: 128 and the
+    ``leaves`` may be in the working folder after that; ``ends_with`` is the status then, None: 128 and the
     signal's number; ``says`` is all of standard error.
     """
 
@@ -146,7 +146,7 @@ class Ended:
 def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     lamps = folder.parent / "lamps.toml"
     lamps.write_text(unit.config.read_text() + '[lamps]\ndriver = "gpiod"\nchip = "none"\nlines = ["L"]\n')
-    served = folder.parent / "served.toml"  # nobody is there
+    served = folder.parent / "served.toml"  # no daemon is there
     served.write_text(unit.config.read_text() + f'[http]\nhost = "127.0.0.1"\nport = {free_port()}\n')
     scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan", "check": folder.parent / "check"}
     files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config}

@@ -59,7 +59,7 @@ DONE = {
     "hw_sim plate": (0, "", {"kept"}),
     "hw_sim measure": (0, "", {"kept", "truth.json"}),
 }
-"""How commands end by themselves: status, standard error, what stands in the working folder."""
+"""How commands end without a signal: status, standard error, contents of the working folder."""
 
 FULL_DISK = {
     "calibrate": (16, "cal.json"),

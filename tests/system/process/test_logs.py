@@ -1,4 +1,4 @@
-"""The daemon and its log: nobody waits for it, nobody floods it. Standard error is a real pipe."""
+"""The daemon and its log: it is not waited for, and not flooded. Standard error is a real pipe."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from support.played_unit import PlayedUnit, playing
 
 @pytest.fixture
 def full_pipe() -> Iterator[int]:
-    """The end to write to of a pipe that nobody reads and that takes nothing more."""
+    """The end to write to of a pipe without a reader that takes nothing more."""
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     while True:
@@ -98,7 +98,7 @@ def test_a_daemon_needs_no_standard_stream(
 
 
 def test_a_terminal_that_goes_away_ends_the_daemon_in_order(played_unit: PlayedUnit, tmp_path: Path) -> None:
-    def heed() -> None:  # whoever runs the tests may ignore it
+    def heed() -> None:  # the process that runs the tests may ignore it
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
     with playing(played_unit, tmp_path, subprocess.DEVNULL, heed) as daemon:

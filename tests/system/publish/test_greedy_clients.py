@@ -74,7 +74,7 @@ class Unit:
         return int(head[9:12] or b"0"), body
 
     async def answers(self, path: str) -> bytes:
-        """Ask until it is answered: places become free when the unit notices that who had them has left."""
+        """Ask until it is answered: places become free when the unit notices that their clients have left."""
         async with asyncio.timeout(10):
             while True:
                 status, body = await self.ask(path)

@@ -222,7 +222,7 @@ async def test_a_server_that_is_killed_is_started_again_and_health_says_what_it_
 
 
 async def test_a_server_that_was_held_up_shows_nothing_that_is_old() -> None:
-    """While it is stopped measuring goes on; what waited in the pipe is not shown as new."""
+    """While it is stopped measuring continues; what waited in the pipe is not shown as new."""
     async with running() as there, connected(there.unit.url) as client:
         await read(client, "x_mm")
         os.kill(there.child, signal.SIGSTOP)

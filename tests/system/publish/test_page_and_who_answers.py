@@ -1,4 +1,4 @@
-"""The page in Chromium where another unit answers at its address, slowly, or only to whoever is logged in."""
+"""The page in Chromium with another unit at its address, a slow one, one with a history, and with a login."""
 
 from __future__ import annotations
 
@@ -71,6 +71,10 @@ async def unit(
     """A unit that measures; gives its port."""
     clock = SystemClock()
     board, health = Board(clock, 1.0, QUANTITIES, Identity.drawn(serial)), Health(clock)
+    health.component("camera front").observe({"exposure_ms": 4.0, "gain_db": 0.0})
+    health.component("camera front").count("lost", 2)
+    health.component("measuring").count("dropped_front", 1)
+    health.component("temperature camera front").observe({"celsius": 31.2})
     health.facts |= {"serial": serial, "version": "0"}
     health.pictures.open(Maker())
     health.recordings.open(Keeper())
@@ -107,7 +111,7 @@ async def page() -> AsyncIterator[Page]:
 async def trend_in(shown: Page) -> set[str]:
     """The means of x that the plot is made of, as its CSV has them."""
     async with shown.expect_download() as coming:
-        await shown.get_by_role("link", name="as CSV").click()
+        await shown.get_by_role("link", name="Download as CSV").click()
     head, *rows = (await (await coming.value).path()).read_text().splitlines()
     place = head.split(",").index("x_mm_mean")
     return {row.split(",")[place] for row in rows}
@@ -140,8 +144,8 @@ async def test_frames_that_had_to_make_room_are_not_offered(tmp_path: Path) -> N
     async with page() as shown, unit("A-1", history=history) as port:
         await shown.goto(f"http://127.0.0.1:{port}/#events")
         there, gone = (shown.locator(".events tr").filter(has_text=each.text) for each in noted)
-        await there.get_by_role("link", name="its frames").wait_for()
-        await gone.get_by_text("its frames are not kept any more").wait_for()
+        await there.get_by_role("link", name="Download frames").wait_for()
+        await gone.get_by_text("the frames were deleted").wait_for()
         assert await gone.get_by_role("link").count() == 0
 
 
@@ -173,13 +177,17 @@ async def test_who_may_not_see_pictures_is_told_to_log_in(tmp_path: Path) -> Non
         await shown.get_by_role("link", name="Overview").click()
         await shown.get_by_text("To see the pictures, log in first.").wait_for()
         await shown.get_by_role("link", name="Events").click()
-        await shown.get_by_text("To take them along, log in first.").wait_for()
+        await shown.get_by_text("To download them, log in first.").wait_for()
+        act = shown.get_by_role("button", name="Record the last seconds")
+        assert await act.is_disabled()
+        assert await act.locator("xpath=following-sibling::*[1]").get_by_text("log in first").count() == 1
+        assert await shown.get_by_role("button", name="Protect").is_disabled()
         assert await shown.get_by_role("link", name=f"{RECORDING}.tar").count() == 0
 
     async with page() as shown, unit("A-1", credentials=credentials) as port:
         await shown.goto(f"http://127.0.0.1:{port}/")
         await told_to_log_in(shown)
-        await shown.get_by_role("link", name="log in").click()
+        await shown.get_by_role("link", name="log in").first.click()
         await shown.get_by_label("name").fill("ana")
         await shown.get_by_label("password").fill(PASSWORD)
         await shown.get_by_role("button", name="log in").click()
@@ -190,5 +198,97 @@ async def test_who_may_not_see_pictures_is_told_to_log_in(tmp_path: Path) -> Non
         await shown.get_by_role("link", name=f"{RECORDING}.tar").wait_for()
 
         await shown.context.clear_cookies()  # as when the session is over
-        await shown.get_by_role("button", name="keep the last seconds").click()
+        await shown.get_by_role("button", name="Record the last seconds").click()
         await told_to_log_in(shown)
+
+
+async def test_parts_have_readings_and_an_action_that_is_not_possible_its_reason() -> None:
+    async with page() as shown, unit("A-1") as port:
+        await shown.goto(f"http://127.0.0.1:{port}/#unit")
+        check = shown.get_by_role("button", name="Check now")
+        reason = check.locator("xpath=following-sibling::*[1]").get_by_text("this unit has no frame LEDs")
+        await reason.wait_for()
+        assert await check.is_disabled()
+        camera = shown.locator(".parts tr").filter(
+            has=shown.get_by_role("rowheader", name="camera front", exact=True)
+        )
+        assert "31.2 °C, exposure 4.00 ms, 3 lost frames" in await camera.inner_text()
+
+
+TICKS = """{
+    const drawn = globalThis.drawn = new Map();
+    const { clearRect, fillText } = CanvasRenderingContext2D.prototype;
+    CanvasRenderingContext2D.prototype.clearRect = function (...at) {
+        drawn.set(this.canvas, []);
+        clearRect.apply(this, at);
+    };
+    CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
+        drawn.get(this.canvas)?.push(text);
+        fillText.call(this, text, ...at);
+    };
+}"""
+"""Keeps the texts that are on each canvas: the labels of the axes."""
+
+
+async def ticks_of(shown: Page) -> list[tuple[list[str], list[float]]]:
+    """The labels in time and of values, of each plot."""
+    drawn: list[list[str]] = await shown.evaluate(
+        "[...drawn].filter(([plot]) => plot.isConnected).map(([, texts]) => texts)"
+    )
+    return [
+        (
+            [text for text in texts if ":" in text],
+            [float(text.replace("\N{MINUS SIGN}", "-")) for text in texts if ":" not in text],
+        )
+        for texts in drawn
+    ]
+
+
+@pytest.mark.parametrize("size", [(390, 844), (1280, 900)], ids=["phone", "desk"])
+async def test_trends_are_filled_from_the_history_at_once_and_have_three_ticks(
+    tmp_path: Path, size: tuple[int, int]
+) -> None:
+    """The unit measured x = 10 mm in the last minutes, and 1 mm since the page was opened."""
+    async with page() as shown, unit("A-1", history=remembered(tmp_path / "a", "A-1", 10.0)) as port:
+        await shown.set_viewport_size({"width": size[0], "height": size[1]})
+        await shown.add_init_script(TICKS)
+        await shown.goto(f"http://127.0.0.1:{port}/#trends")
+        await shown.locator(".uplot").nth(3).wait_for()
+        plots = []
+        async with asyncio.timeout(2.0):
+            while not plots or max(plots[0][1], default=0) < 5:
+                await asyncio.sleep(0.1)
+                plots = await ticks_of(shown)
+        assert len(plots) == 4
+        for times, values in plots:
+            assert len(set(times)) == len(times) >= 3
+            assert len(set(values)) == len(values) >= 3
+
+
+async def test_the_range_of_the_trends_is_kept(tmp_path: Path) -> None:
+    async with page() as shown, unit("A-1", history=remembered(tmp_path / "a", "A-1", 10.0)) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/#trends")
+        await shown.get_by_role("button", name="1 day").click()
+        await shown.reload()
+        await shown.get_by_role("button", name="1 day", pressed=True).wait_for()
+        await shown.evaluate("localStorage.setItem('span of the trends', '\"2 hours\"')")
+        await shown.reload()
+        await shown.get_by_role("button", name="10 minutes", pressed=True).wait_for()
+
+
+async def test_an_event_that_ended_is_not_coloured(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    now_s, writing = time.time(), store(tmp_path / "a", About(ABOUT.columns, {"serial": "A-1"}))
+    kinds = (EventKind.CAUSE_CAME, EventKind.CAUSE_WENT)
+    writing.write(batch(now_s, [], [event(n, now_s, kind, 4, f"n{n}") for n, kind in enumerate(kinds, 1)]))
+    writing.end(None)
+    async with page() as shown, unit("A-1", history=History(tmp_path / "a" / "history.db")) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/#events")
+        began, ended = (
+            shown.locator(".events tr").filter(has_text=each).locator("td").nth(1) for each in ("n1", "n2")
+        )
+        await began.wait_for()
+        assert [await each.inner_text() for each in (began, ended)] == ["began", "ended"]
+        colours = [await each.evaluate("cell => getComputedStyle(cell).color") for each in (began, ended)]
+        plain = await shown.locator(".events td").first.evaluate("cell => getComputedStyle(cell).color")
+        assert colours[1] == plain != colours[0]

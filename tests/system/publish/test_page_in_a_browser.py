@@ -90,7 +90,7 @@ def turned(frame: Frame) -> Frame:
 
 
 class Frozen:
-    """The camera delivers its last picture for ever."""
+    """The camera delivers its last picture again and again."""
 
     def __init__(self) -> None:
         self._kept: Frame | None = None
@@ -257,7 +257,7 @@ async def test_a_page_that_fails_shows_nothing_old_and_is_loaded_again(
         await shown.until_measured()
         async with shown.page.expect_event("load"):
             await shown.page.evaluate("globalThis.broken = true")
-            await shown.page.get_by_text("this page has failed and shows nothing").wait_for(timeout=2000)
+            await shown.page.get_by_text("this page has failed and shows no values").wait_for(timeout=2000)
             assert "mm" not in await shown.page.inner_text("body")
         await shown.until_measured()
 
@@ -336,7 +336,7 @@ async def test_a_fault_at_night_is_replayed_in_the_morning(
         await shown.open("events")
         # on a slow machine there are others
         row = shown.page.locator(".events tbody tr").filter(has_text="spot_missing front")
-        link = row.get_by_role("link", name="its frames")
+        link = row.get_by_role("link", name="Download frames")
         await link.wait_for(timeout=20_000)
         rows = await shown.page.locator(".events tbody tr").all_inner_texts()
         assert any("no laser spot" in row and "switch the laser on" in row for row in rows)
@@ -351,13 +351,13 @@ async def test_a_fault_at_night_is_replayed_in_the_morning(
         await shown.page.get_by_role("button", name="1 hour").click()
         await shown.until(lambda now: now["plots"] == 4)
         async with shown.page.expect_download() as coming:
-            await shown.page.get_by_role("link", name="as CSV").click()
+            await shown.page.get_by_role("link", name="Download as CSV").click()
         table = Path(await (await coming.value).path()).read_text().splitlines()  # noqa: ASYNC240
         assert table[0].startswith("time,n,n_valid,worst,x_mm_mean,x_mm_sigma,x_mm_low,x_mm_high,")
         assert len(table) > 1
 
         await shown.open("events")
-        await shown.page.get_by_role("button", name="keep the last seconds").click()
+        await shown.page.get_by_role("button", name="Record the last seconds").click()
         await shown.page.get_by_text("asked by http 127.0.0.1", exact=False).first.wait_for(timeout=20_000)
         await picture(shown, "page-events")
         assert shown.complaints == []

@@ -90,7 +90,7 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         seen(started, running, goes_on=False, accept_downloads=True) as shown,
     ):
         events = running.daemon.health.events
-        section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
+        section = shown.page.get_by_role("region", name="Earlier self-checks", exact=True)
         reports = [await running.check() for _ in range(2)]
         noted = await checks_noted(events, reports[-1].number)
         await shown.open("unit")
@@ -114,7 +114,7 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         assert await shown.page.title() != "it ran"
         assert (await shown.now())["overflow"] <= 0
 
-        await save(shown, "diagnostics", tmp_path / "got.zip")
+        await save(shown, "Download diagnostics", tmp_path / "got.zip")
         with zipfile.ZipFile(tmp_path / "got.zip") as archive:
             assert {"README.txt", "status.json", "settings.json", "versions.txt", "trend.csv"} <= set(
                 archive.namelist()
@@ -141,12 +141,12 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
             assert rows["residual mean, std, max, mm"][number] == ", ".join(
                 f"{each:.4f}" for each in residuals
             )
-            assert rows["frame LEDs known"][number] == str(len(target["leds_px"]))
-        await save(shown, "its file", tmp_path / "got.json")
+            assert rows["frame LEDs"][number] == str(len(target["leds_px"]))
+        await save(shown, "Download the file", tmp_path / "got.json")
         assert filecmp.cmp(tmp_path / "got.json", calibration_file, shallow=False)
 
         async with shown.page.expect_popup() as coming:
-            await section.get_by_role("link", name="the report on it").click()
+            await section.get_by_role("link", name="Report").click()
         popup = await coming.value
         await popup.get_by_text("residuals").wait_for()  # a tab that only begins cannot be loaded again
         answered: list[str] = []
@@ -162,7 +162,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         write_report(calibration_file, f"sha256:{'0' * 64}")
         await shown.page.reload()
         await section.get_by_text("reports on another calibration").wait_for()
-        assert await section.get_by_role("link", name="the report on it").count() == 0
+        assert await section.get_by_role("link", name="Report").count() == 0
 
 
 @pytest.mark.parametrize("size", [SIZES["phone"], (360, 640), (320, 568)])

@@ -20,7 +20,7 @@ from hw_sim.unit import Unit, UnitConfig
 
 
 def median_wait_s(tries: int) -> float:
-    """For the interpreter, while another thread computes without ever giving way by itself."""
+    """For the interpreter, while another thread computes without ever giving way."""
     ended = threading.Event()
 
     def compute() -> None:

@@ -19,7 +19,7 @@ def made() -> Unit:
 
 @pytest.fixture
 def quick_controller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Altd's side of Grbl pauses little; its patience stays, for a machine that is busy with other tests."""
+    """Altd's side of Grbl pauses little; its timeouts stay, for a machine that is busy with other tests."""
     for name, seconds in {"POLL_INTERVAL_S": 0.01, "_SILENCE_TIMEOUT_S": 0.05}.items():
         monkeypatch.setattr(controller, name, seconds)
 

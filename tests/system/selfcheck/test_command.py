@@ -94,7 +94,7 @@ def test_targets_that_went_apart_are_not_seen_by_leds_in_their_own_frames(
 ) -> None:
     """Fig. 3.17: 50 K lengthen 280 mm of aluminium by 0.330 mm and a slope of 250 mm/m by 0.0159°.
 
-    Each camera still stands to its own target as before: the LEDs say good, of what they see rightly.
+    Each camera is still where it was relative to its own target: the LEDs rightly give the verdict good.
     """
     expansion = ALUMINIUM_PER_K * WARMER_K
     assert 280.0 * expansion == pytest.approx(0.330, abs=0.001)

@@ -67,7 +67,7 @@ def test_the_driver_is_asked_in_the_kernels_own_words(
 @pytest.mark.parametrize(
     ("cannot", "told"),
     [
-        ("mode", "has no RS485 mode: leave rs485 out if the adapter switches direction by itself"),
+        ("mode", "has no RS485 mode: leave rs485 out if the adapter switches direction automatically"),
         ("enable", "its driver leaves it off"),
         ("low", "rts_while_sending is the other level only"),
         ("delay", "delay_after_ms = 5 becomes 0"),

@@ -37,7 +37,7 @@ def ended_unit(played_unit: PlayedUnit, tmp_path: Path) -> Iterator[LocalDaemon]
 
 
 def said_while_it_measures(unit: LocalDaemon) -> Outcome:
-    """On a busy machine the daemon may be without a fresh measurement for a while, and says so."""
+    """On a busy machine the daemon may be without a fresh measurement for a while, and reports it."""
     deadline = time.monotonic() + 60.0
     while "measuring    NOT LIVE, 0." not in (said := altd_here("status", "--config", unit.config)).out:
         assert time.monotonic() < deadline, said.out
@@ -105,7 +105,7 @@ def test_after_kill_9_the_next_daemon_takes_its_place(
     unit.daemon.process.wait()
     assert unit.socket.exists(), "nobody removed it"
     said = altd_here("status", "--config", unit.config)
-    assert said.err == f"altd status: the daemon does not run: nobody listens at {unit.socket}\n"
+    assert said.err == f"altd status: the daemon does not run: nothing listens at {unit.socket}\n"
     with local_daemon(played_unit, tmp_path) as again:
         assert altd_here("status", "--config", again.config).out.startswith("unit ")
 
@@ -152,7 +152,7 @@ def test_the_folder_of_the_service_manager_is_where_it_is_without_a_table(
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes somebody else")
 class TestSomebodyElse:
-    """What a user without the right is told, by the kernel's own refusal."""
+    """The message for a user without the right, by the kernel's own refusal."""
 
     @staticmethod
     def told(path: Path, uid: int = 65534, gid: int = 65534) -> str:
@@ -192,7 +192,7 @@ class TestSomebodyElse:
         )
 
     def test_the_group_is_let_in(self, path: Path) -> None:
-        assert self.told(path, gid=20) == f"the daemon does not run: nobody listens at {path}"
+        assert self.told(path, gid=20) == f"the daemon does not run: nothing listens at {path}"
 
     def test_a_closed_folder_is_said_so(self, path: Path) -> None:
         path.parent.chmod(0o700)

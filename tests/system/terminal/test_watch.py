@@ -52,7 +52,7 @@ def watching(path: Path, columns: int = 80, rows: int = 24, locale: str = "C.UTF
 
 
 def await_lines(screen: Terminal, hold: Callable[[list[str]], object]) -> None:
-    """Wait until what stands on the screen is so; while it is drawn, one part stands there before another."""
+    """Wait until the text on the screen is so; while it is drawn, one part is there before another."""
     deadline = time.monotonic() + PATIENCE_S
     while not hold(lines := screen.text().split("\n")):
         assert time.monotonic() < deadline, "\n".join(lines)
@@ -139,7 +139,7 @@ class TestLoss:
             killed = time.monotonic()
             await_lines(screen, self.says_nothing)
             assert time.monotonic() - killed <= 2.0
-            screen.await_text("the daemon does not run: nobody listens", PATIENCE_S)
+            screen.await_text("the daemon does not run: nothing listens", PATIENCE_S)
             unit.daemon.process.wait()
             with local_daemon(played_unit, tmp_path):
                 screen.await_text("NOT LIVE, ", PATIENCE_S)

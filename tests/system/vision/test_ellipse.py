@@ -1,4 +1,4 @@
-"""The ellipse's error on many frames, against what it says of itself and the Cramér-Rao bound."""
+"""The ellipse's error on many frames, against its own sigma and the Cramér-Rao bound."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def test_on_a_clean_target_the_error_is_the_bound() -> None:
     rms_px, bound_px, failures = rms_and_bound_px(700, np.ones((SIZE, SIZE)), None, 150.0, seed=1)
     assert failures == 0
     assert rms_px <= 1.15 * bound_px
-    assert rms_px >= 0.9 * bound_px  # nobody beats the bound: else frames or bound are wrong
+    assert rms_px >= 0.9 * bound_px  # nothing beats the bound: else frames or bound are wrong
 
 
 def test_on_print_with_a_flat_the_error_is_near_the_bound() -> None:

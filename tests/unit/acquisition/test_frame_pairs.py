@@ -28,7 +28,7 @@ def shot(camera: str, sequence: int, changing: bool = False, t_ns: int | None = 
 
 
 class Bench:
-    """Frame pairs of cameras, and how often their reader was told."""
+    """Frame pairs of cameras, and how often their reader was notified."""
 
     def __init__(self, *cameras: str) -> None:
         self.clock = FakeClock()

@@ -111,7 +111,7 @@ def test_the_exposure_is_shown_what_was_found_and_nothing_of_a_frame_that_is_not
 
 
 class TickingCamera:
-    """Exposes every 10 ms, and is asked for the next frame at once; ``expose`` lets it go on."""
+    """Exposes every 10 ms, and is asked for the next frame at once; ``expose`` resumes it."""
 
     name = "front"
     origin = Origin.CAMERA
@@ -370,4 +370,4 @@ async def test_all_frames_of_a_camera_that_ends_are_located_and_then_the_thread_
         taken += await bench.take()
     assert taken == [1, 2, 3]
     await asyncio.gather(acquiring, bench.task)
-    assert await bench.take() == []  # woken, so that nothing waits for ever
+    assert await bench.take() == []  # woken, so that nothing waits without end

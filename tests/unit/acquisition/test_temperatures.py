@@ -1,4 +1,4 @@
-"""A thermometer that hangs, lies or breaks is said in health, and its last value is not shown for ever."""
+"""A thermometer that hangs, errs or breaks is reported in health, and its last value is not kept."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ async def test_a_camera_without_a_temperature_or_that_is_away_is_no_fault_of_a_t
     assert (await after_one_reading(of_camera(41.0))).figures == {"celsius": 41.0}
     for none in (None, CameraLostError("the camera is not open")):
         component = await after_one_reading(of_camera(none), before=20.0)
-        assert (component.state, component.message) == (State.OK, "none is told")
+        assert (component.state, component.message) == (State.OK, "none is reported")
         assert component.figures == {"celsius": None}
 
 

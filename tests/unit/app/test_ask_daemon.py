@@ -1,4 +1,4 @@
-"""`altd status` of whoever answers at a socket: good, ill, of another make, or of no make at all."""
+"""`altd status` with any program that answers at a socket: a good daemon, a faulty one, another one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GOOD: Mapping[str, Any] = {
 
 @contextlib.contextmanager
 def answering(path: Path, answers: Mapping[str, Any], code: str = "200 OK") -> Iterator[Path]:
-    """Somebody who answers each path with its document."""
+    """A server that answers each path with its document."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
         server.bind(str(path))
         server.listen()

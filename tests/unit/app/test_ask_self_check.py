@@ -1,4 +1,4 @@
-"""What `altd selfcheck` makes of who answers at the daemon's port, whoever that is."""
+"""`altd selfcheck` with any program that answers at the daemon's port."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_what_is_no_check_is_one_line_and_status_1(tmp_path: Path, answer: bytes
 
 
 def test_the_local_socket_is_asked_first(tmp_path: Path) -> None:
-    """HTTP has nobody; its sentence is that of a daemon which answers on the socket."""
+    """HTTP has no daemon; its sentence is that of a daemon which answers on the socket."""
     path = tmp_path / "altd.toml"
     tables = f'[http]\nport = 9\n[local]\nsocket = "{tmp_path}/s"\n'
     path.write_text(played_toml("cal.json", "rec", tables))

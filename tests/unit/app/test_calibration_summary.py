@@ -1,4 +1,4 @@
-"""What the calibration says of itself: the file's own numbers, and a sigma that is known by formulas."""
+"""The summary of the calibration: the file's own numbers, and a sigma that is known by formulas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the daemon adds to a unit's diagnostics, and what must never stand in it."""
+"""What the daemon adds to a unit's diagnostics, and what must never be in it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SOUNDS_SECRET = re.compile(r"password|passphrase|secret|token|private|pin\b|psk
 
 @pytest.fixture
 def config(played_unit: PlayedUnit, tmp_path: Path) -> Config:
-    """The settings of a unit where a secret stands wherever a person or a command may put one."""
+    """The settings of a unit with a secret in each place where a person or a command may put one."""
     for name in ("credentials", "unit.pem", "unit.key"):
         (tmp_path / name).write_text(f"-----BEGIN PRIVATE KEY-----\n{SECRET}\n")
     more = f'# the root password: {SECRET}\n[http]\ncredentials = "{tmp_path}/credentials"  # {SECRET}\n'

@@ -40,12 +40,12 @@ def rear(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (
             seen("rear", 281.0, "a"),
             {},
-            "target 'rear' stands at z 281 mm, in {rear} at 280 mm",
+            "target 'rear' is at z 281 mm, in {rear} at 280 mm",
         ),
         (
             seen("front", 280.0, "a"),
             {},
-            "target 'front' stands at z 280 mm, where target 'rear' of {rear} stands",
+            "target 'front' is at z 280 mm, where target 'rear' of {rear} is",
         ),
         (
             seen("rear", 280.0, "cam"),

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+import math
+import re
+import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,6 +15,10 @@ from support.cli import altd_here, refusal
 from support.places import ROOT
 
 from altd.cli import main as cli
+from altd.config import HwmonThermometerSettings, LiveCameraSettings, Measuring, Scan
+from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
+from altd.telegram import Reader
+from hw_sim.__main__ import command_parser
 from hw_sim.__main__ import main as simulate
 
 REPLAY = ("replay", "rec", "--calibration", "cal.json")
@@ -167,3 +177,86 @@ def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     line = refusal(altd_here("run", "--rehearsal", "--config", tmp_path / "none.toml"))
     assert line == "altd run: --rehearsal: a service does not rehearse; start `altd run` by hand"
+
+
+PARSERS = {"altd": cli.command_parser(), "hw_sim": command_parser()}
+_COMMAND = re.compile(r"(?:\S*/)?(?:python3? -m )?(altd|hw_sim)(?:\.cli)? (?!\S+:)([^<>]*)(?:[<>].*)?")
+_PAGES = [ROOT / "README.md", *(path for path in ROOT.glob("docs/*.md") if path.name != "commands.md")]
+
+
+def _documented(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """The commands in the code blocks of a page: of which program, and its arguments."""
+    is_fenced = False
+    for line in path.read_text().split("\n"):
+        is_fenced ^= line.startswith("```")
+        if is_fenced or line.startswith("    "):
+            for part in re.split(r" && | \| ", line.split("  #")[0]):
+                if found := _COMMAND.fullmatch(part.strip().removeprefix("sudo ")):
+                    yield found[1], shlex.split(found[2])
+
+
+@pytest.mark.parametrize("path", _PAGES, ids=lambda path: path.name)
+def test_the_pages_have_commands_that_the_parsers_accept(path: Path) -> None:
+    for program, arguments in _documented(path):
+        options, unknown = PARSERS[program].parse_known_args(arguments)
+        assert options.command, arguments
+        assert not unknown, arguments
+
+
+def test_the_tutorial_has_commands_of_both_programs() -> None:
+    programs = [program for program, _ in _documented(ROOT / "docs" / "first-hour.md")]
+    assert programs == ["hw_sim", "altd", "altd", "altd", "hw_sim", "altd", "hw_sim"]
+
+
+def _rows(page: str) -> dict[str, str]:
+    """The tables of a page: the first cell and the second one."""
+    rows = re.findall(r"^\| ([^|]+?) \| ([^|]+?) \|", (ROOT / page).read_text(), re.M)
+    return dict(rows)
+
+
+def test_the_specification_has_the_ranges_rates_and_limits_of_the_code() -> None:
+    rows, measuring, scan = _rows("docs/specification.md"), Measuring(), Scan()
+    fps = LiveCameraSettings.model_fields["fps"].default
+    width, height = ((nodes - 1) * scan.pitch_mm for nodes in (scan.columns, scan.rows))
+    assert f"{width:g} × {height:g} mm" in rows["`x`, `y`"]
+    for name, limit in (("yaw", MAX_YAW_MM_PER_M), ("pitch", MAX_PITCH_MM_PER_M)):
+        degrees = math.degrees(math.atan(limit / 1000))
+        assert rows[f"`{name}`"].startswith(f"±{limit:g} mm/m (±{degrees:.2f}°)")
+    assert rows["measurements"] == f"{fps / measuring.every:g} per second"
+    assert rows["one measurement"] == f"mean of {measuring.window} exposures, {measuring.window / fps:g} s"
+    assert rows["normal `age`"].startswith(f"{measuring.window / fps / 2:.1f} to ")
+    assert rows["a silent camera makes it invalid after"] == f"{measuring.silent_after_s:g} s"
+    withdrawn = rows["value withdrawn when its last exposure is older than"]
+    assert withdrawn == f"{measuring.stale_after_s:.1f} s"
+    coldest, warmest = (
+        HwmonThermometerSettings.model_fields[f"{end}_celsius"].default for end in ("min", "max")
+    )
+    outside = rows["`too_cold`, `too_hot` of camera and thermometer"]
+    assert outside == f"below −{-coldest:g} °C, above +{warmest:g} °C"
+    readme = _rows("README.md")
+    assert readme["range of displacement"] == f"{width:g} × {height:g} mm"
+    assert readme["range of yaw, pitch"] == f"±{MAX_YAW_MM_PER_M:g}, ±{MAX_PITCH_MM_PER_M:g} mm/m"
+
+
+def test_the_recommended_limits_of_age_are_those_of_the_readers() -> None:
+    rows = _rows("docs/specification.md")
+    limit_s = inspect.signature(Reader).parameters["max_age_s"].default
+    assert rows["recommended limit of `age`"].startswith(f"{limit_s:.1f} s; ")
+    for page, limit in (
+        ("http", f"{limit_s:.1f}"),
+        ("modbus", f"{1000 * limit_s:g} ms"),
+        ("telegram", "1000"),
+    ):
+        text = (ROOT / "docs" / f"{page}.md").read_text()
+        assert f"use it up to {limit}\n([specification](specification.md#latency-and-age))" in text
+    tab = json.loads((ROOT / "examples/node_red/flow.json").read_text())[0]
+    waiting_s = next(float(each["value"]) for each in tab["env"] if each["name"] == "LIMIT_MS") / 1000
+    assert rows["the same for a program that waits for the unit"].startswith(f"{waiting_s:g} s (")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/specification.md"])
+def test_measured_figures_are_those_of_the_pages_that_explain_them(page: str) -> None:
+    sources = "".join((ROOT / f"docs/{name}.md").read_text() for name in ("accuracy", "studies/fig-3.17"))
+    figures = re.findall(r"\b(?:0\.\d{4}|\d+,\d{3})\b", (ROOT / page).read_text())
+    assert len(figures) > 12
+    assert [figure for figure in figures if figure not in sources] == []

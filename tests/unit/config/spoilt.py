@@ -1,4 +1,4 @@
-"""Configs made by hand, each with its fault: « stands where the fault is, and is not in the file.
+"""Configs made by hand, each with its fault: « marks the place of the fault, and is not in the file.
 
 A case is (what is replaced, what by, the key that is wrong, words of the complaint).
 """

@@ -27,7 +27,7 @@ CASES = spoilt_cases.CASES + spoilt_checks.CASES
 
 
 def spoilt(old: str, new: str) -> tuple[str, str]:
-    """The text without its mark, and where that stood."""
+    """The text without its mark, and the place of the mark."""
     assert BASE.count(old) >= 1, old
     text = BASE.replace(old, new, 1)
     if "«" not in text:  # the fault is where it was, and another key makes it one

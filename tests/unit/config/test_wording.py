@@ -1,4 +1,4 @@
-"""Every error that our models can raise has words of our own; one that nobody thought of is usable too."""
+"""Every error that our models can raise has a text of our own; an unexpected one is usable too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hashes of passwords against RFC 7914's own, tokens that nobody guesses."""
+"""Hashes of passwords against RFC 7914's own, tokens that cannot be guessed."""
 
 from __future__ import annotations
 

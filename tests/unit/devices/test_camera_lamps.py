@@ -14,7 +14,7 @@ class Camera:
     def __init__(self) -> None:
         self.is_open = False
         self.is_there = True
-        self.outputs = {"Line1": True}  # left lit by whoever had it before
+        self.outputs = {"Line1": True}  # left lit by an earlier program
 
     def open(self) -> None:
         if not self.is_there:

@@ -119,7 +119,7 @@ def test_each_turn_through_a_recording_is_a_playthrough_of_its_own(recording: Pa
 
 
 def test_a_table_that_is_changed_meanwhile_is_played_no_further(recording: Path, tmp_path: Path) -> None:
-    """Nobody has looked at the frames that it names now. It is a camera that fails, and goes on failing."""
+    """The frames that it names now were not checked. It is a camera that fails, and stays failed."""
     copy = tmp_path / "rec"
     shutil.copytree(recording, copy)
     front, rear = cameras(copy, repeat=True)

@@ -40,7 +40,7 @@ def test_a_pipe_a_device_a_socket_and_a_folder_are_not_opened(tmp_path: Path) ->
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket"))
         assert complaint(tmp_path / "socket") == "is a socket, not a file"
-    assert complaint(tmp_path / "pipe") == "is a pipe, not a file"  # nobody writes: it does not wait either
+    assert complaint(tmp_path / "pipe") == "is a pipe, not a file"  # without a writer: it does not wait
     assert complaint(tmp_path) == "is a folder, not a file"
     assert complaint(Path("/dev/zero")) == "is a device, not a file"
     (tmp_path / "link").symlink_to("/dev/zero")

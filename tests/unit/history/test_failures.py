@@ -97,7 +97,7 @@ def test_of_two_daemons_on_one_history_the_second_writes_nothing_until_the_first
     notices = second.write(batch(START_S + 4, [sample(START_S + 3, sequence=101)])).notices
     second.end(None)
     assert sequences(tmp_path / "history.db") == [1, 2, 101]
-    assert notices == []  # nobody crashed
+    assert notices == []  # no daemon crashed
 
 
 def test_a_daemon_that_was_killed_holds_the_history_no_more(tmp_path: Path) -> None:
@@ -326,7 +326,7 @@ def test_where_its_permissions_cannot_be_changed_an_event_says_so(
 
 
 def test_a_batch_that_was_refused_is_taken_whole_the_next_time(tmp_path: Path) -> None:
-    """The lock of another program stands for whatever SQLite refuses after a batch has begun."""
+    """The lock of another program represents any refusal of SQLite after a batch has begun."""
     writing = store(tmp_path)
     writing.write(batch(START_S + 1.5, [sample(START_S, 10.0, 1)]))
     refused = batch(START_S + 2.5, [sample(START_S + 0.9, 20.0, 2)], [event(1, START_S + 2)])

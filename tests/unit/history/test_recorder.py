@@ -192,9 +192,9 @@ async def test_a_disk_that_goes_and_comes_back_costs_history_only(tmp_path: Path
 
 
 class HeldStore(Store):
-    """A disk that takes as long as the test lets it: no file system that this machine has can be told to.
+    """A disk that takes as long as the test wants: no file system of this machine can be made to.
 
-    It stands where SQLite would wait for the disk: between the batch and the file.
+    It waits where SQLite would wait for the disk: between the batch and the file.
     """
 
     def __init__(self, *arguments: Any) -> None:

@@ -1,4 +1,4 @@
-"""A command's end of the local socket: whoever answers there, it ends in time and in one line."""
+"""A command's end of the local socket: whatever program answers, it ends in time and in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from altd.local_socket import NoAnswerError, ask
 
 @contextlib.contextmanager
 def answered(path: Path, serve: Callable[[socket.socket], None]) -> Iterator[Path]:
-    """Somebody at ``path`` who deals with one client so."""
+    """A server at ``path`` that treats one client so."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
         server.bind(str(path))
         server.listen()
@@ -121,7 +121,7 @@ def test_no_daemon_is_said_so(tmp_path: Path) -> None:
         ask(tmp_path / "s", "/", 1.0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
         dead.bind(str(tmp_path / "s"))
-    with pytest.raises(NoAnswerError, match=f"the daemon does not run: nobody listens at {tmp_path}/s"):
+    with pytest.raises(NoAnswerError, match=f"the daemon does not run: nothing listens at {tmp_path}/s"):
         ask(tmp_path / "s", "/", 1.0)
     with pytest.raises(NoAnswerError, match="no daemon answers at"):
         ask(tmp_path / ("x" * 200), "/", 1.0)

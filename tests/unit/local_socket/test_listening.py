@@ -15,7 +15,7 @@ from altd.local_socket import MODE, listening
 
 
 def left_by_the_dead(path: Path) -> None:
-    """A socket's file that nobody listens at any more."""
+    """A socket's file at which no process listens any more."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
         dead.bind(str(path))
         dead.listen()

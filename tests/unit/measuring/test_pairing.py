@@ -315,7 +315,7 @@ class Picture:
 
 
 def chance_numbers() -> Iterator[tuple[str, int, int]]:
-    """Cameras of any rate, whose numbers and times jump to and fro."""
+    """Cameras of any rate, whose numbers and times jump in both directions."""
     random, t = np.random.default_rng(7), 0
     for n in range(20_000):
         t += int(random.integers(0, 60 * MS))

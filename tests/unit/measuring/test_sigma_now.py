@@ -1,4 +1,4 @@
-"""Sigma of now and rates of a machine whose motion is the simulator's, not altd's."""
+"""``sigma_now`` and rates of a machine whose motion is the simulator's, not altd's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a frame is examined, and what becomes of the verdicts; the verdicts themselves are scripted here."""
+"""When a frame is examined, and the effect of the verdicts; the verdicts themselves are scripted here."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Bench:
         return allowed
 
     def figures(self, after_s: float = 0.0) -> dict[str, float | str]:
-        """What health is told so long after the last frame."""
+        """What health shows so long after the last frame."""
         return self.check.status.figures(self.t_ns + round(after_s * 1e9))
 
 
@@ -145,7 +145,7 @@ def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(be
     bench.push(4, replace(GOOD, shift_px=0.3, displaced_px=0.29))
     assert bench.check.displaced_px == 0.29
     bench.push(4, DOUBT)
-    assert bench.check.displaced_px == 0.29  # nobody has seen it back
+    assert bench.check.displaced_px == 0.29  # no frame has shown it back
     bench.push(4, replace(GOOD, displaced_px=0.0))
     assert bench.check.displaced_px == 0.0
 

@@ -152,7 +152,7 @@ def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, 
 
 
 def test_rows_that_are_not_any_more_what_was_checked_are_refused(recording: Path) -> None:
-    """They are well formed, but nobody has looked at their frames."""
+    """They are well formed, but their frames were not checked."""
     opened = open_recording(recording)
     edit(recording, 5, "rear0001.png", "rear0002.png")
     with pytest.raises(BadInputError, match=r"frames\.csv: was changed after it was checked"):

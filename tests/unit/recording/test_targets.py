@@ -56,11 +56,11 @@ def test_with_the_key_it_alone_decides_and_no_distance_is_needed() -> None:
         ([seen("x", 0.0, "a"), seen("y", 1.0, "c")], "targets.1.camera: 'c' is none of the cameras"),
         (
             [seen("x", 0.0, "a"), seen("y", 0.0, "b")],
-            "targets.1.z_mm: 0 is not behind targets.0, 0: targets stand in beam order",
+            "targets.1.z_mm: 0 is not behind targets.0, 0: targets must be in beam order",
         ),
         (
             [seen("x", 280.0, "a"), seen("y", -1.5, "b")],
-            "targets.1.z_mm: -1.5 is not behind targets.0, 280: targets stand in beam order",
+            "targets.1.z_mm: -1.5 is not behind targets.0, 280: targets must be in beam order",
         ),
         ([], "targets: Tuple should have at least 1 item"),
         ([{"name": "x", "camera": "a"}], "targets.0.z_mm: Field required"),

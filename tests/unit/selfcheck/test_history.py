@@ -26,7 +26,7 @@ def check(vector: np.ndarray, sigma_px: float, target: str = "front") -> SelfChe
 def days_until_told(
     px_a_day: np.ndarray, seed: int, days: int = 15, checks_a_day: int = 1, noise_px: float = NOISE_PX
 ) -> int | None:
-    """Days until a drift in four directions is told; None: never. The reference is off by its noise."""
+    """Days until a drift in four directions is reported; None: never. The reference is off by its noise."""
     rng = np.random.default_rng(seed)
     each = noise_px / math.sqrt(6)
     reference = rng.normal(0, each, 4)

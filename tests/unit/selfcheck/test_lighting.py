@@ -52,7 +52,7 @@ def test_a_light_that_comes_or_goes_by_itself_is_named(flashes: set[int]) -> Non
     blinker = Blob(480.0, 160.0, 16.0, peak=100.0)
     said = found(shots(lambda number: (SPOT, blinker) if number in flashes else (SPOT,)))
     assert said
-    assert all("u 480 v 160 px came or went by itself" in finding.sentence for finding in said)
+    assert all("u 480 v 160 px appeared or vanished without the LEDs" in finding.sentence for finding in said)
     assert not any(finding.spoils for finding in said)
 
 
@@ -65,7 +65,7 @@ def test_near_an_led_it_spoils_the_check() -> None:
 
 def test_a_beam_that_jumps_is_told() -> None:
     said = found(shots(lambda number: (SPOT if number < 6 else replace(SPOT, u_px=500.0),)))
-    assert any("came or went by itself" in finding.sentence for finding in said)
+    assert any("appeared or vanished without the LEDs" in finding.sentence for finding in said)
 
 
 def test_a_picture_that_comes_again_is_no_exposure() -> None:

@@ -149,7 +149,7 @@ def test_a_bad_verdict_is_not_ended_by_a_check_that_sees_but_a_part() -> None:
 
 
 def test_an_led_that_is_elsewhere_does_not_hide_that_the_others_tell_too_little() -> None:
-    """The picture trembles by 0.1 mm, and LED 4 is not where the others' motion puts it."""
+    """The picture vibrates by 0.1 mm, and LED 4 is not where the others' motion puts it."""
     rng = np.random.default_rng(5)
     shaken = [Scene(Motion(*rng.normal(0, 0.4, 2))).view(rng, 1) for _ in range(4)]
     trembling = LedView(tuple(v.lit[0] for v in shaken), tuple(v.dark[0] for v in shaken))
@@ -223,7 +223,7 @@ def test_a_light_that_blinks_by_itself_is_named() -> None:
     quiet, blink = Scene().view(rng, 3), Scene(reflections=((500.0, 300.0),)).view(rng, 3)
     found = check(LedView((*quiet.lit[:2], blink.lit[2]), quiet.dark))
     assert found.verdict is Verdict.GOOD, found.reasons
-    assert "shines by itself at u 500 v 300 px" in found.targets["front"].detail
+    assert "shines without the LEDs at u 500 v 300 px" in found.targets["front"].detail
 
 
 def test_an_led_that_shines_in_some_pairs_only_is_unsteady() -> None:

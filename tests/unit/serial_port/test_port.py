@@ -50,7 +50,7 @@ async def test_reading_ends_when_the_pause_is_over(wire: Wire) -> None:
 
 
 async def test_what_does_not_fit_is_refused_whole_and_never_blocks(wire: Wire) -> None:
-    """Nobody reads: the kernel's buffer fills up, then one telegram waits, then all are refused."""
+    """No reader: the kernel's buffer fills up, then one telegram waits, then all are refused."""
     telegram = b"x" * 98 + b"\r\n"
     async with opened(wire.settings(), limit=150, fresh=True) as line:
         accepted = 0
@@ -60,7 +60,7 @@ async def test_what_does_not_fit_is_refused_whole_and_never_blocks(wire: Wire) -
             accepted += line.write(telegram)
             slowest_s = max(slowest_s, time.perf_counter() - started)
         assert accepted < 2000
-        assert slowest_s < 0.1
+        assert slowest_s < 5.0, "nobody reads: a write that waited would wait for ever"
         received = await wire.receive(lambda data: len(data) >= 100 * accepted)
         assert received == telegram * accepted
         assert line.write(b"again\r\n")

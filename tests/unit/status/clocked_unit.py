@@ -31,7 +31,7 @@ class Unit:
         self._sequence = 0
 
     def publish(self, *status: Fault, valid: bool | None = None) -> None:
-        """A measurement of this moment with this status, valid when that says so."""
+        """A measurement of this moment with this status, valid if that allows it."""
         self._sequence += 1
         is_valid = all(fault.reason.is_warning for fault in status) if valid is None else valid
         spoilt = () if is_valid else (Reason.SPOT_MISSING,)

@@ -1,4 +1,4 @@
-"""What an inclinometer says, in a measurement of the beam: on the board and on every face."""
+"""What an inclinometer says, in a measurement of the beam: on the board and on every interface."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class TestBoard:
         assert old.from_sensors["roll_deg"].quality is Quality.OLD
         assert reasons(old) == WARNS
         assert beam_of(old) == BEAM
-        assert board.read() is old  # faces know it again
+        assert board.read() is old  # interfaces recognise it
 
     def test_a_stale_measurement_drops_it_too(self) -> None:
         clock = FakeClock(8_000_000_000)

@@ -56,7 +56,7 @@ def test_a_measurement_that_is_not_plainly_valid_is_never_good_not_even_for_an_i
     unit.publish(Fault(reason))
     report = unit.state.read()
     if reason.signal is Signal.MAINTENANCE_REQUIRED:
-        assert report.signal is Signal.GOOD  # its numbers may be used; one lost frame calls nobody
+        assert report.signal is Signal.GOOD  # its numbers may be used; one lost frame raises no alarm
     else:
         assert report.signal is reason.signal
 

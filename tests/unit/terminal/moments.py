@@ -20,7 +20,7 @@ def hear(knowledge: Knowledge, document: dict[str, Any], now_s: float) -> None:
 
 
 def after_a_minute() -> Knowledge:
-    """At ``LAST_S`` the front spot stands at x 35, y -27.5 mm; each second before, 3 mm to the left."""
+    """At ``LAST_S`` the front spot is at x 35, y -27.5 mm; each second before, 3 mm to the left."""
     knowledge = Knowledge()
     knowledge.hear_about(self_check_of(CHECK), targets_of(TARGETS))
     for second in range(60):

@@ -21,7 +21,7 @@ from .moments import LAST_S, after_a_minute, hear, screen
 
 CHECKED = self_check_of(CHECK)
 SCREENS = Path(__file__).with_name("screens")
-"""Looked at by eye; where spots stand in them, ``test_the_spot_stands_where_…`` says by arithmetic."""
+"""Checked by eye; ``test_the_spot_stands_where_…`` checks the places of spots in them by arithmetic."""
 
 
 def test_the_page_of_targets_is_this_one_to_the_character() -> None:
@@ -59,7 +59,7 @@ MEASURED = {
     "-13.7184", "0.0617", "0.0955", "-13.5333", "-13.9035", "-244.177",
     "41.37", "-23.56", "-36.48", "44.75",
 }  # fmt: skip
-"""Value, sigma, sigma of now, value plus and minus three sigma, in mm/m; the spots."""
+"""Value, sigma, sigma_now, value plus and minus three sigma, in mm/m; the spots."""
 
 FURTHER = {"20", "0.5", "2", "3", "60", "99.99", "31", "0.08", "1", "0.1.0", "2026", "-11", "-02", "-20"} | {
     "08", "10", "00.000"
@@ -114,9 +114,9 @@ def test_what_was_known_is_gone_when_nobody_answers(page: int) -> None:
 @pytest.mark.parametrize("page", range(len(PAGES)))
 def test_it_is_gone_at_once_when_the_daemon_ends_and_back_when_it_answers(page: int) -> None:
     knowledge = after_a_minute()
-    knowledge.hear_nothing("the daemon does not run: nobody listens at /run/altd/altd.sock")
+    knowledge.hear_nothing("the daemon does not run: nothing listens at /run/altd/altd.sock")
     gone = screen(knowledge, LAST_S, page=page)
-    why = "the daemon does not run: nobody listens at /run/altd/altd.sock; it is asked again and again"
+    why = "the daemon does not run: nothing listens at /run/altd/altd.sock; it is asked again and again"
     assert " ".join(gone.split("\n")[1:3]) == why
     assert not any(known in gone for known in ("35.012", "VALID", "ALT-0007", "dust"))
     hear(knowledge, measurement(), LAST_S + 1)

@@ -1,4 +1,4 @@
-"""Compiled code and numpy find the same: numpy, which is tested by itself too, is the truth here."""
+"""Compiled code and numpy find the same: numpy, which is also tested alone, is the truth here."""
 
 from __future__ import annotations
 

@@ -18,6 +18,8 @@ from benchmarks.campaign.good import Count
 from benchmarks.campaign.runner import Plan
 from benchmarks.campaign.units import RECORDINGS, SIMULATED
 
+pytestmark = pytest.mark.timeout(1200)  # minutes of work where other programs keep the cores busy
+
 
 def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(

@@ -1,4 +1,4 @@
-"""The ways of ``make campaign`` that spoil times and numbers, held against arithmetic."""
+"""The ways of ``make campaign`` that disturb times and numbers, held against arithmetic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each way of ``make campaign`` spoils what it says, held against arithmetic on made-up scenes and frames."""
+"""Each way of ``make campaign`` disturbs what its name says, by arithmetic on made-up scenes and frames."""
 
 from __future__ import annotations
 

@@ -9,6 +9,8 @@ import sys
 import pytest
 from support.places import ROOT
 
+pytestmark = pytest.mark.timeout(1200)  # minutes of work where other programs keep the cores busy
+
 NODES, FRAMES = (20, 56), (20, 92)
 
 
@@ -38,7 +40,7 @@ def peaks_mb(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, fl
 
 @pytest.mark.parametrize("command", ["altd calibrate", "altd calibrate --flat", "hw_sim scan"])
 def test_a_node_more_takes_next_to_nothing(command: str, peaks_mb: dict[str, dict[int, float]]) -> None:
-    """Without a flat a node took 6 MB when all of a print's pixels stood in one matrix."""
+    """Without a flat a node took 6 MB when all of a print's pixels were in one matrix."""
     few, many = (peaks_mb[command][nodes] for nodes in NODES)
     assert (many - few) / (NODES[1] - NODES[0]) < 0.3
     assert many < 250

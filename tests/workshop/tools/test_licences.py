@@ -194,15 +194,15 @@ class TestBroughtAlong:
             ),
             (
                 {"fake-1.0.dist-info/licenses/a/b.txt": f"Parts:\n\n  {GPL_TITLE}\n   Version 2, 1991\n"},
-                "fake 1.0 has a whole licence text, GPL, whose nobody knows",
+                "fake 1.0 has a whole licence text, GPL, of an unknown part",
             ),
             (
                 {"fake/solver/LICENSE.txt": f"{GPL_TITLE}\nVersion 3, 29 June 2007\n"},
-                "fake 1.0 has a whole licence text, GPL, whose nobody knows",
+                "fake 1.0 has a whole licence text, GPL, of an unknown part",
             ),
             (
                 {"fake-1.0.dist-info/COPYING": "# GNU Affero General Public License\n\n_Version 3_, 2007\n"},
-                "fake 1.0 has a whole licence text, AGPL, whose nobody knows",
+                "fake 1.0 has a whole licence text, AGPL, of an unknown part",
             ),
             (
                 {"fake.libs/libgpl-12345678.so.1": ""},

@@ -1,4 +1,4 @@
-"""The film of a terminal: what stands where, how it looks, and when."""
+"""The film of a terminal: its text, where, how it looks, and when."""
 
 from __future__ import annotations
 

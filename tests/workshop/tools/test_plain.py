@@ -26,6 +26,13 @@ from tools.plain import findings, main, sentences
             [(4, "is told"), (5, "by itself")],
         ),
         ("a.py", 'stands = f"{nobody} whoever"', [(1, "whoever")]),
+        (
+            "a.py",
+            'def f():\n    "Nobody."\n    x = "the bit\\nstands"\n    # anew',
+            [(2, "Nobody"), (3, "stands"), (4, "anew")],
+        ),
+        ("a.py", 'x["stands"] = "anew"  # keys are no text', []),
+        ("tests/a.py", '"""Anew."""\ndef stands():\n    ask("so anew")  # anew', [(1, "Anew"), (3, "anew")]),
         ("a.js", "let a = 'for ever';", [(1, "for ever")]),
         ("a.md", "The two faces of the instrument; the bit stands\n", [(1, "stands")]),
     ],
@@ -37,6 +44,16 @@ def test_phrases(name: str, text: str, expected: list[tuple[int, str]]) -> None:
 def test_sentences_are_those_of_paragraphs_and_items() -> None:
     page = "# A heading\n\nOne two. Three `four. five` six? (Seven\neight.)\n\n| a row |\n\n- An item.\n- b c"
     assert [len(sentence.split()) for sentence in sentences(page)] == [2, 3, 2, 2, 2]
+
+
+def test_the_python_files_of_a_folder_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "a.py").write_text(
+        '"""A room."""\n\nx = "of no use"\n\n\ndef f():\n    """Stands."""\n'
+    )
+    (tmp_path / "plain.py").write_text('"""Stands."""\n')
+    assert main([str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"{tmp_path}/room/a.py:7: “Stands”: is, is listed, means\n"
 
 
 def test_a_finding_names_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

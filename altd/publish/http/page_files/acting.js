@@ -1,10 +1,10 @@
-// Asking the unit, and who may ask it to do something.
+// Requests to the unit, access to its actions, and the reason for an action that is not possible.
 
-import { html, useState } from "./vendor/htm-preact.js";
+import { html, useEffect, useState } from "./vendor/htm-preact.js";
 
 const ANSWER_MS = 30000;
 
-// The unit's answer; {error} in words where there is none or it refuses.
+// The unit's answer; {error} with a sentence if there is none or the unit refuses.
 export async function asked(address, method = "GET", body = undefined) {
   const headers = method === "GET" ? {} : { "X-Altd-Request": "page" };
   if (body !== undefined) headers["Content-Type"] = "application/json";
@@ -14,6 +14,34 @@ export async function asked(address, method = "GET", body = undefined) {
   } catch {
     return { error: "no answer from the unit" };
   }
+}
+
+// The answer of an address, requested again at an interval; {error} if there is none.
+export function useAnswer(address, everyMs) {
+  const [answer, setAnswer] = useState(null);
+  useEffect(() => {
+    let isWanted = true, isAsking = false;
+    const look = async () => {
+      if (document.hidden || isAsking) return;  // a slow unit gets no more requests
+      isAsking = true;
+      const found = await asked(address);
+      isAsking = false;
+      if (isWanted) setAnswer(found);
+    };
+    setAnswer(null);
+    look();
+    const timer = setInterval(look, everyMs);
+    document.addEventListener("visibilitychange", look);
+    return () => { isWanted = false; clearInterval(timer); document.removeEventListener("visibilitychange", look); };
+  }, [address]);
+  return answer;
+}
+
+// Why the unit would refuse an action of this browser; empty: it would not.
+export function whyNot(session) {
+  if (session?.may_act) return "";
+  if (!session) return "access is not known yet";
+  return session.login ? html`<a href="#unit">log in</a> first` : "possible only on the unit's own computer";
 }
 
 export function Session({ session, onChange }) {
@@ -28,22 +56,22 @@ export function Session({ session, onChange }) {
     onChange();
   };
   const logOut = async () => { await asked("/api/v1/logout", "POST"); onChange(); };
-  return html`<section aria-labelledby="session-title"><h2 id="session-title">Who may act</h2>
-    ${session.name ? html`<p>${session.name} <button type="button" onClick=${logOut}>log out</button></p>`
+  return html`<section aria-labelledby="session-title"><h2 id="session-title">Access</h2>
+    ${session.name ? html`<p>${session.name} <button type="button" onClick=${logOut}>Log out</button></p>`
       : html`<form onSubmit=${logIn}>
         <label>name <input autocomplete="username" required maxlength="32" value=${name} onInput=${event => setName(event.target.value)} /></label>
         <label>password <input type="password" autocomplete="current-password" required value=${password} onInput=${event => setPassword(event.target.value)} /></label>
-        <button>log in</button> <span role="status">${said}</span></form>`}</section>`;
+        <button>Log in</button> <span role="status">${said}</span></form>`}</section>`;
 }
 
-export function CheckNow({ mayAct, onSession }) {
+export function CheckNow({ session, unavailable, onSession }) {
   const [said, setSaid] = useState("");
-  if (!mayAct) return null;
   const check = async () => {
-    setSaid("the unit checks itself…");
+    setSaid("self-check running…");
     const done = await asked("/api/v1/self-check", "POST");
-    setSaid(done.error ?? `the verdict: ${done.verdict}`);
+    setSaid(done.error ?? `result: ${done.verdict}`);
     if (done.error) onSession();
   };
-  return html`<p><button type="button" onClick=${check}>check now</button> <span role="status">${said}</span></p>`;
+  return html`<p><button type="button" disabled=${!session?.may_act || Boolean(unavailable)} onClick=${check}>Check now</button>
+    <span class="reason">${unavailable || whyNot(session)}</span> <span role="status">${said}</span></p>`;
 }

@@ -1,32 +1,45 @@
-// The unit's state, what it comes from, and what to do.
+// The unit's state, its causes, and their remedies.
 
 import { html } from "./vendor/htm-preact.js";
-import { SIGNALS, duration, words } from "./words.js";
+import { ORIGINS, SIGNALS, counted, duration, words } from "./words.js";
 
+const isOrigin = cause => ORIGINS.includes(cause.code);
+
+// The worst signal; without that of simulated frames, which the verdict names already.
 export function Badge({ status }) {
-  const signal = status?.state?.signal, known = SIGNALS[signal];
+  const causes = (status?.state?.causes ?? []).filter(cause => cause.active), others = causes.filter(cause => !isOrigin(cause));
+  const hasOrigin = others.length < causes.length;
+  if (hasOrigin && others.length === 0) return null;
+  const signal = hasOrigin ? Object.keys(SIGNALS).findLast(each => others.some(cause => cause.signal === each)) : status?.state?.signal;
+  const known = SIGNALS[signal];
   if (!known) return html`<span class="badge unknown">state not known</span>`;
   return html`<span class=${`badge ${signal}`}><span aria-hidden="true">${known.mark}</span> ${known.words}</span>`;
 }
 
-export function Causes({ status }) {
-  const causes = status?.state?.causes ?? [];
+// isFar: read from two metres, where one active cause has room: the worst, which is the first.
+export function Causes({ status, isFar }) {
+  const known = (status?.state?.causes ?? []).filter(cause => cause.code !== "rehearsal").sort((one, other) => other.active - one.active);
+  const all = !isFar ? known : known.filter(cause => cause.active).sort((one, other) => isOrigin(one) - isOrigin(other));
+  const causes = isFar ? all.slice(0, 1) : all;
+  const badge = Badge({ status }), more = all.length - causes.length;
   return html`<section class="causes" aria-labelledby="causes-title">
     <h2 id="causes-title">State</h2>
-    ${status?.state ? html`<p><${Badge} status=${status} /> for ${duration(status.state.for_s)}</p>` : html`<p>not known</p>`}
+    ${!status?.state && html`<p>not known</p>`}
+    ${status?.state && (badge || more > 0) && html`<p class="state">${badge} ${badge && !known.some(isOrigin) && `for ${duration(status.state.for_s)}`}
+      ${more > 0 && html` <a href="#">${counted(more, "more cause")}</a>`}</p>`}
     <ul aria-live="polite">
-      ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.signal} data-code=${cause.code}>
+      ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.active ? cause.signal : "ended"} data-code=${cause.code}>
         <strong><span aria-hidden="true">${SIGNALS[cause.signal]?.mark}</span> ${cause.brief}${cause.of ? html` <em>(${cause.of})</em>` : ""}</strong>
         <span class="remedy">${cause.remedy}</span>
-        <small>${cause.detail ? `${cause.detail}; ` : ""}${words(cause.code)}, ${cause.active ? "for" : "over; began"} ${duration(cause.for_s)}${cause.active ? "" : " ago"}${
+        <small>${cause.detail ? `${cause.detail}; ` : ""}${words(cause.code)}, ${cause.active ? "for" : "ended; began"} ${duration(cause.for_s)}${cause.active ? "" : " ago"}${
           cause.times > 1 ? `, ${cause.times} times` : ""}</small>
       </li>`)}
     </ul>
-    ${status?.state && causes.length === 0 && html`<p>nothing is wrong</p>`}
+    ${status?.state && causes.length === 0 && html`<p>no fault</p>`}
   </section>`;
 }
 
-// Below so many seconds a span is not as long as its name says.
+// A shorter observed span is stated with its length.
 const WHOLE_S = { last_hour: 3540, last_day: 86340, last_31_days: 2674800 };
 
 export function Availability({ status }) {

@@ -1,17 +1,17 @@
-// Self-checks: what the last one said, those before it, and how far the frame LEDs have moved since the calibration.
+// Self-checks: the last one, earlier ones, and how far the frame LEDs have moved since the calibration.
 
 import { html, useEffect, useRef } from "./vendor/htm-preact.js";
-import { useAnswer } from "./past.js";
-import { axesOf, colours } from "./trend.js";
+import { useAnswer } from "./acting.js";
+import { PLOT_HEIGHT, axesOf, colours } from "./trend.js";
 import { UNKNOWN, fixed, utc, words } from "./words.js";
 
-const ASK_MS = 10000, SHOWN = 20, DRAWN = 200, DECIMALS = 3, MIN_SPAN_PX = 0.2;
+const ASK_MS = 10000, SHOWN = 20, DRAWN = 200, MIN_SPAN_PX = 0.2;
 
 export function SelfCheck({ check, children }) {
   if (!check) return html`<section aria-labelledby="check-title"><h2 id="check-title">Self-check</h2><p>not known</p></section>`;
   const targets = Object.entries(check.targets ?? {});
   return html`<section aria-labelledby="check-title"><h2 id="check-title">Self-check</h2>
-    <p><strong>${check.verdict ?? "none yet"}</strong>${check.reasons?.length ? `: ${check.reasons.map(words).join(", ")}` : ""}</p>
+    <p><strong>${check.verdict ?? "none"}</strong>${check.reasons?.length && !check.unavailable ? `: ${check.reasons.map(words).join(", ")}` : ""}</p>
     ${targets.length > 0 && html`<table><thead><tr><th scope="col">target</th><th scope="col">LEDs</th><th scope="col">shift, px</th>
       <th scope="col">turn, °</th></tr></thead><tbody>${targets.map(([name, target]) => html`<tr key=${name}><th scope="row">${name}</th>
       <td>${target.leds_found} of ${target.leds_expected}</td>
@@ -36,7 +36,7 @@ export function shiftsOf(events, target) {
   return columns;
 }
 
-// What a check scatters by shall not look like a drift.
+// The scatter of checks must not look like a drift.
 function rangeOf(_, low, high) {
   const add = Math.max((MIN_SPAN_PX - (high - low)) / 2, 0.05 * (high - low));
   return [low - add, high + add];
@@ -48,12 +48,12 @@ function Shifts({ target, columns }) {
     const colour = colours(place.current), t = columns[0];
     const dots = { show: true, size: 5 };
     const plot = new uPlot({
-      width: place.current.clientWidth, height: 150, legend: { show: false }, cursor: { y: false },
-      scales: { y: { range: rangeOf } }, axes: axesOf(colour, { decimals: DECIMALS }, t.at(-1) - t[0]),
+      width: place.current.clientWidth, height: PLOT_HEIGHT, legend: { show: false }, cursor: { y: false },
+      scales: { x: { time: false }, y: { range: rangeOf } }, axes: axesOf(colour, t.at(-1) - t[0]),
       series: [{}, { stroke: colour("--accent"), width: 1.5, points: dots },
         { stroke: colour("--warned"), width: 1.5, dash: [6, 4], points: dots }],
     }, columns, place.current);
-    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: 150 }));
+    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: PLOT_HEIGHT }));
     sized.observe(place.current);
     return () => { sized.disconnect(); plot.destroy(); };
   }, [target, columns[0].length, columns[0].at(-1)]);
@@ -66,12 +66,12 @@ export function PastChecks() {
   const events = answer?.events ?? [];
   const targets = [...new Set(events.flatMap(({ detail }) => Object.keys(shiftsIn(detail))))];
   const drawn = targets.map(target => [target, shiftsOf(events, target)]).filter(([, columns]) => columns[0].length > 1);
-  return html`<section aria-labelledby="checks-title" class="wide"><h2 id="checks-title">Self-checks so far</h2>
-    ${answer === null ? html`<p>asking the unit…</p>` : answer.error ? html`<p>${answer.error}</p>` : !events.length && html`<p>none</p>`}
+  return html`<section aria-labelledby="checks-title" class="wide"><h2 id="checks-title">Earlier self-checks</h2>
+    ${answer === null ? html`<p>waiting for the unit…</p>` : answer.error ? html`<p>${answer.error}</p>` : !events.length && html`<p>none</p>`}
     ${drawn.length > 0 && html`<p class="hint">How far the frame LEDs have moved in the picture since the calibration. Times are UTC.</p>
       <div class="plots">${drawn.map(([target, columns]) => html`<${Shifts} key=${target} target=${target} columns=${columns} />`)}</div>`}
-    ${events.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="self-checks so far"><table class="events">
-      <thead><tr><th scope="col">UTC</th><th scope="col">verdict</th><th scope="col">why</th><th scope="col">says</th></tr></thead>
+    ${events.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="earlier self-checks"><table class="events">
+      <thead><tr><th scope="col">UTC</th><th scope="col">Result</th><th scope="col">Cause</th><th scope="col">Message</th></tr></thead>
       <tbody>${events.slice(0, SHOWN).map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}><td>${utc(event.time)}</td>
         <td>${words(String(event.detail.verdict ?? "not known"))}</td><td>${words(String(event.detail.cause ?? ""))}</td><td>${event.text}</td></tr>`)}</tbody>
     </table></div>`}</section>`;

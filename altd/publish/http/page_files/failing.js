@@ -1,8 +1,8 @@
-// A page that fails shows nothing: what was drawn before would stand there as if it were of now.
+// A page that fails is emptied: old values must not look current.
 
 const AGAIN_MS = 2000;
 
-// After an error that is not caught, `root` is emptied and the page is loaded again.
+// After an uncaught error `root` is removed and the page reloads.
 export function guard(root, world = globalThis) {
   let hasFailed = false;
   const fail = () => {
@@ -12,7 +12,7 @@ export function guard(root, world = globalThis) {
     const said = world.document.createElement("p");
     said.className = "waiting";
     said.setAttribute("role", "alert");
-    said.textContent = "this page has failed and shows nothing; it is loaded again";
+    said.textContent = "this page has failed and shows no values; it reloads now";
     world.document.body.append(said);
     world.setTimeout(() => world.location.reload(), AGAIN_MS);
   };

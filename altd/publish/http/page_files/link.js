@@ -1,8 +1,8 @@
-// What the unit has said within the last seconds, and nothing older.
+// The unit's messages of the last seconds, and nothing older.
 //
-// A stream brings measurements; twice a second, and when a reason comes or goes, the status is asked for, and
-// when the stream is silent the measurement too. What that does not confirm goes within two seconds. What was held
-// back on its way, by a computer that slept, a slow line or a proxy, is as old as its `clock_ms` says, and no news.
+// A stream brings measurements. The status is requested twice a second and when a reason begins or ends; so is the
+// measurement, when the stream is silent. Unconfirmed data is removed within two seconds. A message that was delayed,
+// by a computer that slept, a slow line or a proxy, is as old as its `clock_ms`, and is not news.
 
 export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400;
 const MEASUREMENT = "/api/v1/measurement", STATUS = "/api/v1/status", STREAM = "/api/v1/stream";
@@ -27,7 +27,7 @@ export class Link {
     this.look();
     this.world.setInterval(() => this.forget(), FORGET_MS);
     this.world.setInterval(() => this.look(), LOOK_MS);
-    // a page that nobody saw may have slept
+    // a hidden page may have slept
     this.world.document.addEventListener("visibilitychange", () => this.look());
   }
 
@@ -90,7 +90,7 @@ export class Link {
     try {
       this.tell({ status: await this.answered(STATUS) });
       if (this.silentMs() > QUIET_MS) await this.ask();
-      if (this.stream.readyState === 2) this.connect();  // closed for ever: there are too many, or it was refused
+      if (this.stream.readyState === 2) this.connect();  // closed permanently: there are too many, or it was refused
     } catch {
       this.tell({ words: "no connection to the unit", measurement: null, status: null });
       this.stream.close();
@@ -116,7 +116,7 @@ export class Link {
     this.tell(error ? { words: "nothing measured yet", measurement: null } : { words: "", measurement });
   }
 
-  // null where it is refused, as to who asks too often: nothing is known by that; before the first measurement there
+  // null if it is refused, as after too many requests: that gives no information; before the first measurement there
   // are reasons in `status`.
   async answered(path) {
     const signal = this.world.AbortSignal.timeout(ANSWER_MS);

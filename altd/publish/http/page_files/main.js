@@ -1,18 +1,19 @@
-// The page: what the unit says now, put together; which view is shown stands behind # in the address.
+// The page: the unit's current data; the view is behind # in the address.
 
 import { html, render, useEffect, useRef, useState } from "./vendor/htm-preact.js";
-import { CheckNow, Session, asked } from "./acting.js";
+import { CheckNow, Session, asked, useAnswer } from "./acting.js";
 import { Availability, Badge, Causes } from "./causes.js";
 import { Calibration } from "./calibration.js";
 import { PastChecks, SelfCheck } from "./checks.js";
 import { Eyes } from "./eye.js";
 import { guard } from "./failing.js";
+import { useKept } from "./keeping.js";
 import { Link } from "./link.js";
 import { Memory } from "./memory.js";
 import { Parts, Unit } from "./more.js";
 import { Numbers } from "./numbers.js";
 import { Pictures } from "./pictures.js";
-import { Events, PastTrends, Recordings, SPANS, useAnswer } from "./past.js";
+import { Events, PastTrends, Recordings, SPANS } from "./past.js";
 import { LiveTrends } from "./trend.js";
 import { QUANTITIES, verdictOf } from "./words.js";
 
@@ -33,14 +34,14 @@ function useView() {
 }
 
 function Trends({ unit }) {
-  const [span, setSpan] = useState(LIVE);
+  const [span, setSpan] = useKept("span of the trends", LIVE, value => value === LIVE || Object.hasOwn(SPANS, value));
   return html`<section aria-labelledby="trend-title" class="trends"><h2 id="trend-title">Last ${span}</h2>
     <div role="group" aria-label="span of time" class="spans">${[LIVE, ...Object.keys(SPANS)].map(each => html`<button key=${each} type="button"
       aria-pressed=${span === each} onClick=${() => setSpan(each)}>${each}</button>`)}</div>
-    ${span === LIVE ? html`<${LiveTrends} memory=${memory} />` : html`<${PastTrends} key=${`${unit} ${span}`} span=${span} />`}</section>`;
+    ${span === LIVE ? html`<${LiveTrends} key=${unit} memory=${memory} />` : html`<${PastTrends} key=${`${unit} ${span}`} span=${span} />`}</section>`;
 }
 
-// Who is logged in, asked for again after a change and while the unit answers.
+// The user who is logged in; requested again after a change and while the unit answers.
 function useSession(isAnswering) {
   const [session, setSession] = useState(null);
   const look = async () => { const found = await asked("/api/v1/session"); setSession(found.error ? null : found); };
@@ -50,13 +51,13 @@ function useSession(isAnswering) {
 
 function EventsView({ session, mayLook, onSession }) {
   const kept = useAnswer("/api/v1/recordings", CHECK_MS);
-  return html`<${Events} kept=${kept} mayLook=${mayLook} /><${Recordings} kept=${kept} mayAct=${session?.may_act} mayLook=${mayLook} onSession=${onSession} />`;
+  return html`<${Events} kept=${kept} mayLook=${mayLook} /><${Recordings} kept=${kept} session=${session} mayLook=${mayLook} onSession=${onSession} />`;
 }
 
 function UnitView({ status, session, mayLook, onSession }) {
   const check = useAnswer("/api/v1/self-check", CHECK_MS);
   return html`<${Unit} status=${status} mayLook=${mayLook} />
-    <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} mayAct=${session?.may_act} onSession=${onSession} /><//>
+    <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} session=${session} unavailable=${check?.unavailable} onSession=${onSession} /><//>
     <${Session} session=${session} onChange=${onSession} />
     ${status !== null && html`<${Calibration} mayLook=${mayLook} /><${PastChecks} />`}<${Parts} status=${status} />`;
 }
@@ -69,7 +70,7 @@ function Page() {
     link.start();
   }, []);
   const { measurement, status } = known, verdict = verdictOf(known), unit = useRef("");
-  unit.current = status?.serial ?? unit.current;  // nothing of one is kept for another at its address
+  unit.current = status?.serial ?? unit.current;  // data of one unit is not kept for another at its address
   const mayLook = session && (!session.login || session.name !== null);  // null: not known
   useEffect(() => { document.title = `Active Laser Target ${status?.serial ?? ""}`; }, [status?.serial]);
   return html`
@@ -83,8 +84,8 @@ function Page() {
     <main class=${view || "overview"}>
       ${view === "" && html`<${Numbers} measurement=${measurement} /><${Causes} status=${status} />
         ${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Pictures} mayLook=${mayLook} onSession=${onSession} />`}
-      ${view === "drive" && html`${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Numbers} measurement=${measurement} />
-        <${Causes} status=${status} />`}
+      ${view === "drive" && html`<${Numbers} measurement=${measurement} isFar />${hasEyes && html`<${Eyes} measurement=${measurement} isFar />`}
+        <${Causes} status=${status} isFar />`}
       ${view === "trends" && html`<${Trends} unit=${unit.current} /><${Availability} status=${status} />`}
       ${view === "events" && html`<${EventsView} key=${unit.current} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
       ${view === "unit" && html`<${UnitView} status=${status} session=${session} mayLook=${mayLook} onSession=${onSession} />`}

@@ -1,15 +1,23 @@
-// The unit itself: what it is, its parts, and what can be taken along of them.
+// The unit: its identity, its parts, and its diagnostics.
 
 import { html } from "./vendor/htm-preact.js";
-import { duration } from "./words.js";
+import { counted, duration, fixed } from "./words.js";
+
+// What is known of a part: temperature, exposure and lost frames, where it has these.
+function readingsOf(name, part, components) {
+  const celsius = part.celsius ?? components[`temperature ${name}`]?.celsius ?? null, camera = /^camera (\S+)$/.exec(name)?.[1];
+  const lost = (part.lost ?? 0) + (components.measuring?.[`dropped_${camera}`] ?? 0);
+  return [celsius !== null && `${fixed(celsius, 1)} °C`, part.exposure_ms != null && `exposure ${fixed(part.exposure_ms, 2)} ms`,
+    camera && counted(lost, "lost frame")].filter(Boolean).join(", ");
+}
 
 export function Parts({ status }) {
   const parts = Object.entries(status?.components ?? {});
   return html`<section aria-labelledby="parts-title"><h2 id="parts-title">Parts</h2>
     <div class="scrolls" tabindex="0" role="region" aria-label="parts of the unit"><table class="parts">
-      <thead><tr><th scope="col">part</th><th scope="col">state</th><th scope="col">for</th><th scope="col">says</th></tr></thead>
+      <thead><tr><th scope="col">Part</th><th scope="col">State</th><th scope="col">For</th><th scope="col">Readings</th><th scope="col">Message</th></tr></thead>
       <tbody>${parts.map(([name, part]) => html`<tr key=${name} class=${part.state}>
-        <th scope="row">${name}</th><td>${part.state}</td><td>${duration(part.for_s)}</td><td>${part.message}</td></tr>`)}</tbody>
+        <th scope="row">${name}</th><td>${part.state}</td><td>${duration(part.for_s)}</td><td>${readingsOf(name, part, status.components)}</td><td>${part.message}</td></tr>`)}</tbody>
     </table></div></section>`;
 }
 
@@ -19,6 +27,6 @@ export function Unit({ status, mayLook }) {
     <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value ?? "–"}</dd></div>`)}</dl>
     <p class="links"><a href="/api/v1/">API</a> <a href="/api/v1/measurement">measurement</a> <a href="/api/v1/status">status</a>
       <a href="/metrics">metrics</a></p>
-    <p>${mayLook && html`<a href="/api/v1/diagnostics" download>diagnostics</a>`}${mayLook === false && "Diagnostics: log in first."}
-      <span class="hint"> Status, events, trend, settings and versions in one archive, to mail.</span></p></section>`;
+    <p>${mayLook && html`<a href="/api/v1/diagnostics" download>Download diagnostics</a>`}${mayLook === false && html`To download diagnostics, <a href="#unit">log in</a> first.`}
+      <span class="hint"> Status, events, trend, settings and versions in one archive for remote support.</span></p></section>`;
 }

@@ -1,40 +1,42 @@
-// The quantities with their uncertainty: now where it is known how the beam moves, else that at rest.
+// The quantities with both uncertainties.
 
 import { html, useState } from "./vendor/htm-preact.js";
 import { QUANTITIES, UNKNOWN, counted, fixed, sigmaOf } from "./words.js";
 
-function Row({ quantity, measurement }) {
+const FAR_DECIMALS = 1;
+
+function Row({ quantity, measurement, decimals }) {
   return html`<tr>
     <th scope="row">${quantity.label}</th>
-    <td class="value" id=${quantity.key}>${fixed(measurement?.[quantity.key], quantity.decimals)}</td>
+    <td class="value" id=${quantity.key}>${fixed(measurement?.[quantity.key], decimals ?? quantity.decimals)}</td>
     <td class="unit">${quantity.unit}</td>
     <td class="sigma" id=${`sigma_${quantity.key}`}>${sigmaOf(measurement, quantity)}</td>
   </tr>`;
 }
 
-// Degrees or mm/m: the same directions, and a driver knows one of the two.
-export function Numbers({ measurement }) {
-  const [inSlopes, setInSlopes] = useState(false);
+// isFar: read from two metres: large, with one decimal, directions in mm/m as in the bull's eyes.
+export function Numbers({ measurement, isFar }) {
+  const [inSlopes, setInSlopes] = useState(isFar);
   const also = QUANTITIES.filter(quantity => quantity.is_also);
   const shown = QUANTITIES.filter(quantity => !quantity.is_also && (quantity.is_shown || measurement?.[quantity.key] != null));
-  const absent = QUANTITIES.filter(quantity => !quantity.is_also && !shown.includes(quantity));
+  const absent = isFar ? [] : QUANTITIES.filter(quantity => !quantity.is_also && !shown.includes(quantity));
   const rows = shown.map(quantity => {
     const other = inSlopes && also.find(each => each.is_also === quantity.key);
-    return html`<${Row} key=${quantity.key} quantity=${other || quantity} measurement=${measurement} />`;
+    return html`<${Row} key=${quantity.key} quantity=${other || quantity} measurement=${measurement} decimals=${isFar ? FAR_DECIMALS : undefined} />`;
   });
   return html`<section aria-labelledby="numbers-title" class="numbers" data-sequence=${measurement?.sequence ?? ""}>
-    <h2 id="numbers-title">Beam in the unit</h2>
+    <h2 id="numbers-title">Beam position</h2>
     <table>
       <thead class="unseen"><tr><th scope="col">quantity</th><th scope="col">value</th><th scope="col">unit</th>
-        <th scope="col">uncertainty</th></tr></thead>
+        <th scope="col">uncertainty (1 sigma)</th></tr></thead>
       <tbody>${rows}
         ${absent.map(quantity => html`<tr key=${quantity.key} class="absent"><th scope="row">${quantity.label}</th>
           <td class="value">${UNKNOWN}</td><td colspan="2" class="why">not available: ${quantity.meaning}</td></tr>`)}
       </tbody>
     </table>
-    ${also.length > 0 && html`<button type="button" aria-pressed=${inSlopes} onClick=${() => setInSlopes(!inSlopes)}>
+    ${!isFar && html`${also.length > 0 && html`<button type="button" aria-pressed=${inSlopes} onClick=${() => setInSlopes(!inSlopes)}>
       directions in ${inSlopes ? "degrees" : also[0].unit}</button>`}
     <p class="when">${measurement ? html`<time datetime=${measurement.time}>${measurement.time ?? "time not known"}</time>,
-      number ${measurement.sequence}, mean of ${counted(measurement.frames, "exposure")}` : "\u00a0"}</p>
+      number ${measurement.sequence}, mean of ${counted(measurement.frames, "exposure")}; ± is 1 sigma` : "\u00a0"}</p>`}
   </section>`;
 }

@@ -1,12 +1,13 @@
-// What was: trends and events out of the unit's history, and the recordings of frames around faults.
+// The past: trends and events from the unit's history, and the recordings of frames around faults.
 
 import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
-import { asked } from "./acting.js";
-import { axesOf, colours } from "./trend.js";
+import { asked, useAnswer, whyNot } from "./acting.js";
+import { PLOT_HEIGHT, axesOf, colours } from "./trend.js";
 import { QUANTITIES, megabytes, utc, words } from "./words.js";
 
 const DAY_S = 86400, POINTS = 600;
 export const SPANS = { "1 hour": 3600, "1 day": DAY_S, "1 week": 7 * DAY_S, "1 month": 31 * DAY_S, "1 year": 366 * DAY_S };
+const KINDS = { cause_came: "began", cause_went: "ended" };
 const SEVERITIES = ["good", "maintenance_required", "out_of_specification", "check_function", "failure"];
 
 function Plot({ quantity, trend }) {
@@ -16,13 +17,13 @@ function Plot({ quantity, trend }) {
     if (!columns) return undefined;
     const colour = colours(place.current);
     const plot = new uPlot({
-      width: place.current.clientWidth, height: 150, legend: { show: false }, cursor: { y: false },
-      axes: axesOf(colour, quantity, trend.t_s.at(-1) - trend.t_s[0]),
+      width: place.current.clientWidth, height: PLOT_HEIGHT, legend: { show: false }, cursor: { y: false },
+      scales: { x: { time: false } }, axes: axesOf(colour, trend.t_s.at(-1) - trend.t_s[0]),
       series: [{}, { stroke: colour("--accent"), width: 1.5, points: { show: trend.t_s.length < 3 } },
         { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } }],
       bands: [{ series: [3, 2], fill: colour("--band") }],
     }, gapped(trend, columns), place.current);
-    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: 150 }));
+    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: PLOT_HEIGHT }));
     sized.observe(place.current);
     return () => { sized.disconnect(); plot.destroy(); };
   }, [quantity.key, trend]);
@@ -30,7 +31,7 @@ function Plot({ quantity, trend }) {
     <div ref=${place} role="img" aria-label=${`${quantity.label} in that time`}></div></figure>`;
 }
 
-// Where no point is for longer than two spans nobody measured, and no line is drawn.
+// No line is drawn where nothing was measured for more than two spans.
 function gapped(trend, { mean, low, high }) {
   const columns = [[], [], [], []];
   trend.t_s.forEach((t, number) => {
@@ -55,7 +56,7 @@ function csvOf(trend) {
   return `${[head.join(","), ...rows].join("\n")}\n`;
 }
 
-// An address that the browser may save from; the last one is let go.
+// An address that the browser can save from; the previous one is released.
 function useFile(text) {
   const [address, setAddress] = useState("");
   useEffect(() => {
@@ -67,43 +68,22 @@ function useFile(text) {
   return address;
 }
 
-// What an address answers, asked for again every so often; {error} where it does not.
-export function useAnswer(address, everyMs) {
-  const [answer, setAnswer] = useState(null);
-  useEffect(() => {
-    let isWanted = true, isAsking = false;
-    const look = async () => {
-      if (document.hidden || isAsking) return;  // a unit that is slow is not asked by ever more
-      isAsking = true;
-      const found = await asked(address);
-      isAsking = false;
-      if (isWanted) setAnswer(found);
-    };
-    setAnswer(null);
-    look();
-    const timer = setInterval(look, everyMs);
-    document.addEventListener("visibilitychange", look);
-    return () => { isWanted = false; clearInterval(timer); document.removeEventListener("visibilitychange", look); };
-  }, [address]);
-  return answer;
-}
-
 export function PastTrends({ span }) {
   const trend = useAnswer(`/api/v1/trend?from=-${SPANS[span]}&points=${POINTS}`, SPANS[span] > 3600 ? 60000 : 10000);
   const isThere = trend && !trend.error && trend.t_s.length > 0;
   const address = useFile(isThere ? csvOf(trend) : null);
-  if (!isThere) return html`<p>${trend === null ? "asking the unit…" : trend.error ?? "nothing was measured in that time"}</p>`;
-  return html`<p class="hint">Line: the mean; band: from the lowest to the highest; the lane below: the unit's worst state. Times are UTC.
-      ${address && html` <a href=${address} download="trend.csv">as CSV</a>`}</p>
+  if (!isThere) return html`<p>${trend === null ? "waiting for the unit…" : trend.error ?? "nothing was measured in that time"}</p>`;
+  return html`<p class="hint">Line: mean; band: lowest to highest value; bar below: the unit's worst state. Times are UTC.
+      ${address && html` <a href=${address} download="trend.csv">Download as CSV</a>`}</p>
     <div class="plots">${QUANTITIES.filter(quantity => quantity.is_shown).map(quantity =>
       html`<${Plot} key=${quantity.key} quantity=${quantity} trend=${trend} />`)}</div><${Lane} trend=${trend} />`;
 }
 
-// The frames of an event, where they are still kept; `kept`: what the unit answers of those that are.
+// The frames of an event, if they are still kept; `kept`: the unit's list of recordings.
 function Frames({ name, kept, mayLook }) {
   if (!name || !kept?.recordings) return null;
-  if (!kept.recordings.some(each => each.name === name)) return html`<small>its frames are not kept any more</small>`;
-  return mayLook !== false && html` <a href=${`/api/v1/recordings/${name}`} download>its frames</a>`;
+  if (!kept.recordings.some(each => each.name === name)) return html`<small>the frames were deleted</small>`;
+  return mayLook !== false && html` <a href=${`/api/v1/recordings/${name}`} download>Download frames</a>`;
 }
 
 export function Events({ kept, mayLook }) {
@@ -113,9 +93,9 @@ export function Events({ kept, mayLook }) {
   return html`<section aria-labelledby="events-title" class="wide"><h2 id="events-title">Events</h2>
     ${answer?.error && html`<p>${answer.error}</p>`}
     <div class="scrolls" tabindex="0" role="region" aria-label="events"><table class="events">
-      <thead><tr><th scope="col">UTC</th><th scope="col">what</th><th scope="col">of</th><th scope="col">says</th></tr></thead>
-      <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}>
-        <td>${utc(event.time)}</td><td>${words(event.kind)}</td><td>${event.of ?? ""}</td>
+      <thead><tr><th scope="col">UTC</th><th scope="col">Event</th><th scope="col">Part</th><th scope="col">Message</th></tr></thead>
+      <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.kind === "cause_went" ? 0 : event.severity}`}>
+        <td>${utc(event.time)}</td><td>${KINDS[event.kind] ?? words(event.kind)}</td><td>${event.of ?? ""}</td>
         <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}
           <${Frames} name=${event.detail.recording} kept=${kept} mayLook=${mayLook} /></td></tr>`)}</tbody>
     </table></div>
@@ -123,25 +103,26 @@ export function Events({ kept, mayLook }) {
     ${events.length === 50 && html` <button type="button" onClick=${() => setBefore(events.at(-1).id)}>older</button>`}</section>`;
 }
 
-// mayLook: frames are pictures, and for whoever looks at this page.
-export function Recordings({ kept: answer, mayAct, mayLook, onSession }) {
-  const [said, setSaid] = useState(""), kept = answer?.recordings ?? [];
+// mayLook: whether this browser gets pictures, and so recordings of them.
+export function Recordings({ kept: answer, session, mayLook, onSession }) {
+  const mayAct = Boolean(session?.may_act);
+  const [said, setSaid] = useState(""), kept = answer?.recordings ?? [], isImpossible = !mayAct || Boolean(answer?.unavailable);
   const act = async (address, method) => {
     setSaid("…");
     const done = await asked(address, method);
     setSaid(done.error ?? "done");
     if (done.error) onSession();
   };
-  return html`<section aria-labelledby="kept-title" class="wide"><h2 id="kept-title">Frames that were kept</h2>
-    <p class="hint">The seconds around each fault, for <code>altd replay</code>. ${answer?.unavailable ?? answer?.error ?? ""}
-      ${mayLook === false && html` To take them along, <a href="#unit">log in</a> first.`}</p>
-    ${mayAct && !answer?.unavailable && html`<button type="button" onClick=${() => act("/api/v1/recordings", "POST")}>keep the last seconds</button>`}
-    <span role="status"> ${said}</span>
+  return html`<section aria-labelledby="kept-title" class="wide"><h2 id="kept-title">Fault recordings</h2>
+    <p class="hint">The frames of the seconds around each fault, for <code>altd replay</code>. ${answer?.error ?? ""}
+      ${mayLook === false && html` To download them, <a href="#unit">log in</a> first.`}</p>
+    <button type="button" disabled=${isImpossible} onClick=${() => act("/api/v1/recordings", "POST")}>Record the last seconds</button>
+    <span class="reason"> ${answer?.unavailable || whyNot(session)}</span> <span role="status">${said}</span>
     ${kept.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="kept frames"><table>
-      <thead><tr><th scope="col">UTC</th><th scope="col">why</th><th scope="col">s</th><th scope="col">size</th><th scope="col">take along</th></tr></thead>
+      <thead><tr><th scope="col">UTC</th><th scope="col">Cause</th><th scope="col">s</th><th scope="col">Size</th><th scope="col">Download</th><th scope="col">Protect</th></tr></thead>
       <tbody>${kept.map(each => html`<tr key=${each.name}><td>${utc(each.start)}</td><td>${words(each.why)}</td>
         <td>${each.seconds.toFixed(1)}</td><td>${megabytes(each.bytes)}</td>
-        <td>${mayLook === false ? each.name : html`<a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>`}${each.marked ? " marked" : ""}
-          ${mayAct && html` <button type="button" onClick=${() => act(`/api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>
-            ${each.marked ? "take the mark away" : "mark: stays"}</button>`}</td></tr>`)}</tbody></table></div>`}</section>`;
+        <td>${mayLook === false ? each.name : html`<a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>`}</td>
+        <td><button type="button" disabled=${!mayAct} onClick=${() => act(`/api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>
+            ${each.marked ? "Unprotect" : "Protect"}</button>${each.marked && html` <small>protected from deletion</small>`}</td></tr>`)}</tbody></table></div>`}</section>`;
 }

@@ -1,4 +1,4 @@
-// Live pictures of the targets: the next is asked for when the last was drawn, nothing while nobody looks.
+// Live pictures of the targets: the next is requested when the last was drawn, and none by a hidden page.
 
 import { html, useEffect, useLayoutEffect, useRef, useState } from "./vendor/htm-preact.js";
 import { Watcher } from "./watcher.js";
@@ -60,7 +60,14 @@ function paint(canvas, view, picture, aim) {
   context.setTransform(1, 0, 0, 1, 0, 0);
 }
 
-// Where the place at which another target has its spot lies in this target's picture, near enough to aim by.
+// The class that turns a picture so that it is seen along the beam: x to the right, y up. In the picture of a camera that looks
+// against the beam, right and left are exchanged. null: the camera is on its side, and its picture is drawn as it is.
+export function turnOf({ x_axis: [right, across], y_axis: [, down] }) {
+  if (Math.abs(across) > Math.abs(right)) return null;
+  return [right < 0 && "flip-x", down > 0 && "flip-y"].filter(Boolean).join(" ");
+}
+
+// The position of another target's spot in this target's picture, accurate enough for aiming.
 export function aimIn(view, other, spot) {
   const [u, v] = [spot.u_px - other.middle[0], spot.v_px - other.middle[1]];
   const [[a, c], [b, d]] = [other.x_axis, other.y_axis], det = a * d - b * c;
@@ -82,15 +89,15 @@ function Target({ view, shown, views, lost }) {
   const aim = seen && aimIn(view, seen, shown[seen.target].spot);
   useLayoutEffect(() => { paint(canvas.current, view, picture, aim); }, [view, picture, aim?.[0], aim?.[1]]);
   const said = saidOf(view, picture, seen?.target, lost);
-  const age = picture ? (Date.now() - picture.at) / 1000 : null;
+  const turn = turnOf(view), age = picture ? (Date.now() - picture.at) / 1000 : null;
   return html`<figure class="target" data-target=${view.target} data-sequence=${picture?.sequence ?? ""}>
-    <canvas ref=${canvas} role="img" aria-label=${`${view.target} target: ${said}`}></canvas>
-    <figcaption><strong>${view.target}</strong> <span class="said">${said}</span>
+    <canvas ref=${canvas} class=${turn ?? ""} role="img" aria-label=${`${view.target} target: ${said}`}></canvas>
+    <figcaption><strong>${view.target}</strong> <span class="hint">${turn === null ? "seen by the camera" : "seen along the beam"}</span> <span class="said">${said}</span>
       <span class="age">${age === null ? "" : `${age.toFixed(1)} s old`}</span></figcaption>
   </figure>`;
 }
 
-// mayLook false: they are for whoever is logged in. Where none come, `onSession` asks whether that is why.
+// mayLook false: a login is needed. If no pictures arrive, `onSession` checks whether that is the cause.
 export function Pictures({ mayLook, onSession }) {
   const [now, setNow] = useState({ views: [], shown: {}, words: "" }), isRefused = mayLook === false, isLost = Boolean(now.words);
   useEffect(() => {

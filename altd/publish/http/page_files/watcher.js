@@ -1,4 +1,4 @@
-// The newest picture of each target, for as long as it is one of now.
+// The newest picture of each target, while it is current.
 
 export const OLD_MS = 1300, RETRY_MS = 1000;
 const MAX_PATH = 200, FORGET_MS = 250;
@@ -69,8 +69,8 @@ export class Watcher {
     this.tell();
   }
 
-  // What passed since they were asked for, beyond what the unit held them, passed on the way: a computer that slept
-  // finds pictures that waited for it.
+  // The time since the request, less the time that the unit held it, was spent in transmission: a computer that slept
+  // receives pictures that waited for it.
   async draw({ heldMs, pictures }, asked) {
     const old = [], now = this.world.Date.now(), onWay = Math.max(now - asked - heldMs, 0);
     for (const picture of pictures) {
@@ -85,10 +85,10 @@ export class Watcher {
     }
     this.words = "";
     this.tell();
-    old.forEach(image => image.close());  // not before: until it is told of newer ones, the page may draw them
+    old.forEach(image => image.close());  // not earlier: the page can draw them until it has newer ones
   }
 
-  // what is not seen any more is not shown; nor is anything when the clock was set
+  // removes pictures that are too old; all of them when the clock was set
   forget() {
     const now = this.world.Date.now();
     const kept = Object.entries(this.shown).filter(([, picture]) => Math.abs(now - picture.at) < OLD_MS);

@@ -1,4 +1,4 @@
-// Numbers and states as a person reads them.
+// Numbers and states as text.
 
 export const UNKNOWN = "–";
 
@@ -11,19 +11,25 @@ export function fixed(value, decimals) {
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
 }
 
-// What a unit of the quantity that has the uncertainty is in the unit of this one: a slope is the tangent of an angle.
+// From the unit of the quantity that has the uncertainty to the unit of this one: a slope is the tangent of an angle.
 function scaleOf(measurement, { key, unit, is_also }) {
   if (!is_also) return 1;
   return unit === "mm/m" ? (1000 + measurement[key] ** 2 / 1000) * Math.PI / 180 : null;
 }
 
-// The uncertainty as a statement about now; at rest where nobody knows how the beam moves.
+const MOVING_SIGMAS = 3;
+
+// Both uncertainties of one measurement: of the mean, and of the beam at the moment of sending. Empty without a value.
 export function sigmaOf(measurement, quantity) {
   const key = quantity.is_also || quantity.key;
-  const then = measurement?.sigma?.[key] ?? null, now = measurement?.sigma_now?.[key] ?? null;
-  const scale = then === null ? null : scaleOf(measurement, quantity);
+  const mean = measurement?.sigma?.[key] ?? null, now = measurement?.sigma_now?.[key] ?? null;
+  const scale = mean === null || measurement[key] == null ? null : scaleOf(measurement, quantity);
   if (scale === null) return "";
-  return `± ${fixed((now ?? then) * scale, quantity.decimals)} (${now === null ? "at rest" : "1σ"})`;
+  const rate = measurement.rates?.[`${key}_per_s`] ?? null, rateSigma = measurement.rates?.sigma?.[`${key}_per_s`] ?? null;
+  const isMoving = rate !== null && rateSigma !== null && Math.abs(rate) > MOVING_SIGMAS * rateSigma;
+  const digits = now === null ? 0 : 1 - Math.floor(Math.log10(now * scale));  // two significant ones
+  return `±\u00a0${fixed(mean * scale, quantity.decimals)} (mean), ${now === null ? "now not known"
+    : `±\u00a0${fixed(now * scale, Math.max(0, Math.min(digits, quantity.decimals)))} now`}${isMoving ? ", moving" : ""}`;
 }
 
 export function duration(seconds) {
@@ -42,7 +48,7 @@ export function megabytes(bytes) {
   return `${(bytes / 1e6).toFixed(1)} MB`;
 }
 
-// The signals of NAMUR NE 107 beside good, each with a shape, for who sees no colours.
+// Good and the signals of NAMUR NE 107, the worst last; each has a shape for colour-blind readers.
 export const SIGNALS = {
   good: { words: "good", mark: "✓" },
   maintenance_required: { words: "maintenance required", mark: "◆" },
@@ -51,17 +57,19 @@ export const SIGNALS = {
   failure: { words: "failure", mark: "✕" },
 };
 
-// A time of the unit to the second; its zone stands beside it.
+// A time of the unit to the second; its zone is written next to it.
 export const utc = time => time?.slice(0, 19).replace("T", " ") ?? "not known";
 
 export const words = code => code.replaceAll("_", " ");
 
-// What is shown of the measurement in one line, and how it is meant: good, warned, bad or unknown.
+// Causes of frames that are not from cameras; the verdict names them.
+export const ORIGINS = ["simulated", "playback", "rehearsal"];
+
+// What the measurement is worth in one line, with its kind: good, warned, bad or unknown.
 export function verdictOf({ words: lost, measurement }) {
   if (lost || !measurement) return { kind: "unknown", text: lost || "connecting…" };
   if (!measurement.valid) return { kind: "bad", text: "not valid" };
-  if (measurement.status.some(code => code === "playback" || code === "simulated")) {
-    return { kind: "warned", text: "NOT LIVE" };
-  }
+  const origin = ORIGINS.find(code => measurement.status.includes(code));
+  if (origin) return { kind: "warned", text: origin.toUpperCase() };
   return measurement.status.length ? { kind: "warned", text: "valid, with warnings" } : { kind: "good", text: "valid" };
 }

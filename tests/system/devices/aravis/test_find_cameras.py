@@ -1,4 +1,4 @@
-"""What is found of GigE Vision cameras, and how a machine without Aravis says so."""
+"""The GigE Vision cameras that are found, and the message of a machine without Aravis."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class TestAnotherAddress:
         assert max(np.diff([frame.sequence for _, frame in grabbed.frames])) < 100
 
     def test_is_not_heard_at_the_control_channel(self, grabbed: Grabbed) -> None:
-        """Where one acknowledgement "wait for a minute" would hold up whatever is asked of the camera."""
+        """Where one acknowledgement "wait for a minute" would delay every request to the camera."""
         wait_a_minute = struct.pack(">HHHHHH", 0, 0x89, 4, 1, 0, 60_000)
         control = [goal for goal in udp_ports(os.getpid()) if goal[1] != stream_port()]
         assert len(control) == 1

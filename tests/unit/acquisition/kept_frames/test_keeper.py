@@ -48,7 +48,7 @@ class Camera:
 
 @dataclass
 class Unit:
-    """A keeper, the causes that it is shown, and cameras that deliver as its clock goes on."""
+    """A keeper, the causes that it is shown, and cameras that deliver as its clock advances."""
 
     folder: Path
     settings: KeptFrames = SETTINGS
@@ -220,7 +220,7 @@ async def test_what_is_no_fault_is_not_written(tmp_path: Path, kind: Kind) -> No
 
 
 async def test_a_fault_of_a_simulated_unit_is_written_too(tmp_path: Path) -> None:
-    """*Check function* from the start is the worse signal; the fault beside it counts by itself."""
+    """*Check function* from the start is the worse signal; the fault beside it counts alone."""
     async with running(Unit(tmp_path)) as unit:
         unit.causes.append(Cause(Reason.SIMULATED))
         await unit.expose(60)
@@ -303,11 +303,11 @@ async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hangs = threading.Event()
-    monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
     async with running(Unit(tmp_path)) as unit:
         await unit.expose(40)
         kept = await unit.keeper.keep("asked")
         assert (await unit.keeper.files(kept.name))[-1] == "recording.json"
+        monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
         monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(60))
         try:
             with pytest.raises(NotKeptError, match="does not answer"):

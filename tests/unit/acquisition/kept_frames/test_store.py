@@ -1,4 +1,4 @@
-"""Recordings on the disk: whole or not at all, within their space, marked ones for ever."""
+"""Recordings on the disk: whole or not at all, within their space, marked ones without limit."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def test_what_a_killed_daemon_left_half_done_is_removed_at_the_next_start(tmp_pa
 
 
 def test_what_another_daemon_is_writing_stays(tmp_path: Path) -> None:
-    """Another process, for one that ends lets go of its lock."""
+    """Another process, because a process that ends releases its lock."""
     script = f"""
 import sys, time
 from pathlib import Path

@@ -90,7 +90,7 @@ async def test_a_camera_that_has_moved_stops_the_scan_before_anything_is_kept(tm
         await bench.scan()
     said = str(stopped.value)
     assert re.match(f"the self-check is bad: {MOVED_SAID}", said)
-    assert said.endswith('to calibrate the unit as it stands now, set [scan] when_bad = "warning"')
+    assert said.endswith('to calibrate the unit as it is now, set [scan] when_bad = "warning"')
     assert bench.told.said == []
     assert not bench.lamps.lit
     assert not bench.has_kept

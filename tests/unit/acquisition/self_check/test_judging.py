@@ -52,14 +52,14 @@ def test_a_light_that_blinks_near_an_led_leaves_no_verdict_where_nothing_else_is
     found = judged(BLINKING, exposed(Scene()))
     assert found.check.verdict is Verdict.UNKNOWN
     assert [reason.partition(":")[0] for reason in found.check.reasons] == ["front"]
-    assert "near an LED, came or went by itself" in found.sentence
+    assert "near an LED, appeared or vanished without the LEDs" in found.sentence
 
 
 def test_a_light_that_blinks_before_one_target_does_not_hide_the_drift_of_the_other() -> None:
     found = judged(BLINKING, exposed(Scene(Motion(2.0))))
     assert (found.check.verdict, found.check.is_whole) == (Verdict.BAD, False)
     assert [reason.partition(":")[0] for reason in found.check.reasons] == ["rear", "front"]
-    assert "near an LED, came or went by itself" in found.sentence
+    assert "near an LED, appeared or vanished without the LEDs" in found.sentence
     assert judged(BLINKING, exposed(Scene(Motion(0.25))), Verdict.BAD).check.verdict is Verdict.UNKNOWN
 
 

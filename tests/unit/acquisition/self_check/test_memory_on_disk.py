@@ -127,7 +127,7 @@ async def test_a_disk_that_hangs_holds_a_check_for_a_moment_and_its_history_is_n
     await unit.run((0.0, FIRST))
     kept = unit.path.read_bytes()
     monkeypatch.setattr(memory_of, "_DISK_TIMEOUT_S", 0.05)
-    reader, writer = os.pipe()  # reading hangs until somebody writes
+    reader, writer = os.pipe()  # reading hangs until the pipe is written to
     real = memory_of.read_file
 
     def hanging(path: Path, largest_bytes: int) -> bytes:

@@ -1,4 +1,4 @@
-"""The service of checks: who asks cannot make valid what no check has looked at."""
+"""The service of checks: a request cannot make valid what no check has looked at."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames out of packets: of one camera, of a lossy network, and of somebody who means harm."""
+"""Frames out of packets: of one camera, of a lossy network, and of an attacker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of a calibration, of which a test says what becomes of them."""
+"""The files of a calibration, which a test changes."""
 
 from __future__ import annotations
 

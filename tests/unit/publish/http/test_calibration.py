@@ -1,4 +1,4 @@
-"""The loaded calibration over HTTP: told to everybody, its files given to who may see pictures."""
+"""The loaded calibration over HTTP: shown to everybody, its files with the right to see pictures."""
 
 from __future__ import annotations
 

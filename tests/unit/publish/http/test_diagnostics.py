@@ -68,7 +68,7 @@ def opened(answer: Answer, folder: Path) -> Mapping[str, bytes]:
 
 
 def readme(files: Mapping[str, bytes]) -> tuple[set[str], set[str]]:
-    """The files that are told, and those that are told to be missing."""
+    """The files that are listed, and those that are listed as missing."""
     told, _, missing = files["README.txt"].decode().partition("\nNot in it:\n")
     return {line.partition(":")[0] for line in told.splitlines()[2:] if line}, {
         line.partition(":")[0] for line in missing.splitlines()

@@ -1,4 +1,4 @@
-"""Who may act where credentials are set: tokens, sessions, other pages, and who tries too often."""
+"""Who may act where credentials are set: tokens, sessions, other pages, and too many tries."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ TWICE = {
 async def test_a_header_of_one_value_comes_once(
     served: Served, credentials: Path, checked: list[int], name: str, order: int, path: str
 ) -> None:
-    """Whichever of two would be read, and whoever asks: a program, or a browser for pictures."""
+    """Whichever of two would be read, for any client: a program, or a browser for pictures."""
     headers = [("Host", OURS["Host"]), ("X-Altd-Request", "1"), ("Authorization", f"Bearer {TOKEN}")]
     if path.endswith("pictures"):
         key = "dGhlIHNhbXBsZSBub25jZQ=="
@@ -241,7 +241,7 @@ async def tried(guard: Guard, address: str, password: str) -> int:
 async def test_a_page_whose_session_is_over_does_not_keep_its_user_from_logging_in(
     served: Served, credentials: Path, clock: FakeClock
 ) -> None:
-    """After a restart of the daemon, or 30 minutes: the page goes on asking for pictures every second."""
+    """After a restart of the daemon, or 30 minutes: the page still asks for pictures every second."""
     async with served(credentials=credentials) as unit:
         for _ in range(2 * ATTEMPTS.burst):
             for headers in ({"Cookie": f"altd_{unit.port}=over"}, {"Authorization": "Bearer revoked"}):

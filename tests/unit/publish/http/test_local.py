@@ -134,7 +134,7 @@ async def until(true: Callable[[], bool]) -> None:
 async def test_who_never_reads_is_cut_off_as_on_the_network(
     path: Path, board: Board, measured: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stream that nobody takes: the kernel ends it on TCP, here the server does."""
+    """A stream that is not read: the kernel ends it on TCP, here the server does."""
     monkeypatch.setattr(server, "SEND_TIMEOUT_S", 0.2)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
         client.setblocking(False)

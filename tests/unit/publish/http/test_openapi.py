@@ -95,7 +95,7 @@ async def test_the_status_is_what_the_document_says_well_and_ill(
 ) -> None:
     state = UnitState(board, health, clock)
     async with served() as unit:
-        fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))  # nobody finds a state out
+        fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))  # the state is not known yet
         health.state = state.read
         health.component("camera front").observe({"fps": 20.0, "driver": "v4l2", "celsius": None})
         health.component("camera front").set_state(State.FAILED, "no such device")

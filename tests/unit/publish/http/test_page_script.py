@@ -45,6 +45,10 @@ NOTHING = {"x_mm": "\N{EN DASH}", "sigma_x_mm": "", "sequence": None, "component
 NO_VALUES = {"x_mm": "\N{EN DASH}", "sigma_x_mm": "", "sequence": None}
 
 
+def named(mean: str, now: str, end: str = "") -> str:
+    return f"±\u00a0{mean} (mean), ±\u00a0{now} now{end}"
+
+
 class Page:
     """The page in a process of its own; each order gives back what it then shows."""
 
@@ -92,18 +96,51 @@ def pictures(tmp_path: Path) -> Iterator[Page]:
 def test_it_shows_what_the_unit_says(page: Page) -> None:
     shown = page.measuring()
     assert (shown["verdict"], shown["kind"], shown["x_mm"]) == ("valid", "good", "10.012")
-    assert shown["sigma_x_mm"] == "± 0.029 (1σ)"  # √(0.004² + 0.0102² + (0.0512 · 0.52)²) mm
-    # 1000 (tan(1.7184° + 0.00161°) − tan 1.7184°), near enough
-    assert shown["sigma_pitch_mm_per_m"] == "± 0.0281 (1σ)"
+    # now: √(0.004² + 0.0102² + (0.0512 · 0.52)²) mm
+    assert shown["sigma_x_mm"] == named("0.004", "0.029", ", moving")
+    # now: 1000 (tan(1.7184° + 0.00161°) − tan 1.7184°), near enough
+    assert shown["sigma_pitch_mm_per_m"] == named("0.0192", "0.028")
     assert shown["components"] == ["camera rear", "http"]
     assert shown["sequence"] == 160
     assert shown["asked"] == [STATUS_PATH]  # the stream tells the rest
 
 
-def test_where_nobody_knows_how_the_beam_moves_its_sigma_is_said_to_be_that_at_rest(page: Page) -> None:
-    unknown = {**VALID, "sigma_now": dict.fromkeys(VALID["sigma"])}
-    shown = page.do(answers={**WELL, MEASUREMENT_PATH: unknown}, tick=True)
-    assert shown["sigma_x_mm"] == "± 0.004 (at rest)"
+def test_a_moving_beam_has_both_sigmas_and_its_own_digits(page: Page) -> None:
+    sigma, now = VALID["sigma"] | {"x_mm": 0.0141}, VALID["sigma_now"] | {"x_mm": 0.3942}
+    page.measuring()
+    shown = page.do(pass_ms=50, message=sent(3, 345_050, sigma=sigma, sigma_now=now))
+    assert shown["sigma_x_mm"] == named("0.014", "0.39", ", moving")
+    rates = VALID["rates"] | {"x_mm_per_s": 0.0}
+    shown = page.do(pass_ms=50, message=sent(4, 345_100, sigma=sigma, sigma_now=now, rates=rates))
+    assert shown["sigma_x_mm"] == named("0.014", "0.39")
+
+
+def test_a_sigma_now_of_an_earlier_second_is_never_shown(page: Page) -> None:
+    """Each measurement brings its own, or none; a value that is gone leaves no uncertainty behind."""
+    assert page.measuring()["sigma_x_mm"] == named("0.004", "0.029", ", moving")
+    none = dict.fromkeys(VALID["sigma"])
+    shown = page.do(pass_ms=50, message=sent(3, 345_050, sigma_now=none, rates={**none, "sigma": none}))
+    assert shown["sigma_x_mm"] == "±\u00a00.004 (mean), now not known"
+    invalid = {"valid": False, "status": ["front_spot_missing"], "x_mm": None}
+    shown = page.do(pass_ms=50, message=sent(4, 345_100, **invalid, sigma=none, sigma_now=none))
+    assert (shown["verdict"], shown["sigma_x_mm"]) == ("not valid", "")
+    shown = page.do(pass_ms=50, message=sent(5, 345_150, **invalid))  # even if sigmas were sent
+    assert (shown["x_mm"], shown["sigma_x_mm"]) == ("\N{EN DASH}", "")
+
+
+@pytest.mark.parametrize(
+    ("status", "verdict"),
+    [
+        (["simulated", "rehearsal"], "SIMULATED"),
+        (["playback", "rehearsal"], "PLAYBACK"),
+        (["rehearsal"], "REHEARSAL"),
+    ],
+)
+def test_values_that_are_not_from_cameras_are_named_for_their_origin(
+    page: Page, status: list[str], verdict: str
+) -> None:
+    shown = page.do(answers={**WELL, MEASUREMENT_PATH: sent(1, 345_000, status=status)}, tick=True)
+    assert (shown["verdict"], shown["kind"]) == (verdict, "warned")
 
 
 def test_with_the_connection_all_goes_that_is_not_known_any_more(page: Page) -> None:
@@ -218,7 +255,7 @@ def test_what_waited_while_the_computer_slept_is_not_shown(page: Page) -> None:
 
 
 def test_an_answer_that_is_repeated_is_no_news(page: Page) -> None:
-    """A proxy that keeps what it was told not to: the same valid measurement for ever."""
+    """A proxy that caches against ``no-store``: the same valid measurement, again and again."""
     page.measuring()
     page.do(broken=2)
     for _ in range(4):
@@ -306,36 +343,3 @@ def test_a_browser_whose_clock_is_set_back_keeps_no_picture_for_it(pictures: Pag
     assert pictures.do(pass_ms=-3_600_000, tick=True)["shown"] == {}
     pictures.do(message=message(8))
     assert pictures.do(pass_ms=100, message=message(9))["shown"] == {"front": [9, pytest.approx(0.15)]}
-
-
-def columns_of(tmp_path: Path, added: list[list[Any]]) -> Any:
-    """Times and x of what the page's memory keeps, after it was given so many measurements and serials."""
-    (tmp_path / "memory.mjs").write_bytes(page_files()["memory.js"].content)
-    script = """
-        const { Memory } = await import(process.argv[1]);
-        const memory = new Memory();
-        JSON.parse(process.argv[2]).forEach(added => memory.add(...added));
-        console.log(JSON.stringify(memory.columns("x_mm").slice(0, 2)));
-    """
-    node = need_program("node", "nodejs")
-    module = (tmp_path / "memory.mjs").as_uri()
-    command = [node, "--input-type=module", "-e", script, module, json.dumps(added)]
-    return json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
-
-
-def test_a_trend_holds_nothing_of_another_unit(tmp_path: Path) -> None:
-    """A unit was exchanged for another one, at the same address, while the page was open."""
-    units = ["1E4B2D8E", "1E4B2D8E", "00C0FFEE", "00C0FFEE"]
-    times_s, xs_mm = columns_of(tmp_path, [[at(second, unit)] for second, unit in enumerate(units)])
-    assert xs_mm == [2, 3]
-    assert times_s[1] - times_s[0] == 1
-
-
-def test_a_trend_holds_nothing_of_another_unit_before_this_one_has_measured(tmp_path: Path) -> None:
-    mine = [at(1, "1E4B2D8E"), "ALT-1"]
-    assert columns_of(tmp_path, [mine, [None, None], [None, "ALT-1"]])[1] == [1]
-    assert columns_of(tmp_path, [mine, [None, None], [None, "ALT-2"]])[1] == []
-
-
-def at(second: int, unit: str) -> dict[str, Any]:
-    return {"time": f"2026-11-20T08:15:{second:02d}Z", "valid": True, "x_mm": second, "unit": unit}

@@ -1,4 +1,4 @@
-"""The unit's history over HTTP: trends, events, and a stream that goes on where it broke off."""
+"""The unit's history over HTTP: trends, events, and a stream that continues where it broke off."""
 
 from __future__ import annotations
 

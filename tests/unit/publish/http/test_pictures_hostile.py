@@ -143,7 +143,7 @@ async def one_that_looks(unit: Unit, maker: Maker) -> AsyncIterator[list[int]]:
 
 
 def hostile(rng: random.Random) -> bytes:
-    """A handshake that was spoilt, or a good one with frames that no browser sends."""
+    """A corrupted handshake, or a good one with frames that no browser sends."""
     spoilt = bytearray(HANDSHAKE)
     if rng.random() < 0.4:
         for _ in range(rng.randint(1, 6)):

@@ -1,4 +1,4 @@
-"""Recordings over HTTP: listed for everybody, kept and marked by who may act, fetched as archives."""
+"""Recordings over HTTP: listed for everybody, kept and marked with the right to act, fetched as archives."""
 
 from __future__ import annotations
 

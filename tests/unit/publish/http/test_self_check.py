@@ -35,8 +35,10 @@ async def test_before_the_first_check_says_so(served: Served, health: Health) ->
         without = (await unit.ask("/api/self-check")).json
         health.self_check.open(lambda: None)
         before = (await unit.ask("/api/self-check")).json
-    assert without == {"verdict": None, "reasons": ["this unit has no frame LEDs that the daemon switches"]}
-    assert before == {"verdict": None, "reasons": ["there was no self-check since the unit started"]}
+    why = "this unit has no frame LEDs that the daemon switches"
+    assert without == {"verdict": None, "reasons": [why], "unavailable": why}
+    why = "there was no self-check since the unit started"
+    assert before == {"verdict": None, "reasons": [why], "unavailable": ""}
 
 
 async def test_the_last_check_is_for_anybody_to_read(served: Served, health: Health) -> None:

@@ -1,4 +1,4 @@
-"""The stream: every measurement once, the newest first for the slow, silence that is told."""
+"""The stream: every measurement once, the newest first for the slow, silence that is reported."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ async def test_20_clients_at_once_are_all_served_beside_one_that_says_nothing(
 async def test_a_controller_keeps_its_connection_beside_64_addresses_that_ask_too(
     tcp: ModbusTcpPublisher, component: Component, client: Client
 ) -> None:
-    """It asks so rarely that whoever has a place has asked after it."""
+    """It asks so rarely that each client with a place has asked after it."""
     for _ in range(2):
         assert await client.ask(ONE) == ONE_ANSWER
     async with contextlib.AsyncExitStack() as stack:

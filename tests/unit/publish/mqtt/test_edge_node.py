@@ -215,7 +215,7 @@ async def test_without_its_subscription_it_is_never_born(granted: int, why: str)
 async def test_a_message_waits_until_the_broker_has_read_the_one_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """QoS 0 has no acknowledgement: what waits in a broker's socket would be old when it goes on."""
+    """QoS 0 has no acknowledgement: what waits in a broker's socket would be old when it continues."""
     async with ChosenBroker() as broker:
         unit = made(broker.port, every_measurement=True)
         async with unit.running():

@@ -216,7 +216,7 @@ async def test_nothing_is_queued_while_there_is_no_broker() -> None:
 
 
 async def test_a_cancelled_connection_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At any point of it: before the greeting, and before the first acknowledgement."""
+    """At any point of it: before the broker's CONNACK, and before the first acknowledgement."""
     async with ChosenBroker(greeting=b"") as broker:
         async with PublishingUnit.made(broker.port).running():
             await asyncio.wait_for(broker.begins.get(), 5.0)

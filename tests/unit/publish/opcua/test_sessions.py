@@ -146,7 +146,7 @@ async def test_nothing_can_be_written_added_or_registered(served: tuple[OpcUaUni
 async def test_a_session_cannot_be_taken_over_by_its_number(
     secured: OpcUaSettings,
 ) -> None:
-    """asyncua counts tokens up, and an activation that fails leaves the session to who tried."""
+    """asyncua counts tokens up, and an activation that fails leaves the session to its client."""
     unit = OpcUaUnit(settings=secured)
     async with unit.served() as there:
         login = {"user": "plant", "password": "a long one", "security": security(secured)}

@@ -127,7 +127,7 @@ class TestParts:
 
     @pytest.mark.parametrize("line", [name for name in COMMANDS if not name.startswith("*")])
     def test_an_ordinary_answer_is_through_at_9600_baud_in_two_seconds(self, line: str) -> None:
-        """A page at a time: nobody waits longer for what is shown first. 960 characters a second."""
+        """A page at a time, so the first one is soon shown. 960 characters a second."""
         assert len(console().feed(line.encode() + b"\r")) <= 2 * 960
 
 

@@ -16,7 +16,7 @@ UP, DOWN, RIGHT, LEFT = (b"\x1b[" + final for final in (b"A", b"B", b"C", b"D"))
 
 
 def typed(data: bytes) -> tuple[bytes, list[str | BadLine]]:
-    """The echo and the lines that came of some keys."""
+    """The echo and the lines that result from some keys."""
     reader, editor = KeyReader(), LineEditor()
     taken = [editor.take(key) for byte in data for key in reader.take(byte)]
     echo = b"".join(piece for piece in taken if isinstance(piece, bytes))
@@ -24,7 +24,7 @@ def typed(data: bytes) -> tuple[bytes, list[str | BadLine]]:
 
 
 def screen(data: bytes) -> tuple[str, int]:
-    """What a terminal that knows no more than backspace shows of some keys, and where its cursor stands."""
+    """What a terminal that knows only backspace shows after some keys, and the place of its cursor."""
     cells: list[str] = []
     at = 0
     for shown in typed(data)[0].decode("ascii"):
