@@ -10,7 +10,7 @@ import numpy as np
 from altd.calibration.camera_fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
-from altd.calibration.printed.end import CutNodes, find_cut_nodes
+from altd.calibration.printed.end import cut_sides
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
 from altd.calibration.repeated_scans import offset_doubts
@@ -122,39 +122,25 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     scanned = locate_nodes(job, progress)
     made = _fit_target(job, scanned, None)
     located = [node.good[0].located[0] for node in scanned.usable]
-    spots_px, first_map, end = _spots_px(scanned.usable), made.target.map, None
-    cut = None
-    if printed:
-        cut = find_cut_nodes(
-            lambda node: located[node].frame(),
-            _positions_mm(scanned.usable),
-            spots_px,
-            first_map,
-            job.frames.image_size,
-            job.localiser,
+    sides = cut_sides(lambda node: located[node].frame(), _positions_mm(scanned.usable), made.target.map)
+    if sides:
+        raise BadInputError(
+            job.frames.place,
+            f"{job.name}: the print ends within the spots of the outer nodes at {', '.join(sides)} mm: "
+            "record a flat and give it with --flat, or scan a smaller area",
         )
-    if cut is not None:
-        spots_px, first_map, end = cut.nodes_px, cut.map, cut.end
-    found = find_print(lambda node: located[node].frame(), spots_px, first_map, job.localiser, end)
+    found = find_print(
+        lambda node: located[node].frame(),
+        _spots_px(scanned.usable),
+        made.target.map,
+        job.localiser,
+    )
     if found is not None:
         return _calibrate_printed(job, found, progress)
-    if cut is not None:
-        return _without_cut_nodes(job, scanned, cut)
     remark = "plain, no print"
     if printed:
         remark = f"print at {printed} of {nodes} nodes, but no regular one: a flat would help"
     return replace(made, remark=f"{job.name}: {remark}", must_agree=not printed)
-
-
-def _without_cut_nodes(job: Job, scanned: ScannedTarget, cut: CutNodes) -> _Made:
-    """A target whose print ends within spots and could not be modelled: these spots are not used."""
-    for node in [scanned.usable[row] for row in cut.rows]:
-        node.refusal = "the print ends within its spot"
-    doubt = (
-        f"{job.name}: the print ends within the spots of {len(cut.rows)} nodes, and no regular print is found"
-    )
-    made = _fit_target(job, scanned, None)
-    return replace(made, remark=f"{job.name}: print without a model", doubts=(*made.doubts, doubt))
 
 
 def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str | None]:

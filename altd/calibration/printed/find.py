@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from altd.calibration.printed.end import PrintEnd
 from altd.calibration.printed.lattice import Lattice, find_lattice
 from altd.calibration.printed.sample import Plane, Sample, sample_of
 from altd.calibration.scan_nodes import NodeCache
@@ -209,16 +208,12 @@ class _Model:
 
 
 def find_print(
-    frame_of: Callable[[int], Frame],
-    nodes_px: FloatArray,
-    first_map: TensorMap,
-    settings: SpotSettings,
-    end: PrintEnd | None = None,
+    frame_of: Callable[[int], Frame], nodes_px: FloatArray, first_map: TensorMap, settings: SpotSettings
 ) -> Print | None:
     """The print that the spots at a scan's nodes show; None when there is none or it is not regular.
 
     ``frame_of`` gives one exposure of a node by its number, ``nodes_px`` (n, 2) is where the spots are,
-    ``first_map`` a map that is good to a tenth of a dot pitch, ``end`` where the print ends. No more than a bounded part of what the frames
+    ``first_map`` a map that is good to a tenth of a dot pitch. No more than a bounded part of what the frames
     show is held at a time; the rest is taken from them again.
     """
     plane = Plane(first_map)
@@ -231,25 +226,25 @@ def find_print(
             lambda sample: sample.nbytes,
         )
 
-    rows, columns = frame_of(0).pixels.shape
-    picture_mm = plane.grid_mm(rows, columns)
-    samples = seen_through(None if end is None else end.flat(picture_mm))
+    samples = seen_through(None)
     if len(samples) < _MIN_NODES:
         return None
     lattice = find_lattice(samples, plane.to_mm(nodes_px[samples.nodes]))
     if lattice is None:
         return None
+    rows, columns = frame_of(0).pixels.shape
+    picture_mm = plane.grid_mm(rows, columns)
     model = _Model.first(lattice, samples, plane.to_mm(nodes_px[samples.nodes]))
     if model.series.contrast < _MIN_CONTRAST:
         return None
     for _ in range(_ITERATIONS):
         del samples  # two of them at a time would be twice the memory
-        samples = seen_through(_flat(model, picture_mm, end))
+        samples = seen_through(_flat(model, picture_mm))
         if len(samples) < _MIN_NODES:
             return None
         model = model.next(samples, plane.to_mm(nodes_px[samples.nodes]))
     fiducials = Fiducials(nodes_px[samples.nodes], model.regular_mm, model.sigma_mm)
-    return Print(lattice, _flat(model, picture_mm, end), fiducials)
+    return Print(lattice, _flat(model, picture_mm), fiducials)
 
 
 def _cubic(mm: FloatArray) -> FloatArray:
@@ -258,13 +253,11 @@ def _cubic(mm: FloatArray) -> FloatArray:
     return np.stack([np.ones(len(x)), x, y, xx, x * y, yy, xx * x, xx * y, x * yy, yy * y], axis=1)
 
 
-def _flat(model: _Model, picture_mm: FloatArray, end: PrintEnd | None) -> Flat:
-    """F at every pixel of a picture whose pixels look at (rows, columns, 2) mm; 0 beyond the print's end."""
+def _flat(model: _Model, picture_mm: FloatArray) -> Flat:
+    """F at every pixel of a picture whose pixels look at (rows, columns, 2) mm."""
     by_v, by_u = (np.asarray(slope) for slope in np.gradient(picture_mm, axis=(0, 1)))
     metrics = by_u[..., :, None] * by_u[..., None, :] + by_v[..., :, None] * by_v[..., None, :]
     response = np.empty(picture_mm.shape[:2], np.float32)
     for row, (mm, metric) in enumerate(zip(picture_mm, metrics, strict=True)):  # stays in the cache
         response[row] = model.series.at(model.moved(mm), metric)
-    if end is not None:
-        response[~end.holds(picture_mm)] = 0
     return Flat.of(response, "print")

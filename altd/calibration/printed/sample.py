@@ -117,7 +117,6 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
         if profile is None:
             return None
         light, even = light - profile.background_offset, profile.irradiance(u, v)
-        clipped |= flat.levels[window] == 0
     lit = (even > _MIN_SHARE_OF_PEAK * even.max()) & ~clipped
     variance = (noise.read_counts**2 + even[lit] / noise.electrons_per_count) / even[lit] ** 2
     px = np.stack(np.meshgrid(u, v), axis=-1)[lit]
