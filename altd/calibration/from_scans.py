@@ -126,8 +126,8 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     if sides:
         raise BadInputError(
             job.frames.place,
-            f"{job.name}: the print ends within the spots of the outer nodes at {', '.join(sides)} mm: "
-            "record a flat and give it with --flat, or scan a smaller area",
+            f"{job.name}: print or surface ends within the spots of the outer nodes "
+            f"at {', '.join(sides)} mm: record a flat and calibrate with --flat, or scan a smaller area",
         )
     found = find_print(
         lambda node: located[node].frame(),

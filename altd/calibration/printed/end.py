@@ -1,6 +1,6 @@
 """The sides on which a target's surface ends within the outermost spots of a scan.
 
-The centroid of a cut spot is displaced inwards. A Gaussian through the bright core of the smoothed spot is
+The cut displaces the centroid of a spot inwards. A Gaussian through the bright core of the smoothed spot is
 displaced less. The difference between the two shows the cut before the size of the core changes.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, Frame, Spot
@@ -26,6 +25,9 @@ _MIN_CORE_PIXELS = 20
 _REACH_MM = 10.0
 """Nodes closer to the outermost ones may be cut themselves and are no reference."""
 _MIN_INNER_NODES = 4
+_MIN_TREND_NODES = 9
+_MAX_INNER_NODES = 100
+"""More would only take time."""
 _MIN_CUT_MM = 0.04
 _MIN_CUT_SIGMAS = 5.0
 _MIN_CUT_SHARE = 1 / 3
@@ -33,46 +35,45 @@ _MIN_CUT_SHARE = 1 / 3
 _SAME_LINE_MM = 1.0
 
 
-def cut_sides(frame_of: Callable[[int], Frame], nodes_mm: FloatArray, first_map: TensorMap) -> tuple[str, ...]:
+def cut_sides(
+    frame_of: Callable[[int], Frame], nodes_mm: FloatArray, first_map: TensorMap
+) -> tuple[str, ...]:
     """The outer columns and rows of nodes whose spots the end of the surface cuts, such as ``x 70``.
 
     ``frame_of`` returns one exposure of a node by its number. ``nodes_mm`` (n, 2) are the positions of the
     stage.
     """
-    inwards_mm = np.array(
-        [_displacement_mm(frame_of(row), jacobian) for row, jacobian in enumerate(first_map.jacobian(nodes_mm))]
-    )
-    has_both = np.isfinite(inwards_mm).all(axis=1)
-    inner = _inner(nodes_mm) & has_both
+    low, high = nodes_mm.min(axis=0), nodes_mm.max(axis=0)
+    reach_mm = np.minimum(_REACH_MM, (high - low) / 4)
+    inside_mm = np.minimum(nodes_mm - low, high - nodes_mm)
+    inner = (inside_mm > reach_mm).all(axis=1)
+    is_used = (inside_mm < _SAME_LINE_MM).any(axis=1)
+    is_used[np.flatnonzero(inner)[:: 1 + np.count_nonzero(inner) // _MAX_INNER_NODES]] = True
+    displacements_mm = np.full(nodes_mm.shape, np.nan)
+    for row in np.flatnonzero(is_used).tolist():
+        jacobian = first_map.jacobian(nodes_mm[row : row + 1])[0]
+        displacements_mm[row] = _displacement_mm(frame_of(row), jacobian)
+    has_both = np.isfinite(displacements_mm).all(axis=1)
+    inner &= has_both
     if np.count_nonzero(inner) < _MIN_INNER_NODES:
         return ()
     design = np.column_stack([np.ones(len(nodes_mm)), nodes_mm])
-    usual = np.linalg.lstsq(design[inner], inwards_mm[inner], rcond=None)[0]
-    excess_mm = inwards_mm - design @ usual
+    if np.count_nonzero(inner) < _MIN_TREND_NODES:
+        design = design[:, :1]
+    usual = np.linalg.lstsq(design[inner], displacements_mm[inner], rcond=None)[0]
+    excess_mm = displacements_mm - design @ usual
     lost = np.sqrt(np.count_nonzero(inner) / (np.count_nonzero(inner) - design.shape[1]))
+    sigma_mm = lost * MAD_TO_SIGMA * float(np.median(np.abs(excess_mm[inner])))
+    limit_mm = max(_MIN_CUT_MM, _MIN_CUT_SIGMAS * sigma_mm)
     sides = []
     for axis, name in enumerate("xy"):
         along_mm, off_mm = nodes_mm[:, axis], excess_mm[:, axis]
-        limit_mm = max(_MIN_CUT_MM, _MIN_CUT_SIGMAS * lost * _scatter(off_mm[inner]))
-        for end_mm, inwards in ((along_mm.min(), 1), (along_mm.max(), -1)):
+        for end_mm, inwards in ((low[axis], 1), (high[axis], -1)):
             of_side = inwards * off_mm[has_both & (np.abs(along_mm - end_mm) < _SAME_LINE_MM)]
             cut = np.count_nonzero(of_side > limit_mm)
             if cut >= max(2, _MIN_CUT_SHARE * len(of_side)):
                 sides.append(f"{name} {end_mm:g}")
     return tuple(sides)
-
-
-def _inner(nodes_mm: FloatArray) -> npt.NDArray[np.bool_]:
-    """The nodes (n,) far enough from the outermost ones on all sides."""
-    low, high = nodes_mm.min(axis=0), nodes_mm.max(axis=0)
-    reach_mm = np.minimum(_REACH_MM, (high - low) / 4)
-    inner: npt.NDArray[np.bool_] = ((nodes_mm > low + reach_mm) & (nodes_mm < high - reach_mm)).all(axis=1)
-    return inner
-
-
-def _scatter(values: FloatArray) -> float:
-    """Standard deviation from the median absolute deviation."""
-    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def _displacement_mm(frame: Frame, jacobian: FloatArray) -> FloatArray:
@@ -103,4 +104,5 @@ def _core_centre_px(patch: Patch) -> FloatArray | None:
     form = -np.array([[xx, xy], [xy, yy]])
     if np.linalg.eigvalsh(form)[0] <= 0:
         return None
-    return np.asarray(middle_px + (patch.left, patch.top) + np.linalg.solve(form, (by_x, by_y)))
+    corner_px = np.array([patch.left, patch.top])
+    return np.asarray(middle_px + corner_px + np.linalg.solve(form, (by_x, by_y)))
