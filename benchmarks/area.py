@@ -66,7 +66,7 @@ CASES = (
     Case("coarse", speckle_contrast=0.2),
     Case("coarse, flat", flat=True, speckle_contrast=0.2),
     Case("narrow", pitch_mm=NARROW_PITCH_MM),
-    Case("print ends", print_mm=(146.0, 116.0)),
+    Case("print ends, flat", flat=True, print_mm=(146.0, 116.0)),
     Case("tight", field_half_mm=TIGHT_HALF_MM),
     Case("tight, flat", flat=True, field_half_mm=TIGHT_HALF_MM),
 )
