@@ -34,6 +34,7 @@ from hw_sim.measure import HALF_AREA_MM, random_poses
 from hw_sim.recording import Progress
 from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import Stage
+from hw_sim.targets import DotPattern
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
 TIGHT_HALF_MM = (74.0, 59.0)
@@ -54,6 +55,7 @@ class Case:
     pitch_mm: float = USUAL.pitch_mm
     field_half_mm: tuple[float, float] = FIELD_HALF_MM
     speckle_contrast: float = 0.16
+    print_mm: tuple[float, float] | None = None
 
 
 CASES = (
@@ -64,6 +66,7 @@ CASES = (
     Case("coarse", speckle_contrast=0.2),
     Case("coarse, flat", flat=True, speckle_contrast=0.2),
     Case("narrow", pitch_mm=NARROW_PITCH_MM),
+    Case("print ends, flat", flat=True, print_mm=(146.0, 116.0)),
     Case("tight", field_half_mm=TIGHT_HALF_MM),
     Case("tight, flat", flat=True, field_half_mm=TIGHT_HALF_MM),
 )
@@ -86,7 +89,12 @@ class Comparison:
 
 def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison]:
     """The beams of one unit, after its calibration."""
-    of_unit = UnitConfig(seed=seed, field_half_mm=case.field_half_mm, speckle_contrast=case.speckle_contrast)
+    of_unit = UnitConfig(
+        seed=seed,
+        field_half_mm=case.field_half_mm,
+        speckle_contrast=case.speckle_contrast,
+        dots=DotPattern(size_mm=case.print_mm),
+    )
     unit = Unit(of_unit)
     calibration, measuring = _calibrated(case, unit, folder), Measuring(window=WINDOW, every=WINDOW)
     views, instrument = [View(name, name) for name in CAMERAS], BeamInstrument(calibration, measuring)

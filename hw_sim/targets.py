@@ -23,11 +23,16 @@ LED_POSITIONS_MM = ((-74.0, 48.0), (0.0, 59.0), (74.0, 48.0), (-74.0, -48.0), (0
 
 @dataclass(frozen=True, slots=True)
 class DotPattern:
-    """What is printed on a window: round dots on a hexagonal or an orthogonal (square) lattice."""
+    """What is printed on a window: round dots on a hexagonal or an orthogonal (square) lattice.
+
+    ``size_mm`` is the width and height of the print, centred on the window and turned with its rows; None: it
+    reaches beyond the picture.
+    """
 
     diameter_mm: float = DOT_DIAMETER_MM
     pitch_mm: float = DOT_PITCH_MM
     hexagonal: bool = True
+    size_mm: tuple[float, float] | None = None
 
     @property
     def coverage(self) -> float:
@@ -62,7 +67,11 @@ class DotPrint:
             for offset in map(np.float32, offsets)
         ]
         distance = np.sqrt(np.minimum.reduce(squared))
-        return soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
+        ink = soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
+        if pattern.size_mm is not None:
+            half_x, half_y = (np.float32(size / 2.0) for size in pattern.size_mm)
+            ink *= (np.abs(cos * x_mm + sin * y_mm) < half_x) & (np.abs(cos * y_mm - sin * x_mm) < half_y)
+        return ink
 
 
 def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -> Image:

@@ -10,6 +10,7 @@ import numpy as np
 from altd.calibration.camera_fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
+from altd.calibration.printed.end import cut_sides
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
 from altd.calibration.repeated_scans import offset_doubts
@@ -122,6 +123,13 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     scanned = locate_nodes(job, progress)
     made = _fit_target(job, scanned, None)
     located = [node.good[0].located[0] for node in scanned.usable]
+    sides = cut_sides(lambda node: located[node].frame(), _positions_mm(scanned.usable), made.target.map)
+    if sides:
+        raise BadInputError(
+            job.frames.place,
+            f"{job.name}: print or surface ends within the spots of the outer nodes "
+            f"at {', '.join(sides)} mm: record a flat and calibrate with --flat, or scan a smaller area",
+        )
     found = find_print(
         lambda node: located[node].frame(),
         _spots_px(scanned.usable),
