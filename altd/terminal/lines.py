@@ -37,10 +37,11 @@ def state_text(signal: str) -> str:
 
 
 def verdict_text(reading: Reading) -> str:
-    """Whether the numbers may be used, as it is called out: ``VALID``, ``NOT LIVE``, ``NOT VALID``."""
+    """Whether the numbers may be used, as it is called out: ``VALID``, ``SIMULATED``, ``NOT VALID``."""
     if not reading.valid:
         return "NOT VALID"
-    return "VALID" if NOT_FROM_CAMERAS.isdisjoint(reading.status) else "NOT LIVE"
+    origins = [code.upper() for code in reading.status if code in NOT_FROM_CAMERAS]
+    return ", ".join(origins) or "VALID"
 
 
 def cause_text(cause: CauseDocument) -> str:

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from support.places import DOCS, ROOT
 
 PAGE, MAINTAIN = "install.md", "maintain.md"
 SETTINGS_FILE = "etc/altd/altd.toml"
-GOOD = '"verdict": "good"'
+GOOD = "verdict  good"
 SETTINGS = {'"ALT-0001"': '"SIM-1"', '"22334455"': '"SIM-1-front"', '"22334456"': '"SIM-1-rear"'}
 """What a technician changes in the settings that the release has."""
 NOT_HERE = ("udevadm ", "sysctl ")
@@ -120,7 +121,7 @@ class Technician:
             flat = self._machine.root / self._folder.lstrip("/") / "flat"
             run_here(ROOT, f".venv/bin/python -m hw_sim flat --seed 1 -o {flat}")
             return ""
-        if line == "altd doctor":
+        if line.endswith(("altd doctor", "altd status")):  # both find faults in a simulated unit
             return self._machine.run(line).stdout
         if line.startswith("altd password "):
             line = f"echo 'a new password' | {line}"
@@ -180,7 +181,7 @@ def test_the_steps_lead_to_a_unit_that_measures(release: Path, machine: BareDebi
     assert all(float(rms_mm) < 0.02 for rms_mm in judged.groups())
 
     started = technician.follow("8. ")
-    assert "simulated frames or calibration" in started  # and so no value: a service does not rehearse
+    assert "frames or calibration are simulated" in started  # and so no value: a service does not rehearse
     assert GOOD in started
     technician.enter("systemctl is-active altd && systemctl is-enabled altd && systemctl stop altd")
 
@@ -248,7 +249,8 @@ def read_by_modbus(machine: BareDebian) -> list[float]:
     (line,) = [line for line in commands_of(PAGE, "9. ") if line.startswith("mbpoll ")]
     command = [need_program("mbpoll"), *line.replace("ADDRESS", "127.0.0.1").split()[1:]]
     values: list[float] = []
-    for _ in range(60):
+    for _ in range(120):
+        time.sleep(0.5)
         with machine.beside(command) as reader:
             assert reader.stdout is not None
             values = [
@@ -256,4 +258,4 @@ def read_by_modbus(machine: BareDebian) -> list[float]:
             ]
         if values and values[0] == values[0]:
             return values
-    pytest.fail(f"no valid measurement: {values}")
+    pytest.fail(f"no valid measurement: {values}; {machine.run('journalctl -n 20').stdout}")

@@ -82,7 +82,7 @@ def test_a_fault_of_the_demo_is_seen_in_events_watched_and_replayed(unit_3: Path
             assert re.search(rf"^\S+ {kind} .*({words})", told, re.MULTILINE), told
 
         with terminal(watch[1], 80, 24) as watching:
-            watching.await_text("NOT LIVE", 20.0)
+            watching.await_text("SIMULATED", 20.0)
             watching.await_text("no laser spot", 20.0)
             screen.press("c")
             watching.await_text(" VALID", 20.0)

@@ -81,7 +81,7 @@ class TestScreen:
             and lines[rows - 1].startswith("tab, arrows: [targets] trends causes parts")
             and all(
                 part in text
-                for part in ("NOT LIVE, 0.", "a recording is played, this is NOT LIVE", "front: x ")
+                for part in ("PLAYBACK, 0.", "a recording is played", "front: x ")
             )
             and xs_mm == [pytest.approx(measured["x_mm"], abs=0.1)]
             and sum(line.count("O") for line in lines[3 : rows - 10]) == 2  # a spot on each target
@@ -122,7 +122,7 @@ class TestLoss:
     @staticmethod
     def says_nothing(lines: list[str]) -> bool:
         text = "\n".join(lines)
-        return GONE in text and not re.search("VALID|NOT LIVE", text)
+        return GONE in text and not re.search("VALID|PLAYBACK", text)
 
     def test_nothing_is_shown_2_s_after_the_daemon_hangs_or_dies(
         self, played_unit: PlayedUnit, tmp_path: Path
@@ -142,7 +142,7 @@ class TestLoss:
             screen.await_text("the daemon does not run: nothing listens", PATIENCE_S)
             unit.daemon.process.wait()
             with local_daemon(played_unit, tmp_path):
-                screen.await_text("NOT LIVE, ", PATIENCE_S)
+                screen.await_text("PLAYBACK, ", PATIENCE_S)
                 screen.await_text("front: x ", PATIENCE_S)
 
     def test_who_begins_before_the_daemon_waits_for_it(self, played_unit: PlayedUnit, tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def test_two_watchers_beside_a_poller_cost_no_exposure(played_unit: PlayedUnit, 
             time.sleep(0.05)
         after = measuring(unit)
         for screen in (one, other):
-            assert "NOT LIVE, " in screen.text()
+            assert "PLAYBACK, " in screen.text()
     assert sequences == sorted(sequences)
     assert slowest_s < 0.25
     assert after["measurements"] - before["measurements"] > 80

@@ -98,8 +98,8 @@ def test_measure_says_that_nothing_was_measured_so_far() -> None:
 
 def test_a_playback_is_told_with_every_measurement() -> None:
     playing = replace(MEASURED, status=(Fault(Reason.PLAYBACK),))
-    assert "NOT LIVE" in "\n".join(answer("measure", playing))
-    assert "NOT LIVE" in "\n".join(answer("status", playing))
+    assert "PLAYBACK" in "\n".join(answer("measure", playing))
+    assert "PLAYBACK" in "\n".join(answer("status", playing))
     assert b"playback" in console(playing).feed(b"watch\r")
 
 
