@@ -232,13 +232,13 @@ class Reason(StrEnum):
     )  # fmt: skip
     PLAYBACK = (
         "playback", _WARNING, 0, StatusGroup.PLAYBACK, _CHECK_FUNCTION,
-        "a recording is played",
+        "PLAYBACK of a recording",
         _NOT_LIVE,
         "the frames are from a recording",
     )  # fmt: skip
     SIMULATED = (
         "simulated", _WARNING, 0, StatusGroup.SIMULATED, _CHECK_FUNCTION,
-        "frames or calibration are simulated",
+        "SIMULATED frames or calibration",
         _NOT_LIVE,
         "frames or calibration are from a simulator",
     )  # fmt: skip

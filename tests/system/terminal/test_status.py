@@ -50,7 +50,7 @@ def test_it_says_what_the_daemon_measures_and_what_to_do(unit: LocalDaemon) -> N
     lines = said.out.splitlines()
     assert lines[0].startswith("unit         TEST-1, altd ")
     assert lines[1].startswith("state        CHECK FUNCTION for ")
-    assert "  - a recording is played" in said.out
+    assert "  - PLAYBACK of a recording" in said.out
     assert "do not steer by it" in said.out
     assert "\x1b" not in said.out
     assert max(map(len, lines)) < 80

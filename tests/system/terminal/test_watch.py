@@ -79,10 +79,7 @@ class TestScreen:
         return (
             lines[0].startswith("TEST-1  ")
             and lines[rows - 1].startswith("tab, arrows: [targets] trends causes parts")
-            and all(
-                part in text
-                for part in ("PLAYBACK, 0.", "a recording is played", "front: x ")
-            )
+            and all(part in text for part in ("PLAYBACK, 0.", "PLAYBACK of a recording", "front: x "))
             and xs_mm == [pytest.approx(measured["x_mm"], abs=0.1)]
             and sum(line.count("O") for line in lines[3 : rows - 10]) == 2  # a spot on each target
         )

@@ -184,7 +184,9 @@ def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 PARSERS = {"altd": cli.command_parser(), "hw_sim": command_parser()}
-_COMMAND = re.compile(r"(?:\S*/)?(?:python3? -m )?(altd|hw_sim)(?:\.cli)? (?!\S+:|--version)([^<>]*)(?:[<>].*)?")
+_COMMAND = re.compile(
+    r"(?:\S*/)?(?:python3? -m )?(altd|hw_sim)(?:\.cli)? (?!\S+:|--version|\d)([^<>]*)(?:[<>].*)?"
+)
 _PAGES = [ROOT / "README.md", *(path for path in ROOT.glob("docs/*.md") if path.name != "commands.md")]
 
 
