@@ -170,7 +170,7 @@ def test_every_face_answers_with_the_measurements_that_the_lines_show(temporary:
         assert now["sequence"] >= max(sequence for sequence, _ in answers)
         assert (now["valid"], now["status"]) == (True, ["simulated", "rehearsal"])
         with opened(console) as ask:
-            assert b"simulated" in ask(b"measure\r", lambda data: b"SIMULATED" in data)
+            assert b"SIMULATED" in ask(b"measure\r", lambda data: data.endswith(b"> "))
 
         output.until(lambda data: data.count(b"s  valid") >= 2)
         demo.send_signal(signal.SIGINT)
