@@ -52,7 +52,7 @@ def ask(
     except ConnectionRefusedError as error:
         raise NoAnswerError(f"the daemon does not run: nothing listens at {path}") from error
     except (http.client.HTTPException, ValueError) as error:
-        raise NoAnswerError(f"what answers at {path} is no daemon of altd: {error}") from error
+        raise NoAnswerError(f"the server at {path} is no daemon of altd: {error}") from error
     except OSError as error:
         raise NoAnswerError(f"no daemon answers at {path}: {error.strerror or error}") from error
     finally:

@@ -54,9 +54,9 @@ COLUMNS = (
     Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
     Column("time", Type.TIME, "", "UTC"),
     Column("severity", Type.WHOLE, "", "0 good to 4 failure, as the unit's signals"),
-    text("kind", "what it is"),
+    text("kind", "kind of the event"),
     text("of", "the target, component or interface"),
-    text("text", "what happened, for people"),
+    text("text", "description for people"),
     text("detail", "more of it, as JSON"),
     Column("held_back", Type.WHOLE, "", "as many like it came before and were counted only"),
 )

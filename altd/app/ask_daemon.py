@@ -72,11 +72,11 @@ class RunningDaemon:
     def _asked(self, target: str, understood: Callable[[object], Document]) -> tuple[Document, object]:
         status, document = ask(self.path, target, self.timeout_s)
         if status not in _GOOD:
-            raise NoAnswerError(f"what answers at {self.path} gives no {target}: it answers {status}")
+            raise NoAnswerError(f"the server at {self.path} has no {target}: it answers {status}")
         try:
             return understood(document), document
         except ValueError as error:
-            raise NoAnswerError(f"what answers at {self.path} gives no {target}: {error}") from error
+            raise NoAnswerError(f"the server at {self.path} gives no usable {target}: {error}") from error
 
 
 _ANYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  where the daemon listens on every address
@@ -126,7 +126,7 @@ def _ask_http(host: str, port: int) -> tuple[int, Any]:
     except OSError as error:
         raise NoAnswerError(f"no daemon answers at {host} port {port}: {error.strerror or error}") from error
     except (http.client.HTTPException, ValueError) as error:
-        raise NoAnswerError(f"what answers at {host} port {port} is no daemon of altd: {error}") from error
+        raise NoAnswerError(f"the server at {host} port {port} is no daemon of altd: {error}") from error
     finally:
         connection.close()
 

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=_BESIDE,
         metavar="DIR",
-        help="what it rests on, as HTML and PDF under FILE's name; without DIR beside FILE",
+        help="write a report, HTML and PDF, under FILE's name; without DIR beside FILE",
     )
 
 

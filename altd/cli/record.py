@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--kind",
         choices=("measurement", "flat", "plate", "self-check"),
         default="measurement",
-        help="what the frames show (default: measurement)",
+        help="content of the frames (default: measurement)",
     )
     parser.add_argument(
         "--plate",

@@ -78,7 +78,7 @@ def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan:
         ]
     if of_scan:
         columns += [
-            number(f"known_{axis}_mm", "where the stage put the beam, on every target") for axis in "xy"
+            number(f"known_{axis}_mm", "position of the stage's beam, on every target") for axis in "xy"
         ]
         columns += [number(f"d{axis}_mm", "measured minus known") for axis in "xy"]
         for target in targets:
@@ -125,8 +125,8 @@ POINT_COLUMNS = (
     Column("line", Type.WHOLE, "", "number of the input line"),
     number("u_px", "as read"),
     number("v_px", "as read"),
-    number("x_mm", "where the beam meets the target"),
-    number("y_mm", "where the beam meets the target"),
+    number("x_mm", "intersection of the beam with the target"),
+    number("y_mm", "intersection of the beam with the target"),
     number("sigma_x_mm", "uncertainty by map, print and speckle"),
     number("sigma_y_mm", "uncertainty by map, print and speckle"),
     text("reason", "why there is no point; `unreadable`: the line is not `u v`"),

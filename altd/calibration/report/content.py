@@ -48,14 +48,14 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
             Row(_pair(prediction, plane, "yaw_deg", "pitch_deg"), caption),
         ]
     names = tuple(map(name_of, prediction.quantities))
-    budget = map_plots.budget("what makes sigma", names, prediction.shares, CAUSES)
+    budget = map_plots.budget("contributions to sigma", names, prediction.shares, CAUSES)
     window = np.geomspace(1, 100, 60)
     last_two = prediction.quantities[-2:]
     sigmas = [
         (name_of(quantity), _PER_UNIT * prediction.rms_after(quantity, window)) for quantity in last_two
     ]
     averaging = map_plots.averaging(
-        "what averaging brings", window, sigmas, exposures, f"sigma in {_unit(last_two[0])}, rms"
+        "effect of averaging", window, sigmas, exposures, f"sigma in {_unit(last_two[0])}, rms"
     )
     made_of = (
         "Pattern: print and speckle shift each spot by a fixed amount that differs from place to place. "
@@ -63,11 +63,11 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
         f"{exposures} averaged; it alone falls when more are averaged."
     )
     return [
-        Heading("What a measurement will be worth"),
+        Heading("Predicted uncertainty of a measurement"),
         *rows,
         Row(
             (
-                Picture("what makes sigma", map_plots.BUDGET_IN, budget),
+                Picture("contributions to sigma", map_plots.BUDGET_IN, budget),
                 Picture("sigma over the number of exposures averaged", map_plots.BUDGET_IN, averaging),
             ),
             made_of,
@@ -126,7 +126,7 @@ def _origin(calibration: Calibration) -> list[Block]:
         return []
     names = " and ".join(target.name for target in calibration.targets if target.simulated)
     lines = (
-        f"No camera took the frames of {names}. What follows tells of the simulator's unit, and of no other.",
+        f"No camera took the frames of {names}. This report describes the simulated unit only.",
         "A measurement with this calibration says “simulated”.",
     )
     return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
@@ -145,7 +145,7 @@ def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:
             verdict.headline,
             (promise, verdict.limit, *(verdict.remedies or (verdict.advice,))),
         ),
-        Heading("By which numbers"),
+        Heading("Criteria"),
         Table(
             ("", "found", "wanted", ""),
             tuple((check.name, check.value, check.wanted, check.level.word) for check in verdict.checks),

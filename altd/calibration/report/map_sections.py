@@ -61,7 +61,7 @@ def residuals(source: Source) -> list[Block]:
         "target", "nodes", "residual mean / std / max, mm", "left out, px", "repeatability u / v, px"
     )  # fmt: skip
     return [
-        Heading("How well the map meets the nodes"),
+        Heading("Residuals of the map at the nodes"),
         Row(tuple(pictures), caption),
         Table(columns, tuple(rows), (0.12, 0.1, 0.36, 0.15, 0.27)),
     ]
@@ -97,7 +97,7 @@ def models(source: Source) -> list[Block]:
         "The table has all models: node left out / cross-validation / own noise left in the map, px."
     )
     return [
-        Heading("Which model, and why"),
+        Heading("Choice of the model"),
         Row(tuple(pictures), caption),
         _table_of_models(source),
     ]
@@ -187,14 +187,14 @@ def cross_checks(source: Source) -> list[Block]:
         f"{scale:g} times enlarged{one_scale}, seen along the beam. {' '.join(said)} A "
         "measurement at which the two lie further apart than the bound is implausible and has no numbers."
     )
-    return [Heading("Does a second map agree?"), Row(tuple(pictures), caption)]
+    return [Heading("Cross-check by a second map"), Row(tuple(pictures), caption)]
 
 
 def covariances(source: Source) -> list[Block]:
     """Covariance of the nodes and of the spectrum, as images."""
     of_nodes = [node_covariance_px2(target.map, seen.nodes_mm) for target, seen in source.targets()]
     of_spectra = [spectrum_covariance_px2(target.map) for target, _ in source.targets()]
-    blocks: list[Block] = [Heading("What is uncertain of the map")]
+    blocks: list[Block] = [Heading("Uncertainty of the map")]
     for matrices, symlog, axis, what, caption in (
         (
             of_nodes,

@@ -184,7 +184,7 @@ def pictures(source: Source) -> list[Block]:
         for n in range(most)
     )
     blocks: list[Block] = [
-        Heading("How repeatable a spot is"),
+        Heading("Repeatability of a spot"),
         Row(
             tuple(scatters),
             "Scatter of single exposures at each node in the camera's picture: ellipses of 1 sigma, "
@@ -192,7 +192,7 @@ def pictures(source: Source) -> list[Block]:
             "ellipse says little; all of them together say how steady spots are, and where they are not. "
             "Crosses: nodes with one exposure.",
         ),
-        Heading("What the cameras saw"),
+        Heading("Pictures of the cameras"),
         Row(
             tuple(seen_by),
             "The whole scan in one picture, as a negative: dark where light fell. Crosses: the nodes as "

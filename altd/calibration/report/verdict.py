@@ -248,10 +248,10 @@ def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tupl
     first, second, third = (CAUSES[n] for n in np.argsort(shares)[::-1])
     percent = {cause: f"{100 * share:.0f} %" for cause, share in zip(CAUSES, shares, strict=True)}
     limit = (
-        f"What limits it is {_CAUSE_WORDS[first]}: {percent[first]} of the variance; {_CAUSE_WORDS[second]} "
-        f"makes {percent[second]}, {_CAUSE_WORDS[third]} {percent[third]}."
+        f"Shares of the variance: {_CAUSE_WORDS[first]} {percent[first]}, {_CAUSE_WORDS[second]} "
+        f"{percent[second]}, {_CAUSE_WORDS[third]} {percent[third]}."
     )
-    return limit, f"To measure better than this: {_advice(prediction, targets)}."
+    return limit, f"To reduce the uncertainty: {_advice(prediction, targets)}."
 
 
 def _level(value: float, good: float, usable: float) -> Level:

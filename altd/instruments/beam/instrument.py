@@ -51,8 +51,8 @@ QUANTITIES = Quantities(
         ),
     ),
     of_target=(
-        Quantity("x_mm", "x", "mm", "where the beam meets the target", 4, False),
-        Quantity("y_mm", "y", "mm", "where the beam meets the target", 4, False),
+        Quantity("x_mm", "x", "mm", "intersection of the beam with the target", 4, False),
+        Quantity("y_mm", "y", "mm", "intersection of the beam with the target", 4, False),
     ),
 )
 
@@ -201,7 +201,7 @@ def _unexplained(
     worst = int(unexplained_mm.argmax())
     if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
         return None
-    detail = f"what light or view do not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
+    detail = f"{unexplained_mm[worst]:.2f} mm uncertain beyond light and view"
     return Fault(Reason.DISTORTED, mean.targets[worst], detail)
 
 

@@ -109,18 +109,18 @@ class Diagnostics:
 
     def _parts(self, now: datetime) -> Iterator[_Part]:
         end_us = round(now.timestamp()) * _US + _US
-        yield _of("status.json", "what each part of the unit says", lambda: _json(self._health.as_object()))
+        yield _of("status.json", "state of each part of the unit", lambda: _json(self._health.as_object()))
         yield _of("measurement.json", "the latest measurement", self._measurement)
         yield _of("self-check.json", "the last self-check", self._self_check)
         targets = "the targets, and where each is measured"
         yield _of("targets.json", targets, lambda: _json(as_object(self._health.targets)))
-        calibration = "what the calibration holds"
+        calibration = "content of the calibration"
         yield _of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
         yield _of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
         events_from = end_us - _EVENT_DAYS * _DAY_S * _US
         yield _Part(
             "events.jsonl",
-            f"what happened in the last {_EVENT_DAYS} days, an event a line, the newest first, at most "
+            f"events of the last {_EVENT_DAYS} days, one per line, the newest first, at most "
             f"{MAX_EVENT_PAGES * MAX_ROWS}",
             lambda: self._past.history.ask(lambda reader: _events(reader, events_from, end_us)),
         )

@@ -96,7 +96,7 @@ class _Unit(Collector):
     def _components(self) -> Iterator[Metric]:
         states = _gauge("altd_component_state", "1 for the state of a component", "component", "state")
         events = CounterMetricFamily(
-            "altd_component_events", "What a component counts", labels=["component", "event"]
+            "altd_component_events", "Counters of a component", labels=["component", "event"]
         )
         figures = _gauge("altd_component_figure", "Figures of a component", "component", "figure")
         for component in self._health:

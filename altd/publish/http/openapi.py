@@ -58,7 +58,7 @@ def document_of(paths: Iterable[ServedPath], quantities: Quantities, version: st
         "info": {
             "title": "Active Laser Target",
             "version": version or "unknown",
-            "description": "What a unit measures, how sure it is of it, and how it does.",
+            "description": "Measurements of a unit with their uncertainty, and its state.",
         },
         "servers": [{"url": "/"}],
         "paths": {path.path: dict(_operations(path, measurement, references)) for path in served},

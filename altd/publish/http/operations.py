@@ -65,7 +65,7 @@ class ServedPath:
 
 
 COMMON_ERRORS = {
-    400: "what was sent is no request",
+    400: "not an HTTP request",
     404: "there is no such path",
     414: "the path with its query is too long",
     431: "the header is too large, or has too many lines",

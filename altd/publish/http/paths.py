@@ -37,7 +37,7 @@ _MEASUREMENT = {
 }
 _STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", models.Status)}
 _SELF_CHECK = {
-    "GET": Operation(Answers.self_check, "What the last self-check said", models.SelfCheck),
+    "GET": Operation(Answers.self_check, "The result of the last self-check", models.SelfCheck),
     "POST": Operation(
         Answers.self_check,
         "Make a self-check now, and give what it says",
@@ -72,21 +72,21 @@ _NO_HISTORY = {
 }
 _TREND = Operation(
     Answers.trend,
-    "How each quantity went: mean, sigma, lowest and highest",
+    "Each quantity over time: mean, sigma, lowest and highest",
     models.Trend,
     errors=_NO_HISTORY,
     query=(
         *_SPAN,
         Parameter(
             "points",
-            f"How many at most; default {POINTS}.",
+            f"Maximum number; default {POINTS}.",
             {"type": "integer", "minimum": 1, "maximum": MAX_POINTS},
         ),
     ),
 )
 _EVENTS = Operation(
     Answers.events,
-    "What happened to the unit",
+    "Events of the unit",
     models.Events,
     errors=_NO_HISTORY,
     query=(
@@ -94,7 +94,7 @@ _EVENTS = Operation(
         Parameter("kind", "Of this kind only.", _KINDS),
         Parameter(
             "limit",
-            f"How many at most; default {EVENTS}.",
+            f"Maximum number; default {EVENTS}.",
             {"type": "integer", "minimum": 1, "maximum": MAX_EVENTS},
         ),
         Parameter(
@@ -254,7 +254,7 @@ PATHS = (
     ServedPath(
         "/api/v1/session",
         "the user who is logged in, and whether acting is allowed",
-        {"GET": Operation(Answers.session, "Who is logged in", models.Session)},
+        {"GET": Operation(Answers.session, "The user who is logged in", models.Session)},
     ),
     ServedPath(
         "/api/v1/login",

@@ -81,7 +81,7 @@ class Resume:
             events.append(f"id: {id_of(key)}\nevent: past\ndata: {line}\n\n")
             self._sent += 1
         if self._sent >= MAX_ROWS:
-            return [*events, *self._gap("too much was missed; /api/v1/trend tells of it")]
+            return [*events, *self._gap("too many were missed; see /api/v1/trend")]
         why, is_short = "the history does not have the newest measurements", len(rows) < MAX_ROWS_AT_ONCE
         return [*events, *self._waited(now_ns, why, is_short=is_short, came=bool(rows))]
 

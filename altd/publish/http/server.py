@@ -312,7 +312,7 @@ class _BoundedProtocol(H11Protocol):
         if cycle is not None:
             cycle.disconnected = True
             cycle.message_event.set()
-        self._refuse(400, "what was sent is no request")
+        self._refuse(400, "not an HTTP request")
 
     def _refuse(self, status: int, sentence: str) -> None:
         """Say in one answer why there is none, and close; cut where an answer is under way already."""

@@ -284,18 +284,18 @@ _NO_PAST = "this daemon remembers nothing"
 COMMANDS = {
     command.name: command
     for command in (
-        Command("help", "", "what can be typed here", _help),
-        Command("status", "[all]", "how the unit is, what is wrong and what to do; all: more", _status),
+        Command("help", "", "list the commands", _help),
+        Command("status", "[all]", "state of the unit, causes and remedies; all: more", _status),
         Command("measure", "", "the latest measurement with its sigma then and now", _measure),
         Command("watch", "[SECONDS]", "a measurement every second, or every SECONDS, until a key", _watch),
-        Command("spots", "", "where the laser spots are, and what the cameras see", _spots),
+        Command("spots", "", "positions of the laser spots, and the cameras", _spots),
         Command("health", "", "the parts of the unit, with what they say and count", _health),
-        Command("selfcheck", "[now]", "what the last self-check said; now: check again", _self_check),
+        Command("selfcheck", "[now]", "result of the last self-check; now: check again", _self_check),
         Command(
             "calibration", "", "when and from what it was made, expected sigma, valid area", _calibration
         ),
         Command("history", "[day|month]", "the means of the last hour, day or month", _history),
-        Command("log", "", "what happened to the unit, the newest first", _log),
+        Command("log", "", "events of the unit, the newest first", _log),
         Command("version", "", "the software's version and the unit's serial number", _version),
         Command("exit", "", "how to leave; the port has no session to end", _leave),
         Command("quit", "", "the same", _leave),

@@ -228,7 +228,7 @@ class Proof:
 
 PROOF = Sentence(
     "PALTC",
-    "what it takes to check the telegram",
+    "fields for the check of the telegram",
     (
         Field("unit", _HEXADECIMAL, "", "CRC-32 of the serial number"),
         Field("session", _HEXADECIMAL, "", "random at each start"),

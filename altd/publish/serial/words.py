@@ -251,7 +251,7 @@ def _what_to_do(
     steps += [*component_steps(components, status), *further]
     if not steps:
         return ["nothing is wrong" if measurement else NO_MEASUREMENT]
-    return ["what is wrong, and what to do:", *(hanging("  -", step, 4) for step in steps)]
+    return ["causes and remedies:", *(hanging("  -", step, 4) for step in steps)]
 
 
 def _of_targets(targets: Sequence[str]) -> str:
