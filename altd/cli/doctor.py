@@ -7,7 +7,7 @@ import argparse
 from altd.cli.options import add_config
 from altd.process.standard_streams import say
 
-SUMMARY = "list what is wrong on this computer, with remedies"
+SUMMARY = "list the faults of this computer, with remedies"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -75,7 +75,7 @@ COMMANDS: dict[str, Command] = {
 _WITHOUT_CONFIG = ("doctor", "status", "watch")
 
 _FIRST_STEPS = """first steps:
-  altd doctor             list what is wrong on this computer, with remedies
+  altd doctor             list the faults of this computer, with remedies
   altd devices            list the connected cameras, GPIO lines and serial ports
   altd check-config FILE  check settings; each error with its line
   altd COMMAND --help     list the options of a command

@@ -44,7 +44,7 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
             "the spots of the targets are unlike",
             "look for objects in the beam, for reflections, and clean both targets",
         ),
-        "light or view": Advice(
+        "light and view": Advice(
             "the spot's place is uncertain",
             "clean the window; if it stays, the camera has moved: calibrate again",
         ),

@@ -257,7 +257,7 @@ targets  where the laser spots are, as seen along the beam, to scale: O is the
          spot, the dots are its path of the last 10 s; + are the middle and the
          corners of the unit's area; the line is around what is valid
 trends   how each number went
-causes   what is wrong and what to do, the worst first
+causes   causes and remedies, the worst first
 parts    availability, the last self-check, the parts of the unit
 
 +/- is the standard deviation (1 sigma) of the mean, "now" that of the value as

@@ -94,7 +94,7 @@ def test_a_document_that_is_none_is_one_line(tmp_path: Path, target: str, docume
         said = altd_here("status", "--socket", path)
     assert (said.status, said.out) == (1, "")
     (line,) = said.err.splitlines()
-    assert line.startswith(f"altd status: what answers at {path} gives no {target}: ")
+    assert line.startswith(f"altd status: the server at {path} gives no usable {target}: ")
     assert line.isprintable()
 
 

@@ -142,8 +142,8 @@ def test_the_page_has_the_numbers_of_the_calibration(expected: str, page: bytes)
 def test_the_verdict_comes_first(page: bytes) -> None:
     text = " ".join(Page(page.decode()).text.split())
     said = text.index("This calibration can be used, but it is not as good as it should be.")
-    assert said < text.index("By which numbers")
-    assert "What limits it is the fixed pattern of print and speckle: 8" in text
+    assert said < text.index("Criteria")
+    assert "Shares of the variance: the fixed pattern of print and speckle 8" in text
 
 
 def test_a_foreign_reader_opens_the_pdf_and_finds_the_same(document: Document, sheets: Path) -> None:

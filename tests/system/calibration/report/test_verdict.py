@@ -46,7 +46,7 @@ def test_a_coarse_pattern_spoils_yaw_and_pitch(pattern_px: float, level: Level, 
     assert verdict.level is level
     assert word in verdict.headline
     assert {check.name.split()[-1] for check in not_good(verdict)} == {"yaw", "pitch", "x", "y"}
-    assert verdict.limit.startswith("What limits it is the fixed pattern of print and speckle: ")
+    assert verdict.limit.startswith("Shares of the variance: the fixed pattern of print and speckle ")
     (remedy,) = verdict.remedies
     assert "larger laser spot" in remedy
 
@@ -74,7 +74,7 @@ def test_what_limits_is_named_with_what_to_do_about_it() -> None:
         ),
     ):
         verdict = verdict_of(calibration(target("front", **errors), target("rear", **errors)))
-        assert verdict.limit.startswith(f"What limits it is {cause}: ")
+        assert verdict.limit.startswith(f"Shares of the variance: {cause} ")
         assert advice in verdict.advice
 
 
