@@ -265,7 +265,7 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
         serial=(
             TelegramPortSettings(device=faces.telegram.unit_end, speaks="telegram"),
             ConsolePortSettings(device=faces.console.unit_end, speaks="console"),
-            # what mbpoll takes unless told otherwise: the Modbus specification's own choice
+            # mbpoll's default, which the Modbus specification recommends
             ModbusRtuPortSettings(
                 device=faces.modbus_rtu.unit_end, speaks="modbus_rtu", baud=19200, parity="even"
             ),

@@ -2,8 +2,8 @@
 
 ``python -m tools.plain PATH…`` names each place, with the wording to use instead: in pages (``.md``), in
 strings, docstrings and comments of Python, and in files of the page in the browser (``.js``, ``.html``). Of a
-folder the Python files are checked. A string of one word may be a key: it does not count, nor do the strings
-of tests, which are data.
+folder the files of these three kinds are checked. A string of one word may be a key: it does not count, nor
+do the strings of tests, which are data.
 ``--sentences`` prints the words of each page, the mean length of its sentences, and those of more than 35.
 """
 
@@ -49,6 +49,7 @@ _PHRASES = (
     (r"\breckon\w*", "compute"),
     (r"\bat hand\b", "available"),
     (r"\bseen to\b(?! be)", "needs maintenance"),
+    (r"(?m:^#+ (?:what|who|how|where)\b[^?\n]*$)", "begin a heading or a comment with its noun or verb"),
     (r"\bto and fro\b|\bever so\b|\bhence(?:forth)?\b|\bthereof\b|\bwherefore\b", "plain wording"),
 )
 _RULES = [(re.compile(phrase.replace(" ", r"\s+"), re.IGNORECASE), better) for phrase, better in _PHRASES]
@@ -58,6 +59,7 @@ _HIDDEN = re.compile(r"``[^`]+``|`[^`]+`|(?<=\])\([^)]*\)|<[^>]+>|https?://\S+")
 _FIELD = re.compile(r"\{[^{}]*\}")  # of an f-string, or of a template
 _INDENTED = re.compile(r"(?<=\n\n)(?: {4,}[^\n]*\n|\n)+", re.MULTILINE)
 _LINE_ENDS = {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}  # a string behind one is a docstring
+_SUFFIXES = {".py", ".js", ".html"}
 _OWN = {"plain.py", "test_plain.py"}
 _SENTENCE_END = re.compile(r"(?<=[.!?])[\"”)]?\s+(?=[A-Z(\"“\[*_])")
 _PART = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. |#|\|))|(?<=\|)")
@@ -134,10 +136,13 @@ def _print_sentences(paths: Iterable[Path]) -> None:
 
 
 def _files(paths: Iterable[Path]) -> Iterator[Path]:
-    """The files, and the Python files of folders, except the two that hold the phrases."""
+    """The files, and those of folders, except the two that hold the phrases, and libraries."""
     for path in paths:
         if path.is_dir():
-            yield from sorted(file for file in path.rglob("*.py") if file.name not in _OWN)
+            found = (
+                file for file in path.rglob("*.*") if file.suffix in _SUFFIXES and "vendor" not in file.parts
+            )
+            yield from sorted(file for file in found if file.name not in _OWN)
         else:
             yield path
 

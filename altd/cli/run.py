@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
         except BadInputError:
             raise
         except EndedBySignal:
-            return 0  # how a service ends
+            return 0  # the normal end of a service
         except Exception:
             log.critical("a defect ended the daemon", exc_info=True)
             return 1

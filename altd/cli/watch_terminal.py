@@ -109,7 +109,7 @@ def in_terminal(work: Callable[[Terminal], None]) -> None:
     locale.setlocale(locale.LC_ALL, "")
     curses.set_escdelay(_ESCAPE_DELAY_MS)
     if all(os.get_terminal_size(sys.stdout.fileno())):
-        for stated in ("LINES", "COLUMNS"):  # what a shell exports would always count, whatever the size
+        for stated in ("LINES", "COLUMNS"):  # exported by a shell, they would override every later size
             os.environ.pop(stated, None)
     try:
         curses.wrapper(lambda window: work(Terminal(window)))

@@ -31,7 +31,7 @@ class Epochs:
         self._connection.execute(
             "INSERT INTO epochs (epoch, why, began_us) VALUES (?, ?, ?)", (self.number, why, wall_us)
         )
-        self._connection.execute(  # what crashes left every two seconds is not kept once its rows are gone
+        self._connection.execute(  # epochs of repeated crashes are not kept once their rows are gone
             "DELETE FROM epochs WHERE seconds = 0 AND minutes = 0 AND hours = 0 AND epoch < ?", (self.number,)
         )
         self.began_ns, self._first_s, self.last_s = now_ns, None, None

@@ -161,7 +161,7 @@ class HistoryRecorder:
             if isinstance(dropped, Sample):
                 self._component.count("measurements_lost")
             elif isinstance(dropped, ClockSet):
-                set_clock = dropped  # what comes behind it is in its time
+                set_clock = dropped  # the items behind it have its time
         if set_clock is not None:
             self._items.appendleft(set_clock)
 

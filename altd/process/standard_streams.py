@@ -83,7 +83,7 @@ def _erasure() -> str:
 def _write(text: str) -> None:
     try:
         descriptor = sys.stderr.fileno()
-    except (OSError, ValueError):  # what replaces it has none, or it is closed
+    except (OSError, ValueError):  # the replaced stream has none, or it is closed
         descriptor = None
     with contextlib.suppress(OSError, ValueError):
         if descriptor is None or _takes_output(descriptor):

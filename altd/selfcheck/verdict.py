@@ -65,7 +65,7 @@ def judge(
     verdict = parts[0].verdict
     is_whole = all(opinion.verdict is not Verdict.UNKNOWN for opinion in parts)
     if verdict is Verdict.SUSPECT and not is_whole and previous is Verdict.BAD:
-        verdict = Verdict.UNKNOWN  # what was bad may be what is not seen
+        verdict = Verdict.UNKNOWN  # the hidden LEDs may be those that were bad
     return SelfCheck(
         verdict=verdict,
         targets=drifts,

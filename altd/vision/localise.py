@@ -239,7 +239,7 @@ def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize |
         limits = f"{settings.min_diameter_px:.0f} to {max_diameter_px:.0f} px"
         return NoSpot(Reason.WRONG_SIZE, f"diameter {diameter_px:.1f} px, expected {limits}")
     aspect, fill = shape_of(patch.outline)
-    if patch.is_cut:  # what the image shows of a spot has another shape
+    if patch.is_cut:  # the visible part of a spot has another shape
         return _SpotSize(diameter_px, peak)
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")

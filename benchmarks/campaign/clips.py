@@ -294,7 +294,7 @@ def _spot_of(electrons: Image) -> tuple[SpotShape, np.ndarray]:
     weights = np.where(labels == labels[v_peak, u_peak], smooth, np.float32(0))
     m = cv2.moments(weights)
     u, v = m["m10"] / m["m00"], m["m01"] / m["m00"]
-    cut = 1.0 - 0.1 * math.log(10.0) / 0.9  # what a tenth cuts off a Gaussian's variance
+    cut = 1.0 - 0.1 * math.log(10.0) / 0.9  # share of a Gaussian's variance above a tenth
     moments = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"] / cut
     blur = np.eye(2) * 16.0
     form = np.linalg.inv(4.0 * (moments - blur))

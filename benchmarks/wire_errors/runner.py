@@ -174,7 +174,7 @@ def _polled(unit: Unit, tally: Tally, count: int, seed: int) -> None:
     while tally.injected < count:
         answer = asking.ask(_POLL_TIMEOUT_S)
         is_spoilt = truth.get(timeout=_MAX_STALL_S)
-        # what repeats, overtakes or follows a message that was too slow itself is no such error
+        # a message that repeats, overtakes or follows one that was too slow is no such error
         if is_told or not is_spoilt:
             tally.add(is_spoilt, *(("time-out", 0) if answer is None else judge(answer)))
         is_told = answer is not None or is_spoilt
@@ -187,7 +187,7 @@ def _pushed(unit: Unit, tally: Tally, count: int, seed: int) -> None:
     other = Newest(unit.messages(tally.wire, 1, 0)) if is_foreign else source
     payload, wire, read = _OF_PUSHED[tally.wire]
     time.sleep(_SETTLE_S)
-    source.drop()  # what the line held before the reader came: it begins on a line that holds nothing back
+    source.drop()  # drop messages from before the reader: it begins on an empty line
     line = Line(source.take, other.take, payload, _chance(tally, seed), is_polled=False)
     write, received = wire()
     relay = Relay(ERRORS[tally.error](line), source, write)

@@ -19,7 +19,7 @@ from pymodbus.client import ModbusTcpClient
 
 HERE = Path(__file__).parent
 URL = "http://127.0.0.1:8080/api/"
-_UP_WITHIN_S = 60.0  # where the guest's processor comes late, it repeats frames and is not valid yet
+_UP_WITHIN_S = 60.0  # a guest with a late processor repeats frames and is not valid yet
 
 
 @contextlib.contextmanager

@@ -202,7 +202,7 @@ def mosquitto(folder: Path, *lines: str, port: int = 0) -> Iterator[tuple[int, s
     """Debian's mosquitto with these lines in its configuration; its port and its process."""
     port = port or free_port()
     config = folder / f"mosquitto-{port}.conf"
-    user = ["user root"] if os.getuid() == 0 else []  # who may read the test's files
+    user = ["user root"] if os.getuid() == 0 else []  # the test's files are root's
     config.write_text("\n".join([*user, f"listener {port} 127.0.0.1", *lines]) + "\n")
     program = need_program("mosquitto")
     with (folder / "mosquitto.log").open("ab") as log:

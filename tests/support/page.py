@@ -87,6 +87,7 @@ async def picture(shown: Seen, name: str, last: Locator | None = None) -> None:
     folder = os.environ.get("ALTD_PICTURES")
     if not folder:
         return
+    await shown.page.evaluate("scrollTo(0, 0)")
     box = None if last is None else await last.bounding_box()
     options: dict[str, Any] = {}
     if box is not None:

@@ -137,7 +137,7 @@ class PacketSocket:
             raise
         self.port: int = self._socket.getsockname()[1]
         self._largest = packet_bytes - UDP_BYTES
-        slot = self._largest + 1  # what fills it was larger
+        slot = self._largest + 1  # a packet that fills it was larger
         self._packets = bytearray(BATCH * slot)
         self._names = bytearray(BATCH * _SOCKADDR_BYTES)
         packets, names = _address_of(self._packets), _address_of(self._names)

@@ -135,7 +135,7 @@ class Guard:
         if not fits:
             if name in credentials.names:
                 self._note(request, "a wrong password", "login_refused", name)
-            else:  # what was typed is not noted: some type their password there
+            else:  # the name is not noted: some people type their password there
                 self._note(request, "a wrong name or password", "login_refused")
             raise _unknown("name or password is wrong")
         self._forgive(request)

@@ -60,7 +60,7 @@ async def _login_of(request: Request) -> Login:
     try:
         async with asyncio.timeout(BODY_TIMEOUT_S):
             return Login.model_validate_json(await _body_of(request), strict=True)
-    except ValidationError as error:  # what was typed is not shown again
+    except ValidationError as error:  # the input is not shown again
         raise Refused(refusal(400, "the body must be an object with name and password alone")) from error
     except TimeoutError as error:
         raise Refused(refusal(408, "its body did not come")) from error

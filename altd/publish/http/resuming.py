@@ -71,7 +71,7 @@ class Resume:
             rows = await self._history.ask(self._read)
         except NoHistoryError as error:
             return self._gap(str(error))
-        if rows is None:  # what came just now is not written yet
+        if rows is None:  # the newest rows are not written yet
             return self._waited(now_ns, "the history does not have it", is_short=True, came=False)
         events: list[str] = []
         for key, line in rows:

@@ -83,7 +83,7 @@ _HEADERS = [
 def listen(settings: HttpSettings) -> socket.socket:
     """The listening socket; raises OSError as ``altd.tcp_port.listen`` does."""
     listener = listen_tcp(settings.host, settings.port)
-    # what is set here every accepted connection inherits
+    # every accepted connection inherits these options
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * SEND_TIMEOUT_S)
     return listener
@@ -190,7 +190,7 @@ class _Server(uvicorn.Server):
             self._component.count(why)
             connection.close()
             return
-        # what TCP inherits of the listener, a local socket does not
+        # unlike TCP, a local socket inherits no options of the listener
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         if self._policy.certificate is None:
             protocol = _BoundedProtocol(self.config, self.server_state, {})

@@ -164,9 +164,7 @@ def frames_of(received: bytes, unit_id: int) -> list[bytes] | None:
 
     A frame of another unit has a length that its function knows; one to ``unit_id`` may be malformed.
     """
-    begun_at: dict[
-        int, int
-    ] = {}  # where a frame ends, and where the first that was found to end there begins
+    begun_at: dict[int, int] = {}  # the end of a frame, and the start of the first one with that end
     begins = [0]
     while begins:
         begin = begins.pop()

@@ -203,7 +203,7 @@ class ModbusTcpPublisher:
             while True:
                 transaction, protocol, length, unit = MBAP.unpack(await reader.readexactly(MBAP.size))
                 if protocol != 0 or not 2 <= length <= MAX_LENGTH:
-                    self._component.count("garbled")  # where the next frame begins cannot be known
+                    self._component.count("garbled")  # the start of the next frame is unknown
                     return
                 request = await reader.readexactly(length - 1)
                 async with self._response_turn:
@@ -222,7 +222,7 @@ class ModbusTcpPublisher:
 
 def _detect_dead_peers(listener: socket.socket) -> None:
     """Have the kernel end a connection whose other end has been gone for a minute (Messaging 4.3.2)."""
-    # what is set here every accepted connection inherits
+    # every accepted connection inherits these options
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 30)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)

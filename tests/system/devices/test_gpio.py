@@ -18,7 +18,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_frame_leds_switch_together_dark_from_opening_to_closing(seen: dict[str, Any]) -> None:
-    pulled = [0, 1]  # what the pins are when they are not driven
+    pulled = [0, 1]  # levels of pins that are not driven
     assert seen["frame, active_low False"] == {
         "before": pulled,
         "opened": [0, 0],

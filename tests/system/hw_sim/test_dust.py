@@ -66,7 +66,7 @@ def test_a_speck_on_the_window_casts_its_shadow_along_the_beam() -> None:
             )
             for each in (unit, clean)
         )
-        plate = view.response / clean.imagers[REAR].view.response  # what the plate's own dust takes
+        plate = view.response / clean.imagers[REAR].view.response  # factor of the plate's own dust
         shadow = 1.0 - dirty_e / (clean_e * plate + 1e-9)
         near = np.hypot(view.x_mm - 280.0 * slope, view.y_mm) < 5.0
         where.append((view.x_mm[near] - 280.0 * slope, view.y_mm[near], shadow[near]))

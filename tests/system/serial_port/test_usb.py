@@ -45,7 +45,7 @@ def test_after_each_plug_there_are_whole_telegrams_only(unplugged: Any) -> None:
     last_sequence = 0
     for heard in unplugged["telegrams"]:
         first, *lines, torn = heard.split("\r\n")
-        assert first == ""  # what the controller has in its buffer since the plug was pulled ends here
+        assert first == ""  # end of the controller's buffer from before the plug was pulled
         assert len(lines) >= 2
         if is_whole(torn):  # torn within the two bytes of its end: it must be as true as the others
             lines.append(torn)

@@ -139,7 +139,7 @@ async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(t
 async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         await kept(tmp_path / "rec", ZeroDivisionError())
-    assert len(open_recording(tmp_path / "rec").rows) > 0  # what was written until then is whole
+    assert len(open_recording(tmp_path / "rec").rows) > 0  # the part written until then is complete
 
 
 class LyingSource(Source):

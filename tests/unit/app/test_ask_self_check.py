@@ -22,7 +22,7 @@ def answered(tmp_path: Path, answer: bytes) -> Iterator[Path]:
 
         def serve() -> None:
             connection, _ = server.accept()
-            with connection, suppress(OSError):  # who asked need not hear all of it
+            with connection, suppress(OSError):  # the client may leave early
                 connection.recv(65536)
                 connection.sendall(answer)
 

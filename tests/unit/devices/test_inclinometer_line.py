@@ -32,7 +32,7 @@ def test_a_line_that_never_falls_silent_is_given_up_in_time() -> None:
     try:
         with pytest.raises(InclinometerDisturbedError, match="damaged answer"):
             ModbusInclinometer(settings(wire.device)).open()
-        assert sent < 256  # what would be too much
+        assert sent < 256  # more would be too much
     finally:
         ending.set()
         thread.join()

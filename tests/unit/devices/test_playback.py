@@ -126,7 +126,7 @@ def test_a_table_that_is_changed_meanwhile_is_played_no_further(recording: Path,
     assert front.next_frame(1.0).sequence == rear.next_frame(1.0).sequence == 0
     table = copy / "frames.csv"
     table.write_text(table.read_text().replace("front0003", "front0002"))
-    for number in range(1, 8):  # what was read before it was changed
+    for number in range(1, 8):  # frames read before the change
         assert front.next_frame(1.0).sequence == rear.next_frame(1.0).sequence == number
     for camera in (front, rear, front):
         with pytest.raises(CameraError, match="was changed after it was checked"):

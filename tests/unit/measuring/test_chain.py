@@ -137,7 +137,7 @@ def test_a_beam_that_wanders_more_than_is_asked_for_is_unsteady(calibration: Cal
     assert wandering.status[0].detail.startswith("displacement is uncertain by ")
     assert (
         wandering.light_ns > wandering.t_ns
-    )  # what is invalid is as old as its last light, and not stale sooner
+    )  # an invalid measurement has the age of its last light, and is not stale sooner
     drifting = last(chain(calibration), shots([(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0)]))
     assert beam_of(drifting) is not None
     assert beam_of(drifting).x_mm == pytest.approx(0.075, abs=0.03)

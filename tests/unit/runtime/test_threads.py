@@ -75,7 +75,7 @@ async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(b
         assert await thread.end(lambda: None, LONG_S)
         for worker in [each for each in threading.enumerate() if each.name == "worker"]:
             await asyncio.to_thread(worker.join, LONG_S)
-        await asyncio.sleep(0)  # what the thread gave the loop
+        await asyncio.sleep(0)  # let the loop run the thread's calls
         assert not watched
     finally:
         gc.enable()

@@ -64,7 +64,7 @@ def test_opencv_fits_about_the_same_ellipse_to_whole_pixels() -> None:
         (x, y), _, _ = cv2.fitEllipse(outlines[0])
         second = found(locate_ellipse(picture))
         apart.append((second.u_px - x, second.v_px - y))
-    assert np.sqrt(np.mean(np.square(apart))) < 0.05  # what whole pixels allow
+    assert np.sqrt(np.mean(np.square(apart))) < 0.05  # limit of whole pixels
 
 
 def test_a_ghost_beside_the_spot_draws_the_two_localisers_apart() -> None:

@@ -41,7 +41,7 @@ def test_light_that_falls_off_across_a_disc_does_not_move_it() -> None:
     misses = misses_px(ORDINARY, plate_light(ORDINARY) * falling)
     assert np.sqrt(np.mean(misses**2)) < 0.01
     radius_px = 8.0
-    assert radius_px**2 / 4 / 150.0 > 0.1  # what the plain moment of the light would be off by
+    assert radius_px**2 / 4 / 150.0 > 0.1  # error of the plain moment of the light
 
 
 def test_what_is_no_disc_is_rejected_with_its_place() -> None:

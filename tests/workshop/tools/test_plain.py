@@ -15,6 +15,8 @@ from tools.plain import findings, main, sentences
         ("a.md", "Fine.\n\nIt goes\non.", [(3, "goes on")]),
         ("a.md", "`who says so` is code.\n\n    nobody\n\n```\nanew\n```\nLoaded anew.", [(8, "anew")]),
         ("a.md", "[a page](stands.md)", []),
+        ("a.md", "# What is needed\n\n## How?\n", [(1, "# What is needed")]),
+        ("a.py", "a = 1  # who asked", [(1, "# who asked")]),
         (
             "a.md",
             "A rule for who reads: Who asks, waits.",

@@ -55,7 +55,7 @@ def test_it_is_the_least_squares_solution_of_all_pixels(pitch_mm: float) -> None
     expected = np.linalg.lstsq(ridged, np.concatenate([light * root, np.zeros(size)]), rcond=None)[0]
 
     found = np.concatenate([[series.mean], series.amplitudes.real, series.amplitudes.imag])
-    # what of a wave reaches the picture: the blur leaves next to nothing of some
+    # the part of a wave in the picture: the blur leaves almost nothing of some
     reaching = np.sqrt(np.square(whole).mean(axis=0))
     assert np.abs((found - expected) * reaching).max() < 1e-12
 

@@ -74,7 +74,7 @@ def test_a_camera_that_was_killed_can_be_served_again() -> None:
             rear.take(1)
     finally:
         delete = ["ip", "address", "del", f"{gone.rear}/32", "dev", "lo"]
-        subprocess.run(delete, check=True)  # what was killed could not clear away
+        subprocess.run(delete, check=True)  # a killed process does not clear away
 
 
 def test_a_port_that_is_taken_is_one_clear_line() -> None:

@@ -79,7 +79,7 @@ def test_the_spots_are_where_the_truth_says_in_separate_processes_and_within_a_m
         assert np.ptp(truth, axis=0).max() > 1.0  # or it stood still
         box = box_around(*truth.mean(axis=0))
         off = np.array([middle(pixels, box) for _, pixels in frames[camera]]) - truth
-        assert np.abs(off.mean(axis=0)).max() < 0.7  # what grain and dots do to moments
+        assert np.abs(off.mean(axis=0)).max() < 0.7  # effect of grain and dots on moments
         off -= off.mean(axis=0)
         step_ns = 1e5
         later = np.array([projected(driven_unit, camera, t_ns + step_ns) for t_ns in middles_ns])

@@ -75,7 +75,7 @@ def test_before_the_first_check_nothing_is_valid(calibration: Calibration) -> No
         ({"when_unknown": "invalid"}, [UNKNOWN], False, ["geometry_unverified"]),
         ({}, [BAD, GOOD], True, []),
         ({}, [UNKNOWN, GOOD], True, []),
-        # who cannot see takes nothing back
+        # a check without sight of the LEDs withdraws nothing
         ({}, [BAD, UNKNOWN], False, ["geometry_drift", "geometry_unknown"]),
         ({}, [BAD, UNKNOWN, UNKNOWN], False, ["geometry_drift", "geometry_unknown"]),
         ({}, [SUSPECT, UNKNOWN], True, ["geometry_suspect", "geometry_unknown"]),
