@@ -4,7 +4,8 @@ A file of the repository outside ``docs/`` that a page links to is copied into t
 and the link follows it. A link to a missing file stays as it is, so that the strict build names it.
 
 Browsers refuse workers on pages from disk, and the theme's search is one. The theme loads a replacement from
-the network; the one below needs none. In the search, decisions and studies rank below the other pages.
+the network; the one below needs none. In the search, the start page ranks above the other pages, and
+decisions and studies below them.
 """
 
 from __future__ import annotations
@@ -60,6 +61,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """The page with its links out of ``docs/`` turned to the copies."""
     if page.file.src_uri.startswith(("decisions/", "studies/")):
         page.meta["search"] = {"boost": 0.2}
+    elif page.is_homepage:  # it answers common questions
+        page.meta["search"] = {"boost": 3}
 
     def copied(match: re.Match[str]) -> str:
         path = posixpath.normpath(posixpath.join("docs", posixpath.dirname(page.file.src_uri), match[0]))

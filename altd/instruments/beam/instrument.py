@@ -44,7 +44,7 @@ QUANTITIES = Quantities(
             "roll_deg",
             "roll",
             "°",
-            "cannot be measured from the beam; empty without an inclinometer",
+            "needs an inclinometer: the beam does not show it",
             5,
             False,
             True,
