@@ -89,8 +89,8 @@ def _unit() -> Iterable[str]:
     yield _text((u + 30, v - 30), "rear target, z = D = 280 mm", TEXT, anchor="middle")
     yield _text((u + 30, v - 14), "plate", GREY, 12, anchor="middle")
     u, v = at(_beam(-330))
-    yield _text((u - 10, v - 62), "beam", BEAM)
-    yield _text((u - 10, v - 45), "from the total station, 10 to 100 m away", BEAM, 12)
+    yield _text((u - 10, v - 70), "beam", BEAM)
+    yield _text((u - 10, v - 53), "from the total station, 10 to 100 m away", BEAM, 12)
     yield _text((20, 52), "Origin: middle of the printed side of the front target.", GREY, 13)
     yield _text((20, 70), "x to the right and y up, as seen along the beam; z along the beam.", GREY, 13)
     yield _text((20, 88), "The front camera looks against the beam: its raw picture is mirrored.", GREY, 13)
@@ -111,7 +111,8 @@ def _front() -> Iterable[str]:
     yield _line(at, (0, 27, 0), spot, BEAM, 1, _DASHED)
     u, v = at(spot)
     yield f'<circle cx="{u:.1f}" cy="{v:.1f}" r="7" fill="{BEAM}"/>'
-    yield _text((u - 12, v - 13), "x = +35 mm, y = +27 mm", BEAM, 12)
+    yield _text((u - 35, v - 24), "x = +35 mm", BEAM, 11)
+    yield _text((u - 35, v - 11), "y = +27 mm", BEAM, 11)
     yield _text((20, 712), "x positive: the beam is to the right", TEXT, 13)
     yield _text((20, 731), "y positive: the beam is higher", TEXT, 13)
 
