@@ -1,4 +1,4 @@
-"""What a person did wrong, said in lines of which each names the place."""
+"""Errors in the input, in lines of which each names the place."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from enum import StrEnum
 
 
 class Scope(StrEnum):
-    """What a reason concerns, and whether a measurement that carries it may be valid."""
+    """The subject of a reason, and whether a measurement that carries it may be valid."""
 
     TARGET = "target"
     """One target; published with its name in front, such as ``front_spot_missing``."""
@@ -40,7 +40,7 @@ class StatusGroup(StrEnum):
 
 
 class Signal(StrEnum):
-    """What the whole unit tells a plant, in the words of NAMUR NE 107: a code and its number.
+    """The state of the whole unit in the terms of NAMUR NE 107: a code and its number.
 
     The numbers are those of OPC 10000-100, table 22 (``DeviceHealthEnumeration``). Of several signals the
     worst is shown. Their order is that in which NE 107 (edition 2006) and OPC list them: failure, check

@@ -55,7 +55,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def _remedy(number: int, host: str, port: int) -> str:
-    """What to do about an address that cannot be listened on, as the end of a sentence."""
+    """The remedy for an address that cannot be listened on, as the end of a sentence."""
     if number == errno.EACCES:
         right = "ports below 1024 need CAP_NET_BIND_SERVICE, which the service has (AmbientCapabilities)"
         return f": {right}; by hand, choose a port from 1024 on"
@@ -189,6 +189,6 @@ class Buckets:
         return 0.0
 
     def give_back(self, key: str) -> None:
-        """What was taken was not used."""
+        """Release a port that was taken and is not used."""
         if key in self._full_ns:
             self._full_ns[key] -= round(1e9 / self._rate.per_s)

@@ -30,7 +30,7 @@ FPS = 20.0
 
 @dataclass(frozen=True, slots=True)
 class RecordingPlan:
-    """What is recorded: how many seconds, of which unit and which targets (None: the usual two), by whom."""
+    """The content of a recording: seconds, unit, targets (None: the usual two), author."""
 
     seconds: float
     unit: UnitHeader
@@ -39,7 +39,7 @@ class RecordingPlan:
     by: str = "altd record"
     """The command, in the recording's note."""
     plate: PlateHeader | None = None
-    """What is at the targets' places in a recording of kind ``plate``."""
+    """The plates at the targets' places in a recording of kind ``plate``."""
 
 
 class ExposuresWriter:

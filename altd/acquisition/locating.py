@@ -34,7 +34,7 @@ class LocatingStalledError(Exception):
 
 
 class LocatedPairs:
-    """What was located in ``frames``, from the thread to the event loop, in which it is to be made."""
+    """Pass the spots located in ``frames`` from the thread to the event loop that makes it."""
 
     def __init__(self, frames: FramePairs) -> None:
         self.frames = frames
@@ -202,7 +202,7 @@ class _Helper:
 
 
 def locate_frame(frame: Frame, locator: SpotLocator, exposure: ExposureControl | None = None) -> Located:
-    """What one frame holds; ``exposure`` is shown it."""
+    """The spot of one frame; ``exposure`` receives it."""
     located = locator.locate(frame)
     if exposure is not None and located.found is not None:
         exposure.sample(frame, located.found)

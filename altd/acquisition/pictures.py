@@ -164,7 +164,7 @@ def _image(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 def contour_of(spot: Spot) -> SpotContour:
-    """Where a spot's light has fallen to 1/e² of its peak; a circle where its shape was not fitted."""
+    """The ellipse at 1/e² of a spot's peak; a circle where its shape was not fitted."""
     semi_px = spot.diameter_px / 2
     axes = (semi_px, semi_px, 0.0) if spot.shape is None else _axes(spot.shape)
     return SpotContour(spot.u_px, spot.v_px, *axes)

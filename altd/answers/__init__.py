@@ -1,1 +1,1 @@
-"""What ``replay``, ``locate`` and ``map`` answer, on standard output or into a file."""
+"""Results of ``replay``, ``locate`` and ``map``, on standard output or into a file."""

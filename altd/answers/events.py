@@ -65,7 +65,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a person asked of ``altd events``; no kinds: all."""
+    """Options of ``altd events``; no kinds: all."""
 
     history: Path
     span_us: tuple[int, int]

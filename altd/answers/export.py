@@ -29,7 +29,7 @@ Add = Callable[[Row], object]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a person asked of ``altd export``; ``output`` None: standard output."""
+    """Options of ``altd export``; ``output`` None: standard output."""
 
     history: Path
     span_us: tuple[int, int]
@@ -158,7 +158,7 @@ def _table(question: Question, columns: tuple[Column, ...], about: Mapping[str, 
 
 
 def _about(question: Question, reader: Reader) -> dict[str, object]:
-    """Where the numbers come from, for those who find the table in ten years."""
+    """The origin of the numbers, for a reader of the table in ten years."""
     facts = reader.facts()
     return {
         "made_by": f"altd {__version__}",

@@ -32,7 +32,7 @@ Add = Callable[[Mapping[str, Any]], object]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a person asked of ``altd replay``; ``output`` None: standard output."""
+    """Options of ``altd replay``; ``output`` None: standard output."""
 
     recording: Path
     calibration: Path
@@ -131,7 +131,7 @@ def _text_table(form: Format, write: Write, columns: tuple[Column, ...]) -> Add:
 
 
 def _about(question: Question, replay: Replay) -> dict[str, Any]:
-    """Where the numbers come from, for those who find the table in ten years."""
+    """The origin of the numbers, for a reader of the table in ten years."""
     header, calibration = replay.recording.header, replay.calibration
     start = None if header.start is None else utc_text(header.start)
     of_recording = header.model_dump(
@@ -157,7 +157,7 @@ def _about(question: Question, replay: Replay) -> dict[str, Any]:
 
 
 def _drawn(replay: Replay) -> dict[str, Drawn]:
-    """What is drawn, by its key in a measurement's object: of a scan how far x and y are off."""
+    """The quantities to draw, by their keys in a measurement's object: of a scan the errors of x and y."""
     drawn = {}
     for quantity in replay.quantities.main:
         key, label = quantity.key, quantity.label

@@ -1,1 +1,1 @@
-"""What composes: the daemon, a replay, and the parts that a config asks for."""
+"""Composition: the daemon, a replay, and the parts that a config requires."""

@@ -66,7 +66,7 @@ class RunningDaemon:
         return self._asked("/api/v1/calibration", calibration_of)
 
     def targets(self) -> tuple[TargetsDocument, object]:
-        """Where the targets are measured."""
+        """The areas in which the targets are measured."""
         return self._asked("/api/v1/targets", targets_of)
 
     def _asked(self, target: str, understood: Callable[[object], Document]) -> tuple[Document, object]:

@@ -225,7 +225,7 @@ class Daemon:
         tasks.create_task(pipeline.run(), name="pipeline")
 
     def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
-        """What keeps the last seconds of frames, where it may."""
+        """The keeper of the last seconds of frames, where the config allows it."""
         recordings, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
         if not self.config.kept_frames.memory_mb:
             recordings.unavailable = "kept_frames.memory_mb is 0"
@@ -239,7 +239,7 @@ class Daemon:
         return keeper.ring
 
     def _marks(self, tasks: asyncio.TaskGroup) -> MarkedFrames | None:
-        """What marks the frames under LEDs, where the unit checks itself; the checks begin."""
+        """The marks of the frames under LEDs, where the unit checks itself; the checks begin."""
         if self.checks is None:
             return None
         assert self.lamps is not None  # noqa: S101  asked before
@@ -290,7 +290,7 @@ def _end_of(pairs: FramePairs, camera: str, _: object) -> None:
 
 
 def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:
-    """What the config says of the camera itself; None: nothing."""
+    """The camera's own settings in the config; None: none."""
     return CameraIdentity(serial=camera.serial) if isinstance(camera, LiveCameraSettings) else None
 
 

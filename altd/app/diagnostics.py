@@ -18,7 +18,7 @@ from altd.status.diagnostic_part import DiagnosticPart
 
 
 def diagnostic_parts(config: Config) -> tuple[DiagnosticPart, ...]:
-    """What the daemon of this config adds to its diagnostics."""
+    """Additions of the daemon of this config to its diagnostics."""
     return (
         DiagnosticPart(
             "settings.json", "the settings as they were read, with their defaults", partial(_settings, config)

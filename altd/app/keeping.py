@@ -45,7 +45,7 @@ _MARGIN_NS = 10**9
 
 
 def folder_of_recordings(config: Config, state_folder: Path | None) -> Path | None:
-    """Where recordings are written; None: nowhere."""
+    """The folder of recordings; None: none."""
     if config.kept_frames.folder is not None or state_folder is None:
         return config.kept_frames.folder
     return state_folder / RECORDINGS
@@ -130,7 +130,7 @@ def _is_same(start_us: int | None, other_us: int | None) -> bool:
 FILE_NAME = "history.db"
 COMPONENT = "history"
 _SERVICE_FOLDER = Path("/var/lib/altd")
-"""What systemd gives the service (``StateDirectory`` in systemd/altd.service)."""
+"""The folder that systemd gives the service (``StateDirectory`` in systemd/altd.service)."""
 
 _DEFECT_SEVERITY = 4
 _NOT_KEPT_SEVERITY = 2
@@ -149,12 +149,12 @@ def history_place(config: Config) -> tuple[Path | None, str]:
 
 
 def history_to_read(config: Config) -> Path:
-    """Where a command finds the history of the daemon that runs with this config, as a service or by hand."""
+    """The history of the daemon that runs with this config, as a service or by hand."""
     return config.history.file or (state_folder() or _SERVICE_FOLDER) / FILE_NAME
 
 
 def history_about(config: Config, calibration: Calibration, quantities: Quantities) -> About:
-    """What the history of a unit is of."""
+    """The unit and calibration of a history."""
     return About(
         columns_of(quantities, [target.name for target in config.targets]),
         {
@@ -214,7 +214,7 @@ class DaemonHistory:
         self.events.note(EventKind.RECORDING, text, None, severity, detail)
 
     def for_console(self) -> Past:
-        """What a console tells of it."""
+        """Its description on a console."""
         return Past(self.events, self.history, lambda: self._clock.utc(self._clock.monotonic_ns()))
 
     def leave_out(self, why: str) -> None:

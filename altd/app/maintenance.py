@@ -1,4 +1,4 @@
-"""What the daemon watches so that maintenance is asked for before something fails."""
+"""Watches of the daemon that request maintenance before a failure."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class MissingFile:
 
 
 def missing_files(config: Config) -> list[MissingFile]:
-    """What `altd run` will not find."""
+    """Files that `altd run` will not find."""
     played: dict[Path, list[str]] = {}
     for name, camera in config.cameras.items():
         if isinstance(camera, RecordingCameraSettings):
@@ -78,7 +78,7 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
 
 
 def _checks_of_interfaces(config: Config) -> Iterator[Callable[[], object]]:
-    """What reads the files of interfaces as they themselves will."""
+    """Readers of the interfaces' files, the same as the interfaces use."""
     from altd.credentials.certificates import client_context, server_context
     from altd.credentials.file import load_credentials, load_login
 

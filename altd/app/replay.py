@@ -86,7 +86,7 @@ class ScanPositions:
         return self._stays.see(row) is not None
 
     def place(self, sequence: int) -> Place | None:
-        """Where an exposure was made whose row was seen."""
+        """The place of an exposure whose row was read."""
         exposure = self._stays.exposures.get(sequence)
         if exposure is None:
             return None
@@ -176,7 +176,7 @@ class Replay:
 
     @property
     def quantities(self) -> Quantities:
-        """What the measurements hold."""
+        """The quantities of the measurements."""
         return self._instrument.quantities
 
     @property
@@ -188,7 +188,7 @@ class Replay:
 
     @property
     def window_text(self) -> str:
-        """What is averaged."""
+        """The window of the averages."""
         if self.positions is not None and self.positions.is_by_node:
             return "all exposures of a node"
         window, every = self.measuring.window, self.measuring.every

@@ -40,7 +40,7 @@ def fps_of(config: Config) -> float:
 def check_parts_of(
     config: Config, calibration: Calibration, views: Sequence[View], chain: MeasuringChain, clock: Clock
 ) -> CheckParts:
-    """What the checks of a config are made with."""
+    """The parts for the checks of a config."""
     settings, limits = config.self_check, limits_of(config.self_check)
     period_ns = round(1e9 / fps_of(config))
     return CheckParts(

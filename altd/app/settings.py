@@ -16,11 +16,11 @@ from altd.runtime.service_manager import runtime_folder
 from altd.serial_port.port import seconds_on_line
 
 SERVICE_SOCKET = LocalSettings().socket
-"""Where the service has it (docs/install.md)."""
+"""Its place for the service (docs/install.md)."""
 
 
 def local_socket_of(config: Config) -> Path | None:
-    """Where a daemon with this config serves its own computer; None: nowhere.
+    """The socket on which a daemon with this config serves its own computer; None: none.
 
     Without ``[local]`` only in the folder that the service manager made: who tries a config by hand need not
     be able to write /run.
@@ -32,7 +32,7 @@ def local_socket_of(config: Config) -> Path | None:
 
 
 def socket_to_ask(config: Config) -> Path:
-    """Where a command finds the daemon that runs with this config, as a service or by hand."""
+    """The socket of the daemon that runs with this config, as a service or by hand."""
     return SERVICE_SOCKET if config.local is None else config.local.socket
 
 

@@ -62,7 +62,7 @@ def draft_of(config: Config) -> Draft:
 
 
 def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
-    """What is left of a document when the keys that are faulty are taken out."""
+    """A document without its faulty keys."""
     document = copy.deepcopy(document)
     for keys in sorted(faulty, key=len, reverse=True):
         _remove(document, keys)

@@ -1,4 +1,4 @@
-"""What a key of ``altd.toml`` takes, from the models: for the page of settings and for complaints."""
+"""The values that a key of ``altd.toml`` accepts, from the models: for the settings page and for errors."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _is_table(option: Any) -> bool:
 
 
 def _parts(limit: Any) -> list[Any]:
-    """What ``Field(…)`` inside of ``Annotated`` holds, or the limit itself."""
+    """The limit that ``Field(…)`` inside of ``Annotated`` holds, or the limit itself."""
     return limit.metadata if isinstance(limit, FieldInfo) else [limit]
 
 

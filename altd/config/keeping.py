@@ -1,4 +1,4 @@
-"""What the unit keeps: the history of its measurements and events, and the frames of the last seconds."""
+"""Settings of the data to keep: history of measurements and events, frames of the last seconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What must fit between the tables of a config: each rule yields what does not.
+"""Rules between the tables of a config: each yields the conflicts.
 
 These are faults that are in the file, whatever computer it is on: what the daemon would refuse at its start,
 retry indefinitely, or do without any effect. What only the computer can tell is for ``altd.doctor``.

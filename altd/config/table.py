@@ -1,4 +1,4 @@
-"""What the tables of ``altd.toml`` have in common, and how a fault of the settings is reported."""
+"""The base of the tables of ``altd.toml``, and the report of a fault of the settings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_SHOWN_LETTERS = 60
 
 
 def complaint(*faults: tuple[Sequence[str | int], str]) -> PydanticCustomError:
-    """What a model raises when keys of it do not fit: each key, from the model on, and why it does not."""
+    """A conflict between keys of a model: each key, from the model on, and why it does not."""
     return PydanticCustomError(FAULTS, "{text}", {"faults": faults, "text": "; ".join(f[1] for f in faults)})
 
 
@@ -46,7 +46,7 @@ OffsetDegrees = Annotated[float, Field(ge=-45, le=45)]
 """With the beam's own 14° it stays well below 90°, where mm/m has no end."""
 Celsius = Annotated[float, Field(ge=-100, le=200)]
 ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
-"""What the kernel's largest control holds."""
+"""The value of the kernel's largest control."""
 
 
 def _device(path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""What is wrong with a config: pydantic's errors in our own words, each with the key that it is about."""
+"""Errors of a config: pydantic's errors in plain words, each with its key."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Fault:
     keys: Keys
     text: str
     at: Literal["value", "key", "table"] = "value"
-    """What of the key the place is of: its value, itself, or, where it is missing, its table."""
+    """The part of the key at the place: its value, the key, or, where it is missing, its table."""
     about: tuple[Keys, ...] = ()
     replaces: tuple[Keys, ...] = ()
     """The keys that an unknown name was probably meant for: a fault of one of these follows from this one."""
 
     def place(self, places: Places) -> Place | None:
-        """Where it is in the file."""
+        """Its place in the file."""
         match self.at:
             case "value":
                 others = (places.key(keys) or places.nearest(keys) for keys in self.about)
@@ -78,7 +78,7 @@ WHY = {
     "path_from_text": "is no path",
     "union_tag_invalid": "is not possible",
 }
-"""What is said of a value, by the type of pydantic's error."""
+"""The sentence about a value, by the type of pydantic's error."""
 
 _UNUSABLE = "cannot be used"
 _SECRETS = ("login", "password", "token", "user", "username")
@@ -244,7 +244,7 @@ def _suggestion(kind: str, value: object, context: dict[str, Any]) -> str:
 
 
 def _possible_values(keys: Keys, document: dict[str, Any]) -> str:
-    """What the key takes, as the end of a sentence."""
+    """The values that the key accepts, as the end of a sentence."""
     found = field_at(keys, document, Config)
     return "" if found is None else f"; possible: {expected(*found, shown)}"
 

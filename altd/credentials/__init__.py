@@ -1,1 +1,1 @@
-"""Who may act on the unit, and what it proves itself with: passwords, tokens, certificates, in files."""
+"""Credentials of users and of the unit: passwords, tokens, certificates, in files."""

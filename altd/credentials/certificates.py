@@ -121,7 +121,7 @@ class RenewedContext:
         self._context = make()
 
     def __call__(self) -> ssl.SSLContext:
-        """What handshakes are made with now: new files as soon as they fit, until then the old ones."""
+        """The context of new handshakes: new files as soon as they fit, until then the old ones."""
         stamp = self._stamp_now()
         if stamp != self._stamp:
             self._stamp = stamp

@@ -33,7 +33,7 @@ _TOO_OPEN = stat.S_IWGRP | stat.S_IRWXO
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """Who may act: hashes by names. A name may have a password, a token or both."""
+    """The users that may act: hashes by names. A name may have a password, a token or both."""
 
     passwords: Mapping[str, PasswordHash] = field(default_factory=dict)
     tokens: Mapping[str, bytes] = field(default_factory=dict)
@@ -147,7 +147,7 @@ def _lines(credentials: Credentials) -> Iterator[str]:
 
 
 def _with_entry(credentials: Credentials, words: list[str]) -> Credentials:
-    """What a line adds; raises ValueError that says what is wrong with it, and never shows it."""
+    """The entry of a line; raises ValueError that names the fault and never shows the line."""
     match words:
         case ["password", name, "scrypt", n, r, p, salt, digest]:
             if name in credentials.passwords:
@@ -227,7 +227,7 @@ class CredentialsKeeper:
         self._known = load_credentials(path)
 
     def current(self) -> Credentials:
-        """Who may act at this moment."""
+        """The users that may act at this moment."""
         stamp = self._stamp_now()
         if stamp != self._stamp:
             self._stamp = stamp

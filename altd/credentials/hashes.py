@@ -26,7 +26,7 @@ _TOKEN_BYTES = 32
 
 @dataclass(frozen=True, slots=True)
 class PasswordHash:
-    """What is kept of a password. Raises ValueError for parameters outside sensible limits."""
+    """The stored hash of a password. Raises ValueError for parameters outside sensible limits."""
 
     n: int
     r: int
@@ -74,7 +74,7 @@ class PasswordHash:
 
 
 NOBODYS = PasswordHash(SCRYPT_N, SCRYPT_R, SCRYPT_P, secrets.token_bytes(16), secrets.token_bytes(32))
-"""What the password of an unknown name is held against, so that a name that is none takes as long."""
+"""Compared with the password of an unknown name, which so takes as long as a known one."""
 
 
 def new_token() -> str:
@@ -83,5 +83,5 @@ def new_token() -> str:
 
 
 def token_digest(token: str) -> bytes:
-    """What is kept of a token."""
+    """The stored hash of a token."""
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()

@@ -1,1 +1,1 @@
-"""What is missing or wrong on this computer for a config, each with the command that mends it."""
+"""Faults of this computer for a config, each with the command that repairs it."""

@@ -15,7 +15,7 @@ Check = Callable[[], Iterator[Finding]]
 
 
 def examine(place: Path | None, machine: Machine | None = None) -> list[Finding]:
-    """What is good and what is not, for the config file or in general; raises BadInputError for the file."""
+    """Findings for the config file or in general; raises BadInputError for the file."""
     machine = machine or Machine()
     config = None if place is None else load_settings(place)
     findings: list[Finding] = []

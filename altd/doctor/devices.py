@@ -183,7 +183,7 @@ def _other_users(subject: str, node: str, status: os.stat_result, machine: Machi
 
 
 def _alternatives(names: tuple[str, ...], machine: Machine) -> str:
-    """What there is instead: under the first of the patterns that fits anything."""
+    """The devices that exist instead: those of the first pattern with a match."""
     for pattern in names:
         found = _paths(pattern, machine)
         if found:

@@ -1,4 +1,4 @@
-"""What a check found: good, could be better, wrong, or nothing to check; and what mends it."""
+"""The result of a check: good, could be better, wrong, or nothing to check; and its remedy."""
 
 from __future__ import annotations
 

@@ -43,19 +43,19 @@ class Account:
 
 
 def myself() -> Account:
-    """Who runs this process."""
+    """The user of this process."""
     return Account(user_name(os.geteuid()), os.geteuid(), frozenset({os.getegid(), *os.getgroups()}))
 
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """What the systemd unit gives the daemon."""
+    """Rights that the systemd unit gives the daemon."""
 
     account: Account
     closed: bool
     """Only devices that the unit lists may be opened."""
     devices: tuple[str, ...]
-    """What it lists: paths, or ``char-`` and the name of a driver."""
+    """The entries: paths, or ``char-`` and the name of a driver."""
     low_ports: bool
     """It may listen on ports below 1024."""
     folders: tuple[str, ...] | None = None
@@ -79,11 +79,11 @@ class Machine:
     account: Account = field(default_factory=myself)
 
     def at(self, path: str | Path) -> Path:
-        """Where a path of the computer lies."""
+        """A path of the computer, below the root in use."""
         return self.root / str(path).lstrip("/")
 
     def text(self, path: str | Path) -> str:
-        """What a file says, without blanks around it; nothing when it cannot be read."""
+        """The text of a file without blanks around it; empty when it cannot be read."""
         try:
             return self.at(path).read_text(errors="replace").strip()
         except OSError:
@@ -170,7 +170,7 @@ def _gid(name: str) -> int | None:
 
 
 def _folders(keys: dict[str, list[str]]) -> tuple[str, ...]:
-    """What a unit may write to although its file system is read-only (systemd.exec(5), ProtectSystem=)."""
+    """Folders that a unit may write to in a read-only file system (systemd.exec(5), ProtectSystem=)."""
     prefixes = {"StateDirectory": "/var/lib/", "RuntimeDirectory": "/run/", "ReadWritePaths": ""}
     return tuple(
         f"{prefix}{name.lstrip('-+')}"

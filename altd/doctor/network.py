@@ -126,7 +126,7 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
 
 
 def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
-    """What the camera itself says; it is not disturbed."""
+    """Readings of the camera itself; it is not disturbed."""
     if is_address(device):
         tries = (gvcp.discover_at(device, _ANSWER_TIMEOUT_S) for _ in range(_MAX_TRIES))
         there = [camera for camera in tries if camera is not None][:1]

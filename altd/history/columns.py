@@ -54,7 +54,7 @@ class Column:
         return steps if abs(steps) < _MAX_UNITS else None
 
     def value(self, steps: float | None) -> float | None:
-        """What so many steps are; a mean may have parts of a step."""
+        """The value of a number of steps; a mean may have parts of a step."""
         return None if steps is None else round(steps / 10**self.decimals, self.decimals)
 
 

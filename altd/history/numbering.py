@@ -1,4 +1,4 @@
-"""What a history's file numbers: its epochs from start to start, and the codes of reasons and causes."""
+"""The numbers in a history's file: its epochs from start to start, and the codes of reasons and causes."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ MAX_FILES_ASIDE = 3
 """More are not put beside each other: a disk that damages every file shall not be filled with them."""
 
 DAMAGED, FOREIGN = "damaged", "of-another-unit"
-"""What was moved aside, in its name."""
+"""The suffix of a file that was moved aside."""
 
 _MODE = 0o600
 """Of the file and what SQLite keeps beside it, whatever the umask: it names who asked for what."""
@@ -43,7 +43,7 @@ _DAMAGED_CODES = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 @contextmanager
 def damage_told() -> Iterator[None]:
-    """What a file holds that is neither text nor a number as Python has them: DamagedFileError."""
+    """Refuse a value that is neither text nor a number in Python: DamagedFileError."""
     try:
         yield
     except (ValueError, TypeError, OverflowError) as error:
@@ -187,7 +187,7 @@ class transaction:  # noqa: N801  used as a statement
 
 
 def touched(path: Path) -> tuple[object, ...]:
-    """What changes when a file of a history is replaced, deleted or written.
+    """The state that changes when a file of a history is replaced, deleted or written.
 
     Readers too map the index of the log into memory: of it, only the identity of the file counts.
     """

@@ -274,7 +274,7 @@ class Reader:
 
 
 def _grouped(number: int, column: Column) -> list[str]:
-    """What SQL sums up of a column: total, weight, variances, their weight, lowest, highest.
+    """The sums of a column in SQL: total, weight, variances, their weight, lowest, highest.
 
     What a sensor measures is known whether or not the beam is seen: all measurements count then.
     """

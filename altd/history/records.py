@@ -1,4 +1,4 @@
-"""What is read out of a history: measurements, points of a trend, events; times are UTC, µs since 1970."""
+"""Records of a history: measurements, points of a trend, events; times are UTC, µs since 1970."""
 
 from __future__ import annotations
 

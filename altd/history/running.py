@@ -43,7 +43,7 @@ class _Epoch:
 
 
 def before_start(reader: Reader, start_us: int, back_s: float) -> Before:
-    """What is on record of the time from ``back_s`` before a start to this start, in UTC of the clock now."""
+    """The recorded state from ``back_s`` before a start to this start, in UTC of the clock now."""
     from_us = start_us - round(back_s * _US)
     known_us = limit_us = start_us
     spans: list[RunningSpan] = []

@@ -73,7 +73,7 @@ _VERSION_2 = ("CREATE INDEX events_by_time ON events (t_us)",)
 """Events of a day are found without going through those of years."""
 
 MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2)
-"""What makes version n + 1 of version n, as statements; an empty file has version 0."""
+"""The statements that make version n + 1 from version n; an empty file has version 0."""
 
 VERSION = len(MIGRATIONS)
 

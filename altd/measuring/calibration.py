@@ -71,7 +71,7 @@ class TargetCalibration:
         return corners
 
     def point(self, u_px: float, v_px: float) -> TargetPoint | None:
-        """Where the beam meets the target; None outside what was calibrated."""
+        """The intersection of the beam with the target; None outside the calibrated area."""
         point, jacobian, covariance = self.inverse.to_mm(np.array([[u_px, v_px]]))
         if not np.isfinite(point).all():
             return None

@@ -47,7 +47,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the beam stood still, in a recording that knows; no window mixes two places.
+    """The place at which the beam rested, in a recording that knows it; no window mixes two places.
 
     ``window`` is how many exposures are averaged there; None: as many as the settings say.
     """

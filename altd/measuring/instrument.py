@@ -1,4 +1,4 @@
-"""What the measuring chain asks of an instrument, the kind of unit (docs/architecture.md)."""
+"""The protocol of an instrument, the kind of unit, for the measuring chain (docs/architecture.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from altd.records.spots import Motion
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What an instrument makes of a window: values by their quantities' keys.
+    """The result of an instrument for a window: values by their quantities' keys.
 
     ``motions`` are those of this window alone, of the values that have a sigma; empty where the window shows
     none.
@@ -28,7 +28,7 @@ class Instrument(Protocol):
 
     @property
     def quantities(self) -> Quantities:
-        """What it publishes."""
+        """The quantities that it publishes."""
 
     @property
     def min_targets(self) -> int:

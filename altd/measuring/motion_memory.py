@@ -1,4 +1,4 @@
-"""What the windows of the last seconds showed of motion, for what may follow the newest one."""
+"""Motion in the windows of the last seconds, to bound the motion after the newest one."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from altd.records.spots import Motion
 
 MEMORY_S = 10.0
-"""What was seen counts for less with this time constant: longer than a machine that goes step by step takes
+"""Past motion counts less with this time constant: longer than a machine that goes step by step takes
 for a step, shorter than a person waits for a value that came to rest to be known well again."""
 MIN_LAG_S = 1.0
 """Rates are compared over no less: as long as a value is shown before it is stale (``stale_after_s``)."""
 _MAX_LAG_WINDOWS = 2.0
-"""Where the window before is farther back, the rate may have changed within so many windows."""
+"""If the previous window is older, the rate may have changed within so many windows."""
 _SIGNIFICANT = 2.0
 """A single change of the rate counts by what is above so many of its standard deviations."""
 

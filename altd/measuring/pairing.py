@@ -30,7 +30,7 @@ _RESTART_GAP_NS = 500_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair(Generic[Item]):
-    """What belongs to one frame set. ``missing`` says, for a camera without an item, why.
+    """The items of one frame set. ``missing`` has the reason for each camera without an item.
 
     ``t_ns`` is the mean of the items' times. ``skew_ns`` is the largest difference between them, without the
     steady lag of one camera behind another where pairing is by time. ``behind_ns`` is how far each item lies
@@ -49,7 +49,7 @@ class Pair(Generic[Item]):
 
     @property
     def all_items(self) -> tuple[Item, ...]:
-        """What came from the cameras, paired or not, that of each camera in its order; at least one."""
+        """The items from the cameras, paired or not, that of each camera in its order; at least one."""
         return (*self.unpaired, *self.items.values())
 
     def of(self, make: Callable[[Item], Made]) -> Pair[Made]:
@@ -247,7 +247,7 @@ class Pairer(Generic[Item]):
         return False
 
     def _group_of(self, one: _Waiting[Item]) -> dict[str, _Waiting[Item]]:
-        """What waits and belongs to the same frame set as ``one``, by camera."""
+        """The waiting items of the same frame set as ``one``, by camera."""
         group = {}
         for camera in self.cameras:
             for other in self._waiting[camera]:

@@ -35,7 +35,7 @@ class Appearance:
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """What a frame holds. Everything in it is frozen: it is read by another thread than made it.
+    """The content of a frame. It is frozen: another thread reads it than the one that made it.
 
     ``spot`` is what is to be measured, ``found`` what the localiser saw, whosever camera it is; None in a
     frame that is not new. ``breaks`` counts the camera's frames, up to this one, that no window may reach
@@ -135,11 +135,11 @@ class SpotLocator:
 
     @property
     def view(self) -> ViewStatus:
-        """What is known of the camera now."""
+        """The present state of the camera."""
         return self._view_check.status
 
     def _dust(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> DustCount | None:
-        """What covers a spot, now and then; that of one which is refused may be anything."""
+        """The cover of a spot, checked at intervals; of a refused spot it may be anything."""
         fingerprint = self._last_appearance.fingerprint
         texture = None if fingerprint is None else fingerprint.texture
         t_ns = analysis.frame.t_ns

@@ -28,7 +28,7 @@ by the square of its diameter. Millimetres per square millimetre, on simulated l
 _EXPLAINED_SIGMAS = 3.0
 _MIN_DISTORTION_SIGMAS = 6.0
 _MIN_DISTORTION_STRETCH = 0.015
-"""What may displace a spot by less adds to its sigma."""
+"""A disturbance that may displace a spot by less adds to its sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def shape_agreement(
 def shape_doubts_mm(
     mean: MeanSpots, points: Sequence[TargetPoint], known: Sequence[ShapeReference | None]
 ) -> FloatArray | Fault:
-    """What the spots' shapes leave uncertain of each target's point, one sigma in mm, (targets,).
+    """The uncertainty of each target's point by the spots' shapes, one sigma in mm, (targets,).
 
     Or why a spot is not the beam's. Targets without a shape or a reference have no doubts.
     """

@@ -48,7 +48,7 @@ def light_per_ms(spot: Spot, frame: Frame) -> float | None:
 
 
 def residual_share(spot: Spot) -> float:
-    """What the fit of a spot leaves unexplained, as a share of what makes it ``distorted``.
+    """The residual of a spot's fit, as a share of the limit of ``distorted``.
 
     Of ``excess_px``: what unexplained light may displace the spot by, one sigma.
     """

@@ -32,7 +32,7 @@ _ESTABLISHED_AFTER_VERDICTS = 3
 
 @dataclass(frozen=True, slots=True)
 class ViewStatus:
-    """What is known of a target's camera after one of its frames; others may read it than checked that.
+    """The state of a target's camera after one of its frames; read by other threads than the checking one.
 
     ``has_fingerprint``: something is known to verify it by. ``verified_ns`` is when it was verified last,
     ``wrong`` and ``doubt`` say what is wrong with it or not known, ``shift_px`` is by how much the picture
@@ -99,7 +99,7 @@ class ViewCheck:
         self._wrong: ViewVerdict | None = None
         self._wrong_verdicts = 0
         self.displaced_px = 0.0
-        """What the picture's shift adds to the uncertainty of the spots that are not refused."""
+        """The uncertainty that the picture's shift adds to spots that are not refused."""
         self._restart_examination()
 
     def _restart_examination(self) -> None:
@@ -147,7 +147,7 @@ class ViewCheck:
 
     @property
     def status(self) -> ViewStatus:
-        """What is known after the last frame."""
+        """The state after the last frame."""
         return ViewStatus(
             self._target,
             self._fingerprint is not None,

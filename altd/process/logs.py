@@ -50,7 +50,7 @@ class RepeatLimit:
         self._causes: dict[str, dict[str, _Cause]] = {}
 
     def note(self, record: logging.LogRecord) -> str | None:
-        """What to add to the record's line, or None when it is held back."""
+        """The addition to the record's line, or None when it is held back."""
         if record.levelno <= logging.INFO:
             return ""
         now_s = self._clock()

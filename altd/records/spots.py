@@ -139,7 +139,7 @@ class NoSpot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSet:
-    """What the cameras saw at one instant: a spot, or the reason why there is none, per target.
+    """The spots of one instant: a spot, or the reason why there is none, per target.
 
     ``t_ns`` is the mean of the frames' times; a target that is not in ``behind_ns`` was exposed just then,
     another so much later.
@@ -196,7 +196,7 @@ class MeanSpots:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPoint:
-    """Where the beam meets one target, mm in the unit frame.
+    """The intersection of the beam with one target, mm in the unit frame.
 
     ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is what print, speckle and
     the map leave uncertain, without the scatter of the spot.

@@ -13,13 +13,13 @@ from altd.files.documents import line_of
 from altd.records import Quantities, Quantity
 
 Value = int | float | bool | str | None
-"""What a cell holds; None: not known."""
+"""The value of a cell; None: not known."""
 Row = Mapping[str, Value]
 """Values by the names of their columns."""
 
 
 class Type(StrEnum):
-    """What the values of a column are."""
+    """The type of a column's values."""
 
     WHOLE = "whole number"
     NUMBER = "number"
@@ -171,7 +171,7 @@ TEXT_FORMATS: dict[TextFormat, type[CsvTable] | type[JsonTable]] = {"jsonl": Jso
 
 
 class _Lines:
-    """What ``csv`` takes for a file."""
+    """The part of a file that ``csv`` needs."""
 
     def __init__(self, write: Write) -> None:
         self.write = write

@@ -1,1 +1,1 @@
-"""What a character screen shows of a unit: the daemon's documents as lines of text; knows no terminal."""
+"""The view of a unit on a character screen: the daemon's documents as lines of text; knows no terminal."""

@@ -1,4 +1,4 @@
-"""What the daemon's documents must hold to be shown; no other answer is let in."""
+"""The required content of the daemon's documents; other answers are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of a unit at a moment, and how it went: nothing outlives its time. Times are handed in."""
+"""Knowledge of a unit at a moment, and its recent course: nothing outlives its time. Times are arguments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KEPT_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What is known now. ``lost`` says why nothing is; empty while the daemon answers."""
+    """The present knowledge. ``lost`` is the reason why there is none; empty while the daemon answers."""
 
     lost: str
     reading: Reading | None
@@ -61,7 +61,7 @@ class Knowledge:
         self._status, self._status_s = status, now_s
 
     def hear_about(self, check: SelfCheckDocument, targets: TargetsDocument) -> None:
-        """What changes seldom."""
+        """Take the documents that change seldom."""
         self._check, self._targets = check, targets
 
     def hear_nothing(self, why: str) -> None:
@@ -71,7 +71,7 @@ class Knowledge:
         self._status_s = self._reading_s = -KEPT_S
 
     def at(self, now_s: float) -> Moment:
-        """What is known at this moment."""
+        """The knowledge at this moment."""
         silent_s = now_s - self._reading_s
         if not self._lost and silent_s > HOLD_S:
             return Moment("the daemon does not answer", None, None, None, None, self._targets)
@@ -83,7 +83,7 @@ class Knowledge:
         return Moment("", reading, age_s, status, self._check, self._targets)
 
     def path(self, target: str, now_s: float) -> list[Place]:
-        """Where the target's spot was lately, the oldest place first; nothing while it is not known now."""
+        """Recent positions of the target's spot, the oldest first; none while it is not known now."""
         if (reading := self.at(now_s).reading) is None or reading.spots.get(target) is None:
             return []
         places: list[Place] = []

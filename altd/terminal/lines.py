@@ -45,7 +45,7 @@ def verdict_text(reading: Reading) -> str:
 
 
 def cause_text(cause: CauseDocument) -> str:
-    """What is wrong and what to do, in the words of the table of causes."""
+    """Causes and remedies, in the words of the table of causes."""
     of = f" ({cause.of})" if cause.of else ""
     just_now = "" if cause.active else ", just now"
     detail = f" [{cause.detail}]" if cause.detail else ""

@@ -36,7 +36,7 @@ _KEYS = "tab, arrows: {pages}  h: help  q: quit"
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What is looked at: the page by its number, how many of its lines lie above the screen, help or not."""
+    """The view: the number of the page, the lines of it above the screen, help or not."""
 
     page: int = 0
     above: int = 0

@@ -19,7 +19,7 @@ from altd.records import Frame, NoSpot, PixelArray, Spot
 LOW, HIGH = 0.35, 0.8
 """The band of levels, shares of full scale, in which exposure is left alone."""
 TARGET = math.sqrt(LOW * HIGH)
-"""Where it is brought: as far, in light, from one edge of the band as from the other."""
+"""The target of the control: the geometric middle of the band."""
 
 CLIPPED_FROM = 0.995
 """Share of full scale from which a pixel counts as clipped."""
@@ -105,7 +105,7 @@ def sample_brightness(frame: Frame, spot: Spot | NoSpot) -> BrightnessSample:
 
 
 def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> ExposureRange:
-    """What the config allows, the camera can do, and the time between two frames leaves."""
+    """The limits by the config, the camera, and the time between two frames."""
     longest_ms = min(control.longest_ms, camera.longest_ms, (1 - _READOUT_SHARE) * 1000 / fps)
     return ExposureRange(
         shortest_ms=min(max(control.shortest_ms, camera.shortest_ms), longest_ms),

@@ -13,7 +13,7 @@ from altd.records.sensors import Quality, SensorValue, within_half_turn
 
 _MIN_READINGS = 4
 _MAX_READINGS = 10
-"""What noise is estimated from: the last two seconds."""
+"""The span from which noise is estimated: the last two seconds."""
 _MIN_SAME = 3
 """Readings equal to the one before; fewer show nothing, whatever time is between them."""
 _MAX_STILL_S = 60.0
@@ -83,7 +83,7 @@ class InclinationJudge:
         return within_half_turn(settings.sign_pitch * reading.pitch_deg + settings.offset_pitch_deg)
 
     def _stillness(self, reading: InclinometerReading) -> str:
-        """What has stood still for too long, in words; empty: nothing."""
+        """The reading that did not change for too long, in words; empty: none."""
         last, self._last = self._last, reading
         self._same += 1
         self._has_moved |= last is not None and reading.words != last.words

@@ -45,7 +45,7 @@ _MAX_WAITING = 4
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What is recorded: the cameras' newest frames, how they make exposures, and of which unit they are."""
+    """The source of recordings: the cameras' newest frames, their pairing, and the unit."""
 
     ring: FrameRing
     cameras: Mapping[str, Camera]

@@ -64,7 +64,7 @@ def validity_of(measurement: Measurement | None, running_s: float) -> Validity:
 
 
 def error_light(validity: Validity, needs_attention: bool) -> Light:
-    """What Error shows; ``needs_attention``: something other than the measurement needs a person."""
+    """The state of the lamp Error; ``needs_attention``: a cause other than the measurement needs a person."""
     if validity is Validity.INVALID:
         return Light.STEADY
     return Light.BLINKS if needs_attention else Light.DARK

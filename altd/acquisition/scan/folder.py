@@ -71,7 +71,7 @@ class State(BaseModel):
 
 
 class ScanFolder:
-    """Where a scan goes. Raises BadInputError when it can neither begin nor be resumed there."""
+    """The folder of a scan. Raises BadInputError when it can neither begin nor be resumed there."""
 
     def __init__(
         self,

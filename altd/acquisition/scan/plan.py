@@ -1,4 +1,4 @@
-"""What a calibration scan is to do, node by node, and whether the frame sets of a node can be used."""
+"""The plan of a calibration scan, node by node, and whether the frame sets of a node can be used."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ Facts = dict[str, str | int | float]
 
 
 def fingerprint(config: Config) -> Facts:
-    """What two parts of one scan must have in common.
+    """The properties that two parts of one scan must share.
 
     How the stage is reached, how fast it goes, and how patient the scan is may change in between; where the
     nodes and the stage's coordinates lie may not.

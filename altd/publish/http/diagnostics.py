@@ -197,7 +197,7 @@ def _row(point: SummaryPoint, keys: Iterable[str]) -> list[object]:
 
 
 def _cut(content: bytes) -> bytes:
-    """What there is room for, up to the end of a line."""
+    """The part for which there is room, up to the end of a line."""
     if len(content) <= MAX_PART_BYTES:
         return content
     return content[: content.rfind(b"\n", 0, MAX_PART_BYTES) + 1]

@@ -16,7 +16,7 @@ def host_of(header: str) -> str:
 
 
 class OwnNames:
-    """What a browser may call the unit: an address, the computer's own name, and ``names``.
+    """The names by which a browser may address the unit: an address, the computer's own name, and ``names``.
 
     Any other name may be one that a page of elsewhere has bent to the unit's address (DNS rebinding), so as
     to read what the browser's computer can.

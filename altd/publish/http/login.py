@@ -14,7 +14,7 @@ from altd.publish.http.models import Login
 
 MAX_BODY_BYTES = 4096
 BODY_TIMEOUT_S = 10.0
-"""What has not come by then is not waited for."""
+"""The time limit of a request's body."""
 
 
 async def log_in(request: Request, guard: Guard) -> Response:
@@ -43,7 +43,7 @@ async def log_out(request: Request, guard: Guard) -> Response:
 
 
 async def session(request: Request, guard: Guard) -> Response:
-    """Who is logged in, and whether he may act."""
+    """The user that is logged in, and whether the user may act."""
     shown = {
         "name": guard.viewer(request),
         "may_act": guard.may_act(request),

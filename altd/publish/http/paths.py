@@ -17,7 +17,7 @@ EVENT_STREAM = "text/event-stream"
 TEXT = "text/plain"
 
 ALIVE = "/healthz"
-"""Who only asks whether anybody is there may call the unit what he likes."""
+"""A path that only asks for life accepts any name of the unit."""
 
 _KINDS = {"type": "string", "enum": [str(kind) for kind in EventKind]}
 _SECONDS = {"type": "number", "minimum": -LAST_S, "maximum": LAST_S}

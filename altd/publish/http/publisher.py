@@ -55,7 +55,7 @@ class HttpPublisher:
         events: EventLog | None = None,
     ) -> None:
         self.port = settings.port
-        """Where it serves; for port 0, what the system chose."""
+        """The address in use; for port 0, the port that the system chose."""
         self._settings = settings
         self._component = component
         self._place = ""

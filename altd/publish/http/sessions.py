@@ -24,7 +24,7 @@ class _Session:
 
 
 class Sessions:
-    """Who is logged in. What identifies a session is kept as a hash, by which it is found."""
+    """The users that are logged in. The key of a session is kept as a hash, by which it is found."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock

@@ -20,10 +20,10 @@ BLOCK_VERSION = 1
 """Counts up when a register changes its meaning or place."""
 
 FIRST, SIZE = 200, 80
-"""Where the block begins, and its registers."""
+"""The first address of the block, and its registers."""
 
 FLOATS = 230
-"""Where its floating point values begin."""
+"""The first address of its floating point values."""
 
 
 def _of_stamp(read: Callable[[Stamp], int | None]) -> Reading:

@@ -24,7 +24,7 @@ SIZE = 120
 """Registers in the image. A request reads at most 125 (V1.1b3, 6.3): one request reads all of it."""
 
 FLOATS, SCALED, TESTS = 20, 60, 100
-"""Where the blocks begin; the header begins at 0."""
+"""The first addresses of the blocks; the header begins at 0."""
 
 PER_UNIT = 10_000
 """Counts per mm, degree or mm/m in the scaled block."""
@@ -204,7 +204,7 @@ class Table:
     size: int = SIZE
 
     def place(self, address: int, count: int) -> slice | None:
-        """Where so many registers lie in the block; None: not all of them do."""
+        """The slice of so many registers in the block; None: not all of them are in it."""
         begin = address - self.first
         return slice(begin, begin + count) if begin >= 0 and begin + count <= self.size else None
 

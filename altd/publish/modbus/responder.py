@@ -54,7 +54,7 @@ _CONFORMITY = 0x83
 
 
 def objects_of(health: Health) -> Mapping[int, bytes]:
-    """What function 43/14 reads, as ASCII; what is not known is not there."""
+    """The objects of function 43/14, as ASCII; unknown ones are absent."""
     summary = health.calibration.summary
     texts = OBJECTS | {
         SERIAL: health.facts.get("serial"),

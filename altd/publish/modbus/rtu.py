@@ -77,7 +77,7 @@ class _AwaitedResponse:
 
     @classmethod
     def after(cls, frame: bytes, now_s: float) -> Self | None:
-        """What follows a frame, if that is a request whose answer's length is known."""
+        """The expected answer after a frame, if that is a request whose answer's length is known."""
         unit_id, function = frame[0], frame[1]
         count = int.from_bytes(frame[4:6], "big")
         if function in _MULTIPLE_WRITES and len(frame) > 8:
@@ -195,7 +195,7 @@ def request_after_noise(received: bytes, unit_id: int) -> bytes | None:
 
 
 def _ends_of_frames(received: bytes, begin: int) -> list[int]:
-    """Where a frame that begins there may end, the last place first: its CRC leaves nothing over."""
+    """The possible ends of a frame that begins there, the last first: those with a correct CRC."""
     register, ends = 0xFFFF, []
     for place in range(begin, min(len(received), begin + MAX_FRAME_BYTES)):
         register = (register >> 8) ^ _CRC[(register ^ received[place]) & 0xFF]
@@ -276,7 +276,7 @@ class ModbusRtuPublisher:
         return response
 
     async def _until_silence(self, port: Port) -> bytes:
-        """What is received before the line falls silent."""
+        """The bytes received before the line falls silent."""
         received = b""
         with contextlib.suppress(TimeoutError):
             while True:

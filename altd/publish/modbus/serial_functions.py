@@ -23,7 +23,7 @@ _ECHO, _CLEAR = 0, 10
 
 @dataclass(slots=True)
 class LineCounters:
-    """What went over the line since the daemon opened it; each is sent modulo 65536.
+    """Counters of the line since the daemon opened it; each is sent modulo 65536.
 
     ``messages`` are whole frames of any unit, ``errors`` pieces that were none, ``requests`` those to this
     unit, ``exceptions`` those of its responses that were one, ``unanswered`` those for which the line had no

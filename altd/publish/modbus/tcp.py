@@ -56,7 +56,7 @@ ACCEPT_INTERVAL_S = 0.001
 """Between two connections: a flood of them gets a part of the loop's time, and requests have the rest."""
 
 RESERVED_DESCRIPTORS = 4
-"""Where the process may have few descriptors, so many are left to cameras and ports."""
+"""File descriptors reserved for cameras and ports."""
 
 _DIRECT = frozenset({0, 255})
 """Unit ids for the device itself, not for something behind a gateway (Messaging 4.4.1.2)."""

@@ -1,4 +1,4 @@
-"""Where the values of registers come from: each function reads one of them out of a snapshot.
+"""The sources of the values of registers: each function reads one of them out of a snapshot.
 
 Status bits and reason codes are contracts with controllers: new ones are added, old ones never change their
 meaning.
@@ -70,7 +70,7 @@ STATUS_BITS = (
 """The status word; bits that are not listed are 0."""
 
 WITHOUT_BIT = tuple(reason for reason in Reason if not any(reason in row.reasons for row in STATUS_BITS))
-"""What the status word does not show: warnings of sensors, for all of its bits are taken."""
+"""Warnings that the status word does not show: those of sensors, for all of its bits are taken."""
 
 REASON_CODES = tuple(
     sorted((reason for reason in Reason if reason.modbus_code), key=lambda reason: reason.modbus_code)
@@ -105,7 +105,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What one request is answered from: the board at one instant.
+    """The data for one request: the board at one instant.
 
     ``age_s`` is None before the first measurement; ``published`` counts the measurements put up so far.
     What follows is filled as far as a block needs it: ``stamp`` for the checked block, ``report`` for the

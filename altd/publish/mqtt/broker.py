@@ -37,7 +37,7 @@ GOODBYE_TIMEOUT_S = 1.0
 
 MAX_RECEIVED_BYTES = 64 << 10
 MAX_RECEIVED_BYTES_PER_MESSAGE = 256
-"""What a broker may send: handshake and CONNACK, and an acknowledgement of each message."""
+"""The bytes that a broker may send: handshake and CONNACK, and an acknowledgement of each message."""
 
 _TCP_INFO_BYTES = 136
 _BYTES_RECEIVED = struct.Struct("=128xQ")
@@ -53,7 +53,7 @@ _log.disabled = True
 
 _NO_MQTT = "the broker sent what is not MQTT"
 _LOST = {130: _NO_MQTT, 141: "the broker is silent"}
-"""What paho says of a connection that was lost, by its reason code of MQTT 5."""
+"""The text for a connection that was lost, by its reason code of MQTT 5."""
 
 
 class BrokerError(OSError):

@@ -1,4 +1,4 @@
-"""What both profiles of MQTT share: one connection at a time, and one message on its way."""
+"""The common part of both MQTT profiles: one connection at a time, and one message on its way."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ MAX_STATE_CHARACTERS = 255
 
 
 def topic_of(prefix: str, identifier: str) -> str:
-    """Where Home Assistant looks for a device."""
+    """The topic on which Home Assistant looks for a device."""
     return f"{prefix}/device/{identifier}/config"
 
 

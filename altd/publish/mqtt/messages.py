@@ -1,4 +1,4 @@
-"""What is published: topics, payloads, and their shape as pydantic models."""
+"""Messages: topics, payloads, and their shape as pydantic models."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _now(clock: Clock) -> str | None:
 
 
 class _Checked(Answer):
-    """What is behind the keys of every payload in JSON."""
+    """The values of the keys of every payload in JSON."""
 
     time: str | None
     """UTC, ISO 8601, when it was sent."""

@@ -47,7 +47,7 @@ def state_metrics(report: StateReport | None, now_ms: int) -> list[Metric]:
 
 
 def measurement_metrics(measurement: Measurement | None, board: Board, clock: Clock) -> list[Metric]:
-    """What ``board`` shows; None: no measurement was made yet.
+    """The metrics of ``board``; None: no measurement was made yet.
 
     Only what this unit's cameras measure now is good. What is played, simulated or rehearsed is historical,
     and bad. What is not known is null: stale where nothing is measured any more, else bad.
