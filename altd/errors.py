@@ -22,7 +22,7 @@ class BadInputError(Exception):
 _MAX_LINE_CHARACTERS = 2000
 _MAX_WORD_CHARACTERS = 60
 _MIN_SIMILARITY = 0.6
-"""How alike two words must be (difflib) before one is taken for a slip of the other."""
+"""Least similarity of two words (difflib) for one to count as a misspelling of the other."""
 
 
 def did_you_mean(word: object, possible: Iterable[str]) -> str:

@@ -85,12 +85,12 @@ class _PunctualSocket(socket.socket):
         self._hurry()
 
     def recv_into(self, *arguments: Any) -> int:
-        """What ``makefile`` reads by."""
+        """Read, for ``makefile``, within the deadline."""
         self._hurry()
         return super().recv_into(*arguments)
 
     def sendall(self, *arguments: Any) -> None:
-        """What a request is sent by."""
+        """Send within the deadline."""
         self._hurry()
         super().sendall(*arguments)
 
@@ -156,7 +156,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
 
 
 def identity_at(path: Path) -> tuple[int, int] | None:
-    """What tells the file at a path from any other while it is in use; None: there is none."""
+    """The identity of the file at a path while it is in use; None: there is none."""
     try:
         found = path.lstat()
     except OSError:

@@ -1,4 +1,4 @@
-"""What the unit needs from the outside, as protocols; drivers and simulators implement them."""
+"""Protocols of the unit's surroundings; drivers and simulators implement them."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Camera(Protocol):
 
     @property
     def origin(self) -> Origin:
-        """How the frames came to be; what is simulated is marked in every output.
+        """The origin of the frames; simulated ones are marked in every output.
 
         A camera may find out only when it is opened.
         """
@@ -85,7 +85,7 @@ class Camera(Protocol):
 
     @property
     def exposure_range(self) -> ExposureRange | None:
-        """What exposure and gain can be set to, known once open; None: the camera has neither to set."""
+        """The ranges of exposure and gain, known once open; None: the camera can set neither."""
 
     def open(self) -> None:
         """Get hold of the camera and let it run as it was set up to; raises CameraError."""
@@ -213,7 +213,7 @@ class InclinometerRefusedError(InclinometerError):
 
 @dataclass(frozen=True, slots=True)
 class InclinometerAccuracy:
-    """What the maker states: limits of error, ±, in degrees, and the temperatures at which they hold.
+    """The maker's specification: limits of error, ±, in degrees, and the temperatures at which they hold.
 
     ``cross_axis_deg`` is the error from a tilt about the other axis, ``step_deg`` the last digit.
     """
@@ -246,11 +246,11 @@ class Inclinometer(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is and where, for people."""
+        """Its type and address, for people."""
 
     @property
     def accuracy(self) -> InclinometerAccuracy:
-        """How true its angles are."""
+        """The accuracy of its angles."""
 
     def open(self) -> None:
         """Open the port and check that it is this sensor; raises InclinometerError."""

@@ -78,7 +78,7 @@ _CLEAN_AND_LOOK = "clean the window, look for reflections and for objects in the
 _NOT_LIVE = "do not steer by it"
 
 LEDS_LIT = "the frame LEDs are lit"
-"""How the detail of a spot that was refused begins where it is they that shine."""
+"""First words of the detail of a refused spot where the frame LEDs shine."""
 
 
 class Reason(StrEnum):

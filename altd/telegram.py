@@ -77,7 +77,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """What the sentence ``$PALTI`` says of the unit that sends; None is an empty field."""
+    """The content of the sentence ``$PALTI`` about the unit that sends; None is an empty field."""
 
     unit: int | None
     """CRC-32 of the whole serial number."""
@@ -250,7 +250,7 @@ def _decoded(line: bytes) -> tuple[str, dict[str, Any]]:
 
 
 class _Kind(NamedTuple):
-    """How a field is written, and what reads it; that raises ValueError for what has no meaning."""
+    """The format of a field, and its reader; that raises ValueError for text without a meaning."""
 
     form: str
     read: Callable[[str], Any] = float

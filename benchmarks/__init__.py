@@ -1,4 +1,4 @@
-"""What the unit costs: time a stage, CPU, rate, latency and start, measured on simulated frames."""
+"""The cost of the unit: time a stage, CPU, rate, latency and start, measured on simulated frames."""
 
 import os
 

@@ -48,7 +48,7 @@ POSES_STREAM = 11
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """How units are made and scanned."""
+    """The construction and scans of the units."""
 
     name: str
     flat: bool = False
@@ -151,7 +151,7 @@ def line(name: str, beams: Sequence[Comparison]) -> str:
 
 
 def reasons(beams: Iterable[Comparison]) -> str:
-    """What the invalid ones say, with how many do."""
+    """The reasons of the invalid ones, with their numbers."""
     counted = Counter(reason for beam in beams for reason in beam.reasons)
     return ", ".join(f"{reason} {count}" for reason, count in counted.most_common()) or "none"
 

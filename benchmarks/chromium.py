@@ -39,12 +39,12 @@ class Asked(Protocol):
     """A connection that answers Chromium's own protocol."""
 
     def send(self, method: str, /) -> Awaitable[dict[str, Any]]:
-        """What a method without parameters answers."""
+        """The answer of a method without parameters."""
         ...
 
 
 def program() -> str:
-    """Where it lies; raises SystemExit where there is none."""
+    """The path of the program; raises SystemExit where there is none."""
     path = shutil.which("chromium")
     if path is None:
         raise SystemExit("benchmarks: there is no program chromium")

@@ -34,7 +34,7 @@ _PATIENCE_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """How long something took, ms; of a value, from its pair's last frame handed over to a reader's hands."""
+    """A duration, ms; of a value, from its pair's last frame handed over to a reader's hands."""
 
     count: int
     p50_ms: float
@@ -44,7 +44,7 @@ class Latency:
 
 @dataclass(frozen=True, slots=True)
 class LoadFigures:
-    """What the daemon's process costs, all threads; a share of 1 is one core."""
+    """The cost of the daemon's process, all threads; a share of 1 is one core."""
 
     name: str
     seconds: float
@@ -54,7 +54,7 @@ class LoadFigures:
     cpu_ms_a_pair: float | None
     latency: Latency | None
     answers: dict[str, int]
-    """What the attached clients got."""
+    """The figures of the attached clients."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class RateFigures:
     refused: tuple[float, ...]
     """Rates that lost a pair, in the order tried."""
     others_share: float
-    """What other processes took of that core meanwhile: while they run, frames of this one are replaced."""
+    """The use of that core by other processes meanwhile: while they run, frames of this one are replaced."""
 
 
 def measure_load(material: Material, name: str, pairs_per_s: float, seconds: float) -> LoadFigures:

@@ -39,7 +39,7 @@ from benchmarks.process_memory import resident_mb
 
 _PAIRS = 200
 CLIENTS = {"modbus_tcp": 10, "modbus_rtu": 3, "mqtt": 1, "opcua": 1, "browser": 2}
-"""How many of each kind; ``browser`` emulates the page, or is Chromium."""
+"""The number of each kind; ``browser`` emulates the page, or is Chromium."""
 ANSWER_AIM_MS, BEHIND_AIM_MS = 5.0, 150.0
 
 
@@ -127,7 +127,7 @@ async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subpr
 
 
 def _cpu_s() -> float:
-    """What the daemon's process has used so far, and the process that serves OPC UA."""
+    """CPU time of the daemon's process so far, and of the process that serves OPC UA."""
     own_s, ticks = time.process_time(), 0
     for children in Path("/proc/self/task").glob("*/children"):
         for pid in children.read_text().split():

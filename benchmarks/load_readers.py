@@ -65,7 +65,7 @@ _SETTLE_S = 1.0
 
 @dataclass
 class Seen:
-    """What all clients of a process got. Without ``chromium`` they draw nothing."""
+    """The figures of all clients of a process. Without ``chromium`` they draw nothing."""
 
     answers_ms: list[float] = field(default_factory=list)
     """From each request to its answer."""
@@ -75,7 +75,7 @@ class Seen:
     """The numbers of the frames, and when they came or were drawn, Unix time in ms."""
     cores: float = 0.0
     memory_mb: float = 0.0
-    """What all of Chromium took."""
+    """The cost of all of Chromium."""
 
     def note_age(self, captured_ms: float, age_ms: float) -> None:
         """Of a message with this capture time, Unix time in ms, and this age, both rounded to 1 ms."""

@@ -127,7 +127,7 @@ class Source:
         return {name: MemoryCamera(self, index) for index, name in enumerate(CAMERAS)}
 
     def start_ns(self) -> int:
-        """When frame set 0 is exposed; the first to ask fixes it."""
+        """The instant of the exposure of frame set 0; the first to ask fixes it."""
         with self._lock:
             if self._start_ns is None:
                 self._start_ns = time.monotonic_ns() + _LEAD_NS

@@ -226,7 +226,7 @@ if BROKER:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much of everything."""
+    """The extent of each part."""
 
     pairs: int
     exposures_a_node: int

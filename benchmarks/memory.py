@@ -31,7 +31,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """What one run of a command took; ``size`` is the nodes of its scan, or the frames of its recording."""
+    """The cost of one run of a command; ``size`` is the nodes of its scan, or the frames of its recording."""
 
     command: str
     size: int
@@ -85,7 +85,7 @@ def measure(folder: Path, nodes: Sequence[int], frames: Sequence[int], exposures
 
 
 def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]:
-    """What makes, measures and copies a recording of so many frames of two cameras."""
+    """The commands that make, measure and copy a recording of so many frames of two cameras."""
     played, copied = folder / "played", folder / "copied"
     poses = max(frames // 2 // EXPOSURES_A_POSE, 1)
     few = "--poses", str(poses), "--exposures", str(EXPOSURES_A_POSE), "--truth", str(folder / "truth.json")

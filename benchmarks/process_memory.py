@@ -1,4 +1,4 @@
-"""What processes hold in memory, as the kernel counts it (proc(5))."""
+"""Memory of processes, as the kernel counts it (proc(5))."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _RESIDENT = re.compile(r"^VmRSS:\s+(\d+) kB$", re.MULTILINE)
 
 
 def resident_mb(pid: int | str = "self") -> float:
-    """What lies in memory of a process, all that it shares with others included; raises OSError."""
+    """The memory of a process, all that it shares with others included; raises OSError."""
     return _megabytes(_RESIDENT, Path(f"/proc/{pid}/status"))
 
 

@@ -113,7 +113,7 @@ _WITHIN_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Polls:
-    """What the client received in a part of the time; ``reasons`` of the invalid polls."""
+    """The client's polls in a part of the time; ``reasons`` of the invalid polls."""
 
     count: int
     invalid: int
@@ -225,7 +225,7 @@ async def _watch(daemon: Daemon, published_s: list[float]) -> None:
 
 @contextlib.asynccontextmanager
 async def _polling(port: int) -> AsyncIterator[list[_Poll]]:
-    """What a client polls meanwhile, there once the block has ended."""
+    """A client's polls meanwhile, there once the block has ended."""
     polls: list[_Poll] = []
     client = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "benchmarks.poller", str(port), "--rate", str(POLLS_PER_S)),

@@ -29,7 +29,7 @@ from hw_sim.unit import CAMERAS, Unit, UnitConfig
 HARD_LUX = 1000.0
 """The brightest surroundings of App. A.1."""
 WIDE, TIGHT = FIELD_HALF_MM, (76.0, 60.0)
-"""What the pictures hold: all frame LEDs, or some of them cut by the border."""
+"""The content of the pictures: all frame LEDs, or some of them cut by the border."""
 EXPOSURES = 2
 """Of each camera, for a measurement."""
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")

@@ -76,7 +76,7 @@ class _Stage:
     works: Sequence[Callable[[], object]]
     parts: Sequence[_Part] = ()
     rest: str = ""
-    """What the table calls the time that no part took."""
+    """The table's name for the time that no part took."""
     part_of: str = ""
     samples_us: list[float] = field(default_factory=list)
     inside_us: dict[str, list[float]] = field(default_factory=dict)

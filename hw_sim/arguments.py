@@ -1,4 +1,4 @@
-"""What the commands of the simulator have in common: arguments and progress."""
+"""Common parts of the simulator's commands: arguments and progress."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hw_sim.recording import Progress
 
 
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where the recording goes, and of which unit it is."""
+    """The folder of the recording, and its unit."""
     parser.add_argument(
         "-o",
         "--output",

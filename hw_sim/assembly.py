@@ -1,4 +1,4 @@
-"""What differs from unit to unit: lenses, tilts and print, drawn from the unit's seed."""
+"""Differences from unit to unit: lenses, tilts and print, drawn from the unit's seed."""
 
 from __future__ import annotations
 

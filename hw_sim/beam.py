@@ -34,7 +34,7 @@ class BeamPose:
         return math.degrees(math.atan(self.slope_y))
 
     def at(self, z_mm: float) -> tuple[float, float]:
-        """Where the beam meets the plane at ``z_mm``, (x, y) in mm."""
+        """The intersection of the beam with the plane at ``z_mm``, (x, y) in mm."""
         return self.x_mm + self.slope_x * z_mm, self.y_mm + self.slope_y * z_mm
 
 
@@ -101,7 +101,7 @@ class Footprint:
 
 
 def footprint(laser: Laser, pose: BeamPose, z_mm: float, share: float = 1.0) -> Footprint:
-    """What ``share`` of the laser's power does on the plane at ``z_mm``."""
+    """The light of ``share`` of the laser's power on the plane at ``z_mm``."""
     direction = np.array([pose.slope_x, pose.slope_y, 1.0])
     direction /= np.linalg.norm(direction)
     first = np.array([math.cos(laser.angle_rad), math.sin(laser.angle_rad), 0.0])

@@ -116,7 +116,7 @@ class SimulatedCamera:
 
     @property
     def exposure_range(self) -> ExposureRange:
-        """What an ordinary chip can do."""
+        """The ranges of an ordinary chip."""
         return EXPOSURE_RANGE
 
     def open(self) -> None:

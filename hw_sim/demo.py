@@ -50,7 +50,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the demo takes on the command line."""
+    """The arguments of the demo on the command line."""
     parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
     parser.add_argument(
         "--calibration",
@@ -216,7 +216,7 @@ async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> N
 
 
 async def _calibrate(seed: int, calibration: Path) -> None:
-    """What is done with every new unit before it is used, by the same two commands."""
+    """Scan and calibrate, as for every new unit before its first use, by the same two commands."""
     with tempfile.TemporaryDirectory(prefix="altd-scan-") as folder:
         scan = str(Path(folder, "scan"))
         print(

@@ -17,14 +17,14 @@ from altd.errors import BadInputError
 
 _DISK_MB = 500
 _AGAIN_AFTER_S = 60.0
-"""Who tries the demo blocks the beam more than once in ten minutes."""
+"""Shorter than the default: a person who tries the demo blocks the beam more than once in ten minutes."""
 
 _PROGRAM = "altd"
 
 
 @dataclass(frozen=True, slots=True)
 class DemoFolder:
-    """Where a demo's daemon keeps its history and its frames, and where its own computer asks it."""
+    """The folders of a demo's daemon for history and frames, and the socket for its own computer."""
 
     path: Path
 
@@ -51,7 +51,7 @@ class DemoFolder:
         return LocalSettings(socket=socket) if fits else None
 
     def commands(self) -> list[tuple[str, str]]:
-        """What to type, wherever one is, to see what is kept, with its name."""
+        """The command that shows the kept data, from any folder, with its name."""
         altd = f"cd {shlex.quote(str(self.path))} && ./{_PROGRAM}"
         watch = f"{altd} watch --socket altd.sock"
         return [

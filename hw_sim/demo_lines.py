@@ -17,7 +17,7 @@ from typing import Self
 READ_SIZE = 4096
 
 POLL_INTERVAL_S = 0.05
-"""How often a line checks whether its far end is open; what is sent meanwhile waits."""
+"""Interval at which a line checks whether its far end is open; what is sent meanwhile waits."""
 
 
 class Line:

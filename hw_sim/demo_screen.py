@@ -15,7 +15,7 @@ from typing import Any
 
 
 class Style(StrEnum):
-    """How a line looks: parameters of the control sequence SGR (ECMA-48, 8.3.117)."""
+    """The look of a line: parameters of the control sequence SGR (ECMA-48, 8.3.117)."""
 
     PLAIN = ""
     BOLD = "1"

@@ -16,12 +16,12 @@ from hw_sim.faults import Fault
 from hw_sim.unit import Unit
 
 FLOATS, FLOAT_COUNT = 20, 15
-"""Where docs/modbus.md has the values in floating point, and how many there are."""
+"""Addresses of the values in floating point (docs/modbus.md), and their number."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultKey:
-    """What a key does to the unit."""
+    """The effect of a key on the unit."""
 
     fault: Fault
     does: str
@@ -39,7 +39,7 @@ CLEAR_KEY, QUIT_KEY = "c", "q"
 
 @dataclass(frozen=True, slots=True)
 class Faces:
-    """Where the unit answers: TCP ports of this machine, serial lines, and a folder."""
+    """The addresses at which the unit answers: TCP ports of this machine, serial lines, and a folder."""
 
     http_port: int
     modbus_port: int
@@ -50,7 +50,7 @@ class Faces:
     mqtt: MqttSettings | None = None
 
     def commands(self) -> list[tuple[str, str]]:
-        """What to type to try each, with its name. Flags and registers are those of docs/modbus.md."""
+        """The command to try each, with its name. Flags and registers are those of docs/modbus.md."""
         url = f"http://127.0.0.1:{self.http_port}"
         floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {FLOAT_COUNT}"
         return [

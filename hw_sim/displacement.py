@@ -14,7 +14,7 @@ from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """What a camera's picture does, about its principal point: shift, turn from u to v, scale.
+    """A movement of a camera's picture about its principal point: shift, turn from u to v, scale.
 
     The chip is shifted in its plane, the camera rolls about its axis, the lens gets longer (as a camera that
     comes nearer, but without the perspective that changes with it).

@@ -60,7 +60,7 @@ class Dust:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shadow:
-    """What dust casts along a beam on a plane behind it, ``shift_mm`` aside of where it lies."""
+    """The shadow of dust along a beam on a plane behind it, ``shift_mm`` aside of where it lies."""
 
     dust: Dust
     shift_mm: tuple[float, float]

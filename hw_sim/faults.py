@@ -1,4 +1,4 @@
-"""What can go wrong with a unit, by name."""
+"""Faults of a unit, by name."""
 
 from __future__ import annotations
 

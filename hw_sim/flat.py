@@ -28,7 +28,7 @@ def record_flat(folder: Path, unit: Unit, frame_sets: int, progress: Progress) -
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the flat field takes on the command line."""
+    """The arguments of the flat field on the command line."""
     add_common_arguments(parser)
     parser.add_argument(
         "--exposures",

@@ -27,7 +27,7 @@ class GrblError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """What holds from line to line until a reset: G0 or G1, G20 or G21, G90 or G91, and the feed rate."""
+    """State kept from line to line until a reset: G0 or G1, G20 or G21, G90 or G91, and the feed rate."""
 
     motion: int = 0
     inches: bool = False

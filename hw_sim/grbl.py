@@ -43,7 +43,7 @@ class Controller:
         self.machine.stop_dead(t_s)
 
     def power_on(self) -> str:
-        """What it sends when it gets power: position and modes are forgotten, the rest is not."""
+        """The text it sends at power-on: position and modes are forgotten, the rest is not."""
         self.machine.start_up()
         self._restart()
         return self._take_out()

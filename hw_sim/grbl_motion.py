@@ -92,11 +92,11 @@ class Planner:
     place_mm: Xy
     moves: deque[Move] = field(default_factory=deque)
     held: Move | None = None
-    """How it brakes to rest on a hold."""
+    """The course of braking on a hold."""
 
     @property
     def target_mm(self) -> Xy:
-        """Where the last move ends."""
+        """The end of the last move."""
         return self.moves[-1].end_mm if self.moves else self.place_mm
 
     def at(self, t_s: float) -> Xy:

@@ -37,7 +37,7 @@ SWITCH_SETTINGS = {20: "1", 21: "1", 22: "1"}
 """Settings of a table with limit switches."""
 
 LOST_STEPS_MM = 0.4
-"""What is lost when the table is stopped dead."""
+"""The distance that is lost when the table stops abruptly."""
 
 
 class GrblTable:

@@ -18,7 +18,7 @@ from hw_sim.view import View
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a camera driver sets; the signal is proportional to the product of both."""
+    """Settings of a camera driver; the signal is proportional to the product of both."""
 
     exposure_ms: float
     gain: float = 1.0

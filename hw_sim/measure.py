@@ -54,7 +54,7 @@ def record_measurement(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the measurement takes on the command line."""
+    """The arguments of the measurement on the command line."""
     add_common_arguments(parser)
     parser.add_argument("--truth", type=Path, required=True, metavar="FILE", help="JSON file for the truth")
     parser.add_argument("--poses", type=at_least_one, default=30, help="number of beams (default: 30)")

@@ -1,4 +1,4 @@
-"""What moves the unit against the beam: the drive's vibration and the machine on its way.
+"""Movement of the unit against the beam: the drive's vibration and the machine on its way.
 
 Both are sums of sinusoids, so that the truth at any instant is a formula without memory: any thread may
 ask, and the answer for a time is always the same.

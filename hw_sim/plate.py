@@ -188,7 +188,7 @@ def _led(text: str) -> Led:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the plate takes on the command line."""
+    """The arguments of the plate on the command line."""
     add_common_arguments(parser)
     parser.add_argument(
         "--exposures", type=at_least_one, default=4, help="pairs of exposures, LEDs off and on (default: 4)"

@@ -70,7 +70,7 @@ def record_scan(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the scan takes on the command line."""
+    """The arguments of the scan on the command line."""
     add_common_arguments(parser)
     parser.add_argument("--exposures", type=at_least_one, default=2, help="exposures per node (default: 2)")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""What scatters the light: the printed window, the plain plate, their speckle; where the frame LEDs sit."""
+"""Scatterers of the light: the printed window, the plain plate, their speckle; places of the frame LEDs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LED_POSITIONS_MM = ((-74.0, 48.0), (0.0, 59.0), (74.0, 48.0), (-74.0, -48.0), (0
 
 @dataclass(frozen=True, slots=True)
 class DotPattern:
-    """What is printed on a window: round dots on a hexagonal or an orthogonal (square) lattice.
+    """The print of a window: round dots on a hexagonal or an orthogonal (square) lattice.
 
     ``size_mm`` is the width and height of the print, centred on the window and turned with its rows; None: it
     reaches beyond the picture.

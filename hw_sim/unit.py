@@ -235,7 +235,7 @@ class Unit:
             self.imagers[camera].set_lights(levels, strays)
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
-        """Where the beam is at ``t_ns``, or would be where it is switched off."""
+        """The place of the beam at ``t_ns``, also where it is switched off."""
         pose = self._nominal_pose(t_ns)
         if self._drive is not None:
             pose = self._drive.moved(pose, t_ns)
@@ -244,7 +244,7 @@ class Unit:
         return pose
 
     def spots(self, camera: str, t_ns: int) -> list[Footprint]:
-        """What the beam puts on a camera's target at ``t_ns``."""
+        """The light of the beam on a camera's target at ``t_ns``."""
         return self._spots(camera, self.truth(t_ns), self._faults)
 
     def is_silent(self, camera: str) -> bool:
@@ -258,7 +258,7 @@ class Unit:
         )
 
     def lag_ns(self, camera: str) -> int:
-        """How late a camera exposes against the schedule."""
+        """The delay of a camera's exposure against the schedule."""
         out_of_step = camera == REAR and Fault.OUT_OF_STEP in self._faults
         return self.config.period_ns // 2 if out_of_step else 0
 

@@ -59,7 +59,7 @@ LED_LEVEL_E_PER_MS = 0.5 * FULL_WELL_E
 
 
 Coverage = Callable[[Image, Image, float], Image]
-"""How much of a small cell at points (x, y) something covers, or how bright it is there."""
+"""The cover, or the brightness, of a small cell at points (x, y)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

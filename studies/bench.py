@@ -49,7 +49,7 @@ class Readings:
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
-        """Which lines hold a measurement, (n,)."""
+        """Whether each line holds a measurement, (n,)."""
         return np.asarray(np.isfinite(self.values).all(axis=1))
 
 
@@ -93,7 +93,7 @@ class Bench:
         return recording
 
     def replay(self, recording: Path, window: int, every: int) -> Readings:
-        """What altd measures on a recording (``altd replay``)."""
+        """Measurements of altd on a recording (``altd replay``)."""
         self._progress(f"{self._what}: replay")
         lines = run_altd(
             "replay", recording, "--calibration", self.calibration_file, "--window", window, "--every", every
@@ -127,7 +127,7 @@ def bench(progress: Progress, what: str) -> Iterator[Bench]:
 
 
 def run_altd(*arguments: object) -> str:
-    """What an altd command prints. Raises RuntimeError when it fails; its complaint is on stderr."""
+    """The output of an altd command. Raises RuntimeError when it fails; its complaint is on stderr."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         status = altd([str(argument) for argument in arguments])

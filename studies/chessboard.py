@@ -41,7 +41,7 @@ MODELS = {
     "OpenCV camera, this photograph": FOURTH,
     "OpenCV camera, other photographs": THIRD,
 }
-"""What is compared, and its colour."""
+"""The models to compare, and their colours."""
 SHOWN = 0
 """The photograph whose errors are drawn."""
 
@@ -126,7 +126,7 @@ than the models fitted to the photograph itself.
 
 
 def _predictions(photo: _Photo, corner: int, camera_of_others: tuple[Any, Any]) -> dict[str, FloatArray]:
-    """Where each model puts a corner (2,) px that it was not shown."""
+    """The prediction of each model for a corner (2,) px that it was not shown."""
     kept_mm = np.delete(BOARD_MM, corner, axis=0)
     kept_px = np.delete(photo.corners_px, corner, axis=0)
     at_mm = BOARD_MM[corner : corner + 1]

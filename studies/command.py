@@ -31,7 +31,7 @@ STUDIES = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the studies take on the command line."""
+    """The arguments of the studies on the command line."""
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(STUDIES)}; default all")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write pages and plots there too")
 

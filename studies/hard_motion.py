@@ -12,7 +12,7 @@ Path = Callable[[int], BeamPose]
 
 
 def line(x_mm: float) -> BeamPose:
-    """Where the beam is when the machine has gone so far on a straight line; the angles change with it."""
+    """The place of the beam after so much of a straight line; the angles change with it."""
     return BeamPose(-20.0 + 0.8 * x_mm, -15.0 + 0.6 * x_mm, 0.01 + 0.0005 * x_mm, -0.02 - 0.0005 * x_mm)
 
 
@@ -49,4 +49,4 @@ HARD: tuple[tuple[str, Path, int], ...] = (
     ("30.7 Hz, ±0.3 mm", sway(0.3, 30.7), 1),
     ("2 mm/s back and forth, each third exposure lost", steps(2.0, 10.0, 0.0), 3),
 )
-"""What it is called, the path, and which exposures are lost: each so many; 1: none."""
+"""The name, the path, and the exposures that are lost: each so many; 1: none."""

@@ -36,7 +36,7 @@ SETTINGS = {"mean": Measuring(), "now": Measuring(output="now")}
 
 
 def measured(unit: Unit, calibration: Calibration, first_ns: int) -> Iterator[tuple[str, Measurement]]:
-    """What both outputs make of the same frames."""
+    """The results of both outputs on the same frames."""
     views = [View(camera, camera) for camera in CAMERAS]
     chains = {
         name: MeasuringChain(views, calibration, settings, BeamInstrument(calibration, settings))

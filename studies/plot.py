@@ -1,4 +1,4 @@
-"""How the studies' figures look, and how they become files that do not change from run to run."""
+"""Style of the studies' figures, and files of them that do not change from run to run."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class Result:
     figure: Figure
     caption: str
     beside: str = "thesis"
-    """What our value is compared with: the thesis' measurement, or its specification."""
+    """The reference of our value: the thesis' measurement, or its specification."""
 
     def compared(self) -> list[tuple[str, str, bool]]:
         """Row, column and whether the thesis has the better value, of all that can be compared."""

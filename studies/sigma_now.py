@@ -39,7 +39,7 @@ WITHIN = (0.8, 1.25)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """What was read of valid measurements: (n, len(LATE_S), 4), NaN where sigma is not known.
+    """Readings of valid measurements: (n, len(LATE_S), 4), NaN where sigma is not known.
 
     ``stated`` (n, 4) is the sigma of the measurements themselves, ``light_ns`` (n,) their newest exposures.
     """

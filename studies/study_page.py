@@ -74,7 +74,7 @@ def _reflow(text: str) -> str:
 
 
 def verdict(result: Result) -> str:
-    """What in the table is worse than in the thesis; nothing to say where it gives no figures."""
+    """The figures of the table that are worse than in the thesis; empty where it gives none."""
     if not result.compared():
         return ""
     worse = result.worse()

@@ -31,7 +31,7 @@ SPECIFIED = (1.0, 0.0573, None, None, None, 0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Condition:
-    """What is measured under: its name in the table, its value on the axis, and the unit."""
+    """A condition: its name in the table, its value on the axis, and the unit."""
 
     name: str
     value: float
@@ -82,7 +82,7 @@ def rows(points: Sequence[Point], specified: Callable[[Point], bool]) -> tuple[R
 
 
 def refused_text(points: Sequence[Point]) -> str:
-    """How many beams were not measured, and where."""
+    """The beams that were not measured: their number and places."""
     bad = [f"{point.refused} of {POSES} beams at {point.name}" for point in points if point.refused]
     return f"refused: {'; '.join(bad)}" if bad else "no beam is refused"
 

@@ -1,4 +1,4 @@
-"""What every test may use, and what no test may leave behind."""
+"""Fixtures for every test, and remains that no test may leave."""
 
 from __future__ import annotations
 

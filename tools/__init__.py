@@ -1,1 +1,1 @@
-"""What looks after the project and is no part of it."""
+"""Tools that maintain the project and are not part of it."""

@@ -16,7 +16,7 @@ MAX_LETTERS = 120
 _ITEM = re.compile(r"\s*(?:[-*] |\d+\. )")
 _MARK = re.compile(rf"(?:{_ITEM.pattern})?\s*")
 _WORD = re.compile(r"(?:!?\[[^\]]*\]\([^)]*\)|`[^`]*`|\S)+")
-"""What is not broken: a link, code within a line, a word, and what hangs together with them."""
+"""Text that is not broken: a link, code within a line, a word, and their neighbours without a blank."""
 _LINK_TARGET = re.compile(r"(?<=\])\([^)]*\)")
 _FENCE = "```"
 _LITERAL = ("|", "#", "<!--", ">", _FENCE)

@@ -49,7 +49,10 @@ _PHRASES = (
     (r"\breckon\w*", "compute"),
     (r"\bat hand\b", "available"),
     (r"\bseen to\b(?! be)", "needs maintenance"),
-    (r"(?m:^#+ (?:what|who|how|where)\b[^?\n]*$)", "begin a heading or a comment with its noun or verb"),
+    (
+        r"(?m:^(?:#+ |\"{3})(?:what|who|how|where)\b[^?\n]*$)",
+        "begin a heading, a docstring or a comment with its noun or verb",
+    ),
     (r"\bto and fro\b|\bever so\b|\bhence(?:forth)?\b|\bthereof\b|\bwherefore\b", "plain wording"),
 )
 _RULES = [(re.compile(phrase.replace(" ", r"\s+"), re.IGNORECASE), better) for phrase, better in _PHRASES]

@@ -104,7 +104,7 @@ class Pictures:
         return seen.get(self._targets[newest.frame.camera], 0)
 
     def _wait_s(self, ready: Sequence[_Seen]) -> float:
-        """How long to wait before these may be encoded; what is encoded already may be had now."""
+        """Time to wait before these may be encoded; encoded pictures are available at once."""
         now_ns = self._clock.monotonic_ns()
         begun = [
             begun_ns

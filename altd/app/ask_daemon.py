@@ -62,7 +62,7 @@ class RunningDaemon:
         return self._asked("/api/v1/self-check", self_check_of)
 
     def calibration(self) -> tuple[CalibrationDocument, object]:
-        """How well the targets were calibrated."""
+        """The quality of the targets' calibration."""
         return self._asked("/api/v1/calibration", calibration_of)
 
     def targets(self) -> tuple[TargetsDocument, object]:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from altd.ports import Indicator, Indicators, Lamps, LampsError
 
 LIT_INTERVAL_S = 1.0
-"""How long each lamp of the test is lit."""
+"""Duration of each lamp of the test."""
 
 
 class LampsByHand:

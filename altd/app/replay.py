@@ -119,7 +119,7 @@ class ScanPositions:
 
 
 def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
-    """How many exposures each stay of the stage has."""
+    """The number of exposures at each stay of the stage."""
     stays, lengths = _Stays(), list[int]()
     place = recording.path / FRAMES_FILE
     latest: Row | None = None

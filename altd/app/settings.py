@@ -62,7 +62,7 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
 
 
 def telegram_s(port: TelegramPortSettings) -> float:
-    """How long the longest telegram of a port takes on its line; a shorter interval is refused."""
+    """Duration of a port's longest telegram on its line; a shorter interval is refused."""
     takes_s = seconds_on_line(port, longest_bytes(port))
     if port.rs485 is not None:
         takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3

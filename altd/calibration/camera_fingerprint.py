@@ -71,7 +71,7 @@ def hot_pixels_of(frames: Iterable[FrameRow]) -> Fingerprint:
 
 
 class _Ground:
-    """What samples show of a plain target: their mean, with the weights that their noise deserves."""
+    """The look of a plain target from samples: their mean, weighted by their noise."""
 
     def __init__(self) -> None:
         self._total: FloatArray = np.empty((0, 0))

@@ -35,7 +35,7 @@ from altd.vision.led_grid import match_grid
 from altd.vision.settings import SpotSettings
 
 LASER_SPOT_SIGMA_MM = 0.015
-"""What a laser spot scatters about a map that LEDs made, per axis: 0.009 mm by print and speckle, as the
+"""Scatter of a laser spot about a map that LEDs made, per axis: 0.009 mm by print and speckle, as the
 nodes of scans do (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-off of the lens, which
 draws the centre of light of a 12 mm spot towards the middle."""
 

@@ -1,4 +1,4 @@
-"""What of the nodes' scatter about a map is the target's own pattern, and what a measurement will not see.
+"""The target's own pattern in the nodes' scatter about a map, and the part that a measurement will not see.
 
 A node lies off its map for three reasons: print and speckle shift the spot, the beam was not where the stage
 said, and read and shot noise are left in the mean of its exposures. Only the first is there again when the
@@ -22,7 +22,7 @@ ExposureKey = tuple[Key, int, int]
 """An exposure: its node, the number of its recording, its sequence there."""
 
 _MIN_SHARE = 0.3
-"""What is small against the rest is not known well enough to leave less of it."""
+"""A part below this share is not known well enough to be reduced further."""
 
 _MIN_SIGNIFICANCE_SIGMAS = 2.5
 """Coarse patterns at 30 nodes share by chance as much as a good stage's error. Only what is that far beyond

@@ -1,4 +1,4 @@
-"""What a calibration command makes, and what making one from a scan and from a plate have in common."""
+"""The result of a calibration command, and the common part of making one from a scan and from a plate."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CalibrationResult:
 
 @dataclass(frozen=True, slots=True)
 class TargetsResult:
-    """What the scans, or the plates, among the recordings gave: a part of a ``CalibrationResult``."""
+    """The part of a ``CalibrationResult`` that the scans, or the plates, among the recordings gave."""
 
     targets: tuple[TargetCalibration, ...] = ()
     refused: tuple[str, ...] = ()
@@ -52,7 +52,7 @@ def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
 
 
 def cross_check_doubts(targets: Sequence[TargetCalibration]) -> tuple[str, ...]:
-    """Where the two maps of a target lie farther apart than measurements may."""
+    """The places at which the two maps of a target lie farther apart than measurements may."""
     return tuple(
         f"{target.name}: the {target.map.model} and the {target.cross_check.map.model} map lie up to "
         f"{target.cross_check.max_difference_px:.2f} px apart; where it is more than "

@@ -1,4 +1,4 @@
-"""What the cameras saw during a scan: the spots at its nodes, the frame LEDs, and print or none."""
+"""The cameras' pictures during a scan: the spots at its nodes, the frame LEDs, and print or none."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from altd.vision.settings import SpotSettings
 Item = TypeVar("Item")
 
 MAX_KEPT_BYTES = 96 << 20
-"""What 2,000 ordinary nodes take, 45 kB each. Of more nodes, or larger spots, the rest is made again whenever
-it is asked for, from its frame: that takes time, not memory."""
+"""The size of 2,000 ordinary nodes, 45 kB each. Of more nodes, or larger spots, the rest is made again at
+each request, from its frame: that takes time, not memory."""
 
 
 class NodeCache(Generic[Item]):
@@ -97,7 +97,7 @@ class Visit:
 
     @property
     def deviations_px(self) -> FloatArray:
-        """How far each spot (n, 2) lies from their mean."""
+        """The distance of each spot (n, 2) from their mean."""
         deviations: FloatArray = np.array(self.spots_px) - self.spot_px
         return deviations
 
@@ -140,7 +140,7 @@ class Node:
 
     @property
     def exposures(self) -> int:
-        """How many spots can be used."""
+        """The number of spots that can be used."""
         return sum(len(visit.spots_px) for visit in self.good)
 
     @property
@@ -163,7 +163,7 @@ class Node:
 
 @dataclass(slots=True)
 class ScannedTarget:
-    """What the scans of a target show: spots at nodes, and frame LEDs."""
+    """The scans of a target: spots at nodes, and frame LEDs."""
 
     nodes: dict[tuple[int, int], Node] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)

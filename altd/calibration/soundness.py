@@ -1,4 +1,4 @@
-"""What a calibration was made from, and the conditions beyond field types under which it can be used.
+"""The origin of a calibration, and the conditions beyond field types under which it can be used.
 
 The checksum shows that a file is unchanged since it was written, not that it is right.
 """

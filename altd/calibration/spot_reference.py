@@ -1,4 +1,4 @@
-"""What a scan's good spots are like, and how far the two localisers differ over them (App. A.4)."""
+"""Properties of a scan's good spots, and the difference of the two localisers over them (App. A.4)."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a person should know of the two localisers of a target, and what is doubtful about them."""
+    """Remarks on the two localisers of a target, and doubts about them."""
 
     remark: str
     doubt: str | None = None

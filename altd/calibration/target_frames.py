@@ -34,7 +34,7 @@ class FrameRow:
 
 @dataclass(frozen=True, slots=True)
 class RecordedTarget:
-    """What one recording shows of a target; ``number`` counts the recordings from 0."""
+    """The frames of a target in one recording; ``number`` counts the recordings from 0."""
 
     recording: Recording
     number: int
@@ -58,7 +58,7 @@ class RecordedTarget:
 
     @property
     def kind(self) -> CalibrationKind:
-        """What was recorded."""
+        """The kind of recording."""
         return "plate" if self.recording.header.kind == "plate" else "scan"
 
 
@@ -80,7 +80,7 @@ class TargetFrames:
 
     @property
     def kind(self) -> CalibrationKind:
-        """What it was recorded with."""
+        """The kind of the recordings."""
         return self.parts[0].kind
 
     @property
@@ -139,7 +139,7 @@ class TargetFrames:
 
 
 def target_frames(recordings: Sequence[Recording]) -> tuple[TargetFrames, ...]:
-    """What each target that any of the recordings shows can be calibrated with, in beam order.
+    """The material for the calibration of each target that any of the recordings shows, in beam order.
 
     Raises BadInputError that names the recording which is no scan and no plate, which does not go with
     another one, or which is given twice.

@@ -89,7 +89,7 @@ class Parser(argparse.ArgumentParser):
         return [action.option_strings[-1] for action in self._actions if action.option_strings]
 
     def _unknown_options(self) -> str:
-        """What was given and is none of ours, each with what it may have been meant to be."""
+        """The unknown arguments, each with the known ones that it resembles."""
         known = [name for action in self._actions for name in action.option_strings]
         strange = (word.partition("=")[0] for word in self._given if word.startswith("--"))
         slips = [word for word in strange if not any(name.startswith(word) for name in known)]

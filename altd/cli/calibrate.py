@@ -23,7 +23,7 @@ SUMMARY = "make a calibration file from scans or LED plates; print the residuals
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument(
         "recordings", type=Path, nargs="+", metavar="RECORDING", help="folder of a scan or plate"
     )

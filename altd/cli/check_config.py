@@ -12,7 +12,7 @@ SUMMARY = "check settings and the files that they name"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     either = parser.add_mutually_exclusive_group()
     add_config(either)
     either.add_argument(

@@ -11,7 +11,7 @@ SUMMARY = "list the faults of this computer, with remedies"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_config(parser)
 
 

@@ -10,7 +10,7 @@ SUMMARY = "print the events of the history: states, causes, self-checks, starts,
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_history(parser)
     add_span(parser)
     parser.add_argument(

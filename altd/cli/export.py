@@ -11,7 +11,7 @@ SUMMARY = "write the measurements of the history as a table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_history(parser)
     add_span(parser)
     parser.add_argument(

@@ -18,7 +18,7 @@ SUMMARY = "switch frame LEDs and indicators while the daemon is stopped"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument(
         "look",
         choices=("off", "on", "test", "stopped"),
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     interrupted, interrupts = threading.Event(), list[EndedBySignal]()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        """What is lit gets dark on the way out; a library's callback swallows what is raised in it."""
+        """End, so that lit lamps go dark; the event, for a library's callback swallows the exception."""
         interrupts.append(EndedBySignal(number))
         interrupted.set()
         raise interrupts[0]

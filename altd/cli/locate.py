@@ -11,7 +11,7 @@ SUMMARY = "find the laser spot in pictures with two localisers"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument("images", type=Path, nargs="+", metavar="IMAGE", help="picture file")
     parser.add_argument(
         "--format", choices=("jsonl", "csv"), default="jsonl", help="output format (default: jsonl)"

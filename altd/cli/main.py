@@ -39,7 +39,7 @@ from altd.process.endings import run_to_end
 
 
 class Command(Protocol):
-    """What the module of a command has."""
+    """The parts of a command's module."""
 
     SUMMARY: str
 
@@ -114,7 +114,7 @@ def _set_up_libraries() -> None:
 
 
 def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
-    """Where no config is named, the one of the service, if there is one; some commands do without."""
+    """The config of the service, if there is one and no other is named; some commands do without."""
     if "config" not in options or options.config is not None:
         return
     if DEFAULT_CONFIG.is_file():

@@ -11,7 +11,7 @@ SUMMARY = "convert px to mm: reads lines 'u v' from standard input"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the unit"
     )

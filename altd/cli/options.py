@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
-"""Where the service has its settings (docs/install.md)."""
+"""The settings file of the service (docs/install.md)."""
 
 
 def add_credentials(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +24,7 @@ def add_config(parser: argparse._ActionsContainer) -> None:
 
 
 def add_socket(parser: argparse.ArgumentParser) -> None:
-    """Where the running daemon is asked."""
+    """The option for the socket of the running daemon."""
     add_config(parser)
     parser.add_argument(
         "--socket",
@@ -45,7 +45,7 @@ def socket_of(options: argparse.Namespace) -> Path:
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
-    """Where the result goes."""
+    """The option for the file of the result."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=what)
 
 

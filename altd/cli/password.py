@@ -14,7 +14,7 @@ SUMMARY = "set or remove a password for the unit's page and API"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_credentials(parser)
 
 

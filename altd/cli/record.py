@@ -20,7 +20,7 @@ SUMMARY = "record frames of the cameras, to replay, calibrate or check"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "new folder for the recording")
     parser.add_argument("--seconds", type=_seconds, required=True, metavar="S", help="duration")

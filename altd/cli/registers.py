@@ -18,7 +18,7 @@ _IEC_TYPES = {"u16": "UINT", "u32": "UDINT", "s32": "DINT", "f32": "REAL"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument(
         "--format",
         choices=("json", "csv", "st"),
@@ -66,7 +66,7 @@ def _rows() -> Iterator[dict[str, Any]]:
 
 
 def _codes() -> dict[str, Any]:
-    """What numbers and bits mean, the addresses of commands, and the discrete inputs of function 2."""
+    """The meaning of numbers and bits, the addresses of commands, and the discrete inputs of function 2."""
     from altd.publish.modbus.responder import SELF_CHECK_ADDRESS, ZERO_ADDRESS
     from altd.publish.modbus.values import DISCRETE_INPUTS, REASON_CODES, STATUS_BITS
     from altd.reasons import Signal

@@ -13,7 +13,7 @@ _MAX_EXPOSURES = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the recorded unit"

@@ -18,7 +18,7 @@ log = logging.getLogger("altd")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_config(parser)
     parser.add_argument(
         "--rehearsal",

@@ -20,7 +20,7 @@ SUMMARY = "record a calibration scan with the stage; continue one that was inter
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "folder of the recording")
 

@@ -1,4 +1,4 @@
-"""How a scan shows itself on standard error: a bar on a terminal, lines that stay in a pipe."""
+"""Progress of a scan on standard error: a bar on a terminal, lines that stay in a pipe."""
 
 from __future__ import annotations
 

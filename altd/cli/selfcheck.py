@@ -15,7 +15,7 @@ SUMMARY = "check that each camera is where it was calibrated: a running unit, or
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     parser.add_argument(
         "recording",
         type=Path,

@@ -15,7 +15,7 @@ _TIMEOUT_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_socket(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 

@@ -11,7 +11,7 @@ SUMMARY = "make or remove a token for the unit's API; print a new one once"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """The arguments of the command."""
     add_credentials(parser)
 
 

@@ -1,4 +1,4 @@
-"""How exposures become measurements, how the unit checks itself, and when it asks for maintenance."""
+"""Settings of measuring: averaging, self-checks, and the limits of maintenance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from altd.config.table import Celsius, Name, Table, complaint
 
 
 class Measuring(Table):
-    """How exposures become measurements."""
+    """Averaging of exposures into measurements."""
 
     window: Annotated[int, Field(ge=1, le=1000)] = 20
     """Exposures that are averaged."""

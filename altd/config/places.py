@@ -93,7 +93,7 @@ class _Scan:
         self._text = text
         self._at = 0
         self._tables: dict[Keys, int] = {}
-        """How many tables of ``[[…]]`` there were so far."""
+        """The number of tables of ``[[…]]`` so far."""
         self._scalars: dict[Keys, str] = {}
         self._containers: set[Keys] = {()}
 

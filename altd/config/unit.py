@@ -38,7 +38,7 @@ class Target(Table):
 
 
 class Installation(Table):
-    """How the controller wants the numbers: sign first, then offset."""
+    """Sign and zero for the controller: sign first, then offset."""
 
     reference_plane_mm: Millimetres = 0.0
     """The plane z of the displacement."""

@@ -9,7 +9,7 @@ from altd.ports import ThermometerError
 
 _ROOT = Path("/sys/class/hwmon")
 _MAX_BYTES = 64
-"""What such a file holds is a short name or a number."""
+"""The form of such a file's content: a short name or a number."""
 
 
 class HwmonThermometer:
@@ -46,7 +46,7 @@ class HwmonThermometer:
 
 
 def _read(path: Path) -> str | None:
-    """What a file holds; None when it is not there or cannot be read."""
+    """The content of a file; None when it is missing or cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(_MAX_BYTES).decode("ascii", "replace").strip()

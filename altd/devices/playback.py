@@ -16,7 +16,7 @@ _MAX_OVERDUE_S = 0.5
 
 
 class Playback:
-    """What the cameras of one recording share: their frames' times on today's clock, and the pace.
+    """State shared by the cameras of one recording: their frames' times on today's clock, and the pace.
 
     In real time the first camera that asks starts the clock for all. At the fast pace no camera runs ahead
     of another by more than an exposure, however fast its frames are taken.

@@ -124,7 +124,7 @@ _WORDS = (
     ("Invalid date", "there is no such date or time"),
     ("Invalid value", "no value: put text in quotes, true and false in small letters"),
 )
-"""How a message of tomllib begins, and ours."""
+"""First words of a message of tomllib, and ours."""
 _AT_PLACE = (
     ("Expected newline", r"\d$", r",\d", "a comma in a number: the decimal sign is a point"),
     ("Expected newline", r"= *[-+]?[\d_.]+ *$", r"[^\W\d]|[%°]", "a number is written without its unit"),
@@ -136,11 +136,11 @@ _AT_PLACE = (
         "[ ] further up makes one table, [[ ]] here a list of tables: write both alike",
     ),
 )
-"""How a message of tomllib begins, what is before and behind its place in the line, and our message then."""
+"""First words of a message of tomllib, the text before and behind its place in the line, and our message."""
 
 
 def _syntax_error(text: str, said: str) -> TomlError:
-    """What tomllib said, in plain words and with its place."""
+    """The message of tomllib, in plain words and with its place."""
     where = _WHERE.fullmatch(said)
     message = said if where is None else where[1]
     words = next((words for begin, words in _WORDS if message.startswith(begin)), message)

@@ -58,7 +58,7 @@ def decode_png(data: bytes, width: int, height: int, bits: int) -> PixelArray:
 
 
 def png_bytes(width: int, height: int, bits: int) -> int:
-    """What a PNG of this size may take: its pixels as they are, and as much again for all else."""
+    """The largest size of a PNG: its pixels uncompressed, and as much again for the rest."""
     return 2 * width * height * (1 if bits == 8 else 2) + (1 << 20)
 
 

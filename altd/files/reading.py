@@ -66,7 +66,7 @@ def read_head(path: Path, head_bytes: int) -> bytes:
 
 
 def kind_of(mode: int) -> str:
-    """What a file that is not regular is, in a person's words, from its ``st_mode``."""
+    """The type of a file that is not regular, in a person's words, from its ``st_mode``."""
     return _KINDS.get(stat.S_IFMT(mode), "no regular file")
 
 

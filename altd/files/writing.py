@@ -128,7 +128,7 @@ def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
 
 
 def _check_is_replaceable(path: Path) -> os.stat_result | None:
-    """What is there now: a regular file, or nothing yet."""
+    """The file at the path now: a regular file, or none yet."""
     try:
         now = path.lstat()
     except FileNotFoundError:

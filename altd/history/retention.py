@@ -33,7 +33,7 @@ _RESERVE_BYTES = 12 << 20
 
 @dataclass(frozen=True, slots=True)
 class Deleted:
-    """How many rows of what went, for want of room or of count; not those that were old."""
+    """The numbers of rows removed for want of room or of count; not of those that were old."""
 
     what: str
     rows: int
@@ -51,7 +51,7 @@ class Retention:
         self.events = Counter[str](
             dict(connection.execute("SELECT kind, count(*) FROM events GROUP BY kind"))
         )
-        """How many events there are, by kind."""
+        """The numbers of events, by kind."""
 
     def apply(self, epoch: int, epoch_age_s: float, now_us: int) -> list[Deleted]:
         """Delete what is due, within the transaction of a batch; returns what is not of age."""

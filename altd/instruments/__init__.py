@@ -1,1 +1,1 @@
-"""What kinds of unit there are: the quantities of each, and how they are solved."""
+"""The kinds of unit: the quantities of each, and their solution."""

@@ -48,7 +48,7 @@ _DIFFERENCES = {
 }
 
 _BEND_PRIOR_PX = 0.2
-"""What a lens is thought to depart from its model by, as the rms that one term of the bend adds."""
+"""Assumed deviation of a lens from its model, as the rms that one term of the bend adds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class Camera:
 
     @staticmethod
     def optical_parameters(optics: Optics) -> int:
-        """How many parameters pose and optics have."""
+        """The number of parameters of pose and optics."""
         return len(_PRIOR[optics])
 
     @property

@@ -122,7 +122,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What is left of a grid without the outer rows and columns that are missing."""
+    """The rest of a grid without the outer rows and columns that are missing."""
 
     columns: range
     rows: range
@@ -136,7 +136,7 @@ class Block:
 
     @property
     def most_missing(self) -> int:
-        """How many of its nodes may be missing."""
+        """The number of its nodes that may be missing."""
         return int(MAX_MISSING_SHARE * self.cells)
 
     @property

@@ -129,7 +129,7 @@ class InverseMap:
         return (x, y) if known else (math.nan, math.nan), inverse_jacobian, covariance
 
     def outside_mm(self, x_mm: float, y_mm: float) -> float:
-        """How far a place lies outside the nodes' hull, across its farthest edge; negative inside."""
+        """The distance of a place from the nodes' hull, across its farthest edge; negative inside."""
         return max(nx * x_mm + ny * y_mm - offset for nx, ny, offset in self._edges)
 
     def _variance_px2(self, x: float, y: float) -> tuple[float, float, float]:

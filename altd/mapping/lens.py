@@ -31,7 +31,7 @@ _MAX_FITTED_SHARE = 0.75
 _DENSE_NODES = 12
 _DENSE_DEGREES = range(4, 10)
 _MAX_DENSE_ERROR_PX = 5e-4
-"""How far the tensor polynomial of a lens may deviate from it: a hundredth of the nodes' noise."""
+"""Largest deviation of a lens's tensor polynomial from it: a hundredth of the nodes' noise."""
 
 
 def _residuals(nodes: Nodes, camera: Camera) -> FloatArray:
@@ -65,7 +65,7 @@ class _State(NamedTuple):
 
     @property
     def effective_parameters(self) -> float:
-        """How many of the nodes' coordinates the parameters take up."""
+        """The number of the nodes' coordinates that the parameters use up."""
         return float(np.trace(self.leverage, axis1=1, axis2=2).sum())
 
 

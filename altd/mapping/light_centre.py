@@ -1,4 +1,4 @@
-"""How far the centre of a patch of light lies, in the picture, from the picture of its centre.
+"""The distance between the centre of a patch of light, in the picture, and the picture of its centre.
 
 An even disc of radius R about c is seen through a smooth map P (mm → px) with the Jacobian J. Its picture is
 evenly bright, so its centre of area is ∫ P |J| dA / ∫ |J| dA. With P(c + d) = P + J d + ½ dᵀ P″ d + …,
@@ -30,7 +30,7 @@ def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
 
 
 def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float) -> FloatArray:
-    """How far, (n, 2) px, the centre of light of patches about points (n, 2) mm is shifted: centre − P(c)."""
+    """The shift, (n, 2) px, of the centre of light of patches about points (n, 2) mm: centre − P(c)."""
     here = to_px(points_mm)
     laplacian = np.zeros_like(here)
     log_gradient = np.zeros_like(here)

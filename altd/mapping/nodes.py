@@ -1,4 +1,4 @@
-"""What a camera sees of a target: the nodes of a scan, and the dots of a regular print."""
+"""The picture of a target in a camera: the nodes of a scan, and the dots of a regular print."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Fiducials:
     sigma_mm: float
 
     def misfit(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
-        """What no affine map explains of where the camera sees them, and its slopes by the parameters.
+        """The nodes' deviations from the best affine map, and their slopes by the parameters.
 
         (2 n,) and (2 n, m), both in units of sigma; x of all, then y.
         """

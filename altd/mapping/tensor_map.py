@@ -13,7 +13,7 @@ from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.records import FloatArray
 
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
-"""What was fitted: the tensor polynomial itself, or a lens that it represents."""
+"""The model that was fitted: the tensor polynomial itself, or a lens that it represents."""
 
 _POINTS_ACROSS = 21
 """Points along each axis for figures of the whole hull."""

@@ -186,7 +186,7 @@ def _motion(
     covariance_of_mean_px2: FloatArray,
     noise: FloatArray,
 ) -> SpotMotion | None:
-    """How the spots move, of all usable exposures (n, coordinates), among them the outliers."""
+    """The motion of the spots, of all usable exposures (n, coordinates), among them the outliers."""
     count = int(np.count_nonzero(is_inlier))
     if count < _MIN_FRAME_SETS_FOR_MOTION:
         return None

@@ -157,7 +157,7 @@ class MeasuringChain:
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
 
     def step(self) -> dict[str, float | None]:
-        """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms.
+        """The cameras' synchronism: skew of the last exposure, and the lag that was subtracted, ms.
 
         None: not known, for a frame is missing or a camera is silent.
         """
@@ -316,7 +316,7 @@ class MeasuringChain:
     def _motions(
         self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]
     ) -> Mapping[str, Motion]:
-        """How the quantities move, with what the windows before say of it."""
+        """The motion of the quantities, with that of the windows before."""
         span_s = mean.motion.span_s if mean.motion else 0.0
         return self._motion_memory.learn(mean.t_ns, newest_ns, span_s, of_window)
 

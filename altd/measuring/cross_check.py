@@ -54,7 +54,7 @@ class CrossCheck:
         return math.hypot(self.limit_px, _LIMIT_SIGMAS * beyond_px)
 
     def difference_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> float:
-        """How far from (u, v) this map puts the point (x, y) that the other one found for it."""
+        """The distance from (u, v) to this map's picture of the point (x, y) that the other map gives."""
         u, v, (middle_x, middle_y), (per_x, per_y) = self._plain
         q, r = (x_mm - middle_x) * per_x, (y_mm - middle_y) * per_y
         return math.hypot(horner(u, q, r) - u_px, horner(v, q, r) - v_px)

@@ -67,12 +67,12 @@ class _Waiting(Generic[Item]):
     aligned_ns: int
     """The time less the camera's lag."""
     delivery: int
-    """How many frames its camera had delivered with it."""
+    """The number of frames that its camera had delivered with it."""
     item: Item
 
 
 class Lags:
-    """How far each camera exposes behind the first, estimated from their times.
+    """Delay of each camera's exposures against the first camera's, estimated from their times.
 
     Free-running cameras keep a lag of up to half a period either way, which creeps as their crystals differ.
     A frame is compared with the nearest of the first camera's frames, seen from the lag that is known; the
@@ -176,7 +176,7 @@ class Pairer(Generic[Item]):
 
     @property
     def lags_ns(self) -> Mapping[str, int]:
-        """How far each camera exposes behind the first; empty where pairing is by sequence."""
+        """Delay of each camera's exposures against the first's; empty where pairing is by sequence."""
         return self._lags.ns if self._lags else {}
 
     def add(self, camera: str, sequence: int, t_ns: int, item: Item) -> list[Pair[Item]]:

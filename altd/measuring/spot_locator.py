@@ -27,7 +27,7 @@ _UNDER_LEDS = NoSpot(Reason.SPOT_MISSING, f"not looked for, {LEDS_LIT}")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Appearance:
-    """How a target looks: its response to even light, and what no spot changes in it; None: not known."""
+    """The look of a target: its response to even light, and its constant features; None: not known."""
 
     flat: Flat | None
     fingerprint: Fingerprint | None

@@ -33,7 +33,7 @@ _MIN_DISTORTION_STRETCH = 0.015
 
 @dataclass(frozen=True, slots=True)
 class ShapeAgreement:
-    """How far a target's spot agrees in shape with the first target's.
+    """Agreement of a target's spot in shape with the first target's.
 
     ``sigma_mm`` is what the difference may mean for either centre, one sigma; ``distortion`` says in words
     why they cannot be spots of one beam, None when they can.

@@ -1,4 +1,4 @@
-"""How a target's spots change over hours: their light and what their fit leaves unexplained; pure numbers.
+"""Changes of a target's spots over hours: their light and the residual of their fit; pure numbers.
 
 A laser that ages, a window that gathers dust and a target that gets dirty show here long before a spot is
 refused as too dim or ``distorted``.

@@ -1,4 +1,4 @@
-"""How a command ends: normally, by a signal, by an error; its exit status and its last word."""
+"""The end of a command: normal, by a signal, by an error; its exit status and its last line."""
 
 from __future__ import annotations
 

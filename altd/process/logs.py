@@ -25,7 +25,7 @@ MAX_WAITING_LINES = 1000
 """More than these are dropped and counted while standard error takes nothing."""
 
 JOIN_TIMEOUT_S = 1.0
-"""How long the end waits for standard error to take what is left."""
+"""Longest wait at the end for standard error to take the rest."""
 
 _PLAIN = logging.Formatter()
 _ADDRESSES_AND_NUMBERS = re.compile(r"0x[0-9a-f]+|\d+")

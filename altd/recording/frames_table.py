@@ -48,7 +48,7 @@ class Rows:
 
     table: UnchangedFile
     count: Mapping[str, int]
-    """How many each camera has, 0 included."""
+    """The number of frames of each camera, 0 included."""
     first: Row
     last: Row
     largest_sequence: int

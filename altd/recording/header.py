@@ -24,7 +24,7 @@ HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
 
 Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
-"""What a recording shows."""
+"""The subject of a recording."""
 
 MAX_HEADER_BYTES = 1 << 20
 
@@ -56,11 +56,11 @@ class CameraHeader(_Header):
     serial: str | None = None
     """The camera's serial number, where its driver tells one."""
     model: str | None = None
-    """What its maker calls it."""
+    """The name that its maker gave it."""
     driver: str | None = None
     """The driver that named it: ``driver`` of the config."""
     origin: Origin = Origin.CAMERA
-    """How its frames came to be."""
+    """The origin of its frames."""
     exposure_ms: float | None = None
     """As the first frame was exposed, where the driver tells; a recording keeps to it."""
     gain_db: float | None = None
@@ -140,7 +140,7 @@ class PlateHeader(_Header):
 
 
 class SelfCheckHeader(_Header):
-    """What the self-check said that was made before a scan."""
+    """The result of the self-check before a scan."""
 
     verdict: Literal["good", "suspect", "bad", "unknown"]
     reasons: tuple[str, ...] = ()

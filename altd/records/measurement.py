@@ -163,7 +163,7 @@ class Measurement:
 
     @property
     def rates(self) -> Mapping[str, Value]:
-        """How fast quantities change, in their unit per second, by their keys."""
+        """Rates of the quantities, in their unit per second, by their keys."""
         return {key: Value(motion.rate, motion.sigma_rate) for key, motion in self.motions.items()}
 
     def sigma_at(self, key: str, age_s: float) -> float | None:

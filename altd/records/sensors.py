@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Quality(StrEnum):
-    """How far a sensor's value can be used; all but the first two say why there is none."""
+    """Usability of a sensor's value; all but the first two say why there is none."""
 
     GOOD = "good"
     REDUCED = "reduced"

@@ -19,7 +19,7 @@ from altd.records.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotMotion:
-    """How the mean spots of a window move, u and v of one target after the other, (2 · targets,).
+    """Motion of the mean spots of a window, u and v of one target after the other, (2 · targets,).
 
     ``rate_px_per_s`` is the steady motion, ``rate_covariance`` its covariance, px²/s². ``vibration_px2`` is
     the covariance of a single exposure about the steady motion without the spots' own noise: an estimate, of
@@ -42,7 +42,7 @@ class SpotMotion:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How one quantity moves, in its own unit and per second.
+    """Motion of one quantity, in its own unit and per second.
 
     ``rate`` with ``sigma_rate`` is that of the window. ``vibration`` is the standard deviation of the truth
     about the steady motion. ``probable_rate`` is the root mean square of what the rate may be,

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 
 SWITCH_INTERVAL_S = 0.0005
-"""How long a thread that computes may keep the interpreter from one that wants it; Python's own is ten times
+"""Longest time that a computing thread keeps the interpreter from a waiting one; Python's own is ten times
 as long."""
 
 

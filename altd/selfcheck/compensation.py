@@ -17,7 +17,7 @@ from altd.vision.flat import Flat
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceEffect:
-    """Where the beam is on a target, (2,) mm, by how much it is measured off, and that one's covariance."""
+    """The beam's place on a target, (2,) mm, the error of its measurement, and the covariance of that."""
 
     true_mm: FloatArray
     error_mm: FloatArray
@@ -97,7 +97,7 @@ class Refused:
 
 
 def compensation_of(check: SelfCheck, calibration: Calibration, limits: Limits) -> Compensation | Refused:
-    """What takes a check's drift out; refused where it is unknown, no similarity, or beyond the limit.
+    """The correction of a check's drift; refused where it is unknown, no similarity, or beyond the limit.
 
     All targets are corrected or none: half a correction of a direction can be worse than none.
     """

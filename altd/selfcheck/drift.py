@@ -19,7 +19,7 @@ from altd.selfcheck.similarity import Fitted, chi2_limit, fit_similarity
 Chosen = npt.NDArray[np.bool_]
 
 _RASTER_PX = 0.003
-"""How much the raster of the pixels moves an LED's place when it comes to lie otherwise on it: 0.0025 px rms
+"""Displacement of an LED's place when it comes to lie otherwise on the raster of the pixels: 0.0025 px rms
 over 144 displaced LEDs of two simulated units (docs/selfcheck.md)."""
 _PRIOR_RATIO, _PRIOR_FREEDOM = 1.3, 8.0
 """Places scatter 1.15 times as much as the frames' noise predicts; the prior before the pairs are known."""
@@ -54,7 +54,7 @@ class _Noise:
 
 
 def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits) -> TargetDrift:
-    """What the frames of one target show; ValueError for frames of another size than the calibration's."""
+    """The drift of one target, from its frames; ValueError for frames not of the calibration's size."""
     references = np.asarray(target.leds_px, dtype=np.float64)
     if any(frame.pixels.shape != (target.height, target.width) for frame in (*view.lit, *view.dark)):
         raise ValueError(f"{name}: frames are not {target.width} × {target.height} px")
@@ -222,7 +222,7 @@ def _radius_px(references: FloatArray) -> float:
 
 
 def _sentence(states: tuple[LedState, ...], places: _Places, found: int, *, few: bool) -> str:
-    """What a person should know of the LEDs, empty when all are well."""
+    """Remarks on the LEDs for a person, empty when all are well."""
     parts = []
     if places.rival:
         parts.append("two groups of lights look like the LEDs")

@@ -111,7 +111,7 @@ class TargetHistory:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What is remembered of the checks so far, by target; a new one starts with a new calibration.
+    """Memory of the checks so far, by target; a new one starts with a new calibration.
 
     ``was_bad``: so the last check with a verdict was.
     """

@@ -17,7 +17,7 @@ _KEYS = ("yaw_deg", "pitch_deg", "x_mm", "y_mm")
 
 
 def as_object(check: SelfCheck) -> dict[str, Any]:
-    """What ``altd selfcheck`` answers; what is not known is null."""
+    """The answer of ``altd selfcheck``; unknown values are null."""
     effects = check.effects
     values = {key: round(effects[key].value, _DECIMALS[key]) if key in effects else None for key in _KEYS}
     sigmas = {key: effects[key].sigma if key in effects else None for key in _KEYS}

@@ -30,7 +30,7 @@ _CLIPPED_SHARE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What the pairs show of a target's LEDs.
+    """A target's LEDs, as the pairs show them.
 
     ``places_px`` (n, 2) are where they are, or where they should be; ``peaks`` (n,) their brightness, NaN
     where not seen; ``share`` (n,) in how many of the pairs they are seen, 0 to 1.
@@ -100,7 +100,7 @@ def _state(seen: Seen, index: int, usual: float) -> LedState:
 
 
 def _foreign_light(seen: Seen, u: float, v: float, reach: float) -> LedState | None:
-    """What shines at an LED's place with the LEDs off: the spot, or the LED itself; None: nothing."""
+    """The light at an LED's place with the LEDs off: the spot, or the LED itself; None: none."""
     for _, dark in seen.pairs:
         limit = 2 * float(np.median(dark.pixels[::4, ::4])) + _BRIGHT_SHARE * dark.full_scale
         window = _window(dark, u, v, reach)

@@ -17,7 +17,7 @@ from altd.vision.frame_leds import locate_leds
 from altd.vision.search import Region, search
 
 SEARCH_PX = 40.0
-"""How far from its reference an LED is looked for."""
+"""Radius about its reference in which an LED is searched."""
 _CAP_RATIO = 1.5
 """A foreign light may be much brighter than an LED, and the search takes the brightest as its measure."""
 _MAX_LIGHTS = 40
@@ -52,7 +52,7 @@ def pairs(view: LedView) -> Iterator[tuple[Frame, Frame]]:
 
 
 def lights_of(lit: Frame, dark: Frame, references_px: FloatArray) -> Lights:
-    """What shines in ``lit`` and not in ``dark``, located as the calibration's LEDs (n, 2) were.
+    """The lights in ``lit`` that are not in ``dark``, located as the calibration's LEDs (n, 2) were.
 
     Light that is much brighter than an LED is capped, so that it hides none; LEDs are not.
     """
@@ -105,7 +105,7 @@ _SPOT_MARGIN_PX = 16
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was seen in a camera's frames, in words; ``spoils``: no verdict can rest on them."""
+    """The lights in a camera's frames, in words; ``spoils``: no verdict can rest on them."""
 
     sentence: str
     spoils: bool

@@ -15,8 +15,8 @@ _MIN_AGREEING_FAR = 4
 """Three lights of twelve lie by chance like three LEDs once any shift and turn may be."""
 _MAX_FAR_LIGHTS = 12
 TOLERANCE_PX = 2.0
-"""How far an LED may lie from the similarity of two others and agree with it; the fit's own residuals judge
-afterwards."""
+"""Largest distance of an LED from the similarity of two others that it agrees with; the fit's own residuals
+judge afterwards."""
 _USUAL_MOTION_PX = 10.0
 _MAX_BASES = 60
 _MIN_AGREEING = 3
@@ -26,7 +26,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class _Reach:
-    """How far a similarity may be from none, either way."""
+    """Largest distance of a similarity from none, either way."""
 
     shift_px: float
     turn_deg: float
@@ -48,7 +48,7 @@ class Match:
 
     @property
     def count(self) -> int:
-        """How many LEDs have a light."""
+        """The number of LEDs that have a light."""
         return int((self.lights >= 0).sum())
 
 
@@ -87,7 +87,7 @@ def _far_match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArr
 
 
 def _best_of(candidates: _Candidates, peaks: FloatArray) -> Match:
-    """What the best of the candidates says."""
+    """The result for the best of the candidates."""
     best = int(np.lexsort((candidates.cost, -candidates.counts))[0])
     chosen = candidates.lights[best]
     return Match(chosen, _has_rival(candidates, best, peaks))

@@ -48,7 +48,7 @@ class LedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Similarity:
-    """How the picture of a target moved since the calibration: position now from position then, px.
+    """Motion of a target's picture since the calibration: position now from position then, px.
 
     now = about + shift + (1 + scale) · R(turn) · (then − about), with R positive from u to v. ``about_px`` is
     the centroid of all the calibration's LEDs of the target, ``radius_px`` their rms distance from it;
@@ -68,13 +68,13 @@ class Similarity:
         return np.array([*self.shift_px, self.turn_deg, self.scale_ppm])
 
     def now_px(self, then_px: FloatArray) -> FloatArray:
-        """Where places (n, 2) of the calibrated picture are seen now, (n, 2)."""
+        """The current places, (n, 2), of places (n, 2) of the calibrated picture."""
         about = np.asarray(self.about_px)
         now: FloatArray = about + self.shift_px + (then_px - about) @ self._matrix().T
         return now
 
     def then_px(self, now_px: FloatArray) -> FloatArray:
-        """Where places (n, 2) of the picture now were seen when it was calibrated, (n, 2)."""
+        """The places (n, 2) in the calibrated picture of places (n, 2) of the current one."""
         about = np.asarray(self.about_px)
         then: FloatArray = about + (now_px - about - self.shift_px) @ np.linalg.inv(self._matrix()).T
         return then

@@ -97,7 +97,7 @@ def _effects(
 def _of_target(
     drift: TargetDrift, worst: WorstEffect | None, limits: Limits, previous: Verdict | None
 ) -> Iterator[PartVerdict]:
-    """What one target's drift is worth; where its LEDs contradict each other, that and what is not known."""
+    """The effect of one target's drift; where its LEDs contradict each other, that and the unknown part."""
     name = drift.target
     bounds = (limits.suspect_mm, limits.bad_mm)
     if worst is None:
@@ -120,7 +120,7 @@ def _of_target(
 def _of_direction(
     worst: list[WorstEffect], distance_mm: float, significant: bool, limits: Limits, previous: Verdict | None
 ) -> PartVerdict:
-    """What the drifts of all targets are worth for yaw and pitch, wherever the beam meets each of them."""
+    """The effect of the drifts of all targets on yaw and pitch, wherever the beam meets each of them."""
     error = sum(effect.error_mm for effect in sorted(worst, key=lambda effect: -effect.error_mm)[:2])
     sigma = math.hypot(*(effect.sigma_mm for effect in worst))
     turned = WorstEffect(math.degrees(error / distance_mm), math.degrees(sigma / distance_mm))

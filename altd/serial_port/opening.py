@@ -73,7 +73,7 @@ _SENTENCES = {
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """How bytes go over a line, 8 data bits each and without flow control."""
+    """Format of bytes on a line, 8 data bits each and without flow control."""
 
     baud: int
     """Bits per second."""

@@ -22,7 +22,7 @@ from altd.serial_port.opening import LineSettings, close_serial, open_serial
 MAX_READ_BYTES = 4096
 
 CLOSE_TIMEOUT_S = 1.0
-"""How long closing is waited for; a device that takes nothing holds it for 30 s."""
+"""Longest wait for closing; a device that takes nothing holds it for 30 s."""
 
 _THREAD = "serial-port"
 
@@ -75,7 +75,7 @@ class Port:
         return True
 
     async def read(self, until: asyncio.Future[Any] | None = None, limit: int = MAX_READ_BYTES) -> bytes:
-        """What comes in next, or nothing once ``until`` is done; raises OSError when the device is gone.
+        """The next bytes, or none once ``until`` is done; raises OSError when the device is gone.
 
         What is beyond ``limit`` bytes stays with the kernel, whose buffer is the sender's back-pressure.
         """
@@ -134,7 +134,7 @@ def describe(settings: SerialPortSettings) -> str:
 
 
 def seconds_on_line(settings: SerialPortSettings, length: int) -> float:
-    """How long ``length`` bytes are on the line: start bit, 8 data bits, parity and stop bits for each."""
+    """Duration of ``length`` bytes on the line: start bit, 8 data bits, parity and stop bits for each."""
     bits = 1 + 8 + (settings.parity != "none") + settings.stop_bits
     return length * bits / settings.baud
 

@@ -1,1 +1,1 @@
-"""What every interface may read: the board, health, the measurement object."""
+"""State that every interface may read: the board, health, the measurement object."""

@@ -1,4 +1,4 @@
-"""What a reason means and what to do about it, by what was seen."""
+"""Meaning and remedy of a reason, by the detail of its fault."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from altd.reasons import LEDS_LIT, Reason
 
 
 class Advice(NamedTuple):
-    """What is wrong, and what to do about it."""
+    """The fault, and its remedy."""
 
     means: str
     remedy: str
@@ -66,11 +66,11 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
         "the unit measures up to": Advice("the beam is too oblique", "turn the unit towards the beam"),
     },
 }
-"""What the detail of a fault tells of its cause, by words of it; the tests have them from what makes them."""
+"""Words of a fault's detail that tell its cause; the tests have them from the code that writes them."""
 
 
 def advice_of(reason: Reason, detail: str) -> Advice | None:
-    """What is wrong and what to do, as far as a fault's detail tells; None: no more than its reason."""
+    """Fault and remedy, as far as a fault's detail tells; None: no more than its reason."""
     if detail.startswith(LEDS_LIT):
         return _LEDS
     return next((known for words, known in _SEEN.get(reason, {}).items() if words in detail), None)

@@ -25,7 +25,7 @@ MONTH_S = 31 * 86_400
 _MINUTE_NS = 60 * 10**9
 _HOUR_NS = 60 * _MINUTE_NS
 _SPANS = {"last_hour": (_MINUTE_NS, 60), "last_day": (_MINUTE_NS, 1440), "last_31_days": (_HOUR_NS, 744)}
-"""What is counted of each span, and how many of them it has."""
+"""The counts of each span, and how many of them it has."""
 
 SPANS = (*_SPANS, "since_start")
 """The keys of ``Availability.as_object``."""
@@ -90,7 +90,7 @@ class _Tally:
 
 @dataclass(slots=True)
 class _Ring:
-    """What time was, in pieces of equal length from the start on: the newest of them."""
+    """Time in pieces of equal length from the start on: the newest of them."""
 
     length_ns: int
     tallies: deque[tuple[int, _Tally]]

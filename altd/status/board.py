@@ -31,7 +31,7 @@ class Board:
         rehearsal: bool = False,
     ) -> None:
         self.quantities = quantities
-        """What its measurements hold; known before the first."""
+        """The quantities of its measurements; known before the first."""
         self._complete = complete
         self._rehearsal = rehearsal
         self.identity = identity
@@ -41,14 +41,14 @@ class Board:
         self._stale_after_ns = round(stale_after_s * 1e9)
         self._latest: Measurement | None = None
         self._stale: Measurement | None = None
-        """What is shown of it once it is stale: always the same record, so that readers know it again."""
+        """The record shown once it is stale: always the same one, so that readers recognise it."""
         self._published_ns = 0
         self._count = 0
         self._changed = asyncio.Event()
 
     @property
     def published(self) -> int:
-        """How many measurements were published so far."""
+        """The number of measurements published so far."""
         return self._count
 
     def publish(self, measurement: Measurement) -> Measurement:
@@ -72,7 +72,7 @@ class Board:
         return measurement.without_numbers((not_live, *measurement.status))
 
     async def published_after(self, count: int) -> int:
-        """How many measurements were published, once it is not ``count`` any more."""
+        """Wait until the number of measurements published differs from ``count``; that number."""
         while self._count == count:
             await self._changed.wait()
         return self._count

@@ -11,7 +11,7 @@ from altd.status.availability import Availability
 from altd.status.conditions import Condition
 
 Kind = Reason | Condition
-"""What both tables of causes have: code, signal, brief, remedy, meaning."""
+"""The common part of both tables of causes: code, signal, brief, remedy, meaning."""
 
 HOLD_S = 2.0
 """A cause is shown for so long after it was last true: polling at 1 Hz sees every one, and one that
@@ -33,7 +33,7 @@ class Cause:
 
     @property
     def remedy(self) -> str:
-        """What to do about it, as far as its detail tells."""
+        """Its remedy, as far as its detail tells."""
         seen = advice_of(self.kind, self.detail) if isinstance(self.kind, Reason) else None
         return self.kind.remedy if seen is None else seen.remedy
 
@@ -49,7 +49,7 @@ class ShownCause:
 
     @property
     def signal(self) -> Signal:
-        """What the unit shows for it."""
+        """The signal of the unit for it."""
         return signal_of(self.cause.kind)
 
 

@@ -1,4 +1,4 @@
-"""What is wrong just now, by the latest measurement and by what the components report."""
+"""The present faults, by the latest measurement and by the reports of the components."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_START_S = 15.0
 """A component that is still starting after this long does not come up."""
 
 _WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAILED}
-"""What is no failure while the unit starts."""
+"""Reasons that are no failure while the unit starts."""
 
 _FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "opcua", "local", "serial"}
 """The first words of the names of components that are interfaces to the outside."""
@@ -71,7 +71,7 @@ def _of_components(components: Iterable[Component], now_ns: int) -> Iterator[Cau
 
 
 def _of_component(component: Component, now_ns: int) -> Condition | None:
-    """What a component's state means for the unit; None: nothing is wrong, or the measurement says it."""
+    """The meaning of a component's state for the unit; None: no fault, or one of the measurement."""
     first_word = component.name.partition(" ")[0]
     match component.state:
         case State.OK:

@@ -1,4 +1,4 @@
-"""What may be wrong with the unit beside the measurement's own reasons: the second table of causes.
+"""Faults of the unit beside the measurement's own reasons: the second table of causes.
 
 A measurement says in ``altd.reasons`` why it is invalid. What is here alone never makes it invalid; it is
 why the unit as a whole is not good. Codes are contracts, as those of reasons are.

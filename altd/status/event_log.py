@@ -1,4 +1,4 @@
-"""What happened to the unit: the newest events, for the history and for interfaces; who notes never waits."""
+"""Events of the unit: the newest ones, for the history and for interfaces; noting never waits."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ class EventKind(StrEnum):
 
 
 ASKED = frozenset({EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK})
-"""What anybody on the network can bring about, again and again. It has bounds of its own, here and in the
-history: however often it comes, it takes the place of no state and no cause."""
+"""Events that any client on the network can cause, again and again. They have bounds of their own, here and
+in the history: their number does not displace a state or a cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class EventLog:
         self._windows: dict[_Key, _Window] = {}
         self._begun_ns = clock.monotonic_ns()
         self._room: dict[bool, int] = {}
-        """How many more are noted in this time of what is asked for, and of the rest."""
+        """Remaining numbers of events that are noted in this time: of those asked for, and of the rest."""
         self._make_room(self._begun_ns)
 
     def note(
@@ -183,7 +183,7 @@ class EventLog:
 
     @property
     def count(self) -> int:
-        """How many events were noted so far."""
+        """The number of events noted so far."""
         return self._count
 
     def after(self, number: int) -> list[Event]:

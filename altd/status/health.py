@@ -1,4 +1,4 @@
-"""What each component reports, for the technician and for the status pages."""
+"""The reports of the components, for the technician and for the status pages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Message = str | Callable[[int], str]
 
 
 class State(StrEnum):
-    """How a component does."""
+    """The condition of a component."""
 
     STARTING = "starting"
     OK = "ok"
@@ -49,7 +49,7 @@ class Component:
     silent_after_s: float | None = None
     """It speaks at least so often while it lives; None: it speaks only when something changes."""
     data_given: int = 0
-    """How often it gave data to clients, on request or unasked: what the Data lamp shows."""
+    """Deliveries of data to clients, on request or unasked, counted: what the Data lamp shows."""
     _message: Message = ""
     _figures: dict[str, tuple[float | str | None, int]] = field(default_factory=dict)
 
@@ -117,7 +117,7 @@ class Health:
         self.clock = clock
         self._components: dict[str, Component] = {}
         self.facts: dict[str, str] = {}
-        """What does not change while the daemon runs: serial, version, calibration."""
+        """Constants while the daemon runs: serial, version, calibration."""
         self.targets: tuple[TargetArea, ...] = ()
         """In beam order."""
         self.events = EventLog(clock)
@@ -127,7 +127,7 @@ class Health:
         self.pictures = PictureService("this unit shows no pictures")
         self.calibration = CalibrationService()
         self.diagnostics: tuple[DiagnosticPart, ...] = ()
-        """What diagnostics hold beside what every interface sees."""
+        """Contents of the diagnostics beyond what every interface shows."""
         self.state: Callable[[], StateReport | None] = lambda: None
         """The unit's state at this moment; None: it is not determined."""
 

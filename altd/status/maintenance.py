@@ -1,4 +1,4 @@
-"""What wants maintenance, or lies outside the specification, before a measurement is invalid by it.
+"""Parts that need maintenance, or are outside the specification, before a measurement is invalid by them.
 
 Each class is a watch of ``altd.status.state``: asked for an instant of the monotonic clock it says what is
 wrong then.
@@ -22,7 +22,7 @@ TEMPERATURE_HYSTERESIS_K = 1.0
 """A limit that was passed holds until the temperature is back by so much."""
 
 _RECOVERY = 1.1
-"""What fell below a share is well again at so many times of it, what rose above it below the inverse."""
+"""Hysteresis: a value that fell below a share is good again at so many times of it; above, at the inverse."""
 
 _MAX_CLOCK_ERROR = timedelta(days=1)
 """Time zones and slow clocks make a day; more is a clock that was never set."""
@@ -58,7 +58,7 @@ class CalibrationAge:
 
 @dataclass(frozen=True, slots=True)
 class TemperatureLimits:
-    """What a temperature may be, °C."""
+    """The limits of a temperature, °C."""
 
     lowest: float
     highest: float

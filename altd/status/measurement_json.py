@@ -94,7 +94,7 @@ def _values(
 
 
 def _sensors(measurement: Measurement) -> dict[str, Any]:
-    """How good and how old each sensor's value is; nothing where no such sensor is fitted."""
+    """State and age of each sensor's value; empty where no such sensor is fitted."""
     if not measurement.from_sensors:
         return {}
     return {
@@ -124,7 +124,7 @@ def _rounded(value: float | None, decimals: int) -> float | None:
 
 
 PROOF_KEYS = ("unit", "session", "message", "published", "clock_ms", "age_s", "crc32")
-"""What follows the keys of the measurement, in this order."""
+"""The keys that follow those of the measurement, in this order."""
 
 
 def proof_of(board: Board, stamp: Stamp) -> dict[str, Any]:
@@ -141,7 +141,7 @@ def proof_of(board: Board, stamp: Stamp) -> dict[str, Any]:
 
 
 def checked_line(board: Board, measurement: Measurement, stamp: Stamp) -> str:
-    """What the board reads now, as one line of JSON without the line end, with its proof."""
+    """The current reading of the board, as one line of JSON without the line end, with its proof."""
     return with_proof(as_object_now(measurement, board.age_s()), board, stamp)
 
 

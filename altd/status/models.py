@@ -50,7 +50,7 @@ class UnitState(Answer):
 
 
 class Sensor(Answer):
-    """How good and how old the value of another sensor was when the measurement was published."""
+    """State and age of the value of another sensor when the measurement was published."""
 
     quality: Quality
     age_s: float | None

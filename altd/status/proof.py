@@ -1,4 +1,4 @@
-"""What makes one message recognisable to a reader: its unit, its session, its number, its time.
+"""The identity of a message for its reader: its unit, its session, its number, its time.
 
 These and the CRC are the measures of a black channel against the errors of a line (EN 50159, 7.3;
 IEC 61784-3, 5.4). ``docs/proof.md`` says how a reader checks them.
@@ -42,7 +42,7 @@ class Stamp:
 
 
 class Running(Protocol):
-    """What knows its identity and for how long it has been running: the board."""
+    """An object that knows its identity and the time since its start: the board."""
 
     @property
     def identity(self) -> Identity:

@@ -1,4 +1,4 @@
-"""What an interface may ask of the unit beside the measurement: calibration, pictures, recordings, checks."""
+"""Requests of an interface beside the measurement: calibration, pictures, recordings, checks."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class NoReportError(Exception):
 
 
 class CalibrationFiles(Protocol):
-    """Who reads the files."""
+    """Reader of the files of a calibration."""
 
     @property
     def name(self) -> str:
@@ -80,7 +80,7 @@ class NoPictureError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TargetView:
-    """What does not change in a target's pictures: the frame's size, px, and what its calibration knows.
+    """The constant part of a target's pictures: the frame's size, px, and what its calibration knows.
 
     ``outline`` bounds the area in which a spot is measured, ``leds`` are the frame LEDs' references.
     ``middle`` is the place x = y = 0 of the unit frame, ``x_axis`` and ``y_axis`` how far one millimetre
@@ -143,7 +143,7 @@ class Picture:
 
 
 class PictureMaker(Protocol):
-    """Who makes pictures."""
+    """Maker of pictures."""
 
     @property
     def views(self) -> Sequence[TargetView]:
@@ -163,7 +163,7 @@ class PictureService(_Service[PictureMaker]):
 
 
 class NotKeptError(Exception):
-    """What was asked for cannot be done; the sentence says why."""
+    """A request that cannot be met; the sentence says why."""
 
 
 class NoExposureError(NotKeptError):
@@ -199,11 +199,11 @@ class KeptRecording:
 
 
 class RecordingKeeper(Protocol):
-    """Who writes recordings; each call raises NotKeptError."""
+    """Writer of recordings; each call raises NotKeptError."""
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """What there is, the newest first."""
+        """The recordings, the newest first."""
 
     async def keep(self, why: str) -> KeptRecording:
         """Write the last seconds."""
@@ -225,7 +225,7 @@ class RecordingService(_Service[RecordingKeeper]):
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """What there is, the newest first."""
+        """The recordings, the newest first."""
         return () if self._provider is None else self._provider.recordings
 
 
@@ -235,7 +235,7 @@ class NoSelfCheckError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class SelfCheckReport:
-    """What one check said: its number since the start, a sentence for people, and plain JSON types."""
+    """The report of one check: its number since the start, a sentence for people, and plain JSON types."""
 
     number: int
     sentence: str
@@ -254,7 +254,7 @@ class SelfCheckService:
         self.ended_ns: int | None = None
         """When it was published."""
         self.waiting = 0
-        """Who waits for a report."""
+        """The clients that wait for a report."""
         self._begun = 0
         self._events = events
         self._on_request: Callable[[], None] = lambda: None
@@ -287,7 +287,7 @@ class SelfCheckService:
         return self._begun + 1
 
     async def report(self, number: int) -> SelfCheckReport:
-        """What check ``number`` said, or one after it, once it has ended."""
+        """The report of check ``number``, or of one after it, once it has ended."""
         self.waiting += 1
         try:
             while self.latest is None or self.latest.number < number:

@@ -21,10 +21,10 @@ from altd.status.health import Health
 from altd.status.services import SelfCheckService
 
 TICK_S = 0.25
-"""How often the state is determined without a request."""
+"""Interval at which the state is determined without a request."""
 
 Watch = Callable[[int], Iterable[Cause]]
-"""What is wrong at an instant of the monotonic clock, ns, by what is neither board nor component."""
+"""Faults at an instant of the monotonic clock, ns, from neither board nor component."""
 
 
 class UnitState:
@@ -65,7 +65,7 @@ class UnitState:
         return now_ns, shown
 
     def _watched(self, now_ns: int) -> Iterator[Cause]:
-        """What the watches say. One that fails is a cause: it must neither end the daemon nor be good."""
+        """The faults that the watches report. A watch that fails is a fault; it does not end the daemon."""
         for watch in self._watches:
             try:
                 yield from watch(now_ns)

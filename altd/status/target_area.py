@@ -1,4 +1,4 @@
-"""Where a target is measured: what who draws it needs to know."""
+"""The area in which a target is measured, for drawings of it."""
 
 from __future__ import annotations
 

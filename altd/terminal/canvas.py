@@ -9,7 +9,7 @@ from itertools import groupby
 
 
 class Style(Enum):
-    """How characters look, as far as a terminal can."""
+    """The look of characters, as far as a terminal can."""
 
     PLAIN = auto()
     BOLD = auto()

@@ -117,7 +117,7 @@ class SelfCheckDocument(_Document):
 
 
 class CalibratedTargetDocument(_Document):
-    """How well one target was calibrated; ``flat`` None: without a flat."""
+    """Quality of one target's calibration; ``flat`` None: without a flat."""
 
     name: Text
     left_out_px: Number | None

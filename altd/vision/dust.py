@@ -45,7 +45,7 @@ class DustCount:
 
 
 def count_dust(analysis: FrameAnalysis, texture: Texture) -> DustCount | None:
-    """What dust covers of the brightest spot of a frame; None where too little is seen or known, or clipped.
+    """Dust over the brightest spot of a frame; None where too little is seen or known, or clipped.
 
     A pixel is covered where 40 % of its light are missing. Takes about a millisecond.
     """

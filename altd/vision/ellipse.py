@@ -72,7 +72,7 @@ def _coefficients(squares: FloatArray, rest: FloatArray) -> FloatArray | None:
 
 
 def _centre(coefficients: FloatArray, design: FloatArray) -> Conic:
-    """Where the conic's gradient is zero, and how that moves with the points of a design (n, 6)."""
+    """The place of zero gradient of the conic, and its derivatives by the points of a design (n, 6)."""
     a, b, c, d, e, _ = coefficients
     x, y = design[:, 3], design[:, 4]
     hessian = np.array([[2 * a, b], [b, 2 * c]])
@@ -95,12 +95,12 @@ background leaves."""
 
 _MIN_POINTS = 16
 _MIN_RESPONSE2 = 0.01
-"""Where the smoothed F² is below this, nothing is known of the light; F has the mean 1."""
+"""Limit of the smoothed F² below which the light is unknown; F has the mean 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contour:
-    """Where the level lies between two neighbouring pixels of an irradiance image, n places.
+    """The places of the level between two neighbouring pixels of an irradiance image, n of them.
 
     ``inside`` and ``outside`` are the flat indices of the two, ``fraction`` (0 … 1) how far from the one
     inside to the one outside the level lies; ``x`` and ``y`` px from the image's first pixel.

@@ -165,7 +165,7 @@ class Fingerprint:
         return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + doubled_px2)
 
     def _interpolated_px(self, found: Match) -> float:
-        """What of a doubled image may be the model's, for it is interpolated; all of a moved one is."""
+        """The share of a doubled image that may be the model's, as it is interpolated; all of a moved one."""
         if self.moved is not None:
             return _MODEL_DOUBLED_PX
         return min(_DOUBLED_PER_SHIFT * found.shift_px, _MODEL_DOUBLED_PX)

@@ -121,7 +121,7 @@ class Leds:
 
 
 def count_lit_leds(found: Search, leds_px: FloatArray) -> int:
-    """How many of the LEDs at ``leds_px``, (n, 2), are lit in one frame, each as a bright region of its own.
+    """The number of LEDs at ``leds_px``, (n, 2), lit in one frame, each as a bright region of its own.
 
     Light that floods them all is one region.
     """
@@ -192,7 +192,7 @@ def _rejection_text(region: Region, spot: NoSpot) -> str:
 
 
 def with_leds_as_cause(refused: NoSpot, lit: int, leds: int) -> NoSpot:
-    """What was refused, with the lit frame LEDs as the cause where it is they that are seen."""
+    """The refusal, with the lit frame LEDs as the cause where they are the light that is seen."""
     if lit < 2 or 2 * lit < leds:
         return refused
     return replace(refused, detail=f"{LEDS_LIT}, {lit} of {leds} shine at their places")

@@ -96,7 +96,7 @@ def _median_range(pixels: PixelArray) -> int:
 
 @dataclass(frozen=True, slots=True)
 class SensorMatch:
-    """How a frame's hot pixels fit those of a calibration.
+    """Agreement of a frame's hot pixels with those of a calibration.
 
     ``expected`` of the calibration's could be seen, ``present`` of them are there, ``foreign`` are where the
     calibration has none. ``offset_px`` (u, v) is by how much the whole set lies elsewhere, where it does;
@@ -156,7 +156,7 @@ class HotPixels:
         return _as_set(self.intermittent)
 
     def _count_hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
-        """How many of the missing ones light hides: their neighbours are brighter than most of the frame."""
+        """The number of missing ones hidden by light: neighbours brighter than most of the frame."""
         if not missing:
             return 0
         background = float(np.percentile(pixels[::9, ::9], 90)) + _ROUNDING_COUNTS
@@ -212,7 +212,7 @@ def places_of(places: list[tuple[int, int]]) -> Places:
 
 
 def _displaced_along_rows(missing: set[tuple[int, int]], foreign: set[tuple[int, int]], width_px: int) -> int:
-    """How many of the missing ones lie the same number of pixels further on, or back, as rows follow."""
+    """The number of missing ones that are the same number of pixels further on, or back, as rows follow."""
     if not missing or not 0 < len(foreign) <= MAX_PIXELS:
         return 0
     here, there = (np.array([v * width_px + u for u, v in places]) for places in (missing, foreign))

@@ -132,7 +132,7 @@ def _max_count(cells: Mapping[Cell, int], columns: int, rows: int) -> int:
 
 
 def _windows(cells: Mapping[Cell, int], columns: int, rows: int) -> list[tuple[int, int, int]]:
-    """How many cells each window (first column, first row) of that size holds, most first."""
+    """The number of cells in each window (first column, first row) of that size, most first."""
     places = np.array(list(cells))
     low, high = places.min(axis=0), places.max(axis=0)
     full = np.zeros(high - low + 2 * np.array([columns, rows]) - 1, dtype=np.int64)

@@ -28,13 +28,13 @@ SATURATED_FROM = 0.995
 _EXPLAINED_SIGMAS = 1.5
 """Up to so many sigmas above its mean a chi-square adds nothing to a spot's sigma."""
 _BIAS_PER_EXCESS = 1.2
-"""What unexplained light may do to a centre, one sigma, in sigmas of the fit per root of the chi-square it
-makes. Dust displaces a spot by half of that, grease by as much, weak reflections by two to four times: those
-that come near to five stretch the spot too, which the comparison of the targets adds."""
+"""Possible effect of unexplained light on a centre, one sigma, in its sigmas per root of the chi-square.
+Dust displaces a spot by half of that, grease by as much, weak reflections by two to four times: those that
+come near to five stretch the spot too, which the comparison of the targets adds."""
 _MIN_DISTORTION_SIGMAS = 5.5
 """Of spots whose residuals are those of noise and texture alone, one in fifty million lies farther out."""
 MIN_DISTORTION_DIAMETERS = 0.015
-"""What may displace a spot by less only adds to its sigma, as dust on the window does."""
+"""A smaller possible displacement only adds to the spot's sigma, as dust on the window does."""
 
 _E_MINUS_2 = math.exp(-2.0)
 _MIN_PRINT_CONTRAST = 0.35

@@ -1,4 +1,4 @@
-"""How well one spot explains the light: the fit's residuals, projected onto smooth patterns.
+"""Misfit of one spot to the light: the fit's residuals, projected onto smooth patterns.
 
 Surface texture and noise differ from block to block; a reflection, a shadow, grease or a torn frame leave
 residuals that are correlated over many blocks. The patterns are rings of the spot

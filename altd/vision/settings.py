@@ -1,4 +1,4 @@
-"""What a calibration file tells the localiser: its settings, and statistics of the target's good spots."""
+"""The localiser's part of a calibration file: its settings, and statistics of the target's good spots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Method = Literal["auto", "moment", "profile"]
 
 @dataclass(frozen=True, slots=True)
 class SpotSettings:
-    """How a spot is found and judged.
+    """Settings by which a spot is found and judged.
 
     The first four decide where the centre lies, so a map and the frames it is used on must share them.
     """

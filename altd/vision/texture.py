@@ -45,7 +45,7 @@ _RIVAL_SIGMAS = 7.0
 _INTERPOLATION_LOSS = 0.02
 """Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
 _MIN_RIVAL_SHARE = 0.7
-"""What a peak between two lags may lose at the better one, for dots four pixels apart."""
+"""The most that a peak between two lags may lose at the better one, for dots four pixels apart."""
 _CORRELATED_PIXELS = 4.0
 """Of neighbours whose noise the smoothing and clipping tie together, at most."""
 
@@ -174,7 +174,7 @@ class Texture:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """How a sample fits a texture.
+    """Agreement of a sample with a texture.
 
     ``u_px``, ``v_px`` is by how much the image moved, ``sigma_px`` the noise of either; ``significance``
     the peak over its noise, ``expected`` what that would be if the sample were the texture, and ``strength``
@@ -267,7 +267,7 @@ class _Peak:
         return cls(lag, offset_u, offset_v, min(curvature_u, curvature_v))
 
     def displaced(self, expected: Image, shape: tuple[int, ...]) -> Image:
-        """What is expected under the sample at this peak, (h, w)."""
+        """The expected content of the sample at this peak, (h, w)."""
         shift = np.array([[1.0, 0.0, self.lag[1] + self.offset_u], [0.0, 1.0, self.lag[0] + self.offset_v]])
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(expected, shift, (shape[1], shape[0]), flags=flags), np.float32)

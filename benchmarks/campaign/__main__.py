@@ -81,7 +81,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> list[str]:
-    """What brings the same run about, as it was given."""
+    """The command that repeats the run, as it was given."""
     given = {
         name: getattr(options, name) for name in ("seconds", "measurements", "ways", "units", "pairs", "seed")
     }

@@ -214,7 +214,7 @@ class RecordedRig:
 
     @cached_property
     def responses(self) -> dict[str, Image]:
-        """What the pixels show, mean 1: the flat of the calibration, or even."""
+        """The response of the pixels, mean 1: the flat of the calibration, or even."""
         shape = self.frame("front", 0, 0).shape
         return {
             target.name: np.ones(shape, np.float32) if target.flat is None else target.flat.response
@@ -243,7 +243,7 @@ class RecordedClip:
         self._kept: dict[tuple[str, int], _RecordedScene] = {}
 
     def scene(self, camera: str, k: int) -> Scene:
-        """What the frame shows, in electrons of a full well of 15 000."""
+        """The content of the frame, in electrons of a full well of 15 000."""
         if (camera, k) not in self._kept:
             self._kept[camera, k] = self._read(camera, k)
         return self._kept[camera, k].scene

@@ -1,4 +1,4 @@
-"""What cannot be detected on a unit: the limits that physics sets, as far as they depend on the unit."""
+"""Undetectable disturbances of a unit: the limits that physics sets, as far as they depend on the unit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _RECORDED_RADIUS_MM = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What decides: the 1/e² radius of the unit's spots, and whether its targets' flats were recorded."""
+    """The properties that decide: the spots' 1/e² radius, and whether the targets' flats were recorded."""
 
     radius_mm: float
     has_flat: bool

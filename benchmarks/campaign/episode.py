@@ -93,7 +93,7 @@ def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, M
 def _truth_of(
     measurement: Measurement, truth: Sequence[FloatArray], k: int, ended: int | None = None
 ) -> FloatArray | None:
-    """Where the beam was in the window that ends with frame set ``k``.
+    """The place of the beam in the window that ends with frame set ``k``.
 
     Where the beam ``ended`` with a frame set of that number, what is averaged must be of those before it:
     None when the measurement's time says that it is not.

@@ -43,7 +43,7 @@ _DRIVING_S = 420.0
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """What a good unit lives through. ``lux_of`` is ambient light at ``t_s``; drifts are shares, of a day."""
+    """The life of a good unit. ``lux_of`` is ambient light at ``t_s``; drifts are shares, of a day."""
 
     unit: str
     dust: float = 0.0
@@ -52,7 +52,7 @@ class Circumstances:
     size_drift: float = 0.02
     power_drift: float = 0.05
     way_s: float = 700.0
-    """How long the machine takes from one end of the target to the other and back."""
+    """The duration of the machine's way from one end of the target to the other and back."""
 
 
 def _steps(t_s: float) -> float:
@@ -117,7 +117,7 @@ class Count:
 
     @classmethod
     def of_json(cls, text: str) -> Count:
-        """What ``as_json`` wrote."""
+        """The output of ``as_json``."""
         document = json.loads(text)
         for key in ("invalid", "warned", "frames_refused"):
             document[key] = Counter(document[key])

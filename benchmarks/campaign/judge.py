@@ -17,7 +17,7 @@ LIMITS = np.array([0.05, 0.05, 0.01, 0.01])
 
 
 class Verdict(StrEnum):
-    """What a measurement turned out to be."""
+    """The result for a measurement."""
 
     RIGHT = "valid and right"
     WRONG = "valid and wrong"
@@ -59,7 +59,7 @@ def judge(measurement: Measurement, truth: FloatArray | None) -> Judgement:
 
 
 def truth_of(measurement: Measurement, places: FloatArray, times_ns: FloatArray) -> FloatArray:
-    """Where the beam was on the mean of a window's exposures, (exposures, 4) at ``times_ns``.
+    """The place of the beam on the mean of a window's exposures, (exposures, 4) at ``times_ns``.
 
     Where exposures were lost it is carried along the steady way to the time that the measurement gives.
     """

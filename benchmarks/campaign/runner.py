@@ -34,7 +34,7 @@ _COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is drawn from; ``pairs`` is the share of episodes that are disturbed in two ways at once."""
+    """The draws; ``pairs`` is the share of episodes that are disturbed in two ways at once."""
 
     ways: tuple[str, ...]
     units: tuple[str, ...]
@@ -44,7 +44,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """When it is enough: so many seconds or measurements, whichever comes first; None ends nothing."""
+    """The end of a campaign: so many seconds or measurements, whichever comes first; None ends nothing."""
 
     seconds: float | None
     measurements: int | None

@@ -72,7 +72,7 @@ def _span(middle: float, half: float, size: int) -> slice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What one camera sees at one instant, in electrons: the laser's light, and all the rest.
+    """The light on one camera at one instant, in electrons: the laser's, and all the rest.
 
     ``response`` is what a pixel shows of an irradiance on the target, in the unit of the spot's ``peak``.
     """
@@ -118,14 +118,14 @@ class Scene:
         return replace(self, beam=np.zeros_like(self.beam))
 
     def from_spot(self) -> tuple[Image, Image]:
-        """How far right of and below the spot's middle the pixels lie, px: (1, columns) and (rows, 1)."""
+        """Distances of the pixels right of and below the spot's middle, px: (1, columns) and (rows, 1)."""
         rows, columns = self.beam.shape
         right = np.arange(columns, dtype=np.float32)[None, :] - np.float32(self.spot.u_px)
         below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self.spot.v_px)
         return right, below
 
     def along(self, angle: float) -> Image:
-        """How far the pixels lie from the spot's middle in a direction, px."""
+        """The distance of the pixels from the spot's middle in a direction, px."""
         u, v = self.from_spot()
         return u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))
 
@@ -150,7 +150,7 @@ class MeanImage:
 
 
 def mean_image(electrons: Image, sensor: Sensor) -> MeanImage:
-    """What a chip makes of mean electrons."""
+    """The digital numbers of a chip for mean electrons."""
     return MeanImage(sensor.mean_counts(electrons, 1.0), sensor.noise_counts(electrons, 1.0))
 
 

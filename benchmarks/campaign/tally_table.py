@@ -54,7 +54,7 @@ def rows(tallies: Mapping[str, Tally]) -> list[tuple[str, ...]]:
 
 
 def totals(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """What follows the table."""
+    """The text after the table."""
     spoilt = sum(tally.measurements for name, tally in tallies.items())
     clean = sum(tally.clean for tally in tallies.values())
     refused: Counter[str] = Counter()
@@ -97,7 +97,7 @@ def worst(tallies: Mapping[str, Tally]) -> Iterator[str]:
 
 
 def invisible(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """What physics forbids to see."""
+    """The cases that no method can detect."""
     for name, tally in tallies.items():
         if tally.invisible:
             yield f"* {name}: {tally.invisible}"
@@ -151,7 +151,7 @@ _WORST = ("worst mm", "worst °", "sigmas")
 
 @dataclass(frozen=True, slots=True)
 class RunDescription:
-    """How a campaign was run: its command, the seed and units drawn from, its duration and window."""
+    """The parameters of a campaign: its command, the seed and units drawn from, its duration and window."""
 
     command: str
     seed: int

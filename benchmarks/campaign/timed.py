@@ -43,7 +43,7 @@ class SteppedClock:
         self._number = count()
 
     def monotonic_ns(self) -> int:
-        """Where time was set to."""
+        """The time that was set."""
         return self._now_ns
 
     def utc(self, t_ns: int) -> datetime:
@@ -85,7 +85,7 @@ START_NS = 1_000_000_000_000
 _FIRST_NUMBER = 100_000
 _TRANSFER_NS = 5 * MS
 _MAX_AGE_NS = 1_000 * MS + WINDOW * PERIOD_NS
-"""What a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
+"""The oldest that a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
 
 
 def run_timed(rig: Rig, way: Mistimed, rng: np.random.Generator) -> Outcome:

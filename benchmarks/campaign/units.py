@@ -102,7 +102,7 @@ NAMES = (*SIMULATED, RECORDED)
 
 
 def cache_folder() -> Path:
-    """Where scans and calibrations are kept."""
+    """The folder of scans and calibrations."""
     base = os.environ.get("ALTD_CAMPAIGN_CACHE") or os.environ.get("XDG_CACHE_HOME")
     return Path(base or Path.home() / ".cache") / "altd-campaign"
 

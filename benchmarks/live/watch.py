@@ -1,4 +1,4 @@
-"""What a controller sees of the unit: every measurement of the stream, and how Modbus answers meanwhile.
+"""A controller's view of the unit: each measurement of the stream, and Modbus's answers meanwhile.
 
 Also when the cameras have faults as in the tunnel: the time to their detection and to the recovery.
 """
@@ -102,7 +102,7 @@ class Watch:
         raise TimeoutError(f"not within {timeout_s:g} s; the last measurement was {last}") from self.failure
 
     def status(self) -> dict[str, Any]:
-        """What the unit says of its components."""
+        """The unit's reports on its components."""
         connection = http.client.HTTPConnection(_HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
         try:
             connection.request("GET", "/api/status")

@@ -86,7 +86,7 @@ class DevTools:
         await self.send_to_page("Page.navigate", {"url": url})
 
     async def evaluate(self, expression: str) -> Any:
-        """What an expression is worth in the page; raises RuntimeError when it fails there."""
+        """The value of an expression in the page; raises RuntimeError when it fails there."""
         told = await self.send_to_page("Runtime.evaluate", {"expression": expression, "returnByValue": True})
         if "exceptionDetails" in told:
             raise RuntimeError(f"{expression}: {told['exceptionDetails']}")
@@ -99,11 +99,11 @@ class DevTools:
                 await asyncio.sleep(0.1)
 
     async def send(self, method: str, params: dict[str, Any] | None = None) -> Any:
-        """What the browser answers; raises RuntimeError with what it complains of."""
+        """The browser's answer; raises RuntimeError with its complaint."""
         return await self._ask({"method": method, "params": params or {}})
 
     async def send_to_page(self, method: str, params: dict[str, Any] | None = None) -> Any:
-        """What the page answers; raises RuntimeError with what it complains of."""
+        """The page's answer; raises RuntimeError with its complaint."""
         return await self._ask({"method": method, "params": params or {}, "sessionId": self._page})
 
     async def _ask(self, question: dict[str, Any]) -> Any:
@@ -136,7 +136,7 @@ async def devtools(width: int, height: int) -> AsyncIterator[DevTools]:
 
 
 async def _address(profile: Path) -> str:
-    """Where the browser listens, which it writes down; raises TimeoutError."""
+    """The port that the browser listens on, from the file that it writes; raises TimeoutError."""
     async with asyncio.timeout(_PATIENCE_S):
         while True:
             with contextlib.suppress(FileNotFoundError, ValueError):
@@ -205,7 +205,7 @@ async def samples(http_port: int, seconds: float, is_spoilt: bool) -> AsyncItera
 
 
 def slopes(taken: list[Sample], seconds: float) -> dict[str, Slope]:
-    """How each quantity went once the page's own memory was full."""
+    """The course of each quantity once the page's own memory was full."""
     settled = [sample for sample in taken if sample.t_s > min(SETTLE_S, seconds / 6)]
     t_s = [sample.t_s for sample in settled]
     return {name: slope_of(t_s, [getattr(sample, name) for sample in settled]) for name in QUANTITIES}

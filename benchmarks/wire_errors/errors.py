@@ -98,7 +98,7 @@ _KEPT = 50
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """What the line hands to the reader, after a while; None: nothing, though something is due.
+    """The message that the line delivers, after a while; None: nothing, though something is due.
 
     ``is_spoilt``: this is the error that the reader has to find.
     """
@@ -110,7 +110,7 @@ class Delivery:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What is at the line's far end: this unit, another one, and the content of their messages."""
+    """The far end of the line: this unit, another one, and the content of their messages."""
 
     unit: Callable[[], bytes]
     other: Callable[[], bytes]

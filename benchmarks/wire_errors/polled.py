@@ -184,7 +184,7 @@ class Newest:
         return self._queue.get(timeout=_TIMEOUT_S)
 
     def drop(self) -> None:
-        """What waits is lost."""
+        """Lose the messages that wait."""
         while not self._queue.empty():
             self._queue.get_nowait()
 

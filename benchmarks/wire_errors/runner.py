@@ -40,7 +40,7 @@ PROOF_CODE = Path(__file__).parents[2] / "docs" / "proof" / "check.py"
 
 
 def reader() -> Any:
-    """What ``docs/proof/check.py`` defines; nothing of altd is in it.
+    """The definitions of ``docs/proof/check.py``; nothing of altd is in it.
 
     That is ``Check``, ``from_block``, ``from_telegram`` and ``from_json``.
     """
@@ -70,7 +70,7 @@ class Tally:
     good_refused: Counter[str] = field(default_factory=Counter)
 
     def add(self, is_spoilt: bool, fault: str, lost: int) -> None:
-        """What the reader said of one delivery; ``lost``: of the messages before it."""
+        """The reader's verdict on one delivery; ``lost``: of the messages before it."""
         if not is_spoilt:
             self.good += 1
             if fault:
@@ -116,7 +116,7 @@ class Unit:
         return RtuClient(self._terminals[unit, "rtu"][place][0])
 
     def messages(self, wire: str, unit: int, place: int) -> Iterator[bytes]:
-        """What a unit sends unasked."""
+        """The messages that a unit sends unasked."""
         if wire == "telegram":
             return telegrams(self._terminals[unit, "telegram"][place][0])
         return stream(self._ports[unit]["http"])

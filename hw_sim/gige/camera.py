@@ -24,8 +24,8 @@ PIXEL_FORMATS: Mapping[int, int] = {8: 0x01080001, 10: 0x01100003, 12: 0x0110000
 _BITS = {pixel_format: bits for bits, pixel_format in PIXEL_FORMATS.items()}
 
 TRIGGER_POLL_HZ = 200.0
-"""How often a camera polls for a software trigger: an exposure begins up to 5 ms after it. Aravis sleeps by
-whole milliseconds and spins for the rest of the last one: 10 % of a core."""
+"""Rate at which a camera polls for a software trigger: an exposure begins up to 5 ms after it. Aravis sleeps
+by whole milliseconds and spins for the rest of the last one: 10 % of a core."""
 
 GAIN_STEPS_PER_DB = 1000
 

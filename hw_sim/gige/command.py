@@ -37,7 +37,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def add_addresses(parser: argparse.ArgumentParser) -> None:
-    """Where the cameras are."""
+    """The addresses of the cameras."""
     for name in CAMERAS:
         parser.add_argument(
             f"--{name}",
@@ -49,7 +49,7 @@ def add_addresses(parser: argparse.ArgumentParser) -> None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the cameras take on the command line."""
+    """The arguments of the cameras on the command line."""
     add_addresses(parser)
     parser.add_argument(
         "--only", choices=CAMERAS, help="serve this camera only; the other can be another process"

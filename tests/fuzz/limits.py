@@ -1,4 +1,4 @@
-"""What one example may take: time and memory. More is a defect, as an exception is."""
+"""Limits of one example: time and memory. More is a defect, as an exception is."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def served(make: Callable[[Faces], Any]) -> Callable[[], tuple[Faces, Any]]:
 
 
 async def read_all(reader: asyncio.StreamReader) -> bytes:
-    """What an interface sends until it closes; a reset ends it, too."""
+    """The bytes that an interface sends until it closes; a reset ends it, too."""
     heard = b""
     with contextlib.suppress(ConnectionError):
         while piece := await reader.read(65536):

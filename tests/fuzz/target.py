@@ -1,4 +1,4 @@
-"""What a fuzz target is, and where the targets are.
+"""The type of a fuzz target, and the places of the targets.
 
 A module ``targets/<name>.py`` with ``NAME``, ``EXAMPLES`` (a hypothesis strategy of inputs, most of them
 nearly valid: see ``spoil``) and ``check(example)``, which raises on a defect: an exception that is not the

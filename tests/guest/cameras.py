@@ -1,4 +1,4 @@
-"""What programs in the guest share: its cameras, their controls by v4l2-ctl, and what a call came to."""
+"""Common parts of programs in the guest: cameras, their controls by v4l2-ctl, and results of calls."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def camera(device: Path, **settings: object) -> V4l2Camera:
 
 
 def outcome(call: Callable[[], object]) -> dict[str, object]:
-    """What a call came to: the kind of its error, its sentence, and how long it took."""
+    """The result of a call: the kind of its error, its sentence, and its duration."""
     began_s = time.monotonic()
     error, message = "", ""
     try:

@@ -55,7 +55,7 @@ def status() -> Any:
 
 
 def self_check() -> Any:
-    """What a self-check says that the daemon makes now."""
+    """The report of a self-check that the daemon makes now."""
     request = urllib.request.Request(URL + "self-check", method="POST", headers={"X-Altd-Request": "test"})
     with urllib.request.urlopen(request, timeout=30) as answer:
         return json.load(answer)

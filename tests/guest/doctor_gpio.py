@@ -1,4 +1,4 @@
-"""What the doctor finds out about GPIO chips by their label, with a simulated one there."""
+"""The doctor's findings about GPIO chips by their label, with a simulated one there."""
 
 from dataclasses import asdict
 from pathlib import Path

@@ -28,7 +28,7 @@ AWAY_S = 1.5
 
 
 class Watch(Asking):
-    """What ``/api/status`` says of the front camera, each time with the instant, ``time.monotonic()``."""
+    """``/api/status`` on the front camera, each time with the instant, ``time.monotonic()``."""
 
     def __init__(self) -> None:
         super().__init__(every_s=0.1)
@@ -69,7 +69,7 @@ def pulled_out() -> None:
 
 
 def watched(fault: Callable[[], None], watch: Watch, stream: Stream) -> dict[str, object]:
-    """What status and stream said until the unit measures again, with the time since the fault began.
+    """Status and stream until the unit measures again, with the time since the fault began.
 
     While the feeder opens an output again, or has too little CPU, vivid shows pictures twice, which the unit
     refuses: this takes seconds on a busy machine.

@@ -21,7 +21,7 @@ CUT = Path("leds.cut")
 
 
 class LedPictures:
-    """What the cameras see, of the files that ``support.fed_unit.render_with_leds`` makes."""
+    """The cameras' frames, from the files that ``support.fed_unit.render_with_leds`` makes."""
 
     def __init__(self, frames: Path) -> None:
         self.dark = np.load(frames)

@@ -30,7 +30,7 @@ def lamps(state: str) -> Callable[[Any], bool]:
 
 
 def checked(stream: Stream) -> dict[str, Any]:
-    """What a check says, and the measurement after it."""
+    """The report of a check, and the measurement after it."""
     document = self_check()
     count = len(stream.events)
     while len(stream.events) < count + 2:

@@ -64,7 +64,7 @@ def unplug() -> None:
 
 
 def give_names() -> dict[str, str]:
-    """What udev does: names that stay when the ports' numbers do not; gives back what they lead to."""
+    """A stand-in for udev: names that stay when the ports' numbers do not; returns their targets."""
     found = {}
     for device in Path("/sys/class/tty").glob("ttyACM*/device/bInterfaceNumber"):
         with contextlib.suppress(OSError):
@@ -92,7 +92,7 @@ class FarEnd:
         self.device = f"/dev/ttyGS{number}"
         self.pace_bytes_s = 1e6
         self.heard = [b""]
-        """What was heard, plug by plug."""
+        """The received text, plug by plug."""
         self.heard_at = [0.0]
         """When each of these began."""
         self._descriptor = -1
@@ -140,7 +140,7 @@ class FarEnd:
 async def until(
     what: Callable[[], bool], within_s: float = 10.0, but: Callable[[], object] = lambda: "something else"
 ) -> float:
-    """How long it took until it was so."""
+    """The time until it was so."""
     began = time.monotonic()
     while not what():
         assert time.monotonic() - began < within_s, f"waited for {but()}"

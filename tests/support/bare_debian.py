@@ -13,7 +13,7 @@ from support.places import ROOT
 
 MIRROR = "http://deb.debian.org/debian"
 _PACKAGES = "systemd,systemd-sysv,udev,procps,iproute2,ca-certificates"
-"""What any installed Debian has beyond the smallest one."""
+"""Packages of any installed Debian beyond the smallest one."""
 _ENVIRONMENT = (
     "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
     *("HOME=/root", "LANG=C.UTF-8", "DEBIAN_FRONTEND=noninteractive"),

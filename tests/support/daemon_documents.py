@@ -1,4 +1,4 @@
-"""What a daemon says of a made-up unit, written by hand after docs/http.md."""
+"""A daemon's documents on a made-up unit, written by hand after docs/http.md."""
 
 from __future__ import annotations
 

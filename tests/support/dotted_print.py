@@ -18,7 +18,7 @@ _REACH = 5
 NO_HOT_PIXELS = HotPixels(places_of([]), places_of([]))
 
 Moves = Callable[[np.ndarray], np.ndarray]
-"""Where places (n, 2) px of the calibrated picture are seen now."""
+"""The present places of places (n, 2) px of the calibrated picture."""
 
 
 def unmoved(places_px: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ class DottedPrint:
         self._levels = contrast * rng.uniform(0.7, 1.3, len(grid))
 
     def response(self, moves: Moves = unmoved) -> np.ndarray:
-        """What each pixel shows of even light, (rows, columns); 1 beside the dots."""
+        """The share of even light in each pixel, (rows, columns); 1 beside the dots."""
         padded = np.zeros((HEIGHT + 2 * _REACH, WIDTH + 2 * _REACH))
         places = moves(self._places_px)
         middle = np.rint(places).astype(int)

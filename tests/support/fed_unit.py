@@ -11,7 +11,7 @@ from hw_sim.unit import CAMERAS, Unit, UnitConfig
 from support.unit_toml import unit_toml
 
 POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
-"""What the unit is to measure: the truth of every frame."""
+"""The unit's task: the truth of every frame."""
 
 
 def render(seed: int, folder: Path, exposures: int) -> Path:

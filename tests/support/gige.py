@@ -140,7 +140,7 @@ class Grabbed:
         wait_for(lambda: len(self.frames) >= wanted, within_s)
 
     def back_after_s(self, since_ns: int, within_s: float = 20.0) -> float:
-        """How long after an instant the first frame was exposed and delivered."""
+        """The delay of the first frame's exposure and delivery after an instant."""
         wait_for(lambda: bool(self.frames) and self.frames[-1][1].t_ns > since_ns, within_s)
         return (next(at for at, frame in self.frames if frame.t_ns > since_ns) - since_ns) * 1e-9
 

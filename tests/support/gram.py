@@ -1,4 +1,4 @@
-"""Where the Gram polynomials of so many nodes are orthonormal."""
+"""The places at which the Gram polynomials of so many nodes are orthonormal."""
 
 from __future__ import annotations
 

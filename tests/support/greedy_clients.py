@@ -44,7 +44,7 @@ class Stalls:
     each_s: tuple[float, ...] = ()
 
     def periods(self, period_s: float) -> int:
-        """How many exposures of a program with deadlines they may have taken."""
+        """The largest number of exposures that they may have taken from a program with deadlines."""
         return sum(math.ceil(stall_s / period_s) for stall_s in self.each_s)
 
 

@@ -41,7 +41,7 @@ class GuestRun:
 
     @property
     def results(self) -> Any:
-        """What the program left with ``leave_results``; it must have ended well."""
+        """The program's results of ``leave_results``; it must have ended well."""
         assert self.status == 0, f"the program in the guest ended with status {self.status}:\n{self.out}"
         return json.loads((self.folder / RESULTS).read_text())
 
@@ -138,7 +138,7 @@ def _booted(
 
 
 def _said(folder: Path) -> str:
-    """What the kernel and the program printed so far."""
+    """The output of the kernel and the program so far."""
     texts = [folder / name for name in ("console", "output")]
     return "".join(text.read_text(errors="replace")[-4000:] for text in texts if text.exists())
 

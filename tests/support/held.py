@@ -20,7 +20,7 @@ _ANSWER_WITHIN_S = 20.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What one poll got: validity and the age of the measurement at that moment, s."""
+    """The result of one poll: validity and the age of the measurement at that moment, s."""
 
     face: str
     valid: bool

@@ -1,4 +1,4 @@
-"""What a history loses when its daemon is killed: ``python -m support.history_crash --times 200``.
+"""Losses of a history whose daemon is killed: ``python -m support.history_crash --times 200``.
 
 A child process records as the daemon does, with its board, its recorder and the real clock, 100 measurements
 a second, and writes down when it published which. It is killed (SIGKILL) at a random moment, again and again
@@ -39,7 +39,7 @@ class HistoryLostError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """What a kill cost: measurements, and the time from the first of them to the last one published."""
+    """The cost of a kill: measurements, and the time from the first of them to the last one published."""
 
     measurements: int
     lost_s: float
@@ -129,7 +129,7 @@ def kill_once(path: Path, number: int, after_s: float) -> Loss:
 
 
 def judged(path: Path, first: int) -> int:
-    """How many measurements from this number on are in the file; raises HistoryLostError if it is not whole.
+    """The number of measurements from this number on in the file; raises HistoryLostError if it is not whole.
 
     None of them may be missing in between, and the summaries must hold as many.
     """
@@ -160,7 +160,7 @@ def judged(path: Path, first: int) -> int:
 
 
 def loss_of(published: Mapping[int, int], first: int, stored: int) -> Loss:
-    """What is lacking of what was published (number: monotonic ns); raises HistoryLostError for too much."""
+    """The published measurements that are missing (number: monotonic ns); HistoryLostError for too many."""
     if stored > len(published) + 1:
         raise HistoryLostError(f"{stored} are stored, and {len(published)} were published")
     lost = [t_ns for sequence, t_ns in published.items() if sequence >= first + stored]

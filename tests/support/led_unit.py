@@ -104,7 +104,7 @@ def config(**self_check: object) -> Config:
 
 @dataclass(frozen=True)
 class Poll:
-    """What one look at the board gave."""
+    """The result of one look at the board."""
 
     at_s: float
     measurement: Measurement | None
@@ -127,7 +127,7 @@ class LedUnit:
         return asyncio.get_running_loop().time()
 
     async def report(self, number: int, timeout_s: float = 30.0) -> SelfCheckReport:
-        """What check ``number`` said, once it has ended."""
+        """The report of check ``number``, once it has ended."""
         async with asyncio.timeout(timeout_s):
             return await self.daemon.health.self_check.report(number)
 

@@ -72,7 +72,7 @@ def grid(columns: int = 6, rows: int = 5, pitch_mm: float = 25.0) -> np.ndarray:
 def seen(
     lens: Projection, points_mm: np.ndarray, rng: np.random.Generator, noise_px: float = NOISE_PX
 ) -> np.ndarray:
-    """Where the points are found in the picture."""
+    """The places of the points in the picture."""
     return lens(points_mm) + rng.normal(0, noise_px, points_mm.shape)
 
 

@@ -1,4 +1,4 @@
-"""What a camera's thread hands to the event loop, without a picture."""
+"""Results that a camera's thread hands to the event loop, without a picture."""
 
 from __future__ import annotations
 
@@ -17,6 +17,6 @@ def located(camera: str, sequence: int, t_ns: int = 0, breaks: int = 0) -> Locat
 
 
 def paired(*of_cameras: Located) -> Pair[Located]:
-    """What all cameras found at one instant."""
+    """The results of all cameras at one instant."""
     first = of_cameras[0]
     return Pair(first.sequence, first.t_ns, 0, {one.camera: one for one in of_cameras}, {}, {})

@@ -1,4 +1,4 @@
-"""What takes seconds to make is made once a run: the first worker that wants it makes it, others wait."""
+"""Parts that take seconds are made once a run: the first worker that needs one makes it, others wait."""
 
 from __future__ import annotations
 

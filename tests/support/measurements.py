@@ -59,7 +59,7 @@ def changed(
 
 
 def beam_of(measurement: Measurement) -> Beam | None:
-    """What a measurement says of its beam; None: it is invalid."""
+    """A measurement's values of its beam; None: it is invalid."""
     if not measurement.valid:
         return None
     keys = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -69,7 +69,7 @@ def beam_of(measurement: Measurement) -> Beam | None:
 
 
 def points_of(measurement: Measurement) -> dict[str, tuple[float, float] | None]:
-    """What a measurement says of the targets, x and y mm."""
+    """A measurement's values on the targets, x and y mm."""
     return {
         target: None if values is None else (values["x_mm"].value, values["y_mm"].value)
         for target, values in measurement.targets.items()

@@ -1,4 +1,4 @@
-"""What may answer where a daemon is expected, and is none: for each side that asks one."""
+"""Answers in the place of a daemon by another program: for each side that asks one."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class OpcUaUnit:
         self.board.publish(replace(made, time=self.clock.utc(now_ns - 500_000_000), **changes))
 
     def line(self) -> bytes:
-        """What the board reads now."""
+        """The current reading of the board."""
         measurement = self.board.read()
         assert measurement is not None
         return checked_line(self.board, measurement, self.stamps.next()).encode() + b"\n"

@@ -56,7 +56,7 @@ class Seen:
         await self.page.goto(f"http://127.0.0.1:{self.cable.port}/#{view}")
 
     async def now(self) -> dict[str, Any]:
-        """What the page shows; no script is evaluated in it, which its policy forbids."""
+        """The page's texts; no script is evaluated in it, which its policy forbids."""
         shown: dict[str, Any] = await self.page.evaluate(PROBE)
         return shown
 
@@ -69,7 +69,7 @@ class Seen:
     async def once(
         self, holds: Callable[[dict[str, Any]], object], timeout_s: float = 20.0
     ) -> dict[str, Any]:
-        """What the page shows as soon as it is so; asked once more, it may show something else."""
+        """The page's text as soon as it is so; asked once more, it may show something else."""
         async with asyncio.timeout(timeout_s):
             while not holds(now := await self.now()):  # noqa: ASYNC110  a browser reports nothing unasked
                 await asyncio.sleep(0.02)
@@ -135,7 +135,7 @@ async def watched_unit(
 
 
 async def _threads_started(running: LedUnit) -> None:
-    """What the unit starts when it is first asked is the unit's, not that of the test that asks."""
+    """Parts that the unit starts at the first request are the unit's, not those of the test that asks."""
     with contextlib.suppress(urllib.error.HTTPError):  # there may be no such file
         await asyncio.to_thread(
             lambda: urlopen(f"http://127.0.0.1:{port_of(running)}/api/v1/calibration/file").close()

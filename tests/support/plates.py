@@ -48,7 +48,7 @@ class View:
         return np.asarray(px).reshape(-1, 2)
 
     def misses_mm(self, to_mm: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """How far a map from px (n, 2) to mm (n, 2) puts points of the plate from where they are."""
+        """The errors of a map from px (n, 2) to mm (n, 2) at points of the plate."""
         return np.linalg.norm(to_mm(self.to_px(_WITHIN_MM)) - _WITHIN_MM, axis=1)
 
 

@@ -46,7 +46,7 @@ class PlayedUnit:
 
     @property
     def result(self) -> CalibrationResult:
-        """What its calibration file was written from."""
+        """The source of its calibration file."""
         made: CalibrationResult = pickle.loads((self.folder / "result.pickle").read_bytes())
         return made
 

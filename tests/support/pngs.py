@@ -13,7 +13,7 @@ def chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def png(width: int, height: int, depth: int = 8, colour: int = 0, data: bytes = b"") -> bytes:
-    """What claims to be a picture of this size, whatever its ``data`` are: rows with a filter byte each."""
+    """A file that claims to be a picture of this size, with any ``data``: rows with a filter byte each."""
     head = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
     parts = (b"IHDR", head), (b"IDAT", zlib.compress(data)), (b"IEND", b"")
     return SIGNATURE + b"".join(chunk(*part) for part in parts)

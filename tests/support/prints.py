@@ -85,7 +85,7 @@ class Scene:
 
 
 def lattice_of(scene: Scene) -> Lattice | None:
-    """What is found of a print's lattice."""
+    """The measured lattice of a print."""
     plane = Plane(scene.first_map())
     samples = [sample_of(frame, plane, SpotSettings(), None) for frame in scene.frames()]
     seen = [sample for sample in samples if sample is not None]

@@ -10,7 +10,7 @@ from support.places import DOCS
 
 
 def python() -> Any:
-    """What the file defines."""
+    """The definitions of the file."""
     path = DOCS / "proof" / "check.py"
     source = path.read_text(encoding="utf-8")
     assert "altd" not in re.findall(r"^(?:import|from) (\w+)", source, re.MULTILINE)

@@ -76,7 +76,7 @@ def write_beams(path: Path, beams: Iterable[tuple[float, float, float, float]], 
 
 
 Spots = Mapping[str, tuple[float, float] | None]
-"""Where each target is hit, mm; None: dark."""
+"""The place of the beam on each target, mm; None: dark."""
 
 
 def seen(name: str, z_mm: float, camera: str) -> dict[str, object]:

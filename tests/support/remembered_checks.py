@@ -59,6 +59,6 @@ class Unit:
         return None
 
     def days(self) -> int:
-        """How many days the file holds."""
+        """The number of days in the file."""
         kept = json.loads(self.path.read_bytes())["targets"]["front"]
         return 1 + len(kept["days"])

@@ -112,7 +112,7 @@ class AllFrames:
     def close(self) -> None: ...
 
     async def take(self, clock: FakeClock) -> list[Frame]:
-        """What was put since it was asked last; time passes until there is something."""
+        """The frames put since the last call; time passes until there is one."""
         await clock.until(lambda: self.frames)
         taken, self.frames = self.frames, []
         return taken

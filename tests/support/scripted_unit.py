@@ -69,7 +69,7 @@ def refused(reason: Reason, target: str | None = None) -> Measurement:
 
 
 class Wire(enum.Enum):
-    """What a client gets in place of its 80 registers."""
+    """A client's answer in place of its 80 registers."""
 
     SILENT = "nothing"
     EXCEPTION = "exception 2"

@@ -60,7 +60,7 @@ class Block:
 
 
 class Library:
-    """What a source defines; ``new`` makes instances of its function blocks and programs."""
+    """The definitions of a source; ``new`` makes instances of its function blocks and programs."""
 
     def __init__(self, source: str) -> None:
         self._tokens = _TOKEN.findall(re.sub(r"\(\*.*?\*\)", "", source, flags=re.DOTALL))

@@ -75,7 +75,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Result:
-    """What a parser made of a variant."""
+    """A parser's result for a variant."""
 
     readings: list[Record]
     damaged: int
@@ -175,7 +175,7 @@ class ReaderInC:
         assert self._process.returncode == 0
 
     def read(self, variant: Variant) -> Result:
-        """What it makes of a variant."""
+        """Its result for a variant."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         said = [f"N 1000 {variant.unit or ''}"]

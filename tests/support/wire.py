@@ -39,7 +39,7 @@ class Wire:
         os.write(self.far, data)
 
     async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 60.0) -> bytes:
-        """What the unit sent, up to when it is enough."""
+        """The unit's bytes, up to when they are enough."""
         data = b""
         async with asyncio.timeout(timeout_s):
             while not enough(data):

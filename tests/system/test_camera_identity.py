@@ -1,4 +1,4 @@
-"""Who a camera is, from its driver into recordings, calibrations and the daemon."""
+"""Identity of a camera, from its driver into recordings, calibrations and the daemon."""
 
 from __future__ import annotations
 

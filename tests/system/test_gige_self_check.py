@@ -62,7 +62,7 @@ class CheckedUnit:
         self.cameras.process.stdin.flush()
 
     def check(self) -> Any:
-        """What a check says that the daemon makes now."""
+        """The report of a check that the daemon makes now."""
         headers = {"X-Altd-Request": "test"}
         request = urllib.request.Request(self.url + "self-check", method="POST", headers=headers)
         with urllib.request.urlopen(request, timeout=WITHIN_S) as answer:

@@ -73,7 +73,7 @@ def measured(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.fixture(scope="module")
 def in_process(unit: FedUnit) -> list[Measurement]:
-    """What the measuring chain makes of the same frames without cameras, drivers and daemon."""
+    """The measuring chain's results on the same frames without cameras, drivers and daemon."""
     calibration = load_calibration(unit.calibration)
     chain = MeasuringChain(
         [View(camera, camera) for camera in CAMERAS],
@@ -92,7 +92,7 @@ def in_process(unit: FedUnit) -> list[Measurement]:
 
 
 def counted(measured: Any, component: str, counter: str) -> int:
-    """How far a counter went on while it was measured."""
+    """The increase of a counter while it was measured."""
     before, after = (measured[when][component].get(counter, 0) for when in ("before", "after"))
     return int(after - before)
 

@@ -84,7 +84,7 @@ def running(
 
 @pytest.fixture(scope="module")
 def beams(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> set[Beam]:
-    """What the daemon says of the played beam without an inclinometer, over two turns of the recording."""
+    """The daemon's values of the played beam without an inclinometer, over two turns of the recording."""
     with playing(played_unit, tmp_path_factory.mktemp("without"), subprocess.DEVNULL) as daemon:
         daemon.wait_until_valid()
         watch = Watch(daemon)

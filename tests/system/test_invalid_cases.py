@@ -120,7 +120,7 @@ REMEDIES = {
     Fault.REAR_SILENT: "check the camera's cable and supply",
     Fault.LEDS_ON: "look for what lights them",
 }
-"""What the console advises, by the cause that was seen."""
+"""The console's advice, by the cause that was seen."""
 
 
 def test_the_console_names_the_cause_and_no_other(fault: Fault, measurements: list[Measurement]) -> None:

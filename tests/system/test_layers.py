@@ -29,7 +29,7 @@ BREAKS = {
     "The studies are nobody's foundation": ("benchmarks/area.py", "import studies.bench"),
     "The pure rooms": ("altd/mapping/polynomials.py", "import asyncio"),
 }
-"""How a contract's name begins, and an import that breaks it."""
+"""First words of a contract's name, and an import that breaks it."""
 
 
 def broken(project: Path) -> set[str]:

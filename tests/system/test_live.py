@@ -104,7 +104,7 @@ USER_OUTPUT_0 = 0x4020  # hw_sim/gige/genicam.xml
 
 
 def outputs() -> list[int | None]:
-    """What switches the LEDs, asked of the cameras themselves."""
+    """The switch of the LEDs, asked of the cameras themselves."""
     return [register(address, USER_OUTPUT_0) for address in (FRONT, REAR)]
 
 

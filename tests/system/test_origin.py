@@ -293,7 +293,7 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
 
 
 async def _nodes(port: int, said: set[str]) -> dict[str, Written]:
-    """What asyncua's client reads, once the server has these reasons."""
+    """The readings of asyncua's client, once the server has these reasons."""
     async with asyncio.timeout(200), connected(f"opc.tcp://127.0.0.1:{port}") as client:
         while True:
             found = await read_nodes(client, "x_mm", "valid", "status", "health")

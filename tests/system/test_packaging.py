@@ -1,4 +1,4 @@
-"""What the lock, the Makefile and the wheel promise."""
+"""Promises of the lock, the Makefile and the wheel."""
 
 from __future__ import annotations
 

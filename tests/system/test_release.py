@@ -1,4 +1,4 @@
-"""How a unit trusts a release: the commands of docs/install.md, with the real ssh-keygen."""
+"""Trust in a release: the commands of docs/install.md, with the real ssh-keygen."""
 
 from __future__ import annotations
 

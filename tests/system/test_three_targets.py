@@ -31,7 +31,7 @@ BEAMS: list[Beam] = [(10.0, 5.0, 0.02, -0.03), (-20.0, 15.0, -0.05, 0.04)]
 EXPOSURES = 4
 
 Places = dict[str, tuple[float, float]]
-"""Where the beam meets each target that a recording shows, mm."""
+"""The place of the beam on each target of a recording, mm."""
 
 
 def write(path: Path, kind: str, shots: Iterable[tuple[Places, tuple[float, float] | None]]) -> Path:

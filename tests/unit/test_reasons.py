@@ -59,7 +59,7 @@ NOT_WELL_BY_ITSELF = {
     "camera_silent", "frame_repeated", "wrong_camera", "implausible", "out_of_step", "stale", "check_failed",
     "geometry_drift", "geometry_unverified",
 }  # fmt: skip
-"""What no beam and no light can bring about in a unit that works."""
+"""Reasons that no beam and no light can cause in a unit that works."""
 
 
 def test_every_reason_has_a_signal_and_none_is_good() -> None:

@@ -103,7 +103,7 @@ def test_a_reader_keeps_no_more_than_a_sentence_of_what_never_ends() -> None:
 
 
 class _Port:
-    """What pyserial opens: three telegrams, then silence."""
+    """A stand-in for pyserial's port: three telegrams, then silence."""
 
     def __init__(self, *_: object, **named: object) -> None:
         assert named == {"timeout": 0.1}

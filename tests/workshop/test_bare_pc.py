@@ -21,7 +21,7 @@ PAGE, MAINTAIN = "install.md", "maintain.md"
 SETTINGS_FILE = "etc/altd/altd.toml"
 GOOD = "verdict  good"
 SETTINGS = {'"ALT-0001"': '"SIM-1"', '"22334455"': '"SIM-1-front"', '"22334456"': '"SIM-1-rear"'}
-"""What a technician changes in the settings that the release has."""
+"""The technician's changes to the settings of the release."""
 NOT_HERE = ("udevadm ", "sysctl ")
 """Commands for a kernel of one's own."""
 
@@ -224,7 +224,7 @@ def test_a_unit_is_maintained(machine: BareDebian, stage: Path) -> None:
 
 
 ELSEWHERE = {"clock", "camera front", "camera rear", "serial"}
-"""What the doctor finds wrong here: no time server, cameras on the loopback interface, a pseudo-terminal."""
+"""The doctor's faults here: no time server, cameras on the loopback interface, a pseudo-terminal."""
 
 
 def outputs(section: str) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Defect:
-    """What is wrong, and the text of a file that it replaces."""
+    """A defect, and the text of a file that it replaces."""
 
     what: str
     file: str

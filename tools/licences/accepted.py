@@ -1,4 +1,4 @@
-"""What goes with Apache-2.0, and what was found out by reading where a package does not say it itself."""
+"""Licences that go with Apache-2.0, and findings by reading where a package does not state its own."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ACCEPTED = frozenset(
         "libtiff",
     }
 )
-"""Who passes on altd with such a thing keeps its notices, and altd stays under Apache-2.0 as a whole.
+"""A distributor of altd with such a part keeps its notices, and altd stays under Apache-2.0 as a whole.
 
 A licence that asks for more than notices (LGPL, MPL) is none of them: it is accepted for one package, with a
 reason that holds for that one.
@@ -98,7 +98,7 @@ PURPOSES = {
     "matplotlib": "the report's figures and the plot of a replay (extra `report`)",
     "pyarrow": "tables in Parquet (extra `parquet`)",
 }
-"""What altd itself needs each package of ``pyproject.toml`` for."""
+"""The purpose of each package of ``pyproject.toml``."""
 
 STATED = {
     "aiomqtt": Stated("BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"),
@@ -266,7 +266,7 @@ PARTS = (
     Part("pillow", "X11 libraries", "X11", ("pillow.libs/libxcb-*", "pillow.libs/libXau-*"), "libxcb"),
     Part("pillow", "Zstandard", "BSD-3-Clause OR GPL-2.0-only", ("pillow.libs/libzstd-*",)),
 )
-"""What the wheels on PyPI for x86_64 bring along, where a file or a licence needs a word; other parts are in
+"""Contents of the wheels on PyPI for x86_64, where a file or a licence needs a word; other parts are in
 the wheels' own lists, which are read too."""
 
 TEXTS = {

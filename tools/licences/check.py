@@ -1,4 +1,4 @@
-"""Which packages, and which parts that they bring along, do not go with Apache-2.0."""
+"""Packages, and parts that they bring along, whose licences do not go with Apache-2.0."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _is_same_licence(known: str, declared: str) -> bool:
 
 
 def _outdated_faults(package: Package) -> Iterator[str]:
-    """What is said of a package and is no longer so, by the wheels for x86_64."""
+    """Remarks on a package that are no longer true, by the wheels for x86_64."""
     if platform.machine() != "x86_64":
         return
     there = {component.name for component in package.components}

@@ -29,7 +29,7 @@ _LOCK_ENVIRONMENT = {
     "python_version": "3.11",
     "sys_platform": "linux",
 }
-"""What the locks are resolved for: the same answer on every machine."""
+"""The platform for which the locks are resolved: the same answer on every machine."""
 _CLASSIFIER = re.compile(r"License :: (?:OSI Approved :: )?(.+)")
 _LICENCE_FILE_PATH = re.compile(
     r".*/[^/]*(licen[cs]e|copying|notice)[^/]*(?<!\.py)(?<!\.pyc)|[^/]+\.dist-info/licenses/.+", re.IGNORECASE
@@ -43,7 +43,7 @@ _TEXTS = {
         "MPL": "Mozilla Public License",
     }.items()
 }
-"""How the whole texts begin."""
+"""First words of the whole texts."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ _EXIT_1 = {
     "watch": "the terminal was closed",
     "doctor": "something is wrong",
 }
-"""What exit status 1 of a command means, besides what it means for all."""
+"""Meaning of exit status 1 of a command, besides its meaning for all."""
 
 
 def page() -> str:
@@ -124,7 +124,7 @@ def _command(name: str, program: str, summary: str, module: Any) -> str:
 
 
 def _values(names: tuple[str, ...], settings: dict[str, Any]) -> str:
-    """What follows a name, or takes a place."""
+    """The text after a name, or in a place."""
     if "action" in settings and settings["action"] != "append":
         return ""
     one = settings.get("metavar") or "|".join(map(str, settings.get("choices", ())))

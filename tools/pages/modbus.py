@@ -350,7 +350,7 @@ address) instead of the role.
 
 
 def mbpoll_lines() -> list[str]:
-    """What mbpoll prints of the example's floating point values."""
+    """The output of mbpoll for the example's floating point values."""
     words = image(EXAMPLE)
     return [f"[{row.address}]: \t{_float32(words[row.address : row.address + 2]):g}" for row in SHOWN]
 
@@ -386,7 +386,7 @@ def _float32(words: list[int]) -> float:
 
 
 def _durations(lengths: Iterable[int]) -> str:
-    """How long a read of so many registers takes: 8 bytes there, 5 + 2n back, a silence after each."""
+    """The duration of a read of so many registers: 8 bytes there, 5 + 2n back, a silence after each."""
 
     def ms(registers: int, baud: int) -> int:
         return round(1000 * ((13 + 2 * registers) * BITS_PER_CHARACTER / baud + 2 * silence_s(baud)))

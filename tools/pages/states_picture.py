@@ -27,7 +27,7 @@ _COLOURS = {
 
 
 def causes_of(signal: Signal) -> list[Kind]:
-    """What brings a signal about, the measurement's reasons first."""
+    """The causes of a signal, the measurement's reasons first."""
     kinds: list[Kind] = [*Reason, *Condition]
     return [kind for kind in kinds if signal_of(kind) is signal]
 

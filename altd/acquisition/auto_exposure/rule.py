@@ -1,4 +1,4 @@
-"""How bright a frame is, and what exposure and gain its camera should have next (docs/cameras.md)."""
+"""The brightness of a frame, and its camera's next exposure and gain (docs/cameras.md)."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Content(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BrightnessSample:
-    """How bright one frame is, and what it holds.
+    """The brightness of one frame, and what it holds.
 
     ``level`` is a share of full scale, the background in it: that of the spot, or of the brightest place.
     """
@@ -85,7 +85,7 @@ class BrightnessSample:
 
 
 def sample_brightness(frame: Frame, spot: Spot | NoSpot) -> BrightnessSample:
-    """How bright a frame is, by what the localiser found in it.
+    """The brightness of a frame, by what the localiser found in it.
 
     The level of a spot is the 98th percentile of a square as wide as half its 1/e² diameter: a Gaussian fades
     there to 0.78 at the corners, so on a plate as on the dots of a window (a fifth of the area) that is the

@@ -76,7 +76,7 @@ class InclinationJudge:
         )
 
     def gravity_pitch_deg(self, reading: InclinometerReading) -> float | None:
-        """How the unit is pitched against gravity; None: the sensor has one axis."""
+        """The unit's pitch against gravity; None: the sensor has one axis."""
         if reading.pitch_deg is None:
             return None
         settings = self._settings

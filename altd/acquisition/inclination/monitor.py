@@ -40,7 +40,7 @@ INTERVAL_S = 1.0
 
 
 class PitchDivergence:
-    """How far the beam's inclination has moved from what it was in the first ten minutes."""
+    """The change of the beam's inclination since the first ten minutes."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None

@@ -24,7 +24,7 @@ WARM_UP_S = 2.0
 
 
 class Validity(Enum):
-    """How valid the measurement is, as far as a lamp can show."""
+    """The validity of the measurement, as far as a lamp can show it."""
 
     VALID = auto()
     WARNED = auto()

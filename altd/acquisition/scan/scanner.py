@@ -49,7 +49,7 @@ class ProgressReporter(Protocol):
         """Something that a person wants to know even afterwards."""
 
     def progress(self, done: int, total: int, doing: str) -> None:
-        """How many nodes of how many are behind us, and what is being done."""
+        """The nodes done, the nodes in all, and the present step."""
 
 
 class Scanner:

@@ -44,7 +44,7 @@ class Correction:
             self._chain.locators[camera].appearance = seen
 
     def _seen(self, camera: str, target: TargetCalibration, transform: Similarity | None) -> Appearance:
-        """How a target looks where the transform puts it; as it was calibrated without one."""
+        """The look of a target where the transform puts it; without one, as it was calibrated."""
         if transform is None:
             self._flats.pop(camera, None)
             return Appearance(target.flat, target.fingerprint)
@@ -65,5 +65,5 @@ class Correction:
 
 
 def _distance_px(one: Similarity, other: Similarity, places_px: FloatArray) -> float:
-    """How far apart two transforms bring any of the places."""
+    """The largest distance between two transforms over the places."""
     return float(np.linalg.norm(one.now_px(places_px) - other.now_px(places_px), axis=1).max())

@@ -125,7 +125,7 @@ class GeometryState:
 
     @property
     def state(self) -> State:
-        """How the self-check does as a component: failed where it forbids all numbers."""
+        """The state of the self-check as a component: failed where it forbids all numbers."""
         if any(not fault.reason.is_warning for fault in self.faults):
             return State.FAILED
         return State.DEGRADED if self.faults else State.OK

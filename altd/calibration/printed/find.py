@@ -154,7 +154,7 @@ _MIN_FIDUCIAL_SIGMA_MM = 0.002
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print:
-    """What the scan shows of a print: its lattice, the flat of its picture, where it is seen at the nodes."""
+    """The print that a scan shows: its lattice, the flat of its picture, its places at the nodes."""
 
     lattice: Lattice
     flat: Flat
@@ -193,7 +193,7 @@ class _Model:
     def _through(
         cls, series: Series, bend: FloatArray, regular: Iterable[Sample], centres_mm: FloatArray
     ) -> _Model:
-        """What a cubic explains of the nodes' offsets from the series is the bend, the rest their error."""
+        """The bend is the part of the nodes' offsets that a cubic explains; the rest is their error."""
         cubic = _cubic(centres_mm)
         off_mm = cubic @ bend + np.array([series.offset_mm(sample) for sample in regular])
         bend = np.asarray(np.linalg.lstsq(cubic, off_mm, rcond=None)[0])
@@ -202,7 +202,7 @@ class _Model:
         return cls(series, bend, centres_mm + off_mm, max(sigma_mm, _MIN_FIDUCIAL_SIGMA_MM))
 
     def moved(self, places_mm: FloatArray) -> FloatArray:
-        """Where on the print the places (n, 2) of the map are, (n, 2) mm."""
+        """The places on the print, (n, 2) mm, of the places (n, 2) of the map."""
         moved: FloatArray = places_mm + _cubic(places_mm) @ self.bend
         return moved
 
@@ -219,7 +219,7 @@ def find_print(
     plane = Plane(first_map)
 
     def seen_through(flat: Flat | None) -> NodeCache[Sample]:
-        """What the nodes show of the print, those that show any."""
+        """The prints at the nodes, those that show any."""
         return NodeCache(
             len(nodes_px),
             lambda node: sample_of(frame_of(node), plane, settings, flat),

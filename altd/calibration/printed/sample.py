@@ -1,4 +1,4 @@
-"""What one spot of a scan shows of the print that it lies on, and where on the target each pixel looks."""
+"""The print under one spot of a scan, and the place on the target that each pixel sees."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Sample:
 
     @property
     def nbytes(self) -> int:
-        """What it takes in memory."""
+        """Its size in memory."""
         return self.mm.nbytes + self.ratio.nbytes + self.weight.nbytes + self.metric.nbytes
 
     def parts(self) -> Iterator[Sample]:

@@ -179,7 +179,7 @@ def _left_out(source: Source) -> list[Block]:
 
 
 def _located(target: TargetCalibration) -> str:
-    """How the target's spots are located, in words."""
+    """The method that locates the target's spots, in words."""
     if target.flat is not None:
         return {"recording": "through a recorded flat", "print": "through a model of the print"}[
             target.flat.source
@@ -205,7 +205,7 @@ def _described(camera: CameraHeader) -> str:
 
 
 def _recordings(source: Source) -> list[tuple[str, str]]:
-    """Where the calibration comes from: one recording, or several by their numbers."""
+    """The source of the calibration: one recording, or several by their numbers."""
     calibration, several = source.calibration, len(source.headers) > 1
     facts = [
         ("Recordings" if several else "Recording", calibration.recording_note),

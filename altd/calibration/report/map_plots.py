@@ -138,7 +138,7 @@ def _decades(largest: float) -> list[float]:
 
 
 def budget(title: str, names: Sequence[str], shares: FloatArray, causes: Sequence[str]) -> Draw:
-    """What makes the variance of each quantity, shares (quantities, causes)."""
+    """The causes of the variance of each quantity, shares (quantities, causes)."""
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.axes(0.62, 0.62, 0.12, 0.28)
@@ -173,7 +173,7 @@ def budget(title: str, names: Sequence[str], shares: FloatArray, causes: Sequenc
 def averaging(
     title: str, exposures: FloatArray, sigmas: Sequence[tuple[str, FloatArray]], usual: int, label: str
 ) -> Draw:
-    """How much longer averaging would help: sigma over the number of exposures."""
+    """The benefit of longer averaging: sigma over the number of exposures."""
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.axes(0.5, 0.62, 0.12, 0.28)

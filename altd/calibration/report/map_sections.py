@@ -1,4 +1,4 @@
-"""How well the maps meet the nodes, which models were tried, and what is uncertain of the maps."""
+"""Fit of the maps to the nodes, the models that were tried, and the uncertainty of the maps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from altd.measuring.calibration import TargetCalibration
 _MAX_ARROW_MM = 20.0
 _MAX_DIFFERENCE_ARROW_MM = 15.0
 _MIN_MM, _MIN_PX2 = 1e-4, 1e-12
-"""What is smaller is drawn as if it were so large: scales need something to hold on to."""
+"""The smallest scale: smaller values are drawn as if they were so large."""
 
 
 def residuals(source: Source) -> list[Block]:
@@ -129,7 +129,7 @@ def _in_order(tried: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
-    """What is drawn: of the tensor polynomials with one sum of degrees the one that misses nodes least."""
+    """The candidates to draw: the best of the tensor polynomials of each sum of degrees."""
     best: dict[int, Candidate] = {}
     for candidate in tried:
         if candidate.model == "tensor" and candidate.degree is not None:
@@ -156,7 +156,7 @@ def _noise_px(target: TargetCalibration, seen: TargetEvidence) -> float:
 
 
 def cross_checks(source: Source) -> list[Block]:
-    """How far the map and the second, independent one lie apart over the area."""
+    """The distance between the map and the second, independent one over the area."""
     targets = source.calibration.targets
     plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
     x_mm, y_mm = common_area(targets)

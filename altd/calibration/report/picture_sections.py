@@ -1,4 +1,4 @@
-"""How repeatable the spots are, and the pictures of the cameras."""
+"""Repeatability of the spots, and the pictures of the cameras."""
 
 from __future__ import annotations
 

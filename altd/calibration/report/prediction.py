@@ -1,4 +1,4 @@
-"""What a calibration promises: sigma over the area, what it is made of, how far two maps differ."""
+"""Predictions of a calibration: sigma over the area, its parts, and the difference between two maps."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from altd.records import FloatArray, MeanSpots, TargetPoint
 
 OF_SPOT = ("x_mm", "y_mm")
 OF_BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
-"""What is measured with one target, and with two or more."""
+"""The quantities measured with one target, and with two or more."""
 
 _QUANTITIES = {quantity.key: quantity for quantity in QUANTITIES.of_unit}
 
 CAUSES = ("pattern", "map", "scatter")
-"""What makes sigma: print and speckle of a place, what is uncertain of the map, single exposures."""
+"""The parts of sigma: print and speckle of a place, the uncertainty of the map, single exposures."""
 
 EXPOSURES = 20
 """Exposures that the expected sigma is of: the default of ``measuring.window``."""
@@ -35,7 +35,7 @@ GRID = 21, 17
 
 
 def name_of(key: str) -> str:
-    """What people call a quantity."""
+    """The name of a quantity for people."""
     return _QUANTITIES[key].label
 
 
@@ -115,13 +115,13 @@ def _sigma(z_mm: Sequence[float], points: Sequence[TargetPoint], covariance_mm2:
 
 
 def own_noise_px(candidate: Candidate, nodes: int) -> float:
-    """What the nodes scatter about a candidate, from the definition of the cross-validation score."""
+    """The nodes' scatter about a candidate, from the definition of the cross-validation score."""
     free = 1 - candidate.parameters / (2 * nodes)
     return candidate.gcv_px * float(np.sqrt(max(free, 0.0)))
 
 
 def noise_in_map_px(candidate: Candidate, nodes: int, noise_px: float) -> float:
-    """What noise of ``noise_px`` at each of so many nodes leaves in a candidate's map, rms over the hull.
+    """The effect of noise of ``noise_px`` at each of so many nodes on a candidate's map, rms over the hull.
 
     A candidate's own ``map_sigma_px`` counts its misfit as noise, and so falls with it; at one noise for all
     it grows with the degree, as in Sec. 3.5.6.
@@ -207,7 +207,7 @@ def _covariances_mm2(
 
 
 def _by_cause(z_mm: Sequence[float], total_mm2: FloatArray, parts_mm2: FloatArray) -> FloatArray:
-    """What each cause adds to the variances of the quantities, (quantities, 3); the angles' as slopes."""
+    """The part of each cause in the variances of the quantities, (quantities, 3); the angles' as slopes."""
     design = np.zeros((2 * len(z_mm), len(OF_BEAM)))
     design[0::2, 0] = design[1::2, 1] = 1.0
     design[0::2, 2] = design[1::2, 3] = z_mm

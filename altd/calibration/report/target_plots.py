@@ -175,7 +175,7 @@ def differences(
     largest_mm: float,
     scale: float,
 ) -> Draw:
-    """Where another map puts spots, offsets (rows, columns, 2) in mm: colour for length, and some arrows."""
+    """Offsets (rows, columns, 2) in mm of another map's places: colour for length, and some arrows."""
 
     def draw(canvas: Canvas) -> None:
         axes = plane.axes(canvas, title, bar=True)

@@ -23,7 +23,7 @@ _GOOD_SCATTER_PX, _USABLE_SCATTER_PX = 0.0747, 0.20
 """Scatter of single exposures at one node; good is Table 3.3."""
 
 _GOOD_OUTLIER, _USABLE_OUTLIER = 4.5, 6.0
-"""How far the worst node misses the map of the others, over the rms of all: of 60 nodes with normal errors
+"""Error of the worst node in the map of the others, over the rms of all: of 60 nodes with normal errors
 one goes beyond 4.5 once in four hundred calibrations."""
 
 _MAX_EXCLUDED_SHARE = 0.1
@@ -32,7 +32,7 @@ _MIN_LEDS = 3
 
 
 class Level(IntEnum):
-    """How good; a calibration is as good as its worst check."""
+    """The grade of a check; a calibration is as good as its worst check."""
 
     GOOD = 0
     USABLE = 1
@@ -79,7 +79,7 @@ class Verdict:
 
     @property
     def remedies(self) -> tuple[str, ...]:
-        """What to do about each check that is not good, each once."""
+        """The remedies for the checks that are not good, each once."""
         return tuple(dict.fromkeys(check.remedy for check in self.checks if check.level > Level.GOOD))
 
 
@@ -233,7 +233,7 @@ def _main_causes(prediction: Prediction) -> list[str]:
 
 
 def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str:
-    """What to do about the main causes; a flat comes first where a target has none that was recorded."""
+    """The remedies for the main causes; a flat comes first where a target has none that was recorded."""
     causes = _main_causes(prediction)
     words = [_ADVICE[cause] for cause in causes]
     without = [target.name for target in targets if target.flat is None or target.flat.source != "recording"]
@@ -243,7 +243,7 @@ def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str
 
 
 def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tuple[str, str]:
-    """What limits the measurement, and what would make it better."""
+    """The limits of the measurement, and ways to improve it."""
     shares = prediction.shares.mean(axis=0)
     first, second, third = (CAUSES[n] for n in np.argsort(shares)[::-1])
     percent = {cause: f"{100 * share:.0f} %" for cause, share in zip(CAUSES, shares, strict=True)}

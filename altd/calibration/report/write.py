@@ -1,4 +1,4 @@
-"""What a report is made of, where it lies, and writing both of its files or none."""
+"""The parts and the place of a report, and writing both of its files or none."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def checksum_in(head: bytes) -> str | None:
 
 
 def page_beside(calibration: Path) -> Path:
-    """Where the report on a calibration file is looked for: beside it, under the same name."""
+    """The expected place of the report on a calibration file: beside it, under the same name."""
     return calibration.with_suffix(PAGE_SUFFIX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """What is reported on: the calibration, its evidence, how it was made.
+    """The subject of a report: the calibration, its evidence, how it was made.
 
     ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one.
     ``headers`` are those of the recordings, in the order in which they were given.

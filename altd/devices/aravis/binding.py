@@ -91,7 +91,7 @@ class Device:
             return bool(self._camera.is_feature_available(feature))
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        """What an enumeration can be set to."""
+        """The values of an enumeration."""
         with _typed_errors(feature):
             return tuple(self._camera.dup_available_enumerations_as_strings(feature))
 
@@ -228,7 +228,7 @@ class Device:
                 self._camera.set_chunk_mode(False)
 
     def ticks_per_s(self) -> int:
-        """How fast the clock runs that frames are stamped with; 0 for a camera that has none."""
+        """The frequency of the clock that stamps frames; 0 for a camera that has none."""
         return int(self._device.get_timestamp_tick_frequency())
 
     def settle_packet_size(self, packet_bytes: int) -> int:

@@ -31,7 +31,7 @@ _MAX_EXTENDED_ID = 2**64 - 1
 
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
-    """What the camera was set to send: sizes in bytes, ``packet_bytes`` with all headers (IP, UDP, GVSP).
+    """The camera's settings of the stream: sizes in bytes, ``packet_bytes`` with all headers (IP, UDP, GVSP).
 
     ``payload_bytes`` is what the camera says a block has; it may fill up behind the image.
     """

@@ -10,7 +10,7 @@ import numpy as np
 _BUCKET_NS = 1_000_000_000
 _BUCKETS = 5
 _TOLERANCE_NS = 8_000_000
-"""What a frame may come early or late by, against those before it, without a question: a frame's way through
+"""Accepted advance or delay of a frame against those before it: a frame's way through
 network, driver and threads varies by less, and so does a drift of 0.1 % in five seconds."""
 _VERY_LATE_NS = 25_000_000
 _VERY_LATE_FRAMES, _VERY_LATE_BAND_NS = 4, 4_000_000
@@ -70,7 +70,7 @@ class DeviceClock:
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._last_device_ns: int | None = None
         self._steady = _MIN_STEADY_FRAMES
-        """How many frames in a row have agreed since the clock was not plausible."""
+        """The number of frames in a row that agreed since the clock was not plausible."""
         self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
         self._mapped = 0

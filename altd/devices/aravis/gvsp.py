@@ -31,7 +31,7 @@ _KEY, _RESEND, _FLAG_EXTENDED = 0x42, 0x0040, 0x10
 
 
 class Header(NamedTuple):
-    """What every packet begins with; ``size`` bytes of it."""
+    """The header of every packet; ``size`` bytes of it."""
 
     block_id: int
     packet_format: int

@@ -28,7 +28,7 @@ _TEMPERATURE = "DeviceTemperature"
 
 @dataclass(slots=True)
 class OpenCamera:
-    """What is held of an open camera. ``lock`` is taken around every use of the device but the stream's."""
+    """The objects of an open camera. ``lock`` is taken around every use of the device but the stream's."""
 
     device: Device
     stream: Stream

@@ -59,7 +59,7 @@ _MIN_VERSION = (1, 1)
 
 @dataclass(slots=True)
 class _Session:
-    """What is known between opening and closing. ``offset_mm``: machine minus work coordinates."""
+    """The controller's state between opening and closing. ``offset_mm``: machine minus work coordinates."""
 
     line: Line
     offset_mm: Point | None = None

@@ -110,12 +110,12 @@ class ModbusInclinometer:
 
     @property
     def name(self) -> str:
-        """What it is and where, for people."""
+        """Its type and address, for people."""
         return f"{self._sensor.name} at {self._settings.device}, {self._baud} baud, address {self._address}"
 
     @property
     def accuracy(self) -> InclinometerAccuracy:
-        """What its maker states."""
+        """Its maker's specification."""
         return self._sensor.accuracy
 
     def open(self) -> None:

@@ -32,7 +32,7 @@ HOLDING, INPUT = 3, 4
 
 
 class Kind(StrEnum):
-    """How the sixteen bits of a register are a number."""
+    """The number format of a register's sixteen bits."""
 
     U16 = "u16"
     S16 = "s16"
@@ -43,7 +43,7 @@ class Kind(StrEnum):
 
 
 class Meaning(StrEnum):
-    """How the driver uses a register."""
+    """The driver's use of a register."""
 
     ROLL = "roll"
     PITCH = "pitch"
@@ -53,7 +53,7 @@ class Meaning(StrEnum):
     ADDRESS = "address"
     BAUD = "baud"
     AVERAGE = "average"
-    """How many of its own readings the sensor averages."""
+    """The number of its own readings that the sensor averages."""
     ZERO = "zero"
     """A setting of the sensor that would change the angle and therefore must be 0."""
 
@@ -211,7 +211,7 @@ class Question:
 
     @property
     def answer_bytes(self) -> int:
-        """How long its answer is."""
+        """The length of its answer."""
         return _FRAME_BYTES + 2 * self.count
 
     def registers(self, heard: bytes, place: str) -> list[int]:

@@ -48,7 +48,7 @@ V4L2_CID_EXPOSURE_AUTO_PRIORITY = 0x009A_0903
 
 
 class v4l2_capability(ctypes.Structure):
-    """What a device is; texts end at their first NUL."""
+    """The identity of a device; texts end at their first NUL."""
 
     _fields_ = (
         ("driver", c_char * 16),
@@ -68,7 +68,7 @@ class v4l2_fract(ctypes.Structure):
 
 
 class v4l2_pix_format(ctypes.Structure):
-    """How a frame lies in one block of memory."""
+    """The layout of a frame in one block of memory."""
 
     _fields_ = (
         ("width", c_uint32),
@@ -170,7 +170,7 @@ class v4l2_frmivalenum(ctypes.Structure):
 
 
 class v4l2_captureparm(ctypes.Structure):
-    """What can be set of a camera's rate."""
+    """The settings of a camera's rate."""
 
     _fields_ = (
         ("capability", c_uint32),
@@ -191,7 +191,7 @@ class v4l2_streamparm(ctypes.Structure):
 
 
 class v4l2_requestbuffers(ctypes.Structure):
-    """How many buffers are wanted, and how many there are."""
+    """The number of buffers requested, and the number there is."""
 
     _fields_ = (
         ("count", c_uint32),

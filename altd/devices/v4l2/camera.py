@@ -123,7 +123,7 @@ class V4l2Camera:
 
     @property
     def exposure_range(self) -> ExposureRange | None:
-        """What the exposure can be set to, where the camera counts it in a unit of time; never a gain."""
+        """The range of the exposure, where the camera counts it in a unit of time; never a gain."""
         exposure = self._running.exposure if self._running else None
         return exposure.range if exposure else None
 

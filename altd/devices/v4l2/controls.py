@@ -37,7 +37,7 @@ class Control:
     writes: bool
 
     def value(self, node: Node) -> int:
-        """What it is set to; raises OSError."""
+        """The current value; raises OSError."""
         return int(node.call(abi.VIDIOC_G_CTRL, abi.v4l2_control(self.number)).value)
 
     def set(self, node: Node, value: int) -> None:

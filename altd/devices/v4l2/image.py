@@ -105,7 +105,7 @@ PIXEL_FORMATS = {
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a frame lies in a buffer; a line may be followed by padding."""
+    """The layout of a frame in a buffer; a line may be followed by padding."""
 
     width: int
     height: int
@@ -114,7 +114,7 @@ class Layout:
 
     @property
     def frame_bytes(self) -> int:
-        """What a whole frame takes; the last line may come without its padding."""
+        """The size of a whole frame; the last line may come without its padding."""
         return self.bytes_per_line * (self.height - 1) + self.width * self.pixel_format.bytes_per_pixel
 
     def pixels(self, buffer: bytes | memoryview | mmap) -> PixelArray:
@@ -135,7 +135,7 @@ class Layout:
 
 
 class Stamp(Enum):
-    """What a driver stamps: the beginning of the exposure, or when the last pixel was there."""
+    """The moment of a driver's time stamp: the exposure begins, or the last pixel has arrived."""
 
     START_OF_EXPOSURE = auto()
     END_OF_FRAME = auto()

@@ -112,7 +112,7 @@ class Stream:
                 time.sleep(_SPURIOUS_WAKE_BACKOFF_S)
 
     def memory(self, buffer: abi.v4l2_buffer) -> mmap:
-        """What the driver wrote; its own again after ``requeue``."""
+        """The bytes that the driver wrote; its own again after ``requeue``."""
         return self._maps[int(buffer.index)]
 
     def requeue(self, buffer: abi.v4l2_buffer) -> None:

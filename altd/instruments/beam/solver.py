@@ -68,7 +68,7 @@ def joint_jacobian_mm_per_px(points: Sequence[TargetPoint]) -> FloatArray:
 def line_gain(
     z_mm: Sequence[float], covariance_mm2: FloatArray, reference_plane_mm: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """What a line is made of: d(x, slope x, y, slope y)/d(points), (4, 2 T), and their covariance (4, 4).
+    """The derivatives of a line, d(x, slope x, y, slope y)/d(points), (4, 2 T), and its covariance (4, 4).
 
     Raises numpy.linalg.LinAlgError where no line fits points with that covariance.
     """

@@ -31,7 +31,7 @@ from altd.status.target_area import as_object
 _FOLDER = Path(__file__).with_name("page_files")
 
 _TYPES = {".js": "text/javascript", ".css": "text/css"}
-"""What is served of the folder; licences and the page's frame are not."""
+"""Files of the folder that are served; licences and the page's frame are not."""
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -149,7 +149,7 @@ class Answers:
         return JSONResponse(self._health.as_object())
 
     async def targets(self, _: Request) -> Response:
-        """Where the targets are measured."""
+        """The areas in which the targets are measured."""
         return JSONResponse(as_object(self._health.targets))
 
     async def self_check(self, request: Request) -> Response:
@@ -157,7 +157,7 @@ class Answers:
         return await self_check.answer(request, self._health.self_check, self._guard)
 
     async def session(self, request: Request) -> Response:
-        """Who is logged in."""
+        """The user who is logged in."""
         return await login.session(request, self._guard)
 
     async def log_in(self, request: Request) -> Response:
@@ -182,15 +182,15 @@ class Answers:
         return EventStream(self.streams, Resuming(None if last_id is None else self._past.since(last_id)))
 
     async def trend(self, request: Request) -> Response:
-        """How the quantities went."""
+        """The course of the quantities."""
         return await self._past.trend(request)
 
     async def events(self, request: Request) -> Response:
-        """What happened."""
+        """The events."""
         return await self._past.events(request)
 
     async def recordings(self, _: Request) -> Response:
-        """What was kept of the frames."""
+        """The frames that were kept."""
         return self._kept.listed()
 
     async def keep_frames(self, request: Request) -> Response:
@@ -206,7 +206,7 @@ class Answers:
         return await self._kept.mark(request)
 
     async def calibration(self, _: Request) -> Response:
-        """What the loaded calibration holds."""
+        """The content of the loaded calibration."""
         return await self._calibration.summary()
 
     async def calibration_file(self, request: Request) -> Response:

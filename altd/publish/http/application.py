@@ -39,7 +39,7 @@ def application_of(
     requests: Buckets,
     names: OwnNames | None = None,
 ) -> ASGIApp:
-    """What answers every request, over TCP and the local socket.
+    """The application that answers every request, over TCP and the local socket.
 
     ``requests`` limits how often an address may ask.
     ``names`` are those that the unit may be asked by; None: any.
@@ -66,7 +66,7 @@ def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitabl
 
 
 class _Gate:
-    """What is looked at before any path: one meaning, for this unit, and not too often."""
+    """Checks before any path: one meaning, addressed to this unit, within the limit of rate."""
 
     def __init__(
         self, application: ASGIApp, component: Component, requests: Buckets, names: OwnNames | None
@@ -103,7 +103,7 @@ class _Gate:
         return misdirected(host_of(hosts[0]), f"{address}:{port}", b"text/html" in accepted)
 
     def _wait_s(self, scope: Scope) -> float:
-        """How long the sender has to wait; the unit's own computer, which has no limit, does not."""
+        """Time that the sender has to wait; 0 for the unit's own computer, which has no limit."""
         client = scope.get("client")
         address = None if client is None else address_of(client[0])
         if address is None or is_loopback(address):

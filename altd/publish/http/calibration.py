@@ -24,7 +24,7 @@ Range = tuple[float | None, float | None]
 
 
 class CalibrationRecording(Answer):
-    """What a calibration was made from."""
+    """The recordings and settings that a calibration was made from."""
 
     note: str
     sha256: str
@@ -49,7 +49,7 @@ class CalibratedCamera(Answer):
 
 
 class Residuals(Answer):
-    """How far from its known place the map puts each node (Eq. 3.1)."""
+    """The distance of each node's mapped place from its known one (Eq. 3.1)."""
 
     mean_mm: float | None
     std_mm: float | None
@@ -66,12 +66,12 @@ class CalibrationCrossCheck(Answer):
 
 
 class CalibrationFingerprint(Answer):
-    """What identifies the camera's view."""
+    """The marks that identify the camera's view."""
 
     hot_px: int
-    """How many pixels shine in any light."""
+    """The number of pixels that shine in any light."""
     texture: str | None
-    """Where the look of the target is known from: `flat` or `scan`; null: it is not."""
+    """Source of the target's look: `flat` or `scan`; null: not known."""
 
 
 class CalibratedTarget(Answer):
@@ -98,7 +98,7 @@ class CalibratedTarget(Answer):
     """Frame LEDs whose places are known."""
     cross_check: CalibrationCrossCheck
     flat: str | None
-    """How the target's response to even light is known: `recording` or `print`; null: taken as plain."""
+    """Source of the target's response to even light: `recording` or `print`; null: taken as plain."""
     fingerprint: CalibrationFingerprint | None
     """null: the camera's view cannot be verified."""
 
@@ -155,7 +155,7 @@ class LoadedCalibration:
         self._downloads = downloads
 
     async def summary(self) -> Response:
-        """What it says, and whether there is a report on it."""
+        """The content of the calibration, and whether there is a report on it."""
         if self._service.files is None:
             return refusal(503, _NONE)
         why = ""
@@ -196,7 +196,7 @@ class LoadedCalibration:
         return self._downloads.of(made)
 
     def _files(self, request: Request) -> CalibrationFiles | Response:
-        """Who reads the files, or what is answered instead."""
+        """The reader of the files, or the answer to give instead."""
         try:
             self._guard.check_may_look(request)
         except Refused as refused:

@@ -1,4 +1,4 @@
-"""Who may act: by a token, by a session, or, where there is neither, from the unit's own computer."""
+"""Permission to act: by a token, by a session, or, where there is neither, from the unit's own computer."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ REQUEST_HEADER = "X-Altd-Request"
 """A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""
 
 THIS_COMPUTER = "this computer"
-"""Who acts where the address alone says that he may."""
+"""The user's name where the address alone gives the permission."""
 
 _LOCAL_NAMES = ("localhost", "")
 _STRANGERS = "strangers"
 
 
 class CredentialStore(Protocol):
-    """Who has a password or a token: ``altd.credentials``."""
+    """The users with a password or a token: ``altd.credentials``."""
 
     @property
     def names(self) -> frozenset[str]:
@@ -39,7 +39,7 @@ class CredentialStore(Protocol):
         """Whether it is his. Takes long."""
 
     def password_of(self, name: str) -> object | None:
-        """What is another with each password that he is given; None: he has none."""
+        """A value that changes with each new password of the user; None: the user has none."""
 
     def name_of_token(self, token: str) -> str | None:
         """Whose token it is."""
@@ -83,7 +83,7 @@ class Guard:
         return self._credentials is not None
 
     def actor(self, request: HTTPConnection) -> str:
-        """Who asks for an action; raises Refused when he may not."""
+        """The user who asks for an action; raises Refused without permission."""
         _check_is_no_other_page(request)
         if self._is_local or self._credentials is None:
             if not self._is_local:
@@ -97,7 +97,7 @@ class Guard:
             self._identified(connection, self._credentials())
 
     def _identified(self, request: HTTPConnection, credentials: CredentialStore) -> str:
-        """Who asks, by what he shows; raises Refused.
+        """The user, by the token or session of the request; raises Refused.
 
         What is wrong is not counted, as passwords are: 256 bits cannot be guessed, and a page whose session
         is over, or a program whose token is, would keep its own user from logging in.

@@ -1,4 +1,4 @@
-"""What the answers hold, as pydantic models: the OpenAPI document is made of these.
+"""Contents of the answers, as pydantic models: the OpenAPI document is made of these.
 
 The answers themselves are made elsewhere, byte for byte (``altd/status``); the tests hold them against these.
 """
@@ -72,7 +72,7 @@ class Status(Answer):
 
 
 class TargetDrift(Answer):
-    """What a self-check found on one target."""
+    """The result of a self-check for one target."""
 
     leds_expected: int
     leds_found: int
@@ -102,7 +102,7 @@ class PartVerdict(Answer):
 
 
 class SelfCheck(Answer):
-    """What the last self-check said; where there was none, `verdict` is null and `reasons` says why."""
+    """The report of the last self-check; without one, `verdict` is null and `reasons` says why."""
 
     verdict: Literal["good", "suspect", "bad", "unknown"] | None
     reasons: list[str]
@@ -111,7 +111,7 @@ class SelfCheck(Answer):
     """Why this unit can make none; empty: it can."""
     targets: dict[str, TargetDrift] = Field(default={})
     yaw_deg: float | None = None
-    """What the drift does to a measurement; so the next three."""
+    """The effect of the drift on a measurement; so the next three."""
     pitch_deg: float | None = None
     x_mm: float | None = None
     y_mm: float | None = None
@@ -143,14 +143,14 @@ class Targets(Answer):
 
 
 class Login(Answer):
-    """Who wants to log in."""
+    """The user's name and password for a login."""
 
     name: str = Field(max_length=32)
     password: str = Field(max_length=1024)
 
 
 class Session(Answer):
-    """Who is logged in."""
+    """The user who is logged in."""
 
     name: str | None
     """null: no user."""
@@ -174,7 +174,7 @@ class Trend(Answer):
     """Points in the order of time, in columns of one length; where no daemon ran there are none."""
 
     source: str
-    """What was summed up: `seconds`, `minutes` or `hours`."""
+    """The spans that the points sum up: `seconds`, `minutes` or `hours`."""
     span_s: float
     """The length of time of a point."""
     t_s: list[float]
@@ -229,7 +229,7 @@ class Recording(Answer):
 
 
 class Recordings(Answer):
-    """What the unit has kept."""
+    """The frames and recordings that the unit has kept."""
 
     unavailable: str
     """Why nothing is kept; empty: it is."""

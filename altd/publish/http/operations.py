@@ -1,4 +1,4 @@
-"""What a path of the API is: its methods, what each takes and gives, and how it may fail."""
+"""A path of the API: its methods, the input and output of each, and its errors."""
 
 from __future__ import annotations
 
@@ -74,4 +74,4 @@ COMMON_ERRORS = {
     429: "too many requests; `Retry-After` says for how many seconds to wait",
     500: "a defect of the unit; its log says more",
 }
-"""What any path may answer."""
+"""Answers that any path may give."""

@@ -1,4 +1,4 @@
-"""What was: points of a trend and events out of the unit's history, in bounded amounts.
+"""Past values: points of a trend and events out of the unit's history, in bounded amounts.
 
 The history's own thread reads and writes the JSON: a month takes some 100 ms, and no other client waits.
 """
@@ -48,15 +48,15 @@ class Past:
         self._clock = clock
 
     async def trend(self, request: Request) -> Response:
-        """How each quantity went, in columns: a number or null for each point."""
+        """The course of each quantity, in columns: a number or null for each point."""
         return await self._answer(request, self._trend_query)
 
     async def events(self, request: Request) -> Response:
-        """What happened, the newest first."""
+        """The events, the newest first."""
         return await self._answer(request, self._events_query)
 
     def since(self, last_id: str) -> Resume:
-        """What a stream missed since the event of that id."""
+        """The events that a stream missed since the event of that id."""
         return Resume(last_id, self.history, self._quantities, self._clock)
 
     def now(self) -> datetime | None:

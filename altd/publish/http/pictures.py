@@ -46,7 +46,7 @@ class BoundedWebSocket(WSProtocol):
         self.default_headers = []
 
     def data_received(self, data: bytes) -> None:
-        """What is no WebSocket is cut off, and so is who sends more than a browser does."""
+        """Disconnect clients that do not speak WebSocket, or that send more than a browser does."""
         if self._counted_s is None:  # the handshake, which HTTP has bounded
             self._counted_s = self.loop.time()
         elif not self._takes(len(data)):

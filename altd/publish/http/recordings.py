@@ -84,7 +84,7 @@ class Recordings:
         self._downloads = downloads
 
     def listed(self) -> Response:
-        """What there is."""
+        """The fault recordings."""
         kept = [recording.as_object() for recording in self._service.recordings]
         return JSONResponse({"unavailable": self._service.unavailable, "recordings": kept})
 

@@ -32,7 +32,7 @@ Key = tuple[int, int]
 
 
 def key_of(measurement: Measurement | StoredMeasurement) -> Key:
-    """What a measurement is known by: its sequence, and its time on the monotonic clock."""
+    """The identity of a measurement: its sequence, and its time on the monotonic clock."""
     return measurement.sequence, measurement.t_ns
 
 
@@ -42,7 +42,7 @@ def id_of(key: Key) -> str:
 
 
 class Resume:
-    """What one client missed after the event with ``last_id``, which he sends as ``Last-Event-ID``."""
+    """The measurements that a client missed after the event with ``last_id``, its ``Last-Event-ID``."""
 
     def __init__(self, last_id: str, history: History, quantities: Quantities, clock: Clock) -> None:
         self._history = history

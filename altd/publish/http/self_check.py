@@ -19,7 +19,7 @@ MAX_WAITING = 8
 
 
 async def answer(request: Request, service: SelfCheckService, guard: Guard) -> Response:
-    """What the last check said; after a POST, what one says that is made now."""
+    """The report of the last check; after a POST, that of a check made on request."""
     if request.method != "POST":
         if service.latest is None:
             why = service.unavailable or "there was no self-check since the unit started"

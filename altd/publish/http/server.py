@@ -46,7 +46,7 @@ MAX_CONNECTIONS = 64
 """More than these are closed at once: a flood must leave the daemon its file descriptors."""
 
 RESERVED_DESCRIPTORS = 8
-"""Where the process may have few descriptors, so many are left to controllers, cameras and ports."""
+"""Descriptors left to controllers, cameras and ports where the process may have few."""
 
 REQUEST_TIMEOUT_S = 10.0
 """A client that has not sent a whole request header by then is cut off."""
@@ -58,7 +58,7 @@ MAX_HEADER_BYTES = 8192
 MAX_HEADER_LINES = 64
 
 _BLANK_LINE = re.compile(rb"\n\r?\n")
-"""What h11 takes for the end of a header."""
+"""The bytes that h11 accepts as the end of a header."""
 
 MAX_BYTES_BEHIND_HEADER = 4608
 """A body with the lengths of its chunks; the rest is dropped unread. A login has up to 4096, and what is
@@ -91,12 +91,12 @@ def listen(settings: HttpSettings) -> socket.socket:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionPolicy:
-    """Who is let in before a byte is read, and whether TLS is spoken."""
+    """Limits on a connection before a byte is read, and its TLS."""
 
     allowed: Allowed
     certificate: Callable[[], ssl.SSLContext] | None
     connections: Buckets
-    """How often an address may connect where that costs a handshake."""
+    """Limit of an address's connections where each costs a handshake."""
 
     def refuses(self, connection: socket.socket) -> str:
         """Why a connection is closed unanswered, as the name of a counter; empty: it is not."""
@@ -244,11 +244,11 @@ class _BoundedProtocol(H11Protocol):
     _deadline: asyncio.TimerHandle | None = None
     _stuck: asyncio.TimerHandle | None = None
     _head: bytes | None = b""
-    """What came so far of the first header; None: it is whole."""
+    """The bytes of the first header so far; None: it is complete."""
     _behind_bytes = 0
-    """What was passed on of what came behind the header."""
+    """The bytes behind the header that were passed on."""
     _early: bytes = b""
-    """What TLS deciphered before the handshake's end came to ``connection_made``."""
+    """Bytes that TLS deciphered before the handshake ended, for ``connection_made``."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Write nothing ahead of the client, and wait for its request only so long."""

@@ -81,7 +81,7 @@ class Resuming:
         return f"id: {id_of(key_of(measurement))}\ndata: {line}\n\n"
 
     def past(self, told: Measurement) -> Sequence[str]:
-        """What has arrived of what was missed before the first measurement that was sent; never waits."""
+        """The events missed before the first measurement sent, once they have arrived; never waits."""
         if self._missed is None:
             return ()
         self._until = self._until or told
@@ -101,7 +101,7 @@ class Resuming:
 
 
 class Streams:
-    """How many streams are open, so that they stay few."""
+    """The number of open streams, to limit them."""
 
     def __init__(self, board: Board, component: Component, stamps: Stamps) -> None:
         self.board = board

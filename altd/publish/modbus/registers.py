@@ -55,7 +55,7 @@ _FLOAT32_MAX = float.fromhex("0x1.fffffep127")
 
 
 class Type(StrEnum):
-    """How a value lies in registers."""
+    """The representation of a value in registers."""
 
     U16 = "u16"
     U32 = "u32"

@@ -191,7 +191,7 @@ def sigma_now(key: str) -> Reading:
 
 
 def rate(key: str) -> Reading:
-    """How fast a quantity changes, per second."""
+    """The rate of a quantity, per second."""
 
     def value(snapshot: Snapshot) -> float | None:
         known = snapshot.measurement and snapshot.measurement.rates.get(key)

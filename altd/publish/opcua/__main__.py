@@ -109,7 +109,7 @@ class ServedUnit:
         return self.server.bserver is not None and bool(self.server.bserver.clients)
 
     def figures(self) -> dict[str, float]:
-        """What the daemon shows of the server."""
+        """The state of the server that the daemon shows."""
         limited, server = self.server.limited, self.server.bserver
         subscriptions = limited.subscription_service.subscriptions.values()
         items = sum(len(each.monitored_item_srv._monitored_items) for each in subscriptions)  # noqa: SLF001

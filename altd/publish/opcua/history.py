@@ -77,7 +77,7 @@ class StoredValues:
 
 
 class _Span:
-    """What a request wants: from a start on, up to an end, at the most ``count`` values.
+    """The span of a request: from a start on, up to an end, at most ``count`` values.
 
     Raises ValueError where it cannot be answered: backwards, from an open start, or without any bound.
     """

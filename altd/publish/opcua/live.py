@@ -16,7 +16,7 @@ LINK_TIMEOUT_S = 2.0
 """The daemon sends a line at least each 0.5 s; without one for so long nothing is known of the unit."""
 
 _CLOCK_MS = 0xFFFF_FFFF
-"""What ``clock_ms`` and registers count by (``altd.status.proof``)."""
+"""The largest count of ``clock_ms`` and of registers (``altd.status.proof``)."""
 
 
 class LiveUnit:

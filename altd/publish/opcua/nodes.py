@@ -129,7 +129,7 @@ class UnitNodes:
         )
 
     async def _device_model(self) -> None:
-        """What of OPC 10000-100 the unit refers to."""
+        """The types of OPC 10000-100 that the unit refers to."""
         for number, name, above in _DI_TYPES:
             attributes = ua.ObjectTypeAttributes()
             attributes.IsAbstract = True

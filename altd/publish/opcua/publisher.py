@@ -80,7 +80,7 @@ class OpcUaPublisher:
     ) -> None:
         check_opcua(settings)
         self.port = settings.port
-        """Where it serves; for port 0, what the system chose."""
+        """The server's address; for port 0, with the port that the system chose."""
         self.process: Process | None = None
         self._settings = settings
         self._board = board
@@ -238,7 +238,7 @@ class OpcUaPublisher:
         return ""
 
     async def _errors(self, process: Process, said: list[str]) -> None:
-        """What the server writes on standard error: its end is the reason why it has ended."""
+        """Log the server's lines on standard error; ``said`` holds the last one, the reason why it ended."""
         assert process.stderr is not None  # noqa: S101  a pipe
         lines = 0
         while piece := await process.stderr.read(MAX_LINE_BYTES):

@@ -103,7 +103,7 @@ class _Connection(OPCUAProtocol):
 
 
 class _Nothing(PermissionRuleset):
-    """What may be done over a channel without security that the unit does not offer: find its endpoints."""
+    """Requests allowed over a channel without security where the unit offers none: those for endpoints."""
 
     def check_validity(self, user: User, action_type: ua.NodeId, body: Any) -> bool:
         """Refuse."""
@@ -141,7 +141,7 @@ class _Users(UserManager):
 
 
 class LimitedServer(InternalServer):
-    """What clients share.
+    """State that clients share.
 
     asyncua keeps sessions that are never activated, and servers that strangers register. It decrypts
     passwords by RSA with PKCS #1 1.5 and answers differently where the padding is wrong, by which a client

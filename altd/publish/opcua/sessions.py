@@ -38,7 +38,7 @@ LOGIN_INTERVAL_S = 2.0
 """After a wrong password, until the address may try again: each try takes 0.2 s of the process."""
 
 caller: ContextVar[str] = ContextVar("caller")
-"""Who calls a method: address, and name where there is one."""
+"""The caller of a method: address, and name where there is one."""
 
 
 class Session(InternalSession):

@@ -1,4 +1,4 @@
-"""What the daemon tells the process of the server once, at its start."""
+"""The message that the daemon sends to the process of the server once, at its start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a technician does about a reason, by what was seen; of components, by what they report."""
+"""Steps for a technician: by the cause of a fault, and by the reports of components."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CAMERA_REMEDIES = {
 
 
 def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component] = ()) -> Advice:
-    """What is wrong and what to do, as far as the fault's detail, the others and the components tell."""
+    """The fault and its remedy, as far as the fault's detail, the others and the components tell."""
     if (known := advice_of(fault.reason, fault.detail)) is not None:
         return known
     if fault.reason is Reason.SPOT_MISSING and {other.target for other in status} - {None} == {fault.target}:
@@ -43,7 +43,7 @@ def is_ill_camera(component: Component) -> bool:
 
 
 def component_steps(components: Iterable[Component], status: Iterable[Fault]) -> Iterable[str]:
-    """What is wrong with components, and what to do.
+    """Faults of components, with their remedies.
 
     How ``measuring`` is, the status says in other words.
     """

@@ -1,4 +1,4 @@
-"""What can be asked on the console: each command takes words and gives text.
+"""The commands of the console: each takes words and gives text.
 
 ``*IDN? *STB? *TST?`` have the form of IEEE 488.2-1992, 10, for programs; each answer is one line. The port
 echoes and has a prompt, as for a person: a program reads the line behind its own.
@@ -97,7 +97,7 @@ SELF_CHECK_TIMEOUT_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What the commands tell of."""
+    """The parts of the unit that commands describe."""
 
     read: Callable[[], Measurement | None]
     health: Health
@@ -153,7 +153,7 @@ class Command:
 
 
 def answer_to(sources: Sources, name: str, arguments: list[str]) -> Answer:
-    """What a command says; raises UsageError."""
+    """The output of a command; raises UsageError."""
     command = _BY_NAME.get(name.lower())
     if command is None:
         raise UsageError(f"no command {name[:24]!r}; type help for what there is")

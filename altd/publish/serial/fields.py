@@ -1,4 +1,4 @@
-"""How one value is written in a telegram: a form has a widest text and a pattern."""
+"""Format of one value in a telegram: a form has a widest text and a pattern."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ MAX_TELNET = 64
 
 
 class Key(Enum):
-    """What a terminal sends that is no character."""
+    """Input of a terminal that is no character."""
 
     ENTER = auto()
     BACKSPACE = auto()
@@ -203,7 +203,7 @@ class KeyReader:
         return _CONTROLS.get(character, Key.OTHER)
 
     def _escaped(self, character: str) -> str | Key | None:
-        """What follows ESC: ECMA-48, 5.3 and 5.4, and ECMA-35, 13."""
+        """The bytes that follow ESC: ECMA-48, 5.3 and 5.4, and ECMA-35, 13."""
         if not self._sequence and character == "[":
             self._begin(_In.CSI)
             return None
@@ -265,7 +265,7 @@ class _Telnet:
         self._command.clear()
 
     def take(self, byte: int) -> bytes:
-        """What of the stream is no telnet, up to this byte; what an IAC begins need not be a command."""
+        """The part of the stream up to this byte that is not telnet; an IAC need not begin a command."""
         command = self._command
         if not command and byte != _IAC:
             return bytes([byte])

@@ -38,12 +38,12 @@ class LineEditor:
         self._junk = 0
         self._earlier: deque[str] = deque(maxlen=MAX_RECALLED_LINES)
         self._recalled = 0
-        """How many lines back the one is that is shown; 0: none of the earlier ones."""
+        """The number of lines back of the one that is shown; 0: none of the earlier ones."""
         self._own = ""
-        """What was typed before earlier lines were asked for."""
+        """The text typed before earlier lines were recalled."""
 
     def take(self, key: str | Key) -> bytes | str | BadLine:
-        """What to show, or the line that this key ended."""
+        """The text to show, or the line that this key ended."""
         if isinstance(key, str):
             return self._insert(key)
         match key:

@@ -87,7 +87,7 @@ _TIMES = {"hour": "%H:%M:%S", "day": "%d, %H:%M", "month": "%m-%d, %H:%M"}
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """What a daemon remembers; ``now`` is its time of day, None: not known."""
+    """The state that a daemon remembers; ``now`` is its time of day, None: not known."""
 
     events: EventLog
     history: History

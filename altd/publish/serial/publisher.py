@@ -1,4 +1,4 @@
-"""What serves a serial port: the telegram at its interval, or the console."""
+"""Publisher on a serial port: the telegram at its interval, or the console."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ class ConsolePublisher:
                     await asyncio.sleep(READ_INTERVAL_S)
 
     async def _typed(self, port: Port, until_ns: float) -> bytes:
-        """What is typed next; nothing when nothing is until then."""
+        """The next bytes that are typed; none if none come until then."""
         if until_ns == math.inf:
             return await port.read(limit=MAX_READ_BYTES)
         left_ns = max(until_ns - self._clock.monotonic_ns(), 0)
@@ -199,13 +199,13 @@ class ConsolePublisher:
 
 
 def telegram_message(settings: TelegramPortSettings) -> str:
-    """What health says of a port whose telegrams go out."""
+    """The state of a port that sends telegrams, for health."""
     when = "on request, at most every" if settings.on_request else "every"
     return f"telegram {when} {settings.interval_s:g} s on {describe(settings)}"
 
 
 def console_message(settings: ConsolePortSettings) -> str:
-    """What health says of a port with a console."""
+    """The state of a port with a console, for health."""
     return f"console on {describe(settings)}"
 
 
@@ -215,6 +215,6 @@ def _due_ns(since_ns: int, after_s: float | None) -> float:
 
 
 def _first_line(typed: bytes) -> tuple[bytes, bytes]:
-    """What was typed up to the end of its first line, and the rest."""
+    """The typed text up to the end of its first line, and the rest."""
     end = next((place + 1 for place, byte in enumerate(typed) if byte in LINE_END), len(typed))
     return typed[:end], typed[end:]

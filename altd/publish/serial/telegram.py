@@ -49,7 +49,7 @@ class TelegramError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Telegram:
-    """What one telegram says; None is an empty field."""
+    """The content of one telegram; None is an empty field."""
 
     time: time | None = None
     mode: Mode = Mode.INVALID
@@ -68,7 +68,7 @@ class Telegram:
 
     @classmethod
     def of(cls, measurement: Measurement | None) -> Telegram:
-        """What is to be said of the latest measurement; None: nothing was measured so far."""
+        """The content for the latest measurement; None: there is no measurement so far."""
         if measurement is None:
             return cls(reasons=(str(Reason.WARMING_UP),))
         head = cls(
@@ -215,7 +215,7 @@ _DATE = Form("20991231", re.compile(r"\d{8}", re.ASCII), lambda value: f"{value:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proof:
-    """What the sentence says; None is an empty field."""
+    """The content of the sentence; None is an empty field."""
 
     unit: int | None = None
     session: int | None = None

@@ -24,7 +24,7 @@ _SAID_BY_COMPONENTS = {
     Condition.COMPONENT_FAILED,
     Condition.COMPONENT_DEGRADED,
 }
-"""What the list of what is wrong says already, in the words of the component."""
+"""Causes that the list of faults already names, in the words of the component."""
 
 _SPANS = {
     "last_hour": "of the last hour",
@@ -47,7 +47,7 @@ def state_facts(report: StateReport, *, whole: bool) -> dict[str, str]:
 
 
 def state_steps(report: StateReport) -> list[str]:
-    """What is wrong beside the measurement and the components, and what to do."""
+    """Faults beside those of the measurement and the components, with their remedies."""
     return [
         f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.remedy}"
         for shown in report.causes
@@ -271,5 +271,5 @@ def hanging(name: str, text: str, indent: int) -> str:
 
 
 def _ascii(text: str) -> str:
-    """What any terminal can show."""
+    """The characters that any terminal can show."""
     return text.encode("ascii", "replace").decode("ascii")

@@ -67,7 +67,7 @@ WAYS = [
 def accepted(
     way: Misnumbered, calibration: Calibration
 ) -> tuple[Calibration, Measuring, Installation] | None:
-    """What the files give when they are taken in; None when they are refused, as they must be."""
+    """The calibration from the files when they are accepted; None when they are refused, as they must be."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             if way.file == "config":

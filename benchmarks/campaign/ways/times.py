@@ -73,7 +73,7 @@ def _entered(
 
 _enter = _entered(lambda draw: bool(draw.rng.random() < 0.5))
 _of_a_clock = _entered(lambda draw: True)
-"""What a clock in the camera alone does wrong: a V4L2 camera is stamped by the kernel of the host."""
+"""Faults of a clock in the camera alone: a V4L2 camera is stamped by the kernel of the host."""
 
 
 def _each(change: _One, cameras: frozenset[str], length_ns: int | None) -> Change:

@@ -173,7 +173,7 @@ def send(address: Address, chance: random.Random) -> tuple[str, str]:
 
 
 def judge(heard: bytes, most_pictures: int, is_closed: bool) -> tuple[str, str]:
-    """How a conversation ended, and what the unit said that it may not (RFC 6455, 5.2, 5.5, 7.4)."""
+    """The end of a conversation, and messages of the unit that are not allowed (RFC 6455, 5.2, 5.5, 7.4)."""
     if not heard.startswith(b"HTTP/1.1 101 "):
         return heard[9:12].decode("latin-1") or "closed", complaint(heard, {*STATUSES, 426})
     said, why = _frames_of(heard.partition(b"\r\n\r\n")[2])
@@ -219,7 +219,7 @@ def _frames_of(data: bytes) -> tuple[list[tuple[int, bytes]], str]:
 
 
 def _exchange(address: Address, opening: bytes, frames: bytes, chance: random.Random) -> tuple[bytes, bool]:
-    """What the unit says, and whether it closed the connection; who stays silent is left alone."""
+    """The unit's messages, and whether it closed the connection; a silent client is left alone."""
     heard, is_closed = b"", False
     cuts = sorted({0, len(frames), *(chance.randrange(len(frames) + 1) for _ in range(chance.randrange(3)))})
     try:

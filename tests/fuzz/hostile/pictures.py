@@ -34,13 +34,13 @@ class Maker:
 
 
 def complaint_of_views(text: bytes) -> str:
-    """What is wrong with the first message; empty: nothing."""
+    """The fault of the first message; empty: none."""
     views = json.loads(text)["views"]
     return "" if [each["target"] for each in views] == list(_TARGETS) else f"other views: {text[:80]!r}"
 
 
 def complaint_of_pictures(message: bytes) -> str:
-    """What is wrong with a message of pictures; empty: nothing."""
+    """The fault of a message of pictures; empty: none."""
     end = 4 + int.from_bytes(message[:4], "big")
     rest = message[end:]
     for each in json.loads(message[4:end])["pictures"]:

@@ -1,4 +1,4 @@
-"""Who reads the unit rightly while it is attacked."""
+"""Regular readers of the unit while it is attacked."""
 
 from __future__ import annotations
 

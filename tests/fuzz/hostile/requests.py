@@ -88,7 +88,7 @@ def request(chance: random.Random) -> bytes:
 
 
 def complaint(answer: bytes, statuses: Collection[int] = STATUSES) -> str:
-    """What is wrong with an answer; empty: nothing, or it is none."""
+    """The fault of an answer; empty: none, or no answer."""
     if not answer:
         return ""
     for interim in _CONTINUE:

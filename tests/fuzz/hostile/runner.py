@@ -103,7 +103,7 @@ async def _attack(face: str, inputs: int, seed: int, tally: Tally, folder: Path)
 
 
 async def _left(unit: served.Served, files: int) -> list[str]:
-    """What is left of connections that have ended, some time after the last one."""
+    """The remains of connections that have ended, some time after the last one."""
     give_up_s = time.monotonic() + _GONE_S
     while True:
         counts = {"descriptors": max(_open_files() - files, 0), **unit.left()}

@@ -33,7 +33,7 @@ HOST = "127.0.0.1"
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """Where an interface is; ``left`` counts what must be 0 at the end, by its name."""
+    """The address of an interface; ``left`` counts objects that must be 0 at the end, by name."""
 
     address: Address
     left: Callable[[], Mapping[str, int]]

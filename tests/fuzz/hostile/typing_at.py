@@ -55,7 +55,7 @@ class Terminal:
             self._shown += os.read(self._descriptor, 65536)
 
     def take(self) -> bytes:
-        """What was shown since the last time."""
+        """The text shown since the last call."""
         shown = bytes(self._shown)
         self._shown.clear()
         return shown
@@ -69,7 +69,7 @@ class Terminal:
                 await asyncio.sleep(_TURN_S)
 
     async def answer(self, keys: bytes, awaited: bytes) -> bytes:
-        """What is shown until ``awaited`` is, or until the timeout."""
+        """The text shown until ``awaited`` is, or until the timeout."""
         self.take()
         await self.type(keys)
         shown, give_up_s = b"", time.monotonic() + _PATIENCE_S

@@ -84,7 +84,7 @@ def check(example: bytes) -> None:
 
 
 def _columns(row: bytes) -> int:
-    """How far to the right a terminal's cursor gets; it goes left of the first column never."""
+    """The rightmost column of a terminal's cursor; it goes left of the first column never."""
     at = rightmost = 0
     for shown in row:
         at = 0 if shown == ord("\r") else at - 1 if shown == ord("\b") else at + 1
@@ -94,7 +94,7 @@ def _columns(row: bytes) -> int:
 
 
 async def _session(faces: Faces, line: _Line, keys: bytes) -> bytes:
-    """What is shown for the keys; then whatever they left behind is ended and the console asked."""
+    """The output for the keys; then the rest that they left is ended and the console asked."""
     _read(line.far)
     shown = b""
     for begin in range(0, len(keys), 100):

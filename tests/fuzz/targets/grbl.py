@@ -21,7 +21,7 @@ EXAMPLES = spoilt_bytes(st.sampled_from(LINES))
 
 
 def check(example: bytes) -> None:
-    """What is understood is finite: the stage is driven by it."""
+    """A number that is understood is finite: the stage is driven by it."""
     reply = parse(example.decode("ascii", "replace"))
     numbers: list[float] = []
     if isinstance(reply, Status):

@@ -50,7 +50,7 @@ _REQUESTS = tuple(
 _ASKED = st.lists(st.sampled_from(_REQUESTS), min_size=1, max_size=3).map(b"".join)
 STREAMS = _ASKED | spoilt_bytes(_ASKED)
 EXAMPLES = st.tuples(STREAMS, st.sampled_from((1_000_000, 200, 40, 7)))
-"""What is sent, and in pieces of how many bytes."""
+"""The bytes to send, and the size of the pieces."""
 
 _face = served(
     lambda faces: HttpPublisher(
@@ -88,7 +88,7 @@ def _method(stream: bytes) -> bytes:
 
 
 async def _exchange(port: int, stream: bytes, piece: int) -> bytes:
-    """What came back by the time that another client has its answer."""
+    """The bytes returned by the time that another client has its answer."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     heard = b""
     await send_in_pieces(writer, stream, piece)

@@ -24,7 +24,7 @@ EXAMPLES = st.sampled_from(ANSWERS) | spoilt_bytes(st.sampled_from(ANSWERS))
 
 
 def check(example: bytes) -> None:
-    """What is taken for an answer is the whole answer to the question, with its CRC, and nothing besides."""
+    """An accepted answer is the whole answer to the question, with its CRC, and nothing besides."""
     try:
         registers = QUESTION.registers(example, "here")
     except InclinometerError:

@@ -16,7 +16,7 @@ from altd.publish.http.publisher import LocalPublisher
 
 NAME = "local_socket"
 EXAMPLES = st.tuples(STREAMS, st.sampled_from((1_000_000, 200, 40, 7)))
-"""What is sent, and in pieces of how many bytes."""
+"""The bytes to send, and the size of the pieces."""
 
 _PATH = Path(tempfile.mkdtemp(prefix="altd-fuzz-"), "altd.sock")
 _face = served(lambda faces: LocalPublisher(_PATH, faces.board, faces.health, faces.component(NAME)))

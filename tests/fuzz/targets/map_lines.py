@@ -1,4 +1,4 @@
-"""What comes on the stdin of ``altd map``."""
+"""Lines on the stdin of ``altd map``."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def _frame(unit: int, pdu: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Said:
-    """What was said on the bus; ``asked`` is what this unit has to hear in it, None nothing."""
+    """The traffic on the bus; ``asked`` is the part that this unit has to hear in it, None nothing."""
 
     data: bytes
     asked: bytes | None = None
@@ -69,7 +69,7 @@ EXAMPLES = st.lists(
     st.tuples(_polls_of_others() | _OURS | _NOISE, st.integers(0, 300), st.sampled_from((WITHIN_S, APART_S))),
     max_size=12,
 )
-"""What is said, where its last frame is torn, and the silence before it."""
+"""The traffic, the place where its last frame is torn, and the silence before it."""
 
 _face = served(
     lambda faces: _Silent(Responder(faces.board, faces.component(NAME), faces.health, ModbusTcpSettings()))
@@ -88,7 +88,7 @@ class _Silent:
 
 
 def check(example: list[tuple[list[Said], int, float]]) -> None:
-    """What is heard has a frame of its own; without noise it is all that was asked, and nothing else."""
+    """A heard request has a frame of its own; without noise all requests are heard, and nothing else."""
     faces, silent = _face()
     bus, now_s, before, is_clear = Bus(UNIT), 0.0, b"", True
     for said, torn_at, silence_s in example:

@@ -20,7 +20,7 @@ UNIT = 7
 OWN = (UNIT, 0, 255)
 """The unit ids that it answers."""
 MAPS = (range(120), range(200, 280), range(300, 350), range(400, 460), range(500, 530))
-"""What can be read: a read stays in one of them."""
+"""The ranges that can be read: a read stays in one of them."""
 CHECK_NOW = bytes.fromhex("0603e80001")
 TEST_READ = struct.pack(">HHHBBHH", 77, 0, 6, UNIT, 4, 102, 2)
 TEST_ANSWER = struct.pack(">HHHB", 77, 0, 7, UNIT) + bytes.fromhex("04 04 12345678")
@@ -57,11 +57,11 @@ _FRAMES = st.builds(
 )
 _STREAMS = st.lists(_FRAMES, min_size=1, max_size=6).map(b"".join)
 EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.integers(1, 300))
-"""What is sent, and in pieces of how many bytes."""
+"""The bytes to send, and the size of the pieces."""
 
 
 class _Asked:
-    """How often a self-check was asked for."""
+    """The number of requests for a self-check."""
 
     times = 0
 
@@ -165,7 +165,7 @@ def _judge_identification(asked: bytes, answer: bytes) -> None:
 
 
 async def _exchange(port: int, stream: bytes, piece: int) -> bytes:
-    """What comes back; meanwhile another controller is answered."""
+    """The unit's answers; meanwhile another controller is answered."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     other_reader, other_writer = await asyncio.open_connection("127.0.0.1", port)
     try:

@@ -65,7 +65,7 @@ SCRAPS_OF_CSV = (
 
 @dataclass(frozen=True)
 class Folder:
-    """What is in the three kinds of files."""
+    """The contents of the three kinds of files."""
 
     header: bytes
     table: bytes

@@ -22,12 +22,12 @@ def two_dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(two_dark: Path) -> CalibrationResult:
-    """What is calibrated from it."""
+    """The calibration made from it."""
     return calibrate([open_recording(two_dark)])
 
 
 def misses_mm(result: CalibrationResult, name: str, view: View) -> np.ndarray:
-    """How far the map of a target puts points of the plate from where they are."""
+    """The errors of a target's map at points of the plate."""
     target = result.calibration.target(name)
     assert target is not None
     return view.misses_mm(lambda px: target.inverse.to_mm(px)[0])

@@ -1,4 +1,4 @@
-"""Who the cameras of a scan are, from its header into the file of its calibration."""
+"""The identity of a scan's cameras, from its header into the file of its calibration."""
 
 from __future__ import annotations
 

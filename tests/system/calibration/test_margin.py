@@ -1,4 +1,4 @@
-"""What is claimed beyond the nodes, against a unit that this project did not make."""
+"""Claims beyond the nodes, against a unit that this project did not make."""
 
 from __future__ import annotations
 

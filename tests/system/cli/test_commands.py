@@ -247,7 +247,7 @@ class TestBadInput:
     def test_a_file_that_is_not_there_yet_is_told_and_no_fault_of_the_config(
         self, folder: Path, tmp_path: Path
     ) -> None:
-        """What is beside the config depends on the computer; `altd doctor` calls it wrong."""
+        """Findings beside the config depend on the computer; `altd doctor` calls them wrong."""
         path = tmp_path / "altd.toml"
         path.write_text((folder / "altd.toml").read_text().replace(str(folder / "beams"), "nowhere"))
         assert "/nowhere is not there yet; altd record makes it" in refusal(

@@ -1,4 +1,4 @@
-"""What `check-config` passes, `altd run` starts: its interfaces get the addresses and ports they ask for."""
+"""`altd run` starts with a config that `check-config` accepts: interfaces get their addresses and ports."""
 
 from __future__ import annotations
 

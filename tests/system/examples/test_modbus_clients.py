@@ -37,7 +37,7 @@ LIMIT_MS = 30_000.0
 
 _, CDAB, BADC, DCBA = WordOrder
 OTHER = measured(Beam(99.0, 99.0, 9.0, 9.0, 0.004, 0.004, 0.0011, 0.0011))
-"""What must never come through."""
+"""Values that must never come through."""
 
 GOOD, STALE, NAN = "good", refused(Reason.STALE), {230: 0x7FC0, 231: 0}
 TABLE: tuple[tuple[bytes | Wire, str, bool], ...] = (
@@ -86,7 +86,7 @@ TABLE: tuple[tuple[bytes | Wire, str, bool], ...] = (
     (block(28), "restarted", False),
     (block(29), "restarted", False),
 )
-"""What comes for each request, the fault, and whether the last good values are in use then."""
+"""The answer to each request, the fault, and whether the last good values are in use then."""
 EXPECTED = [(fault, VALUES if usable else None) for _, fault, usable in TABLE]
 
 

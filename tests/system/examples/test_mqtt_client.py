@@ -35,7 +35,7 @@ TRUTH = pytest.approx((10.0, 5.0, 1.1458, -1.7184), abs=0.02)
 EPOCH = datetime(2026, 11, 23, tzinfo=UTC)
 TRUE = measurement()
 OTHER = measured(Beam(99.0, 99.0, 9.0, 9.0, 0.004, 0.004, 0.0011, 0.0011))
-"""What must never come through."""
+"""Values that must never come through."""
 GOOD, OFFLINE, ACKNOWLEDGED = "good", b"offline", b""
 
 

@@ -25,7 +25,7 @@ SHOWN = {
     "blocked 180": "STOP: the unit says front_spot_missing+rear_spot_missing",
     "restarted 5": "STOP: the unit was restarted: start this program again",
 }
-"""What the program shows of each telegram."""
+"""The program's output for each telegram."""
 
 
 def test_every_case_gives_what_the_table_says_and_the_same_as_in_python(tmp_path: Path) -> None:

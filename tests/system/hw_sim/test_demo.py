@@ -36,7 +36,7 @@ VALUE = re.compile(rf"(x|y|yaw|pitch) +{NUMBER} ±{NUMBER} \({NUMBER}\) (mm|deg)
 
 
 class Output:
-    """What comes out of a descriptor, read with a long timeout."""
+    """The output of a descriptor, read with a long timeout."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -199,7 +199,7 @@ def test_every_face_answers_with_the_measurements_that_the_lines_show(temporary:
 
 
 def rows_of(data: bytes) -> dict[int, str]:
-    """What a terminal shows: the last text that was written to each row."""
+    """The screen of a terminal: the last text that was written to each row."""
     drawn = re.findall(r"\x1b\[(\d+);1H\x1b\[[\d;]*m([^\x1b]*)", data.decode(errors="replace"))
     return {int(row): text for row, text in drawn}
 

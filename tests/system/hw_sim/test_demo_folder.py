@@ -1,4 +1,4 @@
-"""What the demo keeps, and the commands that it prints, pasted unchanged."""
+"""The demo's kept data, and the commands that it prints, pasted unchanged."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.alone
 
 
 def pasted(command: str) -> str:
-    """What a command writes in another shell, somewhere else."""
+    """The output of a command in another shell, in another folder."""
     return subprocess.run(
         ["sh", "-c", command], cwd="/", check=True, capture_output=True, text=True, timeout=200
     ).stdout
@@ -49,7 +49,7 @@ def until(found: Callable[[], Any], timeout_s: float = 90.0) -> Any:
 
 
 def told_of(events: str, recording: str) -> str | None:
-    """What the command tells of the events, once the history holds this one: it is written now and then."""
+    """The command's list of the events, once the history holds this one: it is written now and then."""
     told = pasted(events)
     return told if re.search(rf"^\S+ recording .*{re.escape(recording)}$", told, re.MULTILINE) else None
 

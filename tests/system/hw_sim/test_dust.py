@@ -50,7 +50,7 @@ def test_more_dust_holds_all_of_less_and_covers_the_share_that_it_says() -> None
 
 
 def test_a_speck_on_the_window_casts_its_shadow_along_the_beam() -> None:
-    """Where the shadow lies on the rear target, from the two slopes and the distance alone."""
+    """The place of the shadow on the rear target, from the two slopes and the distance alone."""
     clean, unit = dusty(0.0), dusty(1.0)
     where = []
     for slope in (0.0, 0.02):

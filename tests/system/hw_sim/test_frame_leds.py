@@ -28,7 +28,7 @@ def mean_light(unit: Unit, leds_on: bool) -> np.ndarray:
 
 
 def led_light(unit: Unit) -> np.ndarray:
-    """What each LED adds to the picture, electrons."""
+    """The light that each LED adds to the picture, electrons."""
     light = mean_light(unit, True) - mean_light(unit, False)
     u, v = unit.imagers["rear"].view.lens.project(LEDS_MM[:, 0], LEDS_MM[:, 1])
     return np.array([window(light, a, b).sum() for a, b in zip(u, v, strict=True)])

@@ -36,7 +36,7 @@ def on_its_way(seed: int) -> Motion:
 def frame_sets(
     motion: Motion, late: int = 0, apart_ms: int = 0, count: int = 400, first: int = 0
 ) -> Iterator[FrameSet]:
-    """What the cameras see of it, the rear one's pictures so many exposures late but stamped as if they
+    """The cameras' pictures of it, the rear one's so many exposures late but stamped as if they
     were not. ``apart_ms``: the rear camera runs freely and exposes so much behind; its stamps show it."""
     rng = np.random.default_rng([first, count])
     for n in range(first, first + count):

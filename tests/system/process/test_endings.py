@@ -63,7 +63,7 @@ DONE = {
     "hw_sim plate": (0, "", {"kept"}),
     "hw_sim measure": (0, "", {"kept", "truth.json"}),
 }
-"""How commands end without a signal: status, standard error, contents of the working folder."""
+"""The ends of commands without a signal: status, standard error, contents of the working folder."""
 
 FULL_DISK = {
     "calibrate": (16, "cal.json"),

@@ -46,7 +46,7 @@ async def curl(*arguments: object) -> tuple[int, str]:
 
 
 def certificate_as_documented(folder: Path) -> tuple[Path, Path]:
-    """What the commands in docs/http.md make, run unchanged, in another folder."""
+    """The files made by the commands in docs/http.md, run unchanged, in another folder."""
     page = (DOCS / "http.md").read_text()
     found = re.search(r"^    openssl req .*(?:\n      .*)*", page, re.MULTILINE)
     assert found is not None

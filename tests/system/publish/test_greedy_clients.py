@@ -47,7 +47,7 @@ class Unit:
 
     @property
     def counted(self) -> dict[str, int]:
-        """What was lost on the way from the exposures to the board."""
+        """The losses on the way from the exposures to the board."""
         counters = self.running.daemon.health.component("measuring").counters
         lost = {
             name: count for name, count in counters.items() if name.startswith("dropped") or "late" in name

@@ -60,7 +60,7 @@ def checked(payload: str, name: str) -> dict[str, Any]:
 
 
 async def names_at_once(port: int) -> dict[str, str]:
-    """What a late subscriber gets that no unit sends to any more: topic and payload."""
+    """The messages for a late subscriber that no unit sends to any more: topic and payload."""
     async with subscribed(port, "--retained-only", "-W", "1") as late:
         return {topic.rpartition("/")[2]: payload for topic, _, _, payload in await late.all()}
 

@@ -48,7 +48,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class Said:
-    """What an interface says of a measurement; None: not known. Values and sigmas in mm and degrees."""
+    """An interface's copy of a measurement; None: not known. Values and sigmas in mm and degrees."""
 
     valid: bool
     sequence: int
@@ -281,11 +281,11 @@ DIGITS = {
     "rtu": 1e-5,
     "telegram": 5.1e-4,
 }
-"""How far a value may be off by its number of digits, mm and degrees."""
+"""The largest error of a value by its number of digits, mm and degrees."""
 
 
 def differences(truth: Measurement, said: dict[str, Said]) -> Counter[str]:
-    """Where an interface says something else than the measurement on the board."""
+    """The differences of an interface from the measurement on the board."""
     found: Counter[str] = Counter()
     assert truth.time is not None
     time_ms = (truth.time - EPOCH) // timedelta(milliseconds=1)

@@ -104,7 +104,7 @@ def _lives(process: int) -> bool:
 
 
 async def by_node(unit: OpcUaUnit, **asked: Any) -> dict[str, Any]:
-    """What node-opcua answers."""
+    """The answer of node-opcua."""
     node, keys = need_program("node", "nodejs"), need_npm("node-opcua-client") / "node_modules/.keys"
     asked = {"keys": KEYS, **asked}
     process = await asyncio.create_subprocess_exec(

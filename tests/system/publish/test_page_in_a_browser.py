@@ -129,7 +129,7 @@ def says_what_is_wrong(code: str, remedy: str) -> Callable[[dict[str, Any]], boo
 
 
 def now_wrong(running: LedUnit) -> dict[str, str]:
-    """What the unit itself shows, with its remedies."""
+    """The faults that the unit itself shows, with their remedies."""
     return {str(shown.cause.kind): shown.cause.remedy for shown in running.daemon.state.read().causes}
 
 

@@ -147,7 +147,7 @@ def test_javascript_computes_the_crc_of_the_object_as_the_page_says(board: Board
 
 
 class TestPython:
-    """What only the Python of the page reads."""
+    """The cases that only the Python of the page reads."""
 
     now = datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC)
     measured = replace(MEASURED, time=now)

@@ -76,7 +76,7 @@ OUTSIDE = """selectors => selectors.flatMap(selector => {
     });
     return found.length ? bad.map(element => `${selector}: ${element.textContent}`) : [`no ${selector}`];
 })"""
-"""What is not on the first screen as a whole, within its section."""
+"""The parts that are not on the first screen as a whole, within its section."""
 
 
 async def on_first_screen(shown: Seen, *selectors: str) -> None:
@@ -180,7 +180,7 @@ async def test_the_scale_of_the_drive_view_stays_while_the_beam_moves(
 
 
 async def middle_of_spot(figure: Locator) -> tuple[float, float] | None:
-    """Where the green contour is on the screen, as shares of the picture from its left and top."""
+    """The place of the green contour on the screen, as shares of the picture from its left and top."""
     png = np.frombuffer(await figure.locator("canvas").screenshot(), np.uint8)
     image = cv2.imdecode(png, cv2.IMREAD_COLOR)
     assert image is not None

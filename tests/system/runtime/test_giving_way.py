@@ -1,4 +1,4 @@
-"""How soon a thread gets the interpreter from one that computes, and in which daemons."""
+"""Time until a thread gets the interpreter from one that computes, and the daemons concerned."""
 
 from __future__ import annotations
 

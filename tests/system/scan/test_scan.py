@@ -61,7 +61,7 @@ async def scanned(
 
 
 def mapped_mm(scan: Path, unit: Unit) -> np.ndarray:
-    """Where the calibration of a scan puts places inside of the grid, as the simulator's lenses show them."""
+    """The errors of a scan's calibration inside of the grid, against the simulator's lenses."""
     x_mm, y_mm = (a.ravel() for a in np.meshgrid(np.linspace(-44, 44, 25), np.linspace(-44, 44, 25)))
     mapped = []
     for target in calibrate([open_recording(scan)]).calibration.targets:

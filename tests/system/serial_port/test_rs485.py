@@ -41,7 +41,7 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def opened(wire: Wire, driver: Path, settings: Rs485Settings, cannot: str = "") -> tuple[str, str]:
-    """What the driver was asked, and what the opener complained of."""
+    """The driver's requests, and the opener's complaint."""
     log = driver.with_name("log")
     log.write_text("")
     environment = {**os.environ, "LD_PRELOAD": str(driver), "RS485_LOG": str(log), "RS485_PORT": cannot}

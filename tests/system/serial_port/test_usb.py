@@ -18,7 +18,7 @@ GREETING = "\r\nActive Laser Target"
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """What the controllers in the guest saw."""
+    """The log of the controllers in the guest."""
     need_program("mbpoll")
     need_program("setpriv", "util-linux")
     slow_bus = ("dummy_hcd.is_high_speed=0",)  # packets of 64 bytes, so that a telegram can be torn

@@ -325,7 +325,7 @@ def test_two_watchers_beside_a_poller_cost_no_exposure(played_unit: PlayedUnit, 
 
 
 def measuring(unit: LocalDaemon) -> dict[str, int]:
-    """What the daemon counts of its exposures."""
+    """The daemon's counters of its exposures."""
     with urllib.request.urlopen(f"http://127.0.0.1:{unit.daemon.http}/api/status", timeout=5) as page:
         counted: dict[str, int] = json.load(page)["components"]["measuring"]
     return counted

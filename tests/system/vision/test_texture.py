@@ -81,7 +81,7 @@ def test_the_share_of_the_contrast_that_is_explained_is_one_or_none() -> None:
 
 
 def test_a_clipped_spot_tells_nothing_of_what_is_explained() -> None:
-    """Where the bright grains are cut off the rest looks like another surface."""
+    """Without its bright grains, which are cut off, the rest looks like another surface."""
     surface = grain(4, contrast=0.3)
     seen = shown(surface, spot=Blob(360.0, 250.0, 60.0, peak=240.0))
     assert sampled(seen).is_clipped

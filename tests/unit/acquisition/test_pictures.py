@@ -1,4 +1,4 @@
-"""What a person is shown of a frame: the picture, and where in it the spot is."""
+"""A frame shown to a person: the picture, and the place of the spot in it."""
 
 from __future__ import annotations
 

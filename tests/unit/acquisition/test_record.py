@@ -23,7 +23,7 @@ from altd.status.health import Health
 
 PIXELS = frame(light(Blob(300, 200))).pixels
 FOLLOW_NS = 30_000_000
-"""How long after the lamps' line their light is switched."""
+"""Delay from the lamps' line to their light."""
 UNIT = UnitHeader(serial="A", target_distance_mm=280.0)
 
 

@@ -58,7 +58,7 @@ async def test_what_cannot_be_is_no_temperature() -> None:
 
 
 def of_camera(answer: float | CameraError | None) -> Callable[[], float | None]:
-    """What the thermometer of a camera reads that answers so."""
+    """The thermometer's reading of a camera with these answers."""
     camera = Mock(spec=TemperatureCamera)
     camera.name = "front"
     camera.celsius.side_effect = [answer]

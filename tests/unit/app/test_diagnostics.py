@@ -1,4 +1,4 @@
-"""What the daemon adds to a unit's diagnostics, and what must never be in it."""
+"""The daemon's part of a unit's diagnostics, and data that must never be in it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_settings_are_those_that_were_read_without_any_secret(config: Config
 
 
 def test_no_key_of_the_settings_holds_a_secret() -> None:
-    """Who adds one has to leave it out of the diagnostics and of the history first."""
+    """A new secret has to be left out of the diagnostics and of the history first."""
     keys = set(re.findall(r'"([a-z0-9_]+)": \{', json.dumps(Config.model_json_schema()["$defs"])))
     assert {"serial", "credentials", "certificate", "key"} <= keys, "the schema is read as it is written"
     assert {key for key in keys if _SOUNDS_SECRET.search(key)} == set()

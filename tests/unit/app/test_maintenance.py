@@ -1,4 +1,4 @@
-"""What the daemon watches for maintenance, put together as its config says."""
+"""The daemon's watches for maintenance, put together as its config says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the history knows of the time before a start is read, at the start and when the clock was set."""
+"""The history of the time before a start is read, at the start and when the clock was set."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ async def reading(unit: Restarted) -> AsyncIterator[Restarted]:
 
 
 def daemon_of(unit: Restarted, about: About) -> tuple[Health, UnitState, DaemonHistory]:
-    """What a daemon, as ``about`` says, keeps in the unit's history."""
+    """The data that a daemon, as ``about`` says, keeps in the unit's history."""
     health = Health(unit.clock)
     board = Board(unit.clock, 1.0, QUANTITIES)
     state = UnitState(board, health, unit.clock)

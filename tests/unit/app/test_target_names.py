@@ -26,7 +26,7 @@ WRITTEN = as_scan_object(WITH_ROLL, (0.0, 0.0))
 
 
 def complaints(tmp_path: Path, name: str) -> list[str]:
-    """What is said of the settings of a unit whose rear target has this name."""
+    """The complaint about a unit whose rear target has this name."""
     path = tmp_path / "altd.toml"
     path.write_text(played_toml("cal.json", "rec").replace('name = "rear"', f'name = "{name}"'))
     with pytest.raises(BadInputError) as caught:

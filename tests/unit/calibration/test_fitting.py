@@ -21,7 +21,7 @@ def bent(p: np.ndarray) -> np.ndarray:
 
 
 def wrong_window(p: np.ndarray) -> np.ndarray:
-    """What a lens does not know, on top of one."""
+    """A deviation beyond the lens model, on top of a lens."""
     x, y = p[:, 0] / 62.5, p[:, 1] / 50
     return np.column_stack([1.5 * x**3 * y, x * y**3])
 

@@ -1,4 +1,4 @@
-"""What is claimed beyond the nodes, against lenses of hw_sim; ``make bench-area`` measures it on pictures."""
+"""Claims beyond the nodes, against lenses of hw_sim; ``make bench-area`` measures them on pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 
 NODES = np.stack(np.meshgrid(np.arange(-62.5, 63, 25), np.arange(-50.0, 51, 25)), -1).reshape(-1, 2)
 PATTERN_PX = 0.04
-"""What a node scatters about the map, print and speckle."""
+"""Scatter of a node about the map, print and speckle."""
 
 
 def seen(lens: Lens, places_mm: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -30,4 +30,4 @@ NO_TOML: tuple[tuple[str, str, str], ...] = (
     ("{ gain = 16 }", "{ gain = 16«", "a comma or } is missing in a table"),
     ("active_low = false", "active_low = «False", "true and false in small letters"),
 )
-"""What is no TOML: what is replaced, what by, words of the complaint."""
+"""Texts that are no TOML: the text replaced, its replacement, words of the complaint."""

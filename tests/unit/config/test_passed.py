@@ -1,4 +1,4 @@
-"""What `check-config` passes, `altd run` does not refuse for a reason that is in the file."""
+"""A config that `check-config` accepts is not refused by `altd run` for a reason in the file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def passed(path: Path) -> bool:
 
 
 def composed(path: Path) -> Daemon:
-    """What `altd run` does before it starts."""
+    """The steps of `altd run` before it starts."""
     return daemon_of(load_settings(path), path)
 
 

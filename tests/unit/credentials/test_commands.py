@@ -70,7 +70,7 @@ def test_at_a_terminal_it_asks_twice_and_shows_nothing(tmp_path: Path) -> None:
 
 
 def typed_at_terminal(path: Path, *answers: bytes) -> str:
-    """What the terminal shows while a person answers each prompt."""
+    """The terminal's text while a person answers each prompt."""
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-m", "altd.cli", "password", str(path), "ana"])

@@ -9,7 +9,7 @@ from altd.ports import CameraLostError, CameraNotFoundError, LampsError, Switchi
 
 
 class Camera:
-    """What of a camera these lamps use; its output keeps its level when the camera is closed."""
+    """The part of a camera that these lamps use; its output keeps its level when the camera is closed."""
 
     def __init__(self) -> None:
         self.is_open = False

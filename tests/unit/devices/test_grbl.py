@@ -85,7 +85,7 @@ def stage(table: GrblTable) -> Iterator[GrblStage]:
 
 
 def beam(table: GrblTable) -> tuple[float, float]:
-    """Where the laser really is."""
+    """The true place of the laser."""
     pose = table.beam(time.monotonic_ns())
     return pose.x_mm, pose.y_mm
 

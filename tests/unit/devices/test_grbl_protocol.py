@@ -1,4 +1,4 @@
-"""What a Grbl controller says, line by line."""
+"""Answers of a Grbl controller, line by line."""
 
 from __future__ import annotations
 

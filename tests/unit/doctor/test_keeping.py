@@ -1,4 +1,4 @@
-"""What the daemon keeps, and where it is asked: folders, room, a damaged file, a socket in the way."""
+"""The daemon's stores and its socket: folders, room, a damaged file, a socket in the way."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def test_a_file_has_a_name_of_its_own(tmp_path: Path) -> None:
 
 
 class TestHistory:
-    """What interfaces ask."""
+    """Queries of the interfaces."""
 
     @pytest.fixture
     def path(self, tmp_path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""What goes when the history grows, with limits made small."""
+"""Removal from a history that grows, with limits made small."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def before(folder: Path, start_s: float, back_s: float = HOUR_S) -> Before:
 
 
 def last_hour(folder: Path, start_s: float) -> dict[str, Any]:
-    """What the availability says of the hour before a daemon's start, at that start."""
+    """The availability of the hour before a daemon's start, at that start."""
     availability = Availability(0)
     availability.before = before(folder, start_s)
     return cast("dict[str, Any]", availability.as_object()["last_hour"])

@@ -1,4 +1,4 @@
-"""What is written is what was measured: hand-made measurements, read back through the reader and by SQL."""
+"""The history holds the measurements: hand-made ones, read back through the reader and by SQL."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class Toy:
 
 
 def measured(calibration: Calibration, u_px: float, toy: Toy | None = None) -> Measurement:
-    """What the chain makes of a window of a spot at rest, on one target alone."""
+    """The chain's measurement of a window of a spot at rest, on one target alone."""
     chain = MeasuringChain((View("front", "camera"),), calibration, Measuring(window=4), toy or Toy())
     measurements: list[Measurement] = []
     for sequence in range(4):

@@ -1,4 +1,4 @@
-"""What the inverse must never do: give a number for a pixel that no place inside the hull has."""
+"""The inverse must never give a number for a pixel that no place inside the hull has."""
 
 from __future__ import annotations
 

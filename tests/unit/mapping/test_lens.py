@@ -140,7 +140,7 @@ def test_nodes_that_cannot_carry_a_lens_are_refused() -> None:
 
 
 def by_opencv(optics: Optics, p: np.ndarray, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where OpenCV projects the points with a camera's parameters, and its derivatives, by formula."""
+    """OpenCV's projections of the points with a camera's parameters, and its derivatives, by formula."""
     width, height = SIZE
     focal_px = 1.4 * width * np.exp(p[6])
     middle = np.array([(width - 1) / 2, (height - 1) / 2]) + width * p[7:9]

@@ -75,7 +75,7 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
 
 
 def test_what_is_found_is_told_of_each_new_frame_also_of_another_camera(calibration: Calibration) -> None:
-    """Who sets the exposure wants to know of a spot whether it may be measured or not."""
+    """The exposure control needs to know of a spot whether it may be measured or not."""
     measured = MeasuringChain(
         (VIEWS[0], replace(VIEWS[1], expected=CameraIdentity(serial="another"))),
         calibration,

@@ -1,4 +1,4 @@
-"""What ends a window, and what does not: changes of exposure, frame LEDs, gaps and silent cameras."""
+"""Causes that end a window or do not: changes of exposure, frame LEDs, gaps and silent cameras."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .chains import VIEWS, chain, last, shots
 def test_no_mean_holds_exposures_from_before_and_after_a_change(
     calibration: Calibration, camera: str, marked: int
 ) -> None:
-    """Where the spot lies tells which exposure a frame had: x 10 mm before the change, 10.3 mm after it."""
+    """The place of the spot tells the exposure of a frame: x 10 mm before the change, 10.3 mm after it."""
     measured = chain(calibration)
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
     frames = [replace(f, changing=f.camera == camera and 6 <= f.sequence < 6 + marked) for f in frames]
@@ -55,7 +55,7 @@ def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibrati
 def test_breaks_that_were_told_of_by_frames_which_got_lost_keep_the_window_apart(
     calibration: Calibration,
 ) -> None:
-    """What was dropped, the chain never sees: the change itself, and the frames about it."""
+    """Dropped frames never reach the chain: the change itself, and the frames about it."""
     measured = chain(calibration)
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
     frames = [replace(f, changing=f.camera == "left" and f.sequence == 6) for f in frames]

@@ -1,4 +1,4 @@
-"""What windows of the past say about what follows: at rest, on the way, starting, stopping."""
+"""Predictions from windows of the past: at rest, on the way, starting, stopping."""
 
 from __future__ import annotations
 

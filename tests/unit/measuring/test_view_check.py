@@ -59,7 +59,7 @@ class Bench:
         return allowed
 
     def figures(self, after_s: float = 0.0) -> dict[str, float | str]:
-        """What health shows so long after the last frame."""
+        """Health so long after the last frame."""
         return self.check.status.figures(self.t_ns + round(after_s * 1e9))
 
 

@@ -1,4 +1,4 @@
-"""How work ends, and its result, in this process; whole commands: ``tests/system/process``."""
+"""End of work, and its result, in this process; whole commands: ``tests/system/process``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What text from outside becomes on standard output, on standard error and in the log."""
+"""Text from outside on standard output, on standard error and in the log."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HOSTILE = {
     "\udcff": "\\udcff",
     "\U000e0001": "\\U000e0001",
 }
-"""What a terminal obeys or hides, or what ends a line, and its escape in Python's notation."""
+"""Characters that a terminal obeys or hides, or that end a line, and their escapes in Python's notation."""
 
 
 def logged(*texts: object, times: int = 1) -> list[str]:

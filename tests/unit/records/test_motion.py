@@ -1,4 +1,4 @@
-"""How far the truth is from a mean of the past, by formulas of motion."""
+"""Distance of the truth from a mean of the past, by formulas of motion."""
 
 from __future__ import annotations
 

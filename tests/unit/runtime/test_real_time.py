@@ -1,4 +1,4 @@
-"""What a thread may keep the interpreter for, and what a collection goes through."""
+"""A thread's longest use of the interpreter, and the objects that a collection visits."""
 
 from __future__ import annotations
 

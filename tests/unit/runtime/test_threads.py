@@ -34,7 +34,7 @@ class Gate:
 
 
 class Hand:
-    """What a call has in hand: it is heavy."""
+    """The object that a call holds: it is heavy."""
 
 
 @pytest.mark.parametrize("end", ["returns", "raises", "times out", "is cancelled"])

@@ -12,7 +12,7 @@ from altd.selfcheck.records import LedState, LedView, Limits, SelfCheck, Verdict
 from altd.selfcheck.verdict import judge
 
 MIDDLE = (375.0, 240.0)
-"""Where the straight maps have x = y = 0."""
+"""The pixel at which the straight maps have x = y = 0."""
 
 
 def check(

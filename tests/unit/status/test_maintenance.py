@@ -1,4 +1,4 @@
-"""What wants maintenance is said before anything is invalid by it, and does not flicker at its limit."""
+"""A need of maintenance is reported before anything is invalid by it, and does not flicker at its limit."""
 
 from __future__ import annotations
 

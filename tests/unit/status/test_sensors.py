@@ -1,4 +1,4 @@
-"""What an inclinometer says, in a measurement of the beam: on the board and on every interface."""
+"""An inclinometer's values in a measurement of the beam: on the board and on every interface."""
 
 from __future__ import annotations
 

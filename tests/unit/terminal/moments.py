@@ -1,4 +1,4 @@
-"""What is known of a made-up unit after a minute: x climbs, ten seconds of it were lost."""
+"""A made-up unit after a minute: x climbs, ten seconds of it were lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What answers at the socket may be anybody: only what can be shown gets past the documents."""
+"""Any program may answer at the socket: only documents that can be shown pass."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def dots(pitch_px: float = 6.5) -> Image:
 
 
 def specks(*places: tuple[float, float, float]) -> Image:
-    """What passes opaque discs at (u, v) from the spot's middle, of a diameter in px, blurred a little."""
+    """The light past opaque discs at (u, v) from the spot's middle, of a diameter in px, blurred a little."""
     passes = np.ones((ROWS, COLUMNS), np.float32)
     for right, down, diameter in places:
         distance = np.hypot(U - MIDDLE[0] - right, V - MIDDLE[1] - down)
@@ -54,7 +54,7 @@ def seen(
     shift_px: tuple[float, float] = (0.0, 0.0),
     seed: int = 5,
 ) -> DustCount | None:
-    """What is counted under a Gaussian spot of this 1/e² radius, with photon noise, on a shifted picture."""
+    """The count under a Gaussian spot of this 1/e² radius, with photon noise, on a shifted picture."""
     rng = np.random.default_rng(seed)
     moved = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]])
     there = cv2.warpAffine(response, moved, (COLUMNS, ROWS), flags=cv2.INTER_LANCZOS4)

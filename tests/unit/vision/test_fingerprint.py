@@ -18,7 +18,7 @@ from altd.vision.settings import SpotSettings
 
 PRINT = DottedPrint(1)
 CHECKED = Motion(0.5, -0.33, turn_deg=0.1)
-"""What the last self-check found: 0.6 px and 0.1°."""
+"""The result of the last self-check: 0.6 px and 0.1°."""
 SPOT = Blob(200.0, 130.0, 60.0, peak=55.0)
 HOT = [(40, 50), (700, 60), (90, 420), (300, 30), (620, 440), (200, 200)]
 
@@ -164,6 +164,6 @@ def test_a_texture_of_the_scan_moves_likewise_and_refuses_nothing(calibrated: Fi
 
 
 def test_the_motions_of_this_test_turn_about_the_leds() -> None:
-    """What ``affine`` has to agree with."""
+    """The reference of ``affine``."""
     there = affine(CHECKED) @ np.column_stack([LEDS, np.ones(len(LEDS))]).T
     assert pytest.approx(CHECKED.of(LEDS), abs=1e-6) == there.T

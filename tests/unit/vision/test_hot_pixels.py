@@ -131,7 +131,7 @@ def test_an_aged_sensor_with_as_many_new_ones_is_the_same(known: HotPixels) -> N
 def test_a_picture_of_which_bytes_were_lost_on_the_way_is_not_as_it_was_read(
     known: HotPixels, lost_px: int
 ) -> None:
-    """What follows the loss lies aside, row by row; what came before it is in its place."""
+    """The rows after the loss are displaced, row by row; those before it are in their place."""
     pixels = picture(np.random.default_rng(8), PLACES)
     row = 210
     pixels.reshape(-1)[row * 752 :] = np.roll(pixels.reshape(-1)[row * 752 :], lost_px)

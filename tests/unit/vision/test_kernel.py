@@ -59,7 +59,7 @@ def frames() -> Iterator[tuple[Frame, Flat | None]]:
 
 
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Blocks, fit.State, float, int]]:
-    """What the fits of these frames are given."""
+    """The input of these frames' fits."""
     taken: list[tuple[Blocks, fit.State, float, int]] = []
 
     def solve(

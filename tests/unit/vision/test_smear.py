@@ -1,4 +1,4 @@
-"""What no fit can see: a spot behind a smear whose transmission slopes evenly; frames come from formulas.
+"""An undetectable disturbance: a spot behind a smear whose transmission slopes evenly; by formulas.
 
 A Gaussian times exp(−s·u) is the same Gaussian elsewhere: exp(−8 u²/d² − s·u) has its middle at −s·d²/16.
 """

@@ -64,7 +64,7 @@ def lit(spoil: Spoil, camera: str | None = None, since: int = 0) -> Scene:
 
 
 def share_and_place(make: object, seed: int) -> tuple[float, float]:
-    """How much light a way has added, relative to the spot's, and how far from it in mm."""
+    """The light that a way has added, relative to the spot's, and its distance from it in mm."""
     clean, spoilt = scene(), lit(made(make, seed), "rear")
     added = spoilt.electrons - clean.electrons
     u, v = centroid(added)

@@ -1,4 +1,4 @@
-"""What memory a command takes does not grow with the nodes and the frames that it works on."""
+"""The memory of a command does not grow with the nodes and the frames that it works on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the studies set beside altd's figures, against physics and against each other."""
+"""The studies' reference figures for altd, against physics and against each other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrapped at 120 characters, and what is left alone."""
+"""Text that is wrapped at 120 characters, and text that is left alone."""
 
 from __future__ import annotations
 

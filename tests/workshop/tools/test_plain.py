@@ -17,6 +17,7 @@ from tools.plain import findings, main, sentences
         ("a.md", "[a page](stands.md)", []),
         ("a.md", "# What is needed\n\n## How?\n", [(1, "# What is needed")]),
         ("a.py", "a = 1  # who asked", [(1, "# who asked")]),
+        ("a.py", '"""What it is.\n\nWhat follows.\n"""\n"""Why? What is it?"""', [(1, '"""What it is.')]),
         (
             "a.md",
             "A rule for who reads: Who asks, waits.",

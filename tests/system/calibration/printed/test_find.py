@@ -43,7 +43,7 @@ def test_the_flat_is_what_the_pixels_show_of_even_light(found: Print, scene: Sce
 
 
 def test_the_marks_are_the_regular_places_of_the_nodes(found: Print, scene: Scene) -> None:
-    """Where their pixels really look, but for an affine map."""
+    """The places that their pixels really see, but for an affine map."""
     true_mm = np.stack(scene.lens.unproject(*found.fiducials.px.T), axis=1)
     design = np.column_stack([np.ones(len(true_mm)), found.fiducials.regular_mm])
     off_mm = true_mm - design @ np.linalg.lstsq(design, true_mm, rcond=None)[0]

@@ -10,7 +10,7 @@ from altd.calibration.printed.lattice import Lattice
 
 
 def whole(lattice: Lattice, steps_mm: np.ndarray) -> np.ndarray:
-    """How far the phases that a print's steps turn through are from whole turns, radians."""
+    """The distance of the phases that a print's steps turn through from whole turns, radians."""
     turns = steps_mm @ lattice.reciprocal.T / (2 * np.pi)
     assert abs(np.linalg.det(turns)) == pytest.approx(
         1, abs=0.01

@@ -32,7 +32,7 @@ def is_the_cameras(frame: Frame) -> bool:
 
 
 def stream_port() -> int:
-    """Where the frames go: the camera tells anybody (bootstrap register SCP0)."""
+    """The destination of the frames: the camera tells it to any client (bootstrap register SCP0)."""
     port = register(HOME, 0x0D00)
     assert port
     return port & 0xFFFF
@@ -67,7 +67,7 @@ class TestAnotherAddress:
         assert max(np.diff([frame.sequence for _, frame in grabbed.frames])) < 100
 
     def test_is_not_heard_at_the_control_channel(self, grabbed: Grabbed) -> None:
-        """Where one acknowledgement "wait for a minute" would delay every request to the camera."""
+        """Under one acknowledgement "wait for a minute" every request to the camera would be late."""
         wait_a_minute = struct.pack(">HHHHHH", 0, 0x89, 4, 1, 0, 60_000)
         control = [goal for goal in udp_ports(os.getpid()) if goal[1] != stream_port()]
         assert len(control) == 1

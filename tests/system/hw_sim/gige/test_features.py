@@ -1,4 +1,4 @@
-"""What a camera says and what can be set, asked by Aravis' own tool and by a client on Aravis."""
+"""A camera's features and settings, asked by Aravis' own tool and by a client on Aravis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the cameras show, against the truth that a unit of the same seed knows in this process."""
+"""The cameras' pictures, against the truth that a unit of the same seed knows in this process."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def box_around(u: float, v: float, half: int = 55) -> tuple[slice, slice]:
 
 
 def projected(unit: Unit, camera: str, t_ns: float) -> np.ndarray:
-    """Where a camera sees the beam at an instant of the monotonic clock, (u, v)."""
+    """The place of the beam in a camera's picture at an instant of the monotonic clock, (u, v)."""
     u, v = unit.imagers[camera].view.lens.project(*unit.truth(round(t_ns)).at(Z_MM[camera]))
     return np.array([float(u), float(v)])
 
@@ -90,7 +90,7 @@ def test_the_spots_are_where_the_truth_says_in_separate_processes_and_within_a_m
 
 
 def bright_leds(unit: Unit, camera: str, pixels: np.ndarray) -> int:
-    """How many of the places where LEDs sit are far brighter than what is around."""
+    """The number of the LEDs' places that are far brighter than their surroundings."""
     count = 0
     for place in LED_POSITIONS_MM:
         u, v = (round(float(x)) for x in unit.imagers[camera].view.lens.project(*place))

@@ -1,4 +1,4 @@
-"""What is believed of an inclinometer's readings, and what sigma it gets."""
+"""Acceptance of an inclinometer's readings, and their sigma."""
 
 from __future__ import annotations
 

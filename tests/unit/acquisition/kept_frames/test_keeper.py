@@ -1,4 +1,4 @@
-"""What is written after a fault and on request, by a clock that the test moves; the disk is a real one."""
+"""Files written after a fault and on request, by a clock that the test moves; the disk is a real one."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_a_recording_is_found_by_its_time_and_its_cause(tmp_path: Path) -> None:
 
 
 class Elsewhere:
-    """What links lead to; nothing of it may be read, counted or removed."""
+    """The targets of links; nothing of them may be read, counted or removed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -134,7 +134,7 @@ async def test_without_a_calibration_the_pairs_become_its_references(tmp_path: P
 
 
 async def test_another_camera_than_was_calibrated_has_not_moved(tmp_path: Path) -> None:
-    """Who has put in a new camera scans to calibrate it."""
+    """A technician who has put in a new camera scans to calibrate it."""
     front, rear = led_frames.unit().targets
     known = replace(led_frames.unit(), targets=(front, replace(rear, camera=CameraIdentity("R-1"))))
     bench = Bench(tmp_path, MOVED, known, rear_serial="R-2")

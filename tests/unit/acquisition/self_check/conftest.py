@@ -1,4 +1,4 @@
-"""What the tests of the history of self-checks share."""
+"""Common parts of the tests of the history of self-checks."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Bench:
         self._number = 0
 
     def check(self, motion: Motion, seed: int = 1) -> SelfCheck:
-        """What a check says and sets right while the front camera's picture lies so."""
+        """The check's report and correction while the front camera's picture is displaced so."""
         rng = np.random.default_rng(seed)
         views = {"front": Scene(motion).view(rng), "rear": Scene().view(rng)}
         found = judge(views, self.calibration, None, Limits())
@@ -69,7 +69,7 @@ class Bench:
         return found
 
     def measured(self, motion: Motion, surface: DottedPrint = PRINT) -> Measurement:
-        """What a window says after a pause, as of a beam that stands still."""
+        """The measurement of a window after a pause, of a beam at rest."""
         pictures = {"left": picture("front", surface, motion), "right": picture("rear", PLATE, Motion())}
         self._number += 20
         for _ in range(2):

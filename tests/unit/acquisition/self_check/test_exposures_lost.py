@@ -1,4 +1,4 @@
-"""What a poller receives while the LEDs take exposures from the window, of a beam at rest."""
+"""A client's polls while the LEDs take exposures from the window, of a beam at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What checks make of a measurement, by verdicts that the test writes down."""
+"""Effect of checks on a measurement, by verdicts that the test writes down."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ async def test_a_clock_that_was_not_set_yet_neither_counts_nor_costs_the_history
 
 
 async def knows_bad(unit: Unit, calibration: Calibration = CALIBRATION) -> bool:
-    """What a daemon that starts now knows of the last verdict."""
+    """The last verdict, as a daemon that starts now knows it."""
     memory = CheckMemory(calibration, unit.clock)
     memory.keep_in(unit.path, unit.component)
     was_bad = await memory.was_bad()

@@ -83,7 +83,7 @@ class TestQuestions:
             assert gvcp.discover_at(ELSEWHERE, 0.1) is None
 
     def test_no_two_have_the_same_number(self) -> None:
-        """Who does not see the question cannot forge its answer."""
+        """A sender that does not see the question cannot forge its answer."""
         asked: list[bytes] = []
         with answering(lambda question: asked.append(question[6:8]) or []):
             for _ in range(20):

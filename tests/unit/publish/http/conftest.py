@@ -47,7 +47,7 @@ class Answer:
 
 @dataclass
 class Unit:
-    """What is served, and ways to ask it."""
+    """The served parts, and ways to request them."""
 
     publisher: HttpPublisher
     task: asyncio.Task[None]

@@ -1,4 +1,4 @@
-"""What the unit's document promises, and whether an answer is so."""
+"""The unit's document, and the check of an answer against it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEED_MORE = (
     *("/api/v1/trend", "/api/v1/events"),
     *("/api/v1/calibration", "/api/v1/calibration/file", "/api/v1/calibration/report"),
 )
-"""What a history or a calibration answers, which the unit of most tests has not."""
+"""Answers of a history or a calibration, which the unit of most tests has not."""
 
 
 def fits(document: dict[str, Any], path: str, answer: Answer, method: str = "get") -> Any:

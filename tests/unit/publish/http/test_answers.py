@@ -1,4 +1,4 @@
-"""What each path answers, over real sockets."""
+"""Answers of each path, over real sockets."""
 
 from __future__ import annotations
 

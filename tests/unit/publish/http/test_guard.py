@@ -1,4 +1,4 @@
-"""Who may act where credentials are set: tokens, sessions, other pages, and too many tries."""
+"""Permission to act where credentials are set: tokens, sessions, other pages, and too many tries."""
 
 from __future__ import annotations
 

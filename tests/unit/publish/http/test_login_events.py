@@ -1,4 +1,4 @@
-"""What logging in leaves as events: who and from where, never what was typed."""
+"""Events of logging in: the name and the address, never the typed text."""
 
 from __future__ import annotations
 

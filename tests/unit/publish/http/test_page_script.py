@@ -273,7 +273,7 @@ def test_a_unit_that_was_restarted_is_asked_before_its_stream_is_believed(page: 
 
 
 def test_a_refusal_says_nothing_of_the_unit(page: Page) -> None:
-    """Who asks too often is refused: neither is nothing wrong then, nor was nothing measured."""
+    """A client that asks too often is refused: neither is nothing wrong then, nor was nothing measured."""
     page.measuring()
     refused = {"error": "too many requests; wait 1 s"}
     answers = {STATUS_PATH: refused, MEASUREMENT_PATH: refused}

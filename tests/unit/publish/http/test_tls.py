@@ -165,7 +165,7 @@ async def test_garbage_instead_of_a_handshake_logs_nothing(
 
 
 async def test_a_request_that_comes_with_the_handshake_is_answered(served: Served, files: Files) -> None:
-    """What TLS deciphers at once must not be lost on its way to HTTP."""
+    """The bytes that TLS deciphers at once must not be lost on their way to HTTP."""
 
     def ask(port: int) -> bytes:
         ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()

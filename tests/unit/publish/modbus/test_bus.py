@@ -15,7 +15,7 @@ from altd.publish.modbus.rtu import FRAGMENT_TIMEOUT_S, MAX_FRAME_BYTES, Bus, fr
 
 
 def received(*chunks: bytes, gap_s: float = 0.01) -> list[bytes | None]:
-    """What a unit makes of chunks with silences between them."""
+    """The unit's reading of chunks with silences between them."""
     bus = Bus(UNIT)
     return [bus.receive(chunk, number * gap_s) for number, chunk in enumerate(chunks)]
 

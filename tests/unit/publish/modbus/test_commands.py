@@ -1,4 +1,4 @@
-"""What a controller may ask for by a write, on real sockets and a line."""
+"""A controller's commands by a write, on real sockets and a line."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ KEYS = frozenset({*NUMBERS, "y_mm.sigma", "x_mm.sigma_now", "roll_deg", "roll_de
 
 @dataclass
 class NotedNodes:
-    """What was written last to each node."""
+    """The values written last to each node."""
 
     keys: frozenset[str] = KEYS
     now: dict[str, Written] = field(default_factory=dict)

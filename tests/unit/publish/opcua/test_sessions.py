@@ -1,4 +1,4 @@
-"""What clients may not do, by asyncua's client at the server: each of these asyncua alone would let them."""
+"""Limits of clients, by asyncua's client at the server: asyncua alone has none of them."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def well() -> Health:
 
 
 def answer(line: str, measurement: Measurement | None = MEASURED) -> list[str]:
-    """What is shown after the echo of one line, without the prompt."""
+    """The text after the echo of one line, without the prompt."""
     shown = Console(lambda: measurement, well(), QUANTITIES).feed(line.encode() + b"\r").decode("ascii")
     echo, _, text = shown.partition("\r\n")
     assert echo == line

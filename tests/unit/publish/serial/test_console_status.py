@@ -1,4 +1,4 @@
-"""What `status` tells of a unit and what is wrong with it, on pages that fit a screen."""
+"""`status` on a unit and its faults, on pages that fit a screen."""
 
 from __future__ import annotations
 

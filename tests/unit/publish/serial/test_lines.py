@@ -24,7 +24,7 @@ def typed(data: bytes) -> tuple[bytes, list[str | BadLine]]:
 
 
 def screen(data: bytes) -> tuple[str, int]:
-    """What a terminal that knows only backspace shows after some keys, and the place of its cursor."""
+    """The line on a terminal that knows only backspace after some keys, and the place of its cursor."""
     cells: list[str] = []
     at = 0
     for shown in typed(data)[0].decode("ascii"):

@@ -25,7 +25,7 @@ def line_of(data: bytes, baud: int, *, bits: int, parity: str) -> list[tuple[flo
 
 
 def heard(levels: list[tuple[float, int]], baud: int) -> bytes:
-    """What a UART with eight data bits and no parity makes of it: sampled in the middle of its bits.
+    """The bytes as a UART with eight data bits and no parity reads them: sampled in the middle of its bits.
 
     A byte whose stop bit is missing is passed on, as Linux does without INPCK.
     """
