@@ -57,7 +57,7 @@ def test_it_says_what_the_daemon_measures_and_what_to_do(unit: LocalDaemon) -> N
     measured = unit.daemon.measurement()
     (x_line,) = (line for line in lines if line.startswith("  x "))
     assert float(x_line.split()[1]) == pytest.approx(measured["x_mm"], abs=0.1)
-    assert any(line.startswith("camera front") for line in lines)
+    assert "camera front" in said.out.partition("calibration  front")[2]
 
 
 def test_its_numbers_as_json_are_those_of_http(unit: LocalDaemon) -> None:
