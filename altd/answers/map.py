@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
-from altd.calibration.file import load_calibration
+from altd.calibration.file import load_calibration, target_of
 from altd.errors import BadInputError
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
@@ -43,9 +43,7 @@ def answer(calibration: Path, name: str, form: TextFormat | None, complain: Call
     That is 2 when a line is no ``u v``; it has a row too, so that rows match lines, and is reported.
     Raises BadInputError when the calibration cannot be used.
     """
-    target = load_calibration(calibration).target(name)
-    if target is None:
-        raise BadInputError(calibration, f"does not know target {name!r}")
+    target = target_of(load_calibration(calibration), calibration, name)
     if target.simulated:
         complain(f"{calibration}: {name} was calibrated from SIMULATED frames")
     table: _Table = _PlainTable() if form is None else TEXT_FORMATS[form](sys.stdout.write, POINT_COLUMNS)

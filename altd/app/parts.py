@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
+from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration, target_of
 from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
@@ -148,9 +148,7 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
     path = config.unit.calibration
     calibration = load_calibration(path, config.unit.serial)
     for target in config.targets:
-        known = calibration.target(target.name)
-        if known is None:
-            raise BadInputError(path, f"does not know target {target.name!r}")
+        target_of(calibration, path, target.name)
         check_place(calibration, path, target.name, target.z_mm)
         camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
         if isinstance(camera, PlaybackCamera):

@@ -246,11 +246,18 @@ def check_recording(calibration: Calibration, path: Path, header: RecordingHeade
             check_place(calibration, path, target.name, target.z_mm)
 
 
+def target_of(calibration: Calibration, path: Path, name: str) -> TargetCalibration:
+    """The calibration of a target; refuses a name that is none of the calibration's."""
+    known = calibration.target(name)
+    if known is None:
+        names = ", ".join(repr(target.name) for target in calibration.targets)
+        raise BadInputError(path, f"does not know target {name!r}, only {names}")
+    return known
+
+
 def check_image_size(calibration: Calibration, path: Path, target: str, width: int, height: int) -> None:
     """Refuse frames of another size than the calibration was made with, or of a target it does not know."""
-    known = calibration.target(target)
-    if known is None:
-        raise BadInputError(path, f"does not know target {target!r}")
+    known = target_of(calibration, path, target)
     if (known.width, known.height) != (width, height):
         swapped = ": width and height are swapped" if (known.height, known.width) == (width, height) else ""
         raise BadInputError(

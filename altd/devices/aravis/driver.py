@@ -202,8 +202,8 @@ class AravisCamera:
             others = [f"{camera.serial} at {camera.address}" for camera in there[:_MAX_CAMERAS_NAMED]]
             if len(there) > _MAX_CAMERAS_NAMED:
                 others.append(f"{len(there) - _MAX_CAMERAS_NAMED} more")
-            only = ", ".join(others) or "none at all"
-            raise CameraNotFoundError(f"no camera {wanted} answers, only {only}")
+            only = f"only {', '.join(others)}" if others else "nor any other"
+            raise CameraNotFoundError(f"no camera {wanted} answers, {only}")
         return found[0]
 
     def _check_controlled(self, opened: OpenCamera) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Mapping
+from http import HTTPStatus
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
-from altd.errors import one_line
+from altd.errors import did_you_mean, one_line
 
 
 def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
@@ -45,7 +46,12 @@ async def of_defect(_: Request, __: Exception) -> Response:
     return refusal(500, "a defect of the unit; its log says more")
 
 
-async def of_routing(_: Request, error: Exception) -> Response:
-    """404 and 405, which starlette finds out."""
+async def of_routing(request: Request, error: Exception) -> Response:
+    """404 and 405, from starlette; 404 names the path, and the most similar one that exists."""
     assert isinstance(error, HTTPException)  # noqa: S101  it is registered for no other
+    if error.status_code == HTTPStatus.NOT_FOUND:
+        path = request.url.path
+        paths = [route.path for route in request.app.routes if "{" not in route.path]
+        near = did_you_mean(path, paths)
+        return refusal(404, f"there is no {one_line(path)}{near}; /api/v1/ lists the paths")
     return refusal(error.status_code, error.detail, error.headers)

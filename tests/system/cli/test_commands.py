@@ -273,7 +273,7 @@ class TestBadInput:
 
     def test_a_target_that_is_none(self, folder: Path) -> None:
         arguments = ("map", "--calibration", folder / "cal.json", "--target", "side")
-        assert "does not know target 'side'" in refusal(altd_here(*arguments, stdin=""))
+        assert "does not know target 'side', only 'front', 'rear'" in refusal(altd_here(*arguments, stdin=""))
 
     def test_an_output_that_cannot_be_written(self, folder: Path, tmp_path: Path) -> None:
         assert "its folder does not exist" in refusal(

@@ -168,6 +168,14 @@ async def test_refusals_are_json(served: Served, method: str, path: str, status:
     assert set(answer.json) == {"error"}
 
 
+async def test_a_misspelled_path_names_the_right_one(served: Served) -> None:
+    async with served() as unit:
+        answer = await unit.ask("/api/v1/measurements")
+    assert answer.json["error"].startswith(
+        "there is no /api/v1/measurements; did you mean `/api/v1/measurement`?"
+    )
+
+
 async def test_a_defect_is_answered_in_json_and_logged_as_one(
     served: Served, health: Health, caplog: pytest.LogCaptureFixture
 ) -> None:
