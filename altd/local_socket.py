@@ -48,7 +48,9 @@ def ask(
     except PermissionError as error:
         raise NoAnswerError(_who_may(path)) from error
     except FileNotFoundError as error:
-        raise NoAnswerError(f"the daemon does not run: there is no socket {path}") from error
+        raise NoAnswerError(
+            f"there is no socket {path}: the daemon does not run, or runs without [local]"
+        ) from error
     except ConnectionRefusedError as error:
         raise NoAnswerError(f"the daemon does not run: nothing listens at {path}") from error
     except (http.client.HTTPException, ValueError) as error:

@@ -53,7 +53,7 @@ def in_lines(findings: list[Finding]) -> list[str]:
     for finding in findings:
         lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.text}")
         if finding.remedy:
-            lines.append(f"        mend: {finding.remedy}")
+            lines.append(f"        fix: {finding.remedy}")
     wrongs, betters, goods, skips = (
         sum(finding.verdict is verdict for finding in findings)
         for verdict in (Verdict.WRONG, Verdict.BETTER, Verdict.GOOD, Verdict.SKIPPED)

@@ -117,8 +117,8 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
     lacking = [name for name, value in wanted.items() if not value]
     subject = f"http {http.host}:{http.port}"
     if "allow" in lacking:
-        open_to = f"everybody whom the network lets in can read it, without {', '.join(lacking)}"
-        text = f"{open_to}: well in a network of its own"
+        open_to = f"any computer that reaches it can read it, without {', '.join(lacking)}"
+        text = f"{open_to}: acceptable in a network of its own"
         yield better(subject, text, "docs/http.md   # [http] allow, credentials, certificate")
     elif "TLS" in lacking and "credentials" not in lacking:
         text = "passwords and tokens go over the network as they are, without TLS"

@@ -116,7 +116,7 @@ def _library(name: str, module: str) -> Finding:
         importlib.import_module(module)
     except Exception as error:  # a library that is half there raises what it likes
         return wrong(f"library {name}", _one_line(error), _REINSTALL)
-    return good(f"library {name}", "is there")
+    return good(f"library {name}", "installed")
 
 
 def _aravis(needed: bool) -> Finding:
@@ -133,7 +133,7 @@ def _aravis(needed: bool) -> Finding:
         return (wrong if needed else better)(
             subject, f"GigE Vision cameras need it: {_one_line(error)}", remedy
         )
-    return good(subject, "is there")
+    return good(subject, "installed")
 
 
 def _one_line(error: Exception) -> str:

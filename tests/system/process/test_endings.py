@@ -50,7 +50,11 @@ DONE = {
         r"altd selfcheck: no daemon answers at 127\.0\.0\.1 port \d+: Connection refused\n",
         set(),
     ),
-    "status": (1, "altd status: the daemon does not run: there is no socket none.sock\n", set()),
+    "status": (
+        1,
+        r"altd status: there is no socket none.sock: the daemon does not run, or runs without \[local\]\n",
+        set(),
+    ),
     "export": (0, "", {"t.csv"}),
     "export's parquet": (0, "", {"t.parquet"}),
     "export on standard output": (0, "", set()),

@@ -144,7 +144,7 @@ class TestLoss:
 
     def test_who_begins_before_the_daemon_waits_for_it(self, played_unit: PlayedUnit, tmp_path: Path) -> None:
         with watching(tmp_path / "altd.sock") as screen:
-            screen.await_text("the daemon does not run: there is no socket", PATIENCE_S)
+            screen.await_text("there is no socket", PATIENCE_S)
             with local_daemon(played_unit, tmp_path):
                 screen.await_text("front: x ", PATIENCE_S)
 

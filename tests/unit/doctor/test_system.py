@@ -30,7 +30,7 @@ NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 class TestLibraries:
     def test_those_that_are_there(self) -> None:
         findings = list(system.libraries(None))
-        assert says(findings[1:2], Verdict.GOOD, "is there").subject == "library gpiod"
+        assert says(findings[1:2], Verdict.GOOD, "installed").subject == "library gpiod"
 
     @pytest.mark.parametrize("is_compiled", [True, False])
     def test_whether_the_spot_fit_is_compiled(
@@ -153,7 +153,7 @@ class TestCalibration:
 def test_the_lines_say_how_many() -> None:
     assert in_lines([wrong("a", "is off", "switch a on"), better("b", "is slow"), good("c", "is on")]) == [
         "WRONG   a: is off",
-        "        mend: switch a on",
+        "        fix: switch a on",
         "better  b: is slow",
         "good    c: is on",
         "1 wrong, 1 could be better, 1 good",
