@@ -223,21 +223,39 @@ def _listens(port: int) -> bool:
     return False
 
 
+_OWN_LINES = ("Client ", "Subscribed ")
+"""First words of what ``mosquitto_sub -d`` prints about itself."""
+
+
 class Subscriber:
     """mosquitto_sub, a foreign client; each message as a line: topic, QoS, retained, payload."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self._process = process
+        self._queued: list[str] = []
 
     async def next(self, topic: str = "", timeout_s: float = 20.0) -> tuple[str, int, bool, str]:
         """The next message whose topic ends so."""
-        assert self._process.stdout is not None
         async with asyncio.timeout(timeout_s):
-            while line := (await self._process.stdout.readline()).decode():
+            while line := self._queued.pop(0) if self._queued else await self._line():
+                if line.startswith(_OWN_LINES):
+                    continue
                 name, qos, retained, payload = line.rstrip("\n").split(" ", 3)
                 if name.endswith(topic):
                     return name, int(qos), retained == "1", payload
         raise AssertionError("mosquitto_sub has ended")
+
+    async def subscription(self) -> None:
+        """Return once the broker has it, or has refused: earlier messages would be lost."""
+        async with asyncio.timeout(20.0):
+            while line := await self._line():
+                if line.startswith("Subscribed"):
+                    return
+                self._queued.append(line)  # of a session that the broker keeps
+
+    async def _line(self) -> str:
+        assert self._process.stdout is not None
+        return (await self._process.stdout.readline()).decode()
 
     async def all(self) -> list[tuple[str, int, bool, str]]:
         """All messages until it ends."""
@@ -252,10 +270,14 @@ class Subscriber:
 async def subscribed(port: int, *arguments: str, topic: str = "altd/#") -> AsyncIterator[Subscriber]:
     """mosquitto_sub at a broker; further ``arguments`` as it takes them."""
     program = need_program("mosquitto_sub", "mosquitto-clients")
-    line = ["-V", "5", "-p", str(port), "-q", "1", "-t", topic, "-F", "%t %q %r %p", *arguments]
-    process = await asyncio.create_subprocess_exec(program, *line, stdout=asyncio.subprocess.PIPE)
+    line = ["-d", "-V", "5", "-p", str(port), "-q", "1", "-t", topic, "-F", "%t %q %r %p", *arguments]
+    process = await asyncio.create_subprocess_exec(
+        "stdbuf", "-oL", program, *line, stdout=asyncio.subprocess.PIPE
+    )
     try:
-        yield Subscriber(process)
+        subscriber = Subscriber(process)
+        await subscriber.subscription()
+        yield subscriber
     finally:
         if process.returncode is None:
             process.kill()
