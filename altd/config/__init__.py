@@ -20,6 +20,7 @@ from altd.config.devices import (
     InclinometerSettings,
     IndicatorsSettings,
     Scan,
+    ScanLimits,
 )
 from altd.config.interfaces import (
     AnySerialPortSettings,
@@ -71,6 +72,7 @@ __all__ = [
     "RecordingCameraSettings",
     "Rs485Settings",
     "Scan",
+    "ScanLimits",
     "SelfCheckSettings",
     "SerialPortSettings",
     "SparkplugSettings",

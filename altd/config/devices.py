@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from altd.config.table import Device, GpioLineName, Name, StageMillimetres, Table, complaint
+from altd.records.limits import MAX_LIMIT, Limits
 
 
 class GpiodLampsSettings(Table):
@@ -134,6 +135,33 @@ class GrblStageSettings(Table):
     """Longest time of homing."""
 
 
+Uncertainty = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None
+
+
+class ScanLimits(Table):
+    """Standard uncertainties (1 sigma, per axis) of stage, beam and targets that no scan shows in itself.
+
+    A key that is absent counts as 0, and the report lists it as not stated.
+    """
+
+    stage_mm: Uncertainty = None
+    """The stage's positioning, independent from node to node."""
+    stage_scale_ppm: Uncertainty = None
+    """The stage's scale, as on its certificate."""
+    stage_square_mrad: Uncertainty = None
+    """The angle between the stage's axes."""
+    beam_normal_mm_per_m: Uncertainty = None
+    """The beam against the normal of the targets."""
+    target_distance_mm: Uncertainty = None
+    """The distance from the first target to another one."""
+
+    @property
+    def record(self) -> Limits | None:
+        """The same for a recording's header; None: nothing is stated."""
+        stated = self.model_dump(exclude_none=True)
+        return Limits(**stated) if stated else None
+
+
 class Scan(Table):
     """The grid of `altd scan` and what is exposed at its nodes."""
 
@@ -159,3 +187,7 @@ class Scan(Table):
     """After a bad self-check; ``warning`` calibrates the unit as it is."""
     retries: Annotated[int, Field(ge=0, le=100)] = 2
     """Repetitions of a node with a bad spot."""
+    turned_deg: Literal[0, 180] = 0
+    """180: the unit is turned about its own z axis; stage and beam are as for the scan before."""
+    limits: ScanLimits = ScanLimits()
+    """Uncertainties that the scan does not show."""

@@ -18,7 +18,7 @@ from altd.files.documents import parse_json
 from altd.files.reading import read_file
 from altd.ports import Camera
 from altd.recording.frames_table import MAX_POSITION_MM
-from altd.records import CameraIdentity, Frame, Origin
+from altd.records import CameraIdentity, Frame, Limits, Origin
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -41,6 +41,12 @@ def _checked_year(start: datetime) -> datetime:
     if not 1970 <= start.year <= 2200:
         raise ValueError(f"the year {start.year} is none of a recording")
     return start
+
+
+def _checked_turn(degrees: float) -> float:
+    if degrees not in (0.0, 180.0):
+        raise ValueError("possible: 0, 180")
+    return degrees
 
 
 class _Header(BaseModel):
@@ -165,6 +171,10 @@ class RecordingHeader(_Header):
     """In a recording of kind ``plate``."""
     self_check: SelfCheckHeader | None = None
     """In a recording of kind ``scan``, where there was a calibration to check the unit against."""
+    turned_deg: Annotated[float, AfterValidator(_checked_turn)] = 0.0
+    """In a ``scan``: by how much the unit was turned about its own z axis; stage and beam stood still."""
+    limits: Limits | None = None
+    """In a ``scan``: the uncertainties that it does not show in itself."""
     targets: Annotated[tuple[TargetHeader, ...], Field(min_length=1)] | None = None
     """Which targets it shows, in beam order; None: those that ``shown_targets`` tells."""
 

@@ -5,6 +5,7 @@ Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/co
 
 from altd.records.faults import Fault, origin_faults
 from altd.records.frames import CameraIdentity, ComplexArray, FloatArray, Frame, Origin, PixelArray
+from altd.records.limits import Limits
 from altd.records.measurement import Measurement, Quantities, Quantity, Value, counted, utc_text
 from altd.records.spots import FrameSet, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
 
@@ -15,6 +16,7 @@ __all__ = [
     "FloatArray",
     "Frame",
     "FrameSet",
+    "Limits",
     "MeanSpots",
     "Measurement",
     "NoSpot",

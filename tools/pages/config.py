@@ -34,6 +34,7 @@ from altd.config import (
     RecordingCameraSettings,
     Rs485Settings,
     Scan,
+    ScanLimits,
     SelfCheckSettings,
     SparkplugSettings,
     Table,
@@ -128,6 +129,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[history]", HistorySettings, "What is kept, and for how long: `history.md`."),
     ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
     ("[scan]", Scan, ""),
+    ("[scan.limits]", ScanLimits, "Terms of the uncertainty budget: `budget.md`."),
 )
 
 _COMMON = (LiveCameraSettings, SerialPortSettings)

@@ -17,6 +17,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict
 
 from altd.acquisition.scan.plan import Facts
+from altd.config import Scan
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.reading import read_file, read_head
@@ -80,12 +81,14 @@ class ScanFolder:
         utc: Callable[[int], datetime | None],
         cameras: Sequence[Camera] = (),
         targets: tuple[TargetHeader, ...] | None = None,
+        scan: Scan | None = None,
     ) -> None:
         self._output = output.resolve()
         self.path = self._output.with_name(f"{self._output.name}.unfinished")
         self._utc = utc
         self._cameras = {camera.name: camera for camera in cameras}
         self._targets = targets
+        self._scan = scan or Scan()
         self._writer: RecordingWriter | None = None
         self._first_ns: int | None = None
         self._first_s = 0.0
@@ -172,6 +175,8 @@ class ScanFolder:
             unit=unit,
             targets=self._targets,
             self_check=state.self_check,
+            turned_deg=self._scan.turned_deg,
+            limits=self._scan.limits.record,
             note=note,
             made_by=MADE_BY,
             start=start,

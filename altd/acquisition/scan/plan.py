@@ -96,8 +96,10 @@ def fingerprint(config: Config) -> Facts:
     for target in config.targets:
         facts[f"targets.{target.name}.z_mm"] = target.z_mm
         facts[f"targets.{target.name}.camera"] = target.camera
-    grid = config.scan.model_dump(exclude={"settle_s", "retries", "when_bad"})
+    grid = config.scan.model_dump(exclude={"settle_s", "retries", "when_bad", "limits"})
     facts |= {f"scan.{key}": value for key, value in grid.items()}
+    stated = config.scan.limits.model_dump(exclude_none=True)
+    facts |= {f"scan.limits.{key}": value for key, value in stated.items()}
     if config.stage is not None:
         placed = {"driver", "coordinates", "sign_x", "sign_y", "offset_x_mm", "offset_y_mm"}
         facts |= {f"stage.{key}": value for key, value in config.stage.model_dump(include=placed).items()}

@@ -82,6 +82,7 @@ class Scanner:
             self._clock.utc,
             self._cameras,
             target_headers(config.targets),
+            config.scan,
         )
         self._frame_sets = frame_sets
         self._doing = "getting ready"

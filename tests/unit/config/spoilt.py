@@ -430,4 +430,6 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ("feed_mm_per_min = 1000.0", "feed_mm_per_min = «0", "stage.feed_mm_per_min", "possible: number above 0"),
     ("columns = 6", "columns = «3", "scan.columns", "3 is too small; possible: whole number from 4 to 64"),
     ('order = "serpentine"', 'order = «"spiral"', "scan.order", 'possible: "serpentine" or "rows"'),
+    ("turned_deg = 180", "turned_deg = «90", "scan.turned_deg", "possible: 0 or 180"),
+    ("stage_scale_ppm = 50.0", "stage_scale_ppm = «-1", "scan.limits.stage_scale_ppm", "-1 is too small"),
 )

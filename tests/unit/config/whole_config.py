@@ -143,5 +143,9 @@ feed_mm_per_min = 1000.0
 columns = 6
 pitch_mm = 25.0
 order = "serpentine"
+turned_deg = 180
+
+[scan.limits]
+stage_scale_ppm = 50.0
 """
 BASE = unit_toml("TEST-1", "cal.json", _FRONT_CAMERA, _REAR_CAMERA, _MORE)
