@@ -72,7 +72,14 @@ def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
             Column("valid", Type.TRUTH, "", "whether the numbers may be used"),
             text("status", "reasons and warnings, codes with a space between them"),
             *(_of(stored, "", "value of") for stored in reader.recorded.values()),
-            *(_of(stored, "sigma_", "standard deviation of") for stored in reader.recorded.values()),
+            *(
+                _of(stored, "sigma_", "combined standard uncertainty of")
+                for stored in reader.recorded.values()
+            ),
+            *(
+                _of(stored, "sigma_random_", "scattering part of sigma of")
+                for stored in reader.recorded.values()
+            ),
         )
     kinds = {
         "": "mean over the valid measurements of",
@@ -120,6 +127,7 @@ def _measurement_row(stored: StoredMeasurement) -> Row:
         "status": " ".join(stored.status),
         **{_name(key): value for key, value in stored.values.items()},
         **{f"sigma_{_name(key)}": sigma for key, sigma in stored.sigmas.items()},
+        **{f"sigma_random_{_name(key)}": sigma for key, sigma in stored.randoms.items()},
     }
 
 

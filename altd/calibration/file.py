@@ -37,6 +37,7 @@ def document_of(calibration: Calibration) -> dict[str, Any]:
         "unit": {"serial": calibration.unit_serial},
         "created": utc_text(calibration.created),
         "recording": {"note": calibration.recording_note, "sha256": calibration.recording_sha256},
+        "limits": asdict(calibration.limits),
         "targets": [_target_document(target) for target in calibration.targets],
     }
 
@@ -106,6 +107,7 @@ def calibration_of(content: CalibrationTable) -> Calibration:
         created=content.created,
         recording_note=content.recording.note,
         recording_sha256=content.recording.sha256,
+        limits=content.limits,
         targets=tuple(_from_target(target) for target in content.targets),
     )
 

@@ -11,7 +11,8 @@ from pydantic_core import CoreSchema, core_schema
 from altd.calibration.file_fingerprint import FingerprintTable
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model
-from altd.records import Origin
+from altd.records import Limits, Origin
+from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
 from altd.vision.flat import Source
 from altd.vision.settings import ShapeReference, SpotReference, SpotSettings
 
@@ -158,6 +159,10 @@ class TargetTable(_Table):
     fingerprint: FingerprintTable | None = None
 
 
+_Limit = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None
+_Limits = Annotated[Limits, _table_of(Limits, **dict.fromkeys(LIMIT_KEYS, _Limit))]
+
+
 class _Unit(_Table):
     serial: str
 
@@ -174,4 +179,5 @@ class CalibrationTable(_Table):
     unit: _Unit
     created: datetime
     recording: _Source
+    limits: _Limits = NO_LIMITS
     targets: Annotated[list[TargetTable], Field(min_length=1)]

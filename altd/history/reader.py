@@ -198,15 +198,14 @@ class Reader:
     def _measurement(self, row: Sequence[Any]) -> StoredMeasurement:
         number, epoch, t_us, sequence, t_ns, frames, valid = _whole(row[:7], "measurements")
         status = tuple(row[7].split()) if isinstance(row[7], str) else ()
-        values: dict[str, float] = {}
-        sigmas: dict[str, float] = {}
-        for column, value, sigma in zip(self._columns.values(), row[8::2], row[9::2], strict=True):
-            for known, into in ((value, values), (sigma, sigmas)):
-                if known is not None:
-                    into[column.key] = _number(column, known)
-        return StoredMeasurement(
-            number, epoch, t_us, sequence, t_ns, frames, bool(valid), status, values, sigmas
-        )
+        columns = list(self._columns.values())
+        parts: list[dict[str, float]] = [{} for _ in MEASUREMENT_PARTS]
+        for place, known in enumerate(row[8:]):
+            if known is not None:
+                at, part = divmod(place, len(MEASUREMENT_PARTS))
+                column = columns[at]
+                parts[part][column.key] = _number(column, known)
+        return StoredMeasurement(number, epoch, t_us, sequence, t_ns, frames, bool(valid), status, *parts)
 
     def _summary(
         self, row: Sequence[Any], table: SummaryTable, columns: Sequence[tuple[int, Column]]

@@ -11,7 +11,8 @@ class StoredMeasurement:
     """A measurement as it was published; what was not known is absent.
 
     ``id`` grows over restarts and is never given twice in one file. ``values`` and ``sigmas`` are by the keys
-    of quantities, those of a target as ``TARGET.KEY``. ``t_ns`` is the monotonic time of its daemon.
+    of quantities, those of a target as ``TARGET.KEY``; ``randoms`` are the parts of ``sigmas`` that scatter.
+    ``t_ns`` is the monotonic time of its daemon.
     """
 
     id: int
@@ -24,6 +25,7 @@ class StoredMeasurement:
     status: tuple[str, ...]
     values: Mapping[str, float]
     sigmas: Mapping[str, float]
+    randoms: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,15 +72,21 @@ CREATE TABLE events (
 _VERSION_2 = ("CREATE INDEX events_by_time ON events (t_us)",)
 """Events of a day are found without going through those of years."""
 
-MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2)
-"""The statements that make version n + 1 from version n; an empty file has version 0."""
+_VERSION_3 = ("SELECT number FROM columns",)
+"""Measurements hold the part of sigma that scatters, too: a column ``random_N`` for each quantity N."""
+
+MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2, _VERSION_3)
+"""The statements that make version n + 1 from version n; an empty file has version 0.
+
+The numbers that a SELECT gives are those of the quantities that get a new column.
+"""
 
 VERSION = len(MIGRATIONS)
 
 _TABLES = {"facts", "epochs", "columns", "reasons", "measurements", "events", *(t.name for t in SUMMARIES)}
 _OTHERS = {"sqlite_sequence", "sqlite_autoindex_reasons_1", "events_by_severity", "events_by_time"}
 MAX_COLUMNS = 64
-MEASUREMENT_PARTS = ("value", "sigma")
+MEASUREMENT_PARTS = ("value", "sigma", "random")
 SUMMARY_PARTS = ("mean", "sigma", "below", "above")
 
 
@@ -137,7 +143,9 @@ def migrate(connection: sqlite3.Connection, version: int) -> None:
         connection.execute("BEGIN IMMEDIATE")
         try:
             for statement in statements:
-                connection.execute(statement)
+                for (quantity,) in connection.execute(statement).fetchall():
+                    name = column_name("random", quantity)
+                    connection.execute(f"ALTER TABLE measurements ADD COLUMN {name} INTEGER")
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
             connection.execute(f"PRAGMA user_version = {number}")
             connection.execute("COMMIT")

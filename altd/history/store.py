@@ -283,9 +283,8 @@ class _OpenStore:
         numbers: list[int | None] = []
         for column in self._about.columns:
             known = value_of(measurement, column)
-            numbers += (
-                (None, None) if known is None else (column.steps(known.value), column.steps(known.sigma))
-            )
+            parts = (None, None, None) if known is None else (known.value, known.sigma, known.sigma_random)
+            numbers += map(column.steps, parts)
         status = " ".join(map(str, measurement.status)) or None
         about = [self.epochs.number, t_us, measurement.sequence, measurement.t_ns, measurement.frames]
         return [*about, measurement.valid, status, *numbers]

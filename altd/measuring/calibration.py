@@ -12,7 +12,8 @@ from altd.mapping.grid import moved_outwards
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.cross_check import CrossCheck
-from altd.records import CameraIdentity, FloatArray, Origin, TargetPoint
+from altd.records import CameraIdentity, FloatArray, Limits, Origin, TargetPoint
+from altd.records.limits import NO_LIMITS
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.settings import UNKNOWN_SPOT, SpotReference, SpotSettings
@@ -103,7 +104,8 @@ class CalibrationFile:
 class Calibration:
     """One unit's targets in beam order, and where the knowledge comes from.
 
-    ``file`` is None where it was made and not read.
+    ``limits`` are the uncertainties that its recordings do not show. ``file`` is None where it was made and
+    not read.
     """
 
     unit_serial: str
@@ -111,6 +113,7 @@ class Calibration:
     recording_note: str
     recording_sha256: str
     targets: tuple[TargetCalibration, ...]
+    limits: Limits = NO_LIMITS
     file: CalibrationFile | None = None
 
     @property

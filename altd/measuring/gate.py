@@ -77,3 +77,5 @@ def _value_violations(
             yield f"{prefix}sigma_{quantity.key} is not known"
         elif known.sigma is not None and not (math.isfinite(known.sigma) and known.sigma > 0.0):
             yield f"{prefix}sigma_{quantity.key} is {known.sigma:g}"
+        elif known.sigma_random is not None and not 0.0 < known.sigma_random <= (known.sigma or 0.0):
+            yield f"{prefix}sigma_random of {quantity.key} is {known.sigma_random:g} of {known.sigma:g}"

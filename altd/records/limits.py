@@ -37,3 +37,6 @@ class Limits:
 LIMIT_KEYS = tuple(field.name for field in fields(Limits))
 MAX_LIMIT = 1000.0
 """In each one's unit: more is a mistake of the unit."""
+
+NO_LIMITS = Limits()
+"""Nothing is stated."""

@@ -68,10 +68,15 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A quantity's value with its standard deviation (1 sigma); None: it has none of its own."""
+    """A quantity's value with its combined standard uncertainty (1 sigma); None: it has none of its own.
+
+    ``sigma_random`` is the part of ``sigma`` that scatters from place to place and from time to time; the
+    rest is common to all measurements with one calibration. None: not told apart.
+    """
 
     value: float
     sigma: float | None = None
+    sigma_random: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,9 +162,16 @@ class Measurement:
         return None if value is None else value.value
 
     def sigma(self, key: str) -> float | None:
-        """The standard deviation of a quantity; None: not known."""
+        """The combined standard uncertainty of a quantity; None: not known."""
         value = self.known(key)
         return None if value is None else value.sigma
+
+    def sigma_random(self, key: str) -> float | None:
+        """The part of ``sigma`` that scatters; all of it where not told apart. None: not known."""
+        value = self.known(key)
+        if value is None:
+            return None
+        return value.sigma if value.sigma_random is None else value.sigma_random
 
     @property
     def rates(self) -> Mapping[str, Value]:

@@ -27,11 +27,8 @@ def as_object(measurement: Measurement) -> dict[str, Any]:
         "valid": measurement.valid,
         "status": [str(fault) for fault in measurement.status],
         **_values(quantities.of_unit, measurement.known),
-        "sigma": {
-            quantity.key: _rounded(measurement.sigma(quantity.key), quantity.decimals)
-            for quantity in quantities.of_unit
-            if quantity.has_sigma
-        },
+        "sigma": _sigmas(quantities, measurement.sigma),
+        "sigma_random": _sigmas(quantities, measurement.sigma_random),
         **{
             target: _values(quantities.of_target, (values or {}).get)
             for target, values in measurement.targets.items()
@@ -81,6 +78,12 @@ def keys_of(quantities: Quantities) -> frozenset[str]:
     sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
     without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
     return frozenset(as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0)))
+
+
+def _sigmas(quantities: Quantities, sigma: Callable[[str], float | None]) -> dict[str, float | None]:
+    return {
+        each.key: _rounded(sigma(each.key), each.decimals) for each in quantities.of_unit if each.has_sigma
+    }
 
 
 def _values(

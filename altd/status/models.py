@@ -60,7 +60,8 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
     """The measurement of a unit with these quantities, as ``altd/status/measurement_json.py`` writes it."""
     with_sigma = [quantity for quantity in quantities.of_unit if quantity.has_sigma]
     of_target = _numbers("TargetValues", "The values of one target.", quantities.of_target, "")
-    sigma = _numbers("Sigma", "Standard deviations (1 sigma) of the means.", with_sigma, "")
+    sigma = _numbers("Sigma", "Combined standard uncertainties (1 sigma) of the means.", with_sigma, "")
+    sigma_random = _numbers("SigmaRandom", "The part of sigma that scatters.", with_sigma, "")
     sigma_now = _numbers("SigmaNow", "The same as statements about where the beam is now.", with_sigma, "")
     sigma_rates = _numbers("SigmaRates", "Standard deviations of the rates.", with_sigma, "_per_s")
     rates = _numbers("Rates", "How fast quantities change.", with_sigma, "_per_s", sigma=sigma_rates)
@@ -104,6 +105,7 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         **beside,
         **_fields(quantities.of_unit, ""),
         sigma=(sigma, ...),
+        sigma_random=(sigma_random, ...),
         sigma_now=(sigma_now, ...),
         rates=(rates, ...),
     )

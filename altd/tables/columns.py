@@ -66,7 +66,12 @@ def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan:
         text("status", "codes of reasons and warnings, with a space between them"),
         *(_of_quantity("", quantity, quantity.meaning) for quantity in quantities.of_unit),
         *(
-            _of_quantity("sigma_", quantity, "standard deviation")
+            _of_quantity("sigma_", quantity, "combined standard uncertainty")
+            for quantity in quantities.of_unit
+            if quantity.has_sigma
+        ),
+        *(
+            _of_quantity("sigma_random_", quantity, "the part of sigma that scatters")
             for quantity in quantities.of_unit
             if quantity.has_sigma
         ),

@@ -59,11 +59,13 @@ QUANTITIES = Quantities(
 
 def values_of(beam: Beam) -> dict[str, Value]:
     """The quantities of a beam, by their keys; roll is none of them."""
+    sigmas = beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg
+    x, y, yaw, pitch = sigmas if beam.sigma_random is None else beam.sigma_random
     return {
-        "x_mm": Value(beam.x_mm, beam.sigma_x_mm),
-        "y_mm": Value(beam.y_mm, beam.sigma_y_mm),
-        "yaw_deg": Value(beam.yaw_deg, beam.sigma_yaw_deg),
-        "pitch_deg": Value(beam.pitch_deg, beam.sigma_pitch_deg),
+        "x_mm": Value(beam.x_mm, beam.sigma_x_mm, x),
+        "y_mm": Value(beam.y_mm, beam.sigma_y_mm, y),
+        "yaw_deg": Value(beam.yaw_deg, beam.sigma_yaw_deg, yaw),
+        "pitch_deg": Value(beam.pitch_deg, beam.sigma_pitch_deg, pitch),
         "yaw_mm_per_m": Value(beam.yaw_mm_per_m),
         "pitch_mm_per_m": Value(beam.pitch_mm_per_m),
     }
@@ -138,6 +140,7 @@ class BeamInstrument:
         self, calibration: Calibration, measuring: Measuring, installation: Installation | None = None
     ) -> None:
         self._calibration = {target.name: target for target in calibration.targets}
+        self._limits = calibration.limits
         self._measuring = measuring
         self._installation = installation or Installation()
 
@@ -153,7 +156,8 @@ class BeamInstrument:
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
         z_mm = [target.z_mm for target in targets]
         try:
-            beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+            plane_mm = self._installation.reference_plane_mm
+            beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits)
         except np.linalg.LinAlgError:
             return Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
         if (unsteady := self._too_uncertain(beam)) is not None:

@@ -8,12 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.records import FloatArray, MeanSpots, TargetPoint
+from altd.instruments.beam.systematics import effects_mm
+from altd.records import FloatArray, Limits, MeanSpots, TargetPoint
+from altd.records.limits import NO_LIMITS
 
 
 @dataclass(frozen=True, slots=True)
 class Beam:
-    """The beam in the unit frame at the reference plane, with standard deviations (1 sigma)."""
+    """The beam in the unit frame at the reference plane, with combined standard uncertainties (1 sigma).
+
+    ``sigma_random`` holds the part of x, y, yaw and pitch that scatters; None: all of it.
+    """
 
     x_mm: float
     y_mm: float
@@ -23,6 +28,7 @@ class Beam:
     sigma_y_mm: float
     sigma_yaw_deg: float
     sigma_pitch_deg: float
+    sigma_random: tuple[float, float, float, float] | None = None
 
     @property
     def yaw_mm_per_m(self) -> float:
@@ -86,23 +92,38 @@ def fit_beam(
     points: Sequence[TargetPoint],
     covariance_mm2: FloatArray,
     reference_plane_mm: float = 0.0,
+    limits: Limits = NO_LIMITS,
 ) -> Beam:
     """The straight line through T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
 
     x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (docs/conventions.md).
-    Two points are met exactly.
+    Two points are met exactly. ``covariance_mm2`` is what scatters, and ``limits`` add to it what the
+    calibration did not show.
     """
     gain, covariance = line_gain(z_mm, covariance_mm2, reference_plane_mm)
-    measured = np.array([c for point in points for c in (point.x_mm, point.y_mm)])
-    x, slope_x, y, slope_y = (float(value) for value in gain @ measured)
-    sigma = np.sqrt(np.diag(covariance))
+    measured = np.array([(point.x_mm, point.y_mm) for point in points])
+    x, slope_x, y, slope_y = (float(value) for value in gain @ measured.ravel())
+    variances = np.diag(covariance)
+    per_slope_deg = math.degrees(1 / (1 + slope_x**2)), math.degrees(1 / (1 + slope_y**2))
+    random_x, random_yaw, random_y, random_pitch = _sigmas(variances, per_slope_deg)
+    if limits != NO_LIMITS:
+        effects = effects_mm(limits, z_mm, measured, (slope_x, slope_y))
+        variances = variances + sum(np.square(gain @ columns).sum(axis=1) for columns in effects.values())
+    sigma_x, sigma_yaw, sigma_y, sigma_pitch = _sigmas(variances, per_slope_deg)
     return Beam(
         x_mm=x,
         y_mm=y,
         yaw_deg=math.degrees(math.atan(slope_x)),
         pitch_deg=math.degrees(math.atan(slope_y)),
-        sigma_x_mm=float(sigma[0]),
-        sigma_y_mm=float(sigma[2]),
-        sigma_yaw_deg=math.degrees(float(sigma[1]) / (1 + slope_x**2)),
-        sigma_pitch_deg=math.degrees(float(sigma[3]) / (1 + slope_y**2)),
+        sigma_x_mm=sigma_x,
+        sigma_y_mm=sigma_y,
+        sigma_yaw_deg=sigma_yaw,
+        sigma_pitch_deg=sigma_pitch,
+        sigma_random=(random_x, random_y, random_yaw, random_pitch),
     )
+
+
+def _sigmas(variances: FloatArray, per_slope_deg: tuple[float, float]) -> tuple[float, float, float, float]:
+    """Of x, yaw, y and pitch, from the variances of x, slope x, y and slope y."""
+    x, slope_x, y, slope_y = np.sqrt(variances).tolist()
+    return x, slope_x * per_slope_deg[0], y, slope_y * per_slope_deg[1]

@@ -135,6 +135,9 @@ def _object(row: StoredMeasurement, quantities: Quantities, targets: Sequence[st
         "status": list(row.status),
         **{each.key: row.values.get(each.key) for each in quantities.of_unit},
         "sigma": {each.key: row.sigmas.get(each.key) for each in quantities.of_unit if each.has_sigma},
+        "sigma_random": {
+            each.key: row.randoms.get(each.key) for each in quantities.of_unit if each.has_sigma
+        },
         **{
             target: {each.key: row.values.get(f"{target}.{each.key}") for each in quantities.of_target}
             for target in targets

@@ -111,7 +111,7 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("sigma_pitch", "°", "standard deviation", values.sigma("pitch_deg")),
     ("sigma_roll", "°", "standard deviation of roll", values.sigma("roll_deg")),
 )
-"""Each takes two registers from ``FLOATS`` on. A new one goes behind the rates, or those below would move."""
+"""Each takes two registers from ``FLOATS`` on. A new one goes behind the last, or those below would move."""
 
 _AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
 
@@ -124,10 +124,15 @@ _OF_NOW = tuple(
     )
     for name, unit, key in _AXES
 )
-"""They age, and follow the quantities; the rates follow them."""
+"""They age, and follow the quantities; the rates follow them, and sigma_random the rates."""
 
 _RATES = tuple(
     (f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in _AXES
+)
+
+_RANDOM = tuple(
+    (f"sigma_random_{name}", unit, "the part of sigma that scatters", values.sigma_random(key))
+    for name, unit, key in _AXES
 )
 
 CRC = Register(
@@ -145,7 +150,7 @@ ROWS = (
         Register(
             FLOATS + 2 * row, name, Type.F32, unit, meaning, value, is_ageing=name.startswith("sigma_now_")
         )
-        for row, (name, unit, meaning, value) in enumerate(_QUANTITIES + _OF_NOW + _RATES)
+        for row, (name, unit, meaning, value) in enumerate(_QUANTITIES + _OF_NOW + _RATES + _RANDOM)
     ),
     CRC,
 )

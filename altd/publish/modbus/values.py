@@ -179,6 +179,11 @@ def sigma(key: str) -> Reading:
     return lambda snapshot: snapshot.measurement.sigma(key) if snapshot.measurement else None
 
 
+def sigma_random(key: str) -> Reading:
+    """The part of a quantity's sigma that scatters."""
+    return lambda snapshot: snapshot.measurement.sigma_random(key) if snapshot.measurement else None
+
+
 def sigma_now(key: str) -> Reading:
     """The standard deviation of a quantity as a statement about the truth when it is read."""
 

@@ -231,7 +231,7 @@ DAMAGES = "it is cut in two", "it is overwritten", "its head is overwritten"
 def test_what_is_done_to_a_file_while_it_is_open_is_said_and_the_history_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
-    monkeypatch.setattr(opening, "WAL_PAGES", 8)  # most pages are in the file, as those of a long history
+    monkeypatch.setattr(opening, "WAL_PAGES", 12)  # most pages are in the file, as those of a long history
     path, writing = tmp_path / "history.db", store(tmp_path)
     write_seconds(writing, START_S, [10.0] * 10)
     DAMAGE[how](path)

@@ -87,9 +87,9 @@ def test_json_has_its_keys_with_its_decimals_and_no_other(measurement: Measureme
         line_of(as_object(replace(measurement, values=measurement.values | {"heat_deg": Value(20.00049)})))
     )
     own = set(document) - {"sequence", "time", "t_s", "frames", "valid", "status"}
-    assert own == {"along_px", "heat_deg", "sigma", "front"}
+    assert own == {"along_px", "heat_deg", "sigma", "sigma_random", "front"}
     assert (document["along_px"], document["heat_deg"], document["front"]) == (250.12, 20.0, {"v_px": 120.0})
-    assert set(document["sigma"]) == {"along_px"}
+    assert document["sigma"].keys() == document["sigma_random"].keys() == {"along_px"}
 
 
 def test_the_console_writes_a_line_a_quantity(measurement: Measurement) -> None:
@@ -117,7 +117,8 @@ def test_tables_have_its_columns() -> None:
     assert own == [
         ("along_px", "px", "how far the spot lies to the right"),
         ("heat_deg", "°", "known at times"),
-        ("sigma_along_px", "px", "standard deviation"),
+        ("sigma_along_px", "px", "combined standard uncertainty"),
+        ("sigma_random_along_px", "px", "the part of sigma that scatters"),
         ("front_v_px", "px", "the height in the picture of front"),
     ]
 

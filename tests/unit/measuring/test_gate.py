@@ -13,7 +13,7 @@ from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.records.spots import Motion
 
-NUMBERS = list(Beam.__dataclass_fields__)
+NUMBERS = [name for name in Beam.__dataclass_fields__ if name != "sigma_random"]
 
 
 def admitted(*measurements: Measurement) -> list[str]:
@@ -43,6 +43,12 @@ def test_no_number_that_is_none_leaves(field: str, value: float) -> None:
 @pytest.mark.parametrize("field", [name for name in NUMBERS if name.startswith("sigma_")])
 def test_a_sigma_is_positive(field: str, sigma: float) -> None:
     assert admitted(measured(replace(BEAM, **{field: sigma}))) == [f"{field} is {sigma:g}"]
+
+
+@pytest.mark.parametrize("random", [0.0, -0.001, math.nan, math.inf, 0.0041])
+def test_the_part_that_scatters_is_positive_and_within_sigma(random: float) -> None:
+    [said] = admitted(measured(replace(BEAM, sigma_random=(0.003, random, 0.001, 0.001))))
+    assert said == f"sigma_random of y_mm is {random:g} of 0.004"
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,9 @@ def measured_fixture(clock: FakeClock) -> Measured:
             "t_ns": clock.now_ns - 520_000_000,
             "time": datetime(2026, 11, 20, 8, 15, 30, 125_000, tzinfo=UTC),
             "frames": 20,
-            "beam": Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.005, 0.0011, 0.0012),
+            "beam": Beam(
+                10.012, 4.987, 1.1459, -1.7184, 0.004, 0.005, 0.0011, 0.0012, (0.003, 0.0045, 0.0009, 0.001)
+            ),
             "points_mm": {"front": (10.012, 4.987), "rear": (15.613, -3.413)},
         }
         return measured(**(ordinary | fields))

@@ -55,9 +55,10 @@ def test_no_published_address_moves() -> None:
         *(*axes, "roll", *(f"sigma_{axis}" for axis in (*axes, "roll"))),
         *(f"sigma_now_{axis}" for axis in axes),
         *(f"rate_{axis}" for axis in axes),
+        *(f"sigma_random_{axis}" for axis in axes),
     )
     addresses = {row.name: row.address for row in ROWS}
-    assert {name: addresses[name] for name in names} == dict(zip(names, range(230, 266, 2), strict=True))
+    assert {name: addresses[name] for name in names} == dict(zip(names, range(230, 274, 2), strict=True))
 
 
 async def test_one_read_gives_all_that_a_controller_needs(
@@ -79,7 +80,9 @@ async def test_one_read_gives_all_that_a_controller_needs(
     assert math.isnan(values[9])
     of_now = struct.unpack(">8f", bytes_of(read[50:66]))
     assert all(map(math.isnan, of_now))  # it is not known how this one moves
-    assert set(read[24:30] + read[66:78]) == {0}
+    random = struct.unpack(">4f", bytes_of(read[66:74]))
+    assert random == pytest.approx((0.003, 0.0045, 0.0009, 0.001), rel=1e-7)
+    assert set(read[24:30] + read[74:78]) == {0}
 
 
 async def test_only_message_clock_age_and_crc_differ_between_two_reads_of_a_measurement(

@@ -1,0 +1,45 @@
+"""Effects of the limits of a calibration on the points of a beam (docs/budget.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.records import FloatArray, Limits
+
+TERMS = ("stage_scale_ppm", "stage_square_mrad", "beam_normal_mm_per_m", "target_distance_mm")
+"""The limits that are one value for the whole scan; ``stage_mm`` is part of the maps' covariance."""
+
+_TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_per_m": 1e-3}
+"""From the unit of a limit to a dimensionless number."""
+
+
+def effects_mm(
+    limits: Limits, z_mm: Sequence[float], points_mm: FloatArray, slopes: tuple[float, float]
+) -> dict[str, FloatArray]:
+    """The points' displacements (2 T, n) mm by one sigma of each limit, by its key; only what is not 0.
+
+    A column is one independent error, x and y of one target after the other. ``points_mm`` (T, 2) are the
+    points of a beam with these slopes. A stage that is long by s puts the beam at (1 + s) of what it states,
+    on every target; axes that are not at right angles by q move x by q · y; a beam that is not normal by t
+    meets the target at z by t · z beside the stated place; a target farther away by d sees the beam d · slope
+    further along. Each is per axis, so there is one column for x and one for y.
+    """
+    z, x, y = np.asarray(z_mm, dtype=np.float64), points_mm[:, 0], points_mm[:, 1]
+    effects = {}
+    for key, along_x, along_y in (
+        ("stage_scale_ppm", x, y),
+        ("stage_square_mrad", y, x),
+        ("beam_normal_mm_per_m", z, z),
+    ):
+        if sigma := getattr(limits, key):
+            columns = np.zeros((2 * len(z), 2))
+            columns[0::2, 0], columns[1::2, 1] = along_x, along_y
+            effects[key] = sigma * _TO_MM[key] * columns
+    if sigma := limits.target_distance_mm:
+        columns = np.zeros((2 * len(z), len(z) - 1))
+        for farther in range(1, len(z)):
+            columns[2 * farther : 2 * farther + 2, farther - 1] = slopes
+        effects["target_distance_mm"] = sigma * columns
+    return effects
