@@ -38,8 +38,8 @@ def calibrate(
     of_scans = calibrate_scans(scanned, flats, progress)
     limits = _limits([recording for recording in recordings if recording.header.kind == "scan"])
     if turned:
-        tilt, doubts = beam_tilt(of_scans.targets, turned, progress)
-        of_scans = without_tilt(of_scans, tilt, doubts)
+        tilt = beam_tilt(of_scans.targets, turned, progress)
+        of_scans = without_tilt(of_scans, tilt)
         limits = replace(limits, beam_normal_mm_per_m=1000 * tilt.sigma)
     of_plates = calibrate_plates([frames for frames in targets if frames.kind == "plate"], progress)
     both = of_scans, of_plates

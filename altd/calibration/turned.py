@@ -23,7 +23,7 @@ from altd.records import FloatArray
 
 _MIN_NODES = 6
 _MAX_RATIO = 3.0
-"""Nodes that scatter by more times what both scans' patterns explain are not of this unit turned by 180°."""
+"""Nodes that scatter by more times what print, speckle and map explain are not of the unit turned by 180°."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,18 +64,14 @@ class _Reading:
 
 def beam_tilt(
     targets: Sequence[TargetCalibration], turned: Sequence[TargetFrames], progress: Progress
-) -> tuple[BeamTilt, tuple[str, ...]]:
-    """The tilt that scans of the turned unit show, and what is doubtful about them, in words.
+) -> BeamTilt:
+    """The tilt that scans of the turned unit show.
 
-    Raises BadInputError where they show fewer than two targets, or too few nodes of one.
+    Raises BadInputError where they show fewer than two targets, too few nodes of one, or another motion than
+    half a turn about z.
     """
     known = {target.name: target for target in targets}
-    readings, doubts = [], []
-    for frames in turned:
-        target = known[frames.name]
-        reading, doubt = _reading(target, frames, progress)
-        readings.append(reading)
-        doubts += [f"{frames.name}: {doubt}"] if doubt else []
+    readings = [_reading(known[frames.name], frames, progress) for frames in turned]
     if len(readings) < 2:
         raise BadInputError(turned[0].place, "shows one target of the turned unit; the tilt needs two")
     z_mm = np.array([reading.z_mm for reading in readings])
@@ -84,11 +80,11 @@ def beam_tilt(
     covariance = np.linalg.inv(design.T @ (weights[:, None] * design))
     sums = np.array([reading.sum_mm for reading in readings])
     fitted: FloatArray = covariance @ design.T @ (weights[:, None] * sums)
-    return BeamTilt(fitted[1], float(np.sqrt(covariance[1, 1]))), tuple(doubts)
+    return BeamTilt(fitted[1], float(np.sqrt(covariance[1, 1])))
 
 
-def without_tilt(scans: TargetsResult, tilt: BeamTilt, doubts: tuple[str, ...]) -> TargetsResult:
-    """The targets of scans, their nodes, doubts and remarks, with the beam where it met each target."""
+def without_tilt(scans: TargetsResult, tilt: BeamTilt) -> TargetsResult:
+    """The targets of scans, their nodes and remarks, with the beam where it met each target."""
     z_mm = {target.name: target.z_mm for target in scans.targets}
     evidence = (
         replace(seen, nodes_mm=seen.nodes_mm + tilt.slopes * z_mm[seen.name]) for seen in scans.evidence
@@ -97,14 +93,11 @@ def without_tilt(scans: TargetsResult, tilt: BeamTilt, doubts: tuple[str, ...]) 
         scans,
         targets=tuple(tilt.removed_from(target) for target in scans.targets),
         evidence=tuple(evidence),
-        doubts=(*scans.doubts, *doubts),
         remarks=(*scans.remarks, f"{tilt}: removed"),
     )
 
 
-def _reading(
-    target: TargetCalibration, frames: TargetFrames, progress: Progress
-) -> tuple[_Reading, str | None]:
+def _reading(target: TargetCalibration, frames: TargetFrames, progress: Progress) -> _Reading:
     nodes = locate_nodes(Job(frames, target.localiser, target.flat), progress).usable
     stage_mm, read_mm, variance_mm2 = _read(target, nodes)
     if len(stage_mm) < _MIN_NODES:
@@ -118,15 +111,15 @@ def _reading(
     solution: FloatArray = np.asarray(np.linalg.lstsq(design, sums, rcond=None)[0], dtype=np.float64)
     degrees_of_freedom = sums.size - design.shape[1]
     scatter_mm2 = float(np.square(sums - design @ solution).sum()) / degrees_of_freedom
-    # the map's own error is common to all nodes: as much again as the scatter of as many nodes of its own
-    reading = _Reading(target.z_mm, solution[:2], 2 * max(scatter_mm2, variance_mm2) / len(stage_mm))
     ratio = float(np.sqrt(scatter_mm2 / variance_mm2))
-    if ratio <= _MAX_RATIO:
-        return reading, None
-    return reading, (
-        f"the nodes of {frames.place} scatter {ratio:.1f} times as much as print, speckle and map explain: "
-        "was the unit turned by 180° about z, and nothing else moved?"
-    )
+    if ratio > _MAX_RATIO:
+        raise BadInputError(
+            frames.place,
+            f"{frames.name}: the nodes scatter {ratio:.0f} times as much as print, speckle and map explain: "
+            "was the unit turned by 180° about z, and nothing else moved?",
+        )
+    # the map's own error is common to all nodes: as much again as the scatter of as many nodes of its own
+    return _Reading(target.z_mm, solution[:2], 2 * max(scatter_mm2, variance_mm2) / len(stage_mm))
 
 
 def _read(target: TargetCalibration, nodes: Sequence[Node]) -> tuple[FloatArray, FloatArray, float]:
