@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -111,6 +112,7 @@ def _report(
     options: argparse.Namespace, recordings: Sequence[Recording], result: CalibrationResult
 ) -> dict[str, bytes]:
     """The report's files by name; matplotlib is there, that was checked."""
+    from altd.calibration.report.budget import budget_of
     from altd.calibration.report.content import report_on
     from altd.calibration.report.html import html_page
     from altd.calibration.report.picture_sections import scan_negatives
@@ -126,10 +128,13 @@ def _report(
     try:
         negatives = scan_negatives(target_frames(recordings))
         headers = tuple(recording.header for recording in recordings)
-        document = report_on(Source(result.calibration, result.evidence, negatives, command, headers))
+        budget = budget_of(result.calibration, result.evidence)
+        source = Source(result.calibration, result.evidence, negatives, command, headers)
+        document = report_on(source, budget)
     except ValueError as error:
         raise BadInputError(", ".join(map(str, options.recordings)), str(error)) from error
-    page, sheets = report_names(options.output)
+    page, sheets, terms = report_names(options.output)
     files = {page: html_page(document), sheets: pdf_sheets(document, result.calibration.created)}
+    files[terms] = (json.dumps(budget.as_object(), indent=1) + "\n").encode()
     show(2, 2)
     return files
