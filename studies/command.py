@@ -26,6 +26,7 @@ STUDIES = {
     "ambient": "ambient",
     "laser": "laser",
     "chessboard": "chessboard",
+    "budget": "budget",
 }
 """Names and modules, imported when they are run: not all need the same libraries."""
 

@@ -28,6 +28,7 @@ MEASURED = [
     *("sequence", "time", "t_s", "frames", "valid", "status"),
     *("x_mm", "y_mm", "yaw_deg", "pitch_deg", "yaw_mm_per_m", "pitch_mm_per_m", "roll_deg"),
     *("sigma_x_mm", "sigma_y_mm", "sigma_yaw_deg", "sigma_pitch_deg"),
+    *("sigma_random_x_mm", "sigma_random_y_mm", "sigma_random_yaw_deg", "sigma_random_pitch_deg"),
     *("front_x_mm", "front_y_mm", "rear_x_mm", "rear_y_mm"),
 ]
 
@@ -61,7 +62,8 @@ def flat(line: dict[str, Any]) -> list[Any]:
     """The values of a JSON object in the table's order, written down here and not by altd."""
     values = [line[name] for name in MEASURED[:13]]
     values[5] = " ".join(line["status"])
-    values += [line["sigma"][name] for name in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
+    for sigma in ("sigma", "sigma_random"):
+        values += [line[sigma][name] for name in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
     return values + [line[target][axis] for target in ("front", "rear") for axis in ("x_mm", "y_mm")]
 
 

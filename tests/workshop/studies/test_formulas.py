@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.evidence import calibration, evidence
 from support.places import ROOT
 
+from altd.calibration.report.budget import budget_of
 from altd.errors import BadInputError
+from altd.records import Limits
 from hw_sim.beam import BeamPose
 from studies import chessboard
 from studies.averaging import sliding_mean
+from studies.budget import monte_carlo
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
 from studies.table_3_1 import STEP_MM, displaced_poses
@@ -41,6 +46,16 @@ def test_the_closed_form_holds_for_a_slanted_beam_with_unequal_spots() -> None:
 def test_the_share_within_is_that_of_a_normal_distribution() -> None:
     drawn = np.abs(np.random.default_rng(3).normal(0.0, 0.0289, 200_000)) <= 0.05
     assert share_within(0.05, 0.0289) == pytest.approx(drawn.mean(), abs=0.003)
+
+
+def test_the_linear_budget_agrees_with_a_simulation_of_all_its_inputs() -> None:
+    """JCGM 101, 8: the simulation draws stage, beam, distance, maps, pattern and exposures."""
+    limited = replace(calibration(), limits=Limits(0.0, 120.0, 0.2, 0.05, 0.5))
+    budget = budget_of(limited, (evidence("front"), evidence("rear", 2)))
+    errors = monte_carlo(limited, 4000, np.random.default_rng(5))
+    assert len(errors) > 3900
+    scatter = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert scatter == pytest.approx(np.array(budget.combined), rel=0.06)
 
 
 def test_heat_falsifies_the_angle_as_a_longer_way_to_the_rear_target_does() -> None:
