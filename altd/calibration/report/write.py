@@ -79,18 +79,17 @@ def report_names(calibration: Path) -> tuple[str, str]:
     return names
 
 
-def check_report(folder: Path, names: Sequence[str]) -> None:
+def check_report(folder: Path, names: Sequence[str], option: str = "--report") -> None:
     """Say before any work is done what would stop a report: no matplotlib, a folder that cannot be written.
 
-    ``names`` are those of its files. Leaves nothing behind. Raises BadInputError.
+    ``names`` are those of its files, ``option`` is the argument that asks for it. Leaves nothing behind.
+    Raises BadInputError.
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
     try:
         importlib.import_module("matplotlib")
     except ImportError as error:
-        raise BadInputError(
-            "--report", "needs matplotlib, which comes with the extra altd[report]"
-        ) from error
+        raise BadInputError(option, "needs matplotlib, which comes with the extra altd[report]") from error
     try:
         is_new = _make_folder(folder)
         descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")
