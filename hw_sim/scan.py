@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from altd.errors import BadInputError
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
 from hw_sim.beam import BeamPose
 from hw_sim.recording import Progress, recording
-from hw_sim.stage import Stage
+from hw_sim.stage import ADJUSTED, MISALIGNED, Stage
 from hw_sim.unit import Unit, UnitConfig
 
 
@@ -60,7 +60,7 @@ def record_scan(
     """Write the scan of a unit into ``folder``: LED reference pairs, then ``frame_sets`` a node."""
     nodes = grid.nodes_mm()
     planned = len(LED_REFERENCE) + len(nodes) * frame_sets
-    with recording(folder, unit, "scan", planned, progress) as recorder:
+    with recording(folder, unit, "scan", planned, progress, stage.header()) as recorder:
         for leds_on in LED_REFERENCE:
             recorder.expose(BeamPose(0.0, 0.0), leds_on=leds_on)
         for node in nodes:
@@ -81,6 +81,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="columns and rows of nodes on the same area (default: 6,5)",
     )
     parser.add_argument(
+        "--misaligned",
+        action="store_true",
+        help="stage 120 ppm long and 0.2 mrad out of square, beam tilted by 0.8 and 0.47 mm/m",
+    )
+    parser.add_argument(
+        "--turned", action="store_true", help="the unit is turned by 180° about z; stage and beam stand still"
+    )
+    parser.add_argument(
         "--stage", action="store_true", help="scan in real time, as `altd scan` does with a Grbl stage"
     )
 
@@ -94,7 +102,10 @@ def run(arguments: argparse.Namespace) -> int:
             raise BadInputError("--grid", "goes without --stage: what altd scan makes is its own grid")
         return staged_scan(arguments.output, arguments.seed, arguments.exposures)
     unit = Unit(UnitConfig(seed=arguments.seed))
-    stage = Stage(np.random.default_rng([arguments.seed, STAGE_STREAM]))
+    mounting = replace(MISALIGNED if arguments.misaligned else ADJUSTED, is_turned=arguments.turned)
+    stage = Stage(
+        np.random.default_rng([arguments.seed, STAGE_STREAM + mounting.is_turned]), mounting=mounting
+    )
     progress = terminal_progress("scan")
     record_scan(arguments.output, unit, stage, arguments.exposures, progress, arguments.grid)
     return 0

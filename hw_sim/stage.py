@@ -1,6 +1,8 @@
-"""The calibration table: positions a beam normal to the targets, with an error."""
+"""The calibration table: positions a beam in front of the targets, with the errors that such a table has."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,14 +12,56 @@ STAGE_SIGMA_MM = 0.002
 """Positioning error per axis, well within the 6 µm steps of App. A.3."""
 
 
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Errors that a scan shares with its own reference, each (x, y), and how the unit is mounted.
+
+    The table moves by 1 + ``scale_ppm`` of what it reports, its axes move x by ``square_mrad`` of y and y by
+    that of x, and its beam runs with slopes ``tilt_mm_per_m``. ``is_turned``: the unit is turned by half a
+    turn about its own z axis, and its middle is then at ``seat_mm`` of the table.
+    """
+
+    scale_ppm: tuple[float, float] = (0.0, 0.0)
+    square_mrad: tuple[float, float] = (0.0, 0.0)
+    tilt_mm_per_m: tuple[float, float] = (0.0, 0.0)
+    is_turned: bool = False
+    seat_mm: tuple[float, float] = (0.4, -0.3)
+
+
+ADJUSTED = Mounting()
+MISALIGNED = Mounting((120.0, 120.0), (0.2, 0.0), (-0.8, 0.47))
+"""A table and a beam as a metrologist may find them without a reference of his own."""
+
+
 class Stage:
     """An xy-table with a stated positioning error (1 sigma per axis, mm)."""
 
-    def __init__(self, rng: np.random.Generator, sigma_mm: float = STAGE_SIGMA_MM) -> None:
+    def __init__(
+        self, rng: np.random.Generator, sigma_mm: float = STAGE_SIGMA_MM, mounting: Mounting = ADJUSTED
+    ) -> None:
         self._rng = rng
-        self._sigma_mm = sigma_mm
+        self.sigma_mm = sigma_mm
+        self.mounting = mounting
 
     def place(self, x_mm: float, y_mm: float) -> BeamPose:
-        """The true beam when the table reports (x, y)."""
-        error_x, error_y = self._rng.normal(0.0, self._sigma_mm, size=2)
-        return BeamPose(x_mm + float(error_x), y_mm + float(error_y))
+        """The true beam in the unit frame when the table reports (x, y)."""
+        of = self.mounting
+        error_x, error_y = self._rng.normal(0.0, self.sigma_mm, size=2)
+        table_x = x_mm * (1 + of.scale_ppm[0] * 1e-6) + of.square_mrad[0] * 1e-3 * y_mm + float(error_x)
+        table_y = y_mm * (1 + of.scale_ppm[1] * 1e-6) + of.square_mrad[1] * 1e-3 * x_mm + float(error_y)
+        slope_x, slope_y = (slope * 1e-3 for slope in of.tilt_mm_per_m)
+        if of.is_turned:
+            return BeamPose(of.seat_mm[0] - table_x, of.seat_mm[1] - table_y, -slope_x, -slope_y)
+        return BeamPose(table_x, table_y, slope_x, slope_y)
+
+    def header(self) -> dict[str, object]:
+        """The keys of a scan's header: the errors as the table's certificate states them, 1 sigma an axis."""
+        of = self.mounting
+        limits = {
+            "stage_mm": self.sigma_mm,
+            "stage_scale_ppm": max(map(abs, of.scale_ppm)),
+            "stage_square_mrad": max(map(abs, of.square_mrad)),
+            "beam_normal_mm_per_m": max(map(abs, of.tilt_mm_per_m)),
+            "target_distance_mm": 0.0,
+        }
+        return {"limits": limits} | ({"turned_deg": 180} if of.is_turned else {})

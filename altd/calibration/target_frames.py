@@ -83,6 +83,11 @@ class TargetFrames:
         """The kind of the recordings."""
         return self.parts[0].kind
 
+    def of_turned_unit(self, is_turned: bool) -> TargetFrames | None:
+        """Only the recordings of the unit as it is, or only those of the turned unit; None: there is none."""
+        parts = tuple(p for p in self.parts if (p.recording.header.turned_deg != 0.0) is is_turned)
+        return replace(self, parts=parts) if parts else None
+
     @property
     def unit_serial(self) -> str:
         """The unit that it belongs to."""

@@ -86,6 +86,7 @@ async def test_the_history_of_checks_outlives_a_restart(
     calibration_of_unit_3: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("altd.acquisition.self_check.memory.SAVE_INTERVAL_S", 0.0)
+    monkeypatch.setattr("altd.acquisition.self_check.memory._DISK_TIMEOUT_S", 200.0)  # of a busy machine
 
     def prepare(running: LedUnit) -> None:
         running.daemon.keep_state_in(tmp_path)
