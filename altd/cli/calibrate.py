@@ -13,6 +13,7 @@ from altd.errors import BadInputError
 from altd.process.standard_streams import complain, say
 
 if TYPE_CHECKING:
+    from altd.calibration.report.certificate_facts import Facts
     from altd.calibration.result import CalibrationResult
     from altd.recording.reader import Recording
 
@@ -37,6 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="write a report, HTML and PDF, under FILE's name; without DIR beside FILE",
     )
+    parser.add_argument(
+        "--certificate",
+        type=Path,
+        metavar="FACTS.toml",
+        help="make the report a calibration certificate with these facts; with XML",
+    )
 
 
 def _report_folder(text: str) -> Path:
@@ -60,9 +67,15 @@ def run(options: argparse.Namespace) -> int:
     from altd.recording.reader import open_recording
 
     check_replaceable(options.output)
+    facts = None
+    if options.certificate is not None:
+        from altd.calibration.report.certificate_facts import load_facts
+
+        facts = load_facts(options.certificate)
+        options.report = options.report or _BESIDE
     folder = options.output.parent if options.report is _BESIDE else options.report
     if folder is not None:
-        check_report(folder, report_names(options.output))
+        check_report(folder, report_names(options.output, facts is not None))
     recordings = [open_recording(path) for path in options.recordings]
     for path, recording in zip(options.recordings, recordings, strict=True):
         for target in recording.header.shown_targets:
@@ -72,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
             complain(f"altd calibrate: {line}")
     flat = None if options.flat is None else open_recording(options.flat)
     result = calibrate(recordings, flat, progress_on("frames"))
-    report = {} if options.report is None else _report(options, recordings, result)
+    report = {} if options.report is None else _report(options, recordings, result, facts)
     save_calibration(result.calibration, options.output)
     if folder is not None:
         write_together(folder, report)
@@ -108,28 +121,37 @@ def _print_result(result: CalibrationResult) -> None:
 
 
 def _report(
-    options: argparse.Namespace, recordings: Sequence[Recording], result: CalibrationResult
+    options: argparse.Namespace,
+    recordings: Sequence[Recording],
+    result: CalibrationResult,
+    facts: Facts | None,
 ) -> dict[str, bytes]:
     """The report's files by name; matplotlib is there, that was checked."""
     from altd.calibration.report.content import report_on
+    from altd.calibration.report.dcc import dcc_xml
     from altd.calibration.report.html import html_page
     from altd.calibration.report.picture_sections import scan_negatives
+    from altd.calibration.report.prediction import predict
     from altd.calibration.report.sheets import pdf_sheets
     from altd.calibration.report.write import Source, report_names
     from altd.calibration.target_frames import target_frames
 
     given = [*options.recordings, *(["--flat", options.flat] if options.flat else [])]
     given += ["-o", options.output, "--report", *([] if options.report is _BESIDE else [options.report])]
+    given += ["--certificate", options.certificate] if options.certificate else []
     command = shlex.join(["altd", "calibrate", *map(str, given)])
     show = progress_on("files of the report")
     show(0, 2)
     try:
         negatives = scan_negatives(target_frames(recordings))
         headers = tuple(recording.header for recording in recordings)
-        document = report_on(Source(result.calibration, result.evidence, negatives, command, headers))
+        source = Source(result.calibration, result.evidence, negatives, command, headers)
+        document = report_on(source, facts)
     except ValueError as error:
         raise BadInputError(", ".join(map(str, options.recordings)), str(error)) from error
-    page, sheets = report_names(options.output)
-    files = {page: html_page(document), sheets: pdf_sheets(document, result.calibration.created)}
+    contents = [html_page(document), pdf_sheets(document, result.calibration.created)]
+    if facts is not None:
+        contents.append(dcc_xml(facts, source, predict(result.calibration)))
+    files = dict(zip(report_names(options.output, facts is not None), contents, strict=True))
     show(2, 2)
     return files

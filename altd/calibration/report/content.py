@@ -11,6 +11,8 @@ import numpy as np
 from altd import __version__
 from altd.calibration.file import file_of
 from altd.calibration.report import map_plots, target_plots
+from altd.calibration.report.certificate import sections
+from altd.calibration.report.certificate_facts import Facts
 from altd.calibration.report.document import Banner, Block, Document, Heading, Picture, Row, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
@@ -92,13 +94,17 @@ def _unit(quantity: str) -> str:
     return "µm" if quantity in OF_SPOT else "10⁻³ °"
 
 
-def report_on(source: Source) -> Document:
-    """Compute, judge and arrange. Raises ValueError when the targets have no area in common."""
+def report_on(source: Source, facts: Facts | None = None) -> Document:
+    """Compute, judge and arrange; with ``facts`` the report is a calibration certificate.
+
+    Raises ValueError when the targets have no area in common.
+    """
     prediction = predict(source.calibration)
     file = file_of(source.calibration)
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
         *_origin(source.calibration),
+        *([] if facts is None else sections(facts, source, prediction)),
         *_verdict(verdict, prediction),
         *beam_section(prediction, source),
         *residuals(source),
@@ -112,7 +118,7 @@ def report_on(source: Source) -> Document:
     serial = source.calibration.unit_serial
     made = source.calibration.created.strftime("%Y-%m-%d %H:%M UTC")
     return Document(
-        f"Calibration of unit {serial}",
+        f"Calibration of unit {serial}" if facts is None else f"Calibration certificate {facts.number}",
         f"{source.calibration.recording_note} · {made}",
         tuple(blocks),
         file.checksum,

@@ -19,7 +19,7 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.header import RecordingHeader
 from altd.records import PixelArray
 
-PAGE_SUFFIX, SHEETS_SUFFIX = ".html", ".pdf"
+PAGE_SUFFIX, SHEETS_SUFFIX, DCC_SUFFIX = ".html", ".pdf", ".xml"
 
 HEAD_BYTES = 1024
 """The name of the calibration is within these first bytes of a report's page."""
@@ -68,12 +68,13 @@ def target_names_text(targets: Sequence[TargetCalibration]) -> str:
     return {1: "the target", 2: "both targets"}.get(len(targets), "all targets")
 
 
-def report_names(calibration: Path) -> tuple[str, str]:
-    """Page and sheets of the report on the calibration of this file.
+def report_names(calibration: Path, is_certificate: bool = False) -> tuple[str, ...]:
+    """Page and sheets of the report on the calibration of this file, and the XML of a certificate.
 
     Raises BadInputError where one of them has the file's own name.
     """
-    names = calibration.stem + PAGE_SUFFIX, calibration.stem + SHEETS_SUFFIX
+    suffixes = (PAGE_SUFFIX, SHEETS_SUFFIX, DCC_SUFFIX)[: 3 if is_certificate else 2]
+    names = tuple(calibration.stem + suffix for suffix in suffixes)
     if calibration.name in names:
         raise BadInputError(calibration, "is what its report would be called; possible: calibration.json")
     return names
