@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -127,11 +128,11 @@ def _report(
     facts: Facts | None,
 ) -> dict[str, bytes]:
     """The report's files by name; matplotlib is there, that was checked."""
+    from altd.calibration.report.budget import budget_of
     from altd.calibration.report.content import report_on
     from altd.calibration.report.dcc import dcc_xml
     from altd.calibration.report.html import html_page
     from altd.calibration.report.picture_sections import scan_negatives
-    from altd.calibration.report.prediction import predict
     from altd.calibration.report.sheets import pdf_sheets
     from altd.calibration.report.write import Source, report_names
     from altd.calibration.target_frames import target_frames
@@ -145,13 +146,15 @@ def _report(
     try:
         negatives = scan_negatives(target_frames(recordings))
         headers = tuple(recording.header for recording in recordings)
+        budget = budget_of(result.calibration, result.evidence)
         source = Source(result.calibration, result.evidence, negatives, command, headers)
-        document = report_on(source, facts)
+        document = report_on(source, budget, facts)
     except ValueError as error:
         raise BadInputError(", ".join(map(str, options.recordings)), str(error)) from error
     contents = [html_page(document), pdf_sheets(document, result.calibration.created)]
+    contents.append((json.dumps(budget.as_object(), indent=1) + "\n").encode())
     if facts is not None:
-        contents.append(dcc_xml(facts, source, predict(result.calibration)))
+        contents.append(dcc_xml(facts, source, budget))
     files = dict(zip(report_names(options.output, facts is not None), contents, strict=True))
     show(2, 2)
     return files

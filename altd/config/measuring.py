@@ -37,7 +37,7 @@ class Measuring(Table):
         return round(self.max_lag_ms * 1e6)
 
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
-    """A displacement with a larger sigma is ``unsteady``."""
+    """A displacement that scatters more (`sigma_random`) is ``unsteady``."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """The same for yaw and pitch."""
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4

@@ -5,26 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from altd.calibration.report.budget import COVERAGE, Budget
 from altd.calibration.report.certificate_facts import Contact, Equipment, Facts
 from altd.calibration.report.document import Block, Heading, Table, Words
-from altd.calibration.report.prediction import Prediction, name_of, unit_of
+from altd.calibration.report.prediction import name_of, unit_of
 from altd.calibration.report.write import Source
-
-COVERAGE_FACTOR = 2.0
-COVERAGE_PROBABILITY = 0.95
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The correction that remains after the calibration file, which is 0, and its expanded uncertainty.
+    """The correction that remains after the calibration file, which is 0, and its uncertainty by the budget.
 
-    ``expanded`` is the root mean square over the calibrated area, ``worst`` the largest in it, both for
-    ``COVERAGE_FACTOR``, in the unit at the end of ``key``.
+    ``standard`` and ``expanded`` are in the unit at the end of ``key``.
     """
 
     key: str
+    standard: float
     expanded: float
-    worst: float
+    coverage_factor: float
 
     @property
     def name(self) -> str:
@@ -32,12 +30,10 @@ class Result:
         return f"remaining correction of {name_of(self.key)}"
 
 
-def results_of(prediction: Prediction) -> tuple[Result, ...]:
+def results_of(budget: Budget) -> tuple[Result, ...]:
     """The results for each quantity of the calibrated unit."""
-    return tuple(
-        Result(key, COVERAGE_FACTOR * prediction.rms(key), COVERAGE_FACTOR * prediction.worst(key))
-        for key in prediction.quantities
-    )
+    columns = zip(budget.quantities, budget.combined, budget.expanded, budget.coverage_factors, strict=True)
+    return tuple(Result(*column) for column in columns)
 
 
 def identifications(source: Source) -> tuple[tuple[str, str], ...]:
@@ -49,7 +45,7 @@ def identifications(source: Source) -> tuple[tuple[str, str], ...]:
     return (("serial number", source.calibration.unit_serial), *known)
 
 
-def sections(facts: Facts, source: Source, prediction: Prediction) -> list[Block]:
+def sections(facts: Facts, source: Source, budget: Budget) -> list[Block]:
     """The certificate's sections, before the report's evidence and budget."""
     temperature = facts.environment
     about = (
@@ -78,16 +74,14 @@ def sections(facts: Facts, source: Source, prediction: Prediction) -> list[Block
         Heading("Results"),
         Words(
             "The calibration file applies the corrections; zero remains. The expanded uncertainty is the "
-            f"combined standard uncertainty of a measurement of {prediction.exposures} exposures times "
-            "k = 2, over the calibrated area, for a coverage probability of about 95 %. The results hold "
-            "for the item at the time of calibration."
+            f"combined standard uncertainty of a measurement of {budget.exposures} exposures times the "
+            f"coverage factor k, for a coverage probability of {COVERAGE:.0%}; see the uncertainty budget. "
+            "The results hold for the item at the time of calibration."
         ),
         Table(
-            ("", "value", "expanded uncertainty, rms", "at worst"),
-            tuple(
-                (result.name, f"0{unit_of(result.key)}", *_both(result)) for result in results_of(prediction)
-            ),
-            (0.4, 0.15, 0.25, 0.2),
+            ("", "value", "standard uncertainty", "k", "expanded uncertainty"),
+            tuple(_row(result) for result in results_of(budget)),
+            (0.35, 0.12, 0.2, 0.1, 0.23),
         ),
         Heading("Signature"),
         Table(
@@ -99,9 +93,10 @@ def sections(facts: Facts, source: Source, prediction: Prediction) -> list[Block
     ]
 
 
-def _both(result: Result) -> tuple[str, str]:
+def _row(result: Result) -> tuple[str, ...]:
     unit = unit_of(result.key)
-    return f"{result.expanded:.4f}{unit}", f"{result.worst:.4f}{unit}"
+    numbers = f"{result.standard:.4f}{unit}", f"{result.coverage_factor:.2f}", f"{result.expanded:.4f}{unit}"
+    return result.name, f"0{unit}", *numbers
 
 
 def _address(contact: Contact) -> str:

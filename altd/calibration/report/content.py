@@ -11,6 +11,7 @@ import numpy as np
 from altd import __version__
 from altd.calibration.file import file_of
 from altd.calibration.report import map_plots, target_plots
+from altd.calibration.report.budget import Budget, budget_of, budget_section
 from altd.calibration.report.certificate import sections
 from altd.calibration.report.certificate_facts import Facts
 from altd.calibration.report.document import Banner, Block, Document, Heading, Picture, Row, Table, Words
@@ -62,7 +63,8 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
     made_of = (
         "Pattern: print and speckle shift each spot by a fixed amount that differs from place to place. "
         "Map: what the nodes' noise leaves uncertain of it. Scatter: single exposures about their mean, "
-        f"{exposures} averaged; it alone falls when more are averaged."
+        f"{exposures} averaged; it alone falls when more are averaged. Limits: stated uncertainties of stage "
+        "and beam, which the scan does not show."
     )
     return [
         Heading("Predicted uncertainty of a measurement"),
@@ -94,19 +96,22 @@ def _unit(quantity: str) -> str:
     return "µm" if quantity in OF_SPOT else "10⁻³ °"
 
 
-def report_on(source: Source, facts: Facts | None = None) -> Document:
-    """Compute, judge and arrange; with ``facts`` the report is a calibration certificate.
+def report_on(source: Source, budget: Budget | None = None, facts: Facts | None = None) -> Document:
+    """Compute, judge and arrange; ``budget`` is the calibration's where the caller needs it, too.
 
-    Raises ValueError when the targets have no area in common.
+    With ``facts`` the report is a calibration certificate. Raises ValueError when the targets have no area
+    in common.
     """
+    budget = budget or budget_of(source.calibration, source.evidence)
     prediction = predict(source.calibration)
     file = file_of(source.calibration)
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
         *_origin(source.calibration),
-        *([] if facts is None else sections(facts, source, prediction)),
+        *([] if facts is None else sections(facts, source, budget)),
         *_verdict(verdict, prediction),
         *beam_section(prediction, source),
+        *budget_section(budget),
         *residuals(source),
         *models(source),
         *cross_checks(source),

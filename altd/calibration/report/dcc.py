@@ -10,14 +10,10 @@ from xml.etree import ElementTree
 
 from altd import __version__
 from altd.calibration.file import file_of
-from altd.calibration.report.certificate import (
-    COVERAGE_FACTOR,
-    COVERAGE_PROBABILITY,
-    identifications,
-    results_of,
-)
+from altd.calibration.report.budget import COVERAGE, Budget
+from altd.calibration.report.certificate import identifications, results_of
 from altd.calibration.report.certificate_facts import Contact, Equipment, Facts
-from altd.calibration.report.prediction import Prediction
+from altd.calibration.report.prediction import name_of
 from altd.calibration.report.write import Source
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
@@ -28,7 +24,7 @@ _UNITS = {"mm": r"\milli\metre", "deg": r"\degree"}
 Element = ElementTree.Element
 
 
-def dcc_xml(facts: Facts, source: Source, prediction: Prediction) -> bytes:
+def dcc_xml(facts: Facts, source: Source, budget: Budget) -> bytes:
     """The certificate as UTF-8 XML."""
     ElementTree.register_namespace("dcc", DCC)
     ElementTree.register_namespace("si", SI)
@@ -41,15 +37,12 @@ def dcc_xml(facts: Facts, source: Source, prediction: Prediction) -> bytes:
     _equipment(_add(result, "measuringEquipments"), facts.equipment)
     condition = _add(_add(result, "influenceConditions"), "influenceCondition", refType="basic_temperature")
     _named(condition, "temperature")
-    environment = facts.environment
+    temperature = facts.environment
     _quantity(
-        _add(condition, "data"),
-        "",
-        environment.temperature_c,
-        r"\degreecelsius",
-        environment.temperature_expanded_k,
-    )
-    _results(_add(result, "results"), prediction)
+        _add(condition, "data"), "temperature", temperature.temperature_c, r"\degreecelsius",
+        temperature.temperature_expanded_k, 2.0,
+    )  # fmt: skip
+    _results(_add(result, "results"), budget)
     ElementTree.indent(root)
     content: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return content + b"\n"
@@ -123,30 +116,43 @@ def _equipment(parent: Element, equipment: tuple[Equipment, ...]) -> None:
         _named(number, "serial number")
 
 
-def _results(parent: Element, prediction: Prediction) -> None:
-    for result in results_of(prediction):
+def _results(parent: Element, budget: Budget) -> None:
+    for result in results_of(budget):
         element = _add(parent, "result")
         _named(element, result.name)
-        data = _add(element, "data")
-        unit = _UNITS[result.key.rsplit("_", 1)[1]]
-        for words, expanded in (
-            ("rms over the calibrated area", result.expanded),
-            ("at worst", result.worst),
-        ):
-            _quantity(data, f"{result.name}, expanded uncertainty {words}", 0.0, unit, expanded)
+        unit = _unit(result.key)
+        _quantity(_add(element, "data"), result.name, 0.0, unit, result.expanded, result.coverage_factor)
+    element = _add(parent, "result")
+    _named(element, "uncertainty budget")
+    data = _add(element, "data")
+    for place, key in enumerate(budget.quantities):
+        terms = _add(data, "list")
+        _named(terms, f"contributions to the standard uncertainty of {name_of(key)}")
+        for term in budget.terms:
+            _real(terms, term.name, term.contributions[place], _unit(key))
 
 
-def _quantity(parent: Element, name: str, value: float, unit: str, expanded: float) -> None:
+def _unit(key: str) -> str:
+    return _UNITS[key.rsplit("_", 1)[1]]
+
+
+def _real(parent: Element, name: str, value: float, unit: str) -> Element:
     quantity = _add(parent, "quantity")
-    if name:
-        _named(quantity, name)
+    _named(quantity, name)
     real = ElementTree.SubElement(quantity, f"{{{SI}}}real")
-    _si(real, "value", f"{value:g}")
+    _si(real, "value", f"{value:.4g}")
     _si(real, "unit", unit)
+    return real
+
+
+def _quantity(
+    parent: Element, name: str, value: float, unit: str, expanded: float, coverage_factor: float
+) -> None:
+    real = _real(parent, name, value, unit)
     uncertainty = _si(_si(real, "measurementUncertaintyUnivariate"), "expandedMU")
     _si(uncertainty, "valueExpandedMU", f"{expanded:.4g}")
-    _si(uncertainty, "coverageFactor", f"{COVERAGE_FACTOR:g}")
-    _si(uncertainty, "coverageProbability", f"{COVERAGE_PROBABILITY:g}")
+    _si(uncertainty, "coverageFactor", f"{coverage_factor:.3g}")
+    _si(uncertainty, "coverageProbability", f"{COVERAGE:g}")
     _si(uncertainty, "distribution", "normal")
 
 

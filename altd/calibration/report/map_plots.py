@@ -145,7 +145,7 @@ def budget(title: str, names: Sequence[str], shares: FloatArray, causes: Sequenc
         down = np.arange(len(names))[::-1]
         before = np.zeros(len(names))
         for cause, colour, ink, share in zip(
-            causes, (BLUE, ORANGE, GREEN), ("white", INK, "white"), shares.T, strict=True
+            causes, (BLUE, ORANGE, GREEN, VERMILION), ("white", INK, "white", "white"), shares.T, strict=True
         ):
             axes.barh(down, 100 * share, left=100 * before, height=0.66, color=colour, label=cause)
             for y, start, part in zip(down, before, share, strict=True):

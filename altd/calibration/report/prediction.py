@@ -9,11 +9,11 @@ import numpy as np
 
 from altd.calibration.soundness import Candidate
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
+from altd.instruments.beam.systematics import effects_mm
 from altd.mapping.grid import contains
 from altd.mapping.tensor_map import TensorMap, tensor_basis
 from altd.measuring.calibration import Calibration, TargetCalibration
-from altd.records import FloatArray, MeanSpots, TargetPoint
+from altd.records import FloatArray, TargetPoint
 
 OF_SPOT = ("x_mm", "y_mm")
 OF_BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -21,8 +21,9 @@ OF_BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 _QUANTITIES = {quantity.key: quantity for quantity in QUANTITIES.of_unit}
 
-CAUSES = ("pattern", "map", "scatter")
-"""The parts of sigma: print and speckle of a place, the uncertainty of the map, single exposures."""
+CAUSES = ("pattern", "map", "scatter", "limits")
+"""The parts of sigma: print and speckle of a place, the uncertainty of the map, single exposures, and the
+stated limits of what the scan does not show."""
 
 EXPOSURES = 20
 """Exposures that the expected sigma is of: the default of ``measuring.window``."""
@@ -51,7 +52,7 @@ class Prediction:
 
     ``quantities`` is ``OF_BEAM``, of a single target ``OF_SPOT``. ``x_mm`` (columns,) and ``y_mm`` (rows,)
     are the places, ``sigma`` (quantities, rows, columns) is in the quantities' units, NaN outside. ``shares``
-    (quantities, 3) is what part of each one's variance, averaged over the area, comes from each of
+    (quantities, causes) is what part of each one's variance, averaged over the area, comes from each of
     ``CAUSES``; a row adds up to 1. ``exposures`` are averaged.
     """
 
@@ -87,8 +88,7 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
     no area in common.
     """
     x_mm, y_mm = common_area(calibration.targets)
-    z_mm = [target.z_mm for target in calibration.targets]
-    quantities = OF_SPOT if len(z_mm) == 1 else OF_BEAM
+    quantities = OF_SPOT if len(calibration.targets) == 1 else OF_BEAM
     sigma = np.full((len(quantities), len(y_mm), len(x_mm)), np.nan)
     variances = np.zeros((len(quantities), len(CAUSES)))
     for row, y in enumerate(y_mm):
@@ -96,22 +96,39 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
         columns = np.flatnonzero(
             np.all([contains(t.map.hull_mm, line_mm) for t in calibration.targets], axis=0)
         )
-        along = [_points(target, line_mm[columns]) for target in calibration.targets]
+        along = [points_of(target, line_mm[columns]) for target in calibration.targets]
         for column, *points in zip(columns, *along, strict=True):
-            parts = _covariances_mm2(calibration.targets, points, exposures)
-            total = joint_covariance_mm2(_spots(calibration, exposures), points)
-            sigma[:, row, column] = _sigma(z_mm, points, total)
-            variances += _by_cause(z_mm, total, parts)
+            parts = variances_of(calibration, points, exposures)
+            sigma[:, row, column] = np.sqrt(sum(parts.values()))
+            for cause, part in parts.items():
+                at = CAUSES.index(cause) if cause in CAUSES else CAUSES.index("limits")
+                variances[:, at] += part
     shares = variances / variances.sum(axis=1, keepdims=True)
     return Prediction(quantities, x_mm, y_mm, sigma, shares, exposures)
 
 
-def _sigma(z_mm: Sequence[float], points: Sequence[TargetPoint], covariance_mm2: FloatArray) -> FloatArray:
-    """Of ``OF_BEAM`` (4,), of a single target's ``OF_SPOT`` (2,)."""
-    if len(points) == 1:
-        return np.asarray(np.sqrt(np.diag(covariance_mm2)))
-    beam = fit_beam(z_mm, points, covariance_mm2)
-    return np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
+def variances_of(
+    calibration: Calibration, points: Sequence[TargetPoint], exposures: int
+) -> dict[str, FloatArray]:
+    """The parts (4,) of the variances of a beam's ``OF_BEAM``, of a single target (2,) of its ``OF_SPOT``.
+
+    By cause; ``limits`` are split by their keys. They add up to the square of the published sigma.
+    """
+    z_mm = [target.z_mm for target in calibration.targets]
+    parts = _covariances_mm2(calibration.targets, points, exposures)
+    design = np.zeros((2 * len(z_mm), len(OF_BEAM)))
+    design[0::2, 0] = design[1::2, 1] = 1.0
+    design[0::2, 2], design[1::2, 3] = z_mm, z_mm
+    if len(z_mm) == 1:
+        design = design[:, : len(OF_SPOT)]
+    weighted = np.linalg.solve(sum(parts.values()), design)
+    gain = np.linalg.solve(design.T @ weighted, weighted.T)
+    places_mm = np.array([(point.x_mm, point.y_mm) for point in points])
+    slopes = (gain @ places_mm.ravel())[2:] if len(z_mm) > 1 else np.zeros(2)
+    gain[2:] *= np.degrees(1 / (1 + np.square(slopes)))[: len(gain) - 2, None]
+    for key, columns in effects_mm(calibration.limits, z_mm, places_mm, (slopes[0], slopes[1])).items():
+        parts[key] = columns @ columns.T
+    return {cause: np.einsum("qi,ij,qj->q", gain, part, gain) for cause, part in parts.items()}
 
 
 def own_noise_px(candidate: Candidate, nodes: int) -> float:
@@ -177,43 +194,26 @@ def spectrum_covariance_px2(fitted: TensorMap) -> FloatArray:
     return covariance
 
 
-def _points(target: TargetCalibration, points_mm: FloatArray) -> list[TargetPoint]:
+def points_of(target: TargetCalibration, points_mm: FloatArray) -> list[TargetPoint]:
+    """The points that spots at places (n, 2) mm of a target are measured at."""
     found, jacobian, covariance = target.inverse.to_mm(target.map.to_px(points_mm))
     return [
         TargetPoint(float(x), float(y), jacobian[n], covariance[n]) for n, (x, y) in enumerate(found.tolist())
     ]
 
 
-def _spots(calibration: Calibration, exposures: int) -> MeanSpots:
-    """The mean spots of a window whose exposures scatter as those at the nodes did."""
-    repeatability = np.concatenate([target.repeatability_px for target in calibration.targets])
-    targets = calibration.target_names
-    covariance = np.diag(np.square(repeatability) / exposures)
-    return MeanSpots(targets, np.zeros((len(targets), 2)), covariance, 0, exposures, 0)
-
-
 def _covariances_mm2(
     targets: Sequence[TargetCalibration], points: Sequence[TargetPoint], exposures: int
-) -> FloatArray:
-    """Covariances (3, 2 T, 2 T) of the points by ``CAUSES``; they add up to the joint covariance."""
-    parts = np.zeros((len(CAUSES), 2 * len(points), 2 * len(points)))
+) -> dict[str, FloatArray]:
+    """Covariances (2 T, 2 T) of the points by cause; they add up to the joint covariance of a measurement."""
+    size = 2 * len(points)
+    parts = {cause: np.zeros((size, size)) for cause in CAUSES if cause != "limits"}
     for index, (target, point) in enumerate(zip(targets, points, strict=True)):
         block = slice(2 * index, 2 * index + 2)
         jacobian = point.jacobian_mm_per_px
-        parts[0, block, block] = target.map.noise_px**2 * jacobian @ jacobian.T
-        parts[1, block, block] = point.covariance_mm2 - parts[0, block, block]
-        parts[2, block, block] = jacobian @ np.diag(target.repeatability_px**2 / exposures) @ jacobian.T
+        pattern_mm2 = target.map.noise_px**2 * jacobian @ jacobian.T
+        parts["pattern"][block, block] = pattern_mm2
+        parts["map"][block, block] = point.covariance_mm2 - pattern_mm2
+        scatter_px2 = np.diag(target.repeatability_px**2 / exposures)
+        parts["scatter"][block, block] = jacobian @ scatter_px2 @ jacobian.T
     return parts
-
-
-def _by_cause(z_mm: Sequence[float], total_mm2: FloatArray, parts_mm2: FloatArray) -> FloatArray:
-    """The part of each cause in the variances of the quantities, (quantities, 3); the angles' as slopes."""
-    design = np.zeros((2 * len(z_mm), len(OF_BEAM)))
-    design[0::2, 0] = design[1::2, 1] = 1.0
-    design[0::2, 2] = design[1::2, 3] = z_mm
-    if len(z_mm) == 1:
-        design = design[:, : len(OF_SPOT)]
-    weighted = np.linalg.solve(total_mm2, design)
-    gain = np.linalg.solve(design.T @ weighted, weighted.T)
-    added: FloatArray = np.einsum("qi,cij,qj->qc", gain, parts_mm2, gain)
-    return added

@@ -216,12 +216,14 @@ _CAUSE_WORDS = {
     "pattern": "the fixed pattern of print and speckle",
     "map": "the map",
     "scatter": "the scatter of single exposures",
+    "limits": "the stated limits of stage and beam",
 }
 _ADVICE = {
     "pattern": "a larger laser spot covers more dots and speckle grains and shifts less; clean the targets; "
     "averaging longer does not help",
     "map": "a scan with more nodes makes the map more certain",
     "scatter": "average more exposures in a measurement, and take vibration and draught away",
+    "limits": "scan a second time with the unit turned by 180°, and use a stage with smaller limits",
 }
 
 
@@ -245,13 +247,9 @@ def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str
 def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tuple[str, str]:
     """The limits of the measurement, and ways to improve it."""
     shares = prediction.shares.mean(axis=0)
-    first, second, third = (CAUSES[n] for n in np.argsort(shares)[::-1])
-    percent = {cause: f"{100 * share:.0f} %" for cause, share in zip(CAUSES, shares, strict=True)}
-    limit = (
-        f"Shares of the variance: {_CAUSE_WORDS[first]} {percent[first]}, {_CAUSE_WORDS[second]} "
-        f"{percent[second]}, {_CAUSE_WORDS[third]} {percent[third]}."
-    )
-    return limit, f"To reduce the uncertainty: {_advice(prediction, targets)}."
+    order = np.argsort(shares)[::-1]
+    named = ", ".join(f"{_CAUSE_WORDS[CAUSES[n]]} {100 * shares[n]:.0f} %" for n in order)
+    return f"Shares of the variance: {named}.", f"To reduce the uncertainty: {_advice(prediction, targets)}."
 
 
 def _level(value: float, good: float, usable: float) -> Level:

@@ -19,7 +19,7 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.header import RecordingHeader
 from altd.records import PixelArray
 
-PAGE_SUFFIX, SHEETS_SUFFIX, DCC_SUFFIX = ".html", ".pdf", ".xml"
+PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, DCC_SUFFIX = ".html", ".pdf", "-budget.json", ".xml"
 
 HEAD_BYTES = 1024
 """The name of the calibration is within these first bytes of a report's page."""
@@ -69,11 +69,11 @@ def target_names_text(targets: Sequence[TargetCalibration]) -> str:
 
 
 def report_names(calibration: Path, is_certificate: bool = False) -> tuple[str, ...]:
-    """Page and sheets of the report on the calibration of this file, and the XML of a certificate.
+    """Page, sheets and budget of the report on the calibration of this file, and the XML of a certificate.
 
     Raises BadInputError where one of them has the file's own name.
     """
-    suffixes = (PAGE_SUFFIX, SHEETS_SUFFIX, DCC_SUFFIX)[: 3 if is_certificate else 2]
+    suffixes = (PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, *([DCC_SUFFIX] if is_certificate else []))
     names = tuple(calibration.stem + suffix for suffix in suffixes)
     if calibration.name in names:
         raise BadInputError(calibration, "is what its report would be called; possible: calibration.json")

@@ -59,8 +59,7 @@ QUANTITIES = Quantities(
 
 def values_of(beam: Beam) -> dict[str, Value]:
     """The quantities of a beam, by their keys; roll is none of them."""
-    sigmas = beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg
-    x, y, yaw, pitch = sigmas if beam.sigma_random is None else beam.sigma_random
+    x, y, yaw, pitch = beam.scatter
     return {
         "x_mm": Value(beam.x_mm, beam.sigma_x_mm, x),
         "y_mm": Value(beam.y_mm, beam.sigma_y_mm, y),
@@ -186,9 +185,9 @@ class BeamInstrument:
         return points
 
     def _too_uncertain(self, beam: Beam) -> Fault | None:
-        """Why a beam is known worse than the accuracy that is asked for."""
-        sigma_mm = max(beam.sigma_x_mm, beam.sigma_y_mm)
-        sigma_mm_per_m = 1000 * math.radians(max(beam.sigma_yaw_deg, beam.sigma_pitch_deg))
+        """Why a beam scatters more than the accuracy that is asked for; its limits are not looked at."""
+        x_mm, y_mm, yaw_deg, pitch_deg = beam.scatter
+        sigma_mm, sigma_mm_per_m = max(x_mm, y_mm), 1000 * math.radians(max(yaw_deg, pitch_deg))
         if sigma_mm > self._measuring.max_sigma_mm:
             return Fault(Reason.UNSTEADY, detail=f"displacement is uncertain by {sigma_mm:.2f} mm")
         if sigma_mm_per_m > self._measuring.max_sigma_mm_per_m:

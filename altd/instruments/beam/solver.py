@@ -17,7 +17,7 @@ from altd.records.limits import NO_LIMITS
 class Beam:
     """The beam in the unit frame at the reference plane, with combined standard uncertainties (1 sigma).
 
-    ``sigma_random`` holds the part of x, y, yaw and pitch that scatters; None: all of it.
+    ``sigma_random`` is the part of x, y, yaw and pitch that scatters; None: all of it does.
     """
 
     x_mm: float
@@ -29,6 +29,12 @@ class Beam:
     sigma_yaw_deg: float
     sigma_pitch_deg: float
     sigma_random: tuple[float, float, float, float] | None = None
+
+    @property
+    def scatter(self) -> tuple[float, float, float, float]:
+        """The part of the sigmas of x, y, yaw and pitch that scatters."""
+        all_of_it = self.sigma_x_mm, self.sigma_y_mm, self.sigma_yaw_deg, self.sigma_pitch_deg
+        return self.sigma_random or all_of_it
 
     @property
     def yaw_mm_per_m(self) -> float:

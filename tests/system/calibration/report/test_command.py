@@ -44,7 +44,7 @@ def test_a_scan_gives_calibration_page_and_sheets(scan: Path, tmp_path: Path) ->
     done = altd("calibrate", scan, "-o", tmp_path / "cal.json", "--report", folder)
     assert (done.status, done.err) == (0, "")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cal.json", "report"]
-    assert sorted(path.name for path in folder.iterdir()) == ["cal.html", "cal.pdf"]
+    assert sorted(path.name for path in folder.iterdir()) == ["cal-budget.json", "cal.html", "cal.pdf"]
     assert (folder / "cal.pdf").read_bytes().startswith(b"%PDF")
     page = (folder / "cal.html").read_text()
     printed = re.findall(r"\d\.\d{4} / \d\.\d{4} / \d\.\d{4}", done.out)
@@ -68,7 +68,9 @@ def test_without_a_folder_the_report_stands_beside_the_calibration_and_names_it(
 ) -> None:
     done = altd_here("calibrate", "-o", tmp_path / "unit-7.json", "--report", "--", scan)
     assert (done.status, done.err) == (0, "")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["unit-7.html", "unit-7.json", "unit-7.pdf"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("unit-7-budget.json", "unit-7.html", "unit-7.json", "unit-7.pdf")
+    ]
     page, checksum = (tmp_path / "unit-7.html").read_text(), checksum_of_file(tmp_path / "unit-7.json")
     assert f'<meta name="altd-calibration" content="{checksum}">' in page[:1024]
     assert hashlib.sha256((tmp_path / "unit-7.json").read_bytes()).hexdigest() in page, "for a person"
@@ -79,7 +81,13 @@ def test_with_facts_the_report_is_a_certificate_with_xml(scan: Path, tmp_path: P
     facts = ROOT / "config" / "certificate.toml"
     done = altd_here("calibrate", scan, "-o", tmp_path / "cal.json", "--certificate", facts)
     assert (done.status, done.err) == (0, "")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["cal.html", "cal.json", "cal.pdf", "cal.xml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "cal-budget.json",
+        "cal.html",
+        "cal.json",
+        "cal.pdf",
+        "cal.xml",
+    ]
     assert "Calibration certificate 2026-117" in (tmp_path / "cal.html").read_text()
     assert ElementTree.parse(tmp_path / "cal.xml").getroot().tag.endswith("digitalCalibrationCertificate")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,11 +11,12 @@ import pytest
 from support.evidence import calibration
 from support.places import ROOT
 
+from altd.calibration.report.budget import Budget, Term
 from altd.calibration.report.certificate import sections
 from altd.calibration.report.certificate_facts import load_facts
 from altd.calibration.report.dcc import dcc_xml
 from altd.calibration.report.document import Table
-from altd.calibration.report.prediction import OF_BEAM, Prediction
+from altd.calibration.report.prediction import OF_BEAM
 from altd.calibration.report.write import Source
 from altd.errors import BadInputError
 
@@ -38,6 +40,7 @@ ORDER = {
     "result": "name data",
     "quantity": "name real",
     "real": "value unit measurementUncertaintyUnivariate",
+    "list": "name quantity",
     "expandedMU": "valueExpandedMU coverageFactor coverageProbability distribution",
 }
 """Children of an element in the order of the published schema, those that a certificate of ours has."""
@@ -47,9 +50,14 @@ def source() -> Source:
     return Source(calibration(), (), {}, "altd calibrate", ())
 
 
-def prediction() -> Prediction:
-    sigma = np.array([[[0.001, 0.003]], [[0.002, 0.002]], [[0.0004, 0.0004]], [[0.0005, 0.0005]]])
-    return Prediction(OF_BEAM, np.zeros(2), np.zeros(1), sigma, np.zeros((4, 3)), 20)
+def budget() -> Budget:
+    """Two terms, of 3 and 4 parts of one, both known without limit: k is 1.96."""
+    parts = np.array([0.001, 0.002, 0.0004, 0.0006])
+    terms = [
+        Term(key, 1.0, "mm", "normal", math.inf, tuple((factor * parts).tolist()))
+        for key, factor in (("map", 3.0), ("stage_scale_ppm", 4.0))
+    ]
+    return Budget(OF_BEAM, tuple(terms), (), 20)
 
 
 def written(folder: Path, text: str = FACTS) -> Path:
@@ -59,7 +67,7 @@ def written(folder: Path, text: str = FACTS) -> Path:
 
 
 def test_the_xml_is_well_formed_and_in_the_order_of_the_structure(tmp_path: Path) -> None:
-    root = ElementTree.fromstring(dcc_xml(load_facts(written(tmp_path)), source(), prediction()))
+    root = ElementTree.fromstring(dcc_xml(load_facts(written(tmp_path)), source(), budget()))
     assert root.get("schemaVersion") == "3.3.0"
     seen = set()
     for element in root.iter():
@@ -68,21 +76,24 @@ def test_the_xml_is_well_formed_and_in_the_order_of_the_structure(tmp_path: Path
         if name in ORDER:
             seen.add(name)
             possible = ORDER[name].split()
-            assert [one for one in possible if one in children] == children, name
+            assert list(dict.fromkeys(children)) == [one for one in possible if one in children], name
     assert seen == set(ORDER)
 
 
-def test_the_xml_holds_twice_the_standard_uncertainty_with_its_unit(tmp_path: Path) -> None:
-    root = ElementTree.fromstring(dcc_xml(load_facts(written(tmp_path)), source(), prediction()))
+def test_the_xml_holds_the_expanded_uncertainty_with_its_unit(tmp_path: Path) -> None:
+    root = ElementTree.fromstring(dcc_xml(load_facts(written(tmp_path)), source(), budget()))
     found = {}
     for result in root.iter(f"{DCC}result"):
         name = result.findtext(f"{DCC}name/{DCC}content")
         reals = list(result.iter(f"{SI}real"))
         found[name] = [(r.findtext(f"{SI}unit"), r.findtext(f".//{SI}valueExpandedMU")) for r in reals]
     millimetre = r"\milli\metre"
-    assert found["remaining correction of x"] == [(millimetre, "0.004472"), (millimetre, "0.006")]
-    assert found["remaining correction of pitch"] == [(r"\degree", "0.001"), (r"\degree", "0.001")]
-    assert {each.text for each in root.iter(f"{SI}coverageFactor")} == {"2"}
+    # combined 5 parts; 1.96 times that
+    assert found["remaining correction of x"] == [(millimetre, "0.0098")]
+    assert found["remaining correction of pitch"] == [(r"\degree", "0.00588")]
+    assert {each.text for each in root.iter(f"{SI}coverageFactor")} == {"1.96", "2"}
+    contributions = [each.text for each in root.findall(f".//{DCC}list/{DCC}quantity/{SI}real/{SI}value")]
+    assert contributions[:2] == ["0.003", "0.004"]
     assert root.findtext(f".//{DCC}influenceCondition//{SI}value") == "20.4"
     assert root.findtext(f"{DCC}administrativeData/{DCC}calibrationLaboratory//{DCC}content") == "Lab & Co"
     serials = [each.findtext(f"{DCC}value") for each in root.iter(f"{DCC}identification")]
@@ -90,11 +101,11 @@ def test_the_xml_holds_twice_the_standard_uncertainty_with_its_unit(tmp_path: Pa
 
 
 def test_the_sections_state_the_same(tmp_path: Path) -> None:
-    blocks = sections(load_facts(written(tmp_path)), source(), prediction())
+    blocks = sections(load_facts(written(tmp_path)), source(), budget())
     text = " ".join(" ".join(row) for block in blocks if isinstance(block, Table) for row in block.rows)
     for words in ("2026-117", "Lab & Co, Munich, DE", "temperature (20.4 ± 0.8) °C", "2027-11-24", "C-1"):
         assert words in text
-    assert "remaining correction of x 0 mm 0.0045 mm 0.0060 mm" in text
+    assert "remaining correction of x 0 mm 0.0050 mm 1.96 0.0098 mm" in text
     assert "laser Lasers, L3 0815 none: not traceable" in text
 
 

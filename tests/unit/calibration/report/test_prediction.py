@@ -18,6 +18,7 @@ from altd.calibration.report.prediction import (
 )
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
+from altd.records import Limits
 
 PATTERN_PX, SHIFT_PX, SCATTER_PX = 0.03, 0.01, 0.02
 
@@ -34,7 +35,18 @@ def test_sigma_of_straight_maps_is_the_closed_form_everywhere() -> None:
 def test_the_shares_are_those_of_the_variances() -> None:
     prediction = predict(calibration(), exposures=1)
     parts = np.square([PATTERN_PX, SHIFT_PX, SCATTER_PX])
-    assert prediction.shares == pytest.approx(np.tile(parts / parts.sum(), (4, 1)), rel=1e-6)
+    assert prediction.shares[:, :3] == pytest.approx(np.tile(parts / parts.sum(), (4, 1)), rel=1e-6)
+    assert not prediction.shares[:, 3].any(), "no limit is stated"
+
+
+def test_stated_limits_have_their_share() -> None:
+    """A beam tilted by 0.3 mm/m moves yaw and pitch by that, and x and y not at all."""
+    tilted = replace(calibration(), limits=Limits(beam_normal_mm_per_m=0.3))
+    before, after = predict(calibration()), predict(tilted)
+    added_deg = math.degrees(0.3e-3)
+    assert after.rms("x_mm") == pytest.approx(before.rms("x_mm"))
+    assert after.rms("yaw_deg") == pytest.approx(math.hypot(before.rms("yaw_deg"), added_deg), rel=1e-6)
+    assert after.shares[2, 3] == pytest.approx((added_deg / after.rms("yaw_deg")) ** 2, rel=1e-6)
 
 
 def test_targets_of_unlike_quality_count_by_their_own_errors() -> None:

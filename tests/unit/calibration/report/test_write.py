@@ -9,7 +9,7 @@ import pytest
 from altd.calibration.report.write import check_report, report_names, write_together
 from altd.errors import BadInputError
 
-NAMES = ("calibration.html", "calibration.pdf")
+NAMES = ("calibration.html", "calibration.pdf", "calibration-budget.json")
 
 
 def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_a_folder_that_cannot_be_used_is_named(place: str, why: str, tmp_path: P
 
 
 def test_a_report_has_the_name_of_its_calibration_and_never_takes_its_place() -> None:
-    assert report_names(Path("unit-7.json")) == ("unit-7.html", "unit-7.pdf")
+    assert report_names(Path("unit-7.json")) == ("unit-7.html", "unit-7.pdf", "unit-7-budget.json")
     for name in ("cal.html", "some/cal.pdf"):
         with pytest.raises(BadInputError, match="is what its report would be called"):
             report_names(Path(name))
