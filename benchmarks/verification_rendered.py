@@ -10,7 +10,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -66,8 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             record_flat(folder / "flat", unit, 10, lambda _done, _planned: None)
             flat = open_recording(folder / "flat")
         file = folder / "calibration.json"
-        calibration = calibrate([open_recording(folder / "scan")], flat).calibration
-        save_calibration(replace(calibration, limits=CALIBRATION_LIMITS), file)
+        save_calibration(calibrate([open_recording(folder / "scan")], flat).calibration, file)
         reference = Stage.made(REFERENCE_LIMITS, rng)
         sets = [folder / "set-1", folder / "set-2"]
         for path in sets:

@@ -46,7 +46,7 @@ def identifications(source: Source) -> tuple[tuple[str, str], ...]:
 
 
 def sections(facts: Facts, source: Source, budget: Budget) -> list[Block]:
-    """The certificate's sections, before the report's evidence and budget."""
+    """The certificate's sections, after its verdict."""
     temperature = facts.environment
     about = (
         ("Certificate", facts.number),
@@ -89,7 +89,6 @@ def sections(facts: Facts, source: Source, budget: Budget) -> list[Block]:
             ((f"{facts.operator.name}, {facts.operator.role}", ""), ("Date", ""), ("Signature", "")),
             (0.4, 0.6),
         ),
-        Heading("Evidence"),
     ]
 
 

@@ -108,8 +108,9 @@ def report_on(source: Source, budget: Budget | None = None, facts: Facts | None 
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
         *_origin(source.calibration),
+        _verdict(verdict, prediction),
         *([] if facts is None else sections(facts, source, budget)),
-        *_verdict(verdict, prediction),
+        *_criteria(verdict),
         *beam_section(prediction, source),
         *budget_section(budget),
         *residuals(source),
@@ -143,19 +144,20 @@ def _origin(calibration: Calibration) -> list[Block]:
     return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
 
 
-def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:
+def _verdict(verdict: Verdict, prediction: Prediction) -> Block:
     angles_first = sorted(prediction.quantities, key=lambda key: key in OF_SPOT)
     *others, last = (f"{prediction.rms(key):.4f}{unit_of(key)} in {name_of(key)}" for key in angles_first)
     promise = (
         f"A measurement of {prediction.exposures} exposures is predicted to be right within "
         f"{', '.join(others)} and {last} (1 sigma, rms over the calibrated area)."
     )
+    return Banner(
+        verdict.level, verdict.headline, (promise, verdict.limit, *(verdict.remedies or (verdict.advice,)))
+    )
+
+
+def _criteria(verdict: Verdict) -> list[Block]:
     return [
-        Banner(
-            verdict.level,
-            verdict.headline,
-            (promise, verdict.limit, *(verdict.remedies or (verdict.advice,))),
-        ),
         Heading("Criteria"),
         Table(
             ("", "found", "wanted", ""),
