@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-wires campaign studies docs site lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies docs site lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -148,6 +148,9 @@ bench-sizes: venv ## the daemon on frames of 752 × 480, 2448 × 2048 and 4096 �
 
 bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
 	@PYTHONPATH=tests exec unshare -rn $(python) -m fuzz.hostile.spray --seconds $(SPRAY_S)
+
+bench-verify: venv ## 200 right and wrong units by `altd verify`: false alarms and detected ones
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.verification
 
 bench-wires: venv ## errors on every wire and what a reader finds of them: docs/studies/wire-errors.md
 	@exec $(python) -m benchmarks.wire_errors --page docs/studies/wire-errors.md

@@ -62,7 +62,7 @@ class _Stays:
 
 
 class ScanPositions:
-    """The positions of a scan's exposures while it is measured.
+    """The positions of the exposures of a scan, or of known beams, while they are measured.
 
     Nodes are distinguished as ``altd calibrate`` does. ``cameras`` are those that are measured. ``window`` is
     how many exposures are averaged; None: all of a stay at a node, which gives one measurement each. Raises
@@ -164,8 +164,9 @@ class Replay:
     """A recording and the calibration that it is measured with; they belong together.
 
     ``views`` are the calibration's targets, each with the recording's camera that looks at it. ``measuring``
-    holds ``window`` and ``every`` as they are, ``positions`` where the stage put the beam, in a scan. Without
-    a window a scan gives one measurement a node, of all its exposures.
+    holds ``window`` and ``every`` as they are, ``positions`` where the stage put the beam, in a scan and in a
+    measurement whose rows have positions. Without a window these give one measurement a node, of all its
+    exposures.
     """
 
     recording: Recording
@@ -262,7 +263,7 @@ def open_replay(
     views = tuple(View(name, cameras[name]) for name in calibration.target_names)
     settings: dict[str, float] = {"silent_after_s": max(0.4, _SILENT_AFTER_FRAME_SETS / header.fps)}
     positions = None
-    if header.kind == "scan":
+    if header.kind == "scan" or (header.kind == "measurement" and recording.rows.has_positions):
         averaged = window if every is None else window or Measuring().window
         positions = ScanPositions(recording, {view.camera for view in views}, averaged)
     measuring = Measuring(window=window or Measuring().window, every=every or 1).model_copy(update=settings)

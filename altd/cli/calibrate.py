@@ -14,6 +14,7 @@ from altd.errors import BadInputError
 from altd.process.standard_streams import complain, say
 
 if TYPE_CHECKING:
+    from altd.calibration.report.certificate_facts import Facts
     from altd.calibration.result import CalibrationResult
     from altd.recording.reader import Recording
 
@@ -38,6 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="write a report, HTML and PDF, under FILE's name; without DIR beside FILE",
     )
+    parser.add_argument(
+        "--certificate",
+        type=Path,
+        metavar="FACTS.toml",
+        help="make the report a calibration certificate with these facts; with XML",
+    )
 
 
 def _report_folder(text: str) -> Path:
@@ -61,9 +68,15 @@ def run(options: argparse.Namespace) -> int:
     from altd.recording.reader import open_recording
 
     check_replaceable(options.output)
+    facts = None
+    if options.certificate is not None:
+        from altd.calibration.report.certificate_facts import load_facts
+
+        facts = load_facts(options.certificate)
+        options.report = options.report or _BESIDE
     folder = options.output.parent if options.report is _BESIDE else options.report
     if folder is not None:
-        check_report(folder, report_names(options.output))
+        check_report(folder, report_names(options.output, facts is not None))
     recordings = [open_recording(path) for path in options.recordings]
     for path, recording in zip(options.recordings, recordings, strict=True):
         for target in recording.header.shown_targets:
@@ -73,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
             complain(f"altd calibrate: {line}")
     flat = None if options.flat is None else open_recording(options.flat)
     result = calibrate(recordings, flat, progress_on("frames"))
-    report = {} if options.report is None else _report(options, recordings, result)
+    report = {} if options.report is None else _report(options, recordings, result, facts)
     save_calibration(result.calibration, options.output)
     if folder is not None:
         write_together(folder, report)
@@ -109,11 +122,15 @@ def _print_result(result: CalibrationResult) -> None:
 
 
 def _report(
-    options: argparse.Namespace, recordings: Sequence[Recording], result: CalibrationResult
+    options: argparse.Namespace,
+    recordings: Sequence[Recording],
+    result: CalibrationResult,
+    facts: Facts | None,
 ) -> dict[str, bytes]:
     """The report's files by name; matplotlib is there, that was checked."""
     from altd.calibration.report.budget import budget_of
     from altd.calibration.report.content import report_on
+    from altd.calibration.report.dcc import dcc_xml
     from altd.calibration.report.html import html_page
     from altd.calibration.report.picture_sections import scan_negatives
     from altd.calibration.report.sheets import pdf_sheets
@@ -122,6 +139,7 @@ def _report(
 
     given = [*options.recordings, *(["--flat", options.flat] if options.flat else [])]
     given += ["-o", options.output, "--report", *([] if options.report is _BESIDE else [options.report])]
+    given += ["--certificate", options.certificate] if options.certificate else []
     command = shlex.join(["altd", "calibrate", *map(str, given)])
     show = progress_on("files of the report")
     show(0, 2)
@@ -130,11 +148,13 @@ def _report(
         headers = tuple(recording.header for recording in recordings)
         budget = budget_of(result.calibration, result.evidence)
         source = Source(result.calibration, result.evidence, negatives, command, headers)
-        document = report_on(source, budget)
+        document = report_on(source, budget, facts)
     except ValueError as error:
         raise BadInputError(", ".join(map(str, options.recordings)), str(error)) from error
-    page, sheets, terms = report_names(options.output)
-    files = {page: html_page(document), sheets: pdf_sheets(document, result.calibration.created)}
-    files[terms] = (json.dumps(budget.as_object(), indent=1) + "\n").encode()
+    contents = [html_page(document), pdf_sheets(document, result.calibration.created)]
+    contents.append((json.dumps(budget.as_object(), indent=1) + "\n").encode())
+    if facts is not None:
+        contents.append(dcc_xml(facts, source, budget))
+    files = dict(zip(report_names(options.output, facts is not None), contents, strict=True))
     show(2, 2)
     return files

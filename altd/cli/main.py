@@ -31,6 +31,7 @@ from altd.cli import (
     selfcheck,
     status,
     token,
+    verify,
     watch,
 )
 from altd.cli.arguments import Parser
@@ -60,6 +61,7 @@ COMMANDS: dict[str, Command] = {
     "locate": locate,
     "map": map,
     "selfcheck": selfcheck,
+    "verify": verify,
     "status": status,
     "watch": watch,
     "password": password,

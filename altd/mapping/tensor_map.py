@@ -70,8 +70,13 @@ class TensorMap:
 
     def variance_px2(self, points_mm: FloatArray) -> FloatArray:
         """Variances (n, 2) of u and v that the nodes' noise leaves in the map at points (n, 2)."""
-        variances: FloatArray = np.square(self._basis(points_mm) @ self.covariance_factor_px).sum(axis=2).T
+        variances: FloatArray = np.square(self.errors_px(points_mm)).sum(axis=2)
         return variances
+
+    def errors_px(self, points_mm: FloatArray) -> FloatArray:
+        """The independent errors of 1 sigma of the map at points (n, 2), as (n, 2, m)."""
+        errors: FloatArray = (self._basis(points_mm) @ self.covariance_factor_px).transpose(1, 0, 2)
+        return errors
 
     @property
     def folds(self) -> bool:

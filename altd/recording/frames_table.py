@@ -27,7 +27,7 @@ _MAX_BYTES = 1 << 28
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of ``frames.csv``; ``position_mm`` is where the stage put the beam, in a scan."""
+    """One line of ``frames.csv``; ``position_mm`` is where a stage put the beam, if known."""
 
     number: int
     sequence: int
@@ -52,22 +52,25 @@ class Rows:
     first: Row
     last: Row
     largest_sequence: int
+    has_positions: bool
+    """Whether any row says where the stage put the beam."""
 
     @classmethod
     def checked(cls, path: Path, cameras: Collection[str], check: Callable[[Row], None]) -> Self:
         """Read all rows of the cameras and ``check`` each, which may raise BadInputError like this."""
         table = UnchangedFile(path, _MAX_BYTES)
         count = Counter(dict.fromkeys(cameras, 0))
-        largest_sequence = 0
+        largest_sequence, has_positions = 0, False
         first = last = None
         for row in _read_rows(table, cameras):
             check(row)
             first, last = first or row, row
             count[row.camera] += 1
             largest_sequence = max(largest_sequence, row.sequence)
+            has_positions |= row.position_mm is not None
         if first is None or last is None:
             raise BadInputError(path, "has no frames")
-        return cls(table, count, first, last, largest_sequence)
+        return cls(table, count, first, last, largest_sequence, has_positions)
 
     def __len__(self) -> int:
         return sum(self.count.values())

@@ -71,7 +71,7 @@ class Value:
     """A quantity's value with its combined standard uncertainty (1 sigma); None: it has none of its own.
 
     ``sigma_random`` is the part of ``sigma`` that scatters from place to place and from time to time; the
-    rest is common to all measurements with one calibration. None: not told apart.
+    rest is common to all measurements with one calibration. None: all of it scatters.
     """
 
     value: float
@@ -167,7 +167,7 @@ class Measurement:
         return None if value is None else value.sigma
 
     def sigma_random(self, key: str) -> float | None:
-        """The part of ``sigma`` that scatters; all of it where not told apart. None: not known."""
+        """The part of ``sigma`` that scatters; all of it where it has none. None: not known."""
         value = self.known(key)
         if value is None:
             return None

@@ -84,7 +84,7 @@ class Term:
 class Budget:
     """All terms for the beams that reach the area with slopes up to the stated range.
 
-    ``not_stated`` are the keys of the limits that count as 0 because nobody stated them.
+    ``not_stated`` are the keys of the limits that count as 0 because they were not stated.
     """
 
     quantities: tuple[str, ...]

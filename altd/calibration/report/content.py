@@ -12,6 +12,8 @@ from altd import __version__
 from altd.calibration.file import file_of
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.budget import Budget, budget_of, budget_section
+from altd.calibration.report.certificate import sections
+from altd.calibration.report.certificate_facts import Facts
 from altd.calibration.report.document import Banner, Block, Document, Heading, Picture, Row, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
@@ -94,10 +96,11 @@ def _unit(quantity: str) -> str:
     return "µm" if quantity in OF_SPOT else "10⁻³ °"
 
 
-def report_on(source: Source, budget: Budget | None = None) -> Document:
+def report_on(source: Source, budget: Budget | None = None, facts: Facts | None = None) -> Document:
     """Compute, judge and arrange; ``budget`` is the calibration's where the caller needs it, too.
 
-    Raises ValueError when the targets have no area in common.
+    With ``facts`` the report is a calibration certificate. Raises ValueError when the targets have no area
+    in common.
     """
     budget = budget or budget_of(source.calibration, source.evidence)
     prediction = predict(source.calibration)
@@ -105,7 +108,9 @@ def report_on(source: Source, budget: Budget | None = None) -> Document:
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
         *_origin(source.calibration),
-        *_verdict(verdict, prediction),
+        _verdict(verdict, prediction),
+        *([] if facts is None else sections(facts, source, budget)),
+        *_criteria(verdict),
         *beam_section(prediction, source),
         *budget_section(budget),
         *residuals(source),
@@ -119,7 +124,7 @@ def report_on(source: Source, budget: Budget | None = None) -> Document:
     serial = source.calibration.unit_serial
     made = source.calibration.created.strftime("%Y-%m-%d %H:%M UTC")
     return Document(
-        f"Calibration of unit {serial}",
+        f"Calibration of unit {serial}" if facts is None else f"Calibration certificate {facts.number}",
         f"{source.calibration.recording_note} · {made}",
         tuple(blocks),
         file.checksum,
@@ -139,19 +144,20 @@ def _origin(calibration: Calibration) -> list[Block]:
     return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
 
 
-def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:
+def _verdict(verdict: Verdict, prediction: Prediction) -> Block:
     angles_first = sorted(prediction.quantities, key=lambda key: key in OF_SPOT)
     *others, last = (f"{prediction.rms(key):.4f}{unit_of(key)} in {name_of(key)}" for key in angles_first)
     promise = (
         f"A measurement of {prediction.exposures} exposures is predicted to be right within "
         f"{', '.join(others)} and {last} (1 sigma, rms over the calibrated area)."
     )
+    return Banner(
+        verdict.level, verdict.headline, (promise, verdict.limit, *(verdict.remedies or (verdict.advice,)))
+    )
+
+
+def _criteria(verdict: Verdict) -> list[Block]:
     return [
-        Banner(
-            verdict.level,
-            verdict.headline,
-            (promise, verdict.limit, *(verdict.remedies or (verdict.advice,))),
-        ),
         Heading("Criteria"),
         Table(
             ("", "found", "wanted", ""),

@@ -152,20 +152,32 @@ def arrows(
     """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets (n, 2), with a scale arrow."""
 
     def draw(canvas: Canvas) -> None:
-        nodes_mm = seen.nodes_mm
         axes = plane.axes(canvas, target.name)
-        axes.grid()
         axes.add_patch(
             Polygon(target.map.hull_mm, fill=False, edgecolor=QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
         )
-        axes.plot(nodes_mm[:, 0], nodes_mm[:, 1], "o", color=QUIET, markersize=1.8)
-        _quiver(axes, nodes_mm, scale * offsets_mm, BLUE)
+        key_mm = nice_length(18.0 / scale)
+        _vectors(axes, plane, seen.nodes_mm, scale * offsets_mm, (scale * key_mm, f"{1000 * key_mm:g} µm"))
         for place, _ in seen.excluded:
             axes.plot(*place, "x", color=VERMILION, markersize=6, markeredgewidth=1.6)
-        key_mm = nice_length(18.0 / scale)
-        _key(axes, plane, scale * key_mm, f"{1000 * key_mm:g} µm")
 
     return draw
+
+
+def vectors(
+    plane: Plane, title: str, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
+) -> Draw:
+    """Arrows (n, 2) at places (n, 2), as long as drawn; ``key`` is the scale arrow's length and its words."""
+    return lambda canvas: _vectors(plane.axes(canvas, title), plane, places_mm, arrows_mm, key)
+
+
+def _vectors(
+    axes: Axes, plane: Plane, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
+) -> None:
+    axes.grid()
+    axes.plot(places_mm[:, 0], places_mm[:, 1], "o", color=QUIET, markersize=1.8)
+    _quiver(axes, places_mm, arrows_mm, BLUE)
+    _key(axes, plane, *key)
 
 
 def differences(

@@ -19,7 +19,7 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.header import RecordingHeader
 from altd.records import PixelArray
 
-PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX = ".html", ".pdf", "-budget.json"
+PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, DCC_SUFFIX = ".html", ".pdf", "-budget.json", ".xml"
 
 HEAD_BYTES = 1024
 """The name of the calibration is within these first bytes of a report's page."""
@@ -68,30 +68,29 @@ def target_names_text(targets: Sequence[TargetCalibration]) -> str:
     return {1: "the target", 2: "both targets"}.get(len(targets), "all targets")
 
 
-def report_names(calibration: Path) -> tuple[str, str, str]:
-    """Page, sheets and budget of the report on the calibration of this file.
+def report_names(calibration: Path, is_certificate: bool = False) -> tuple[str, ...]:
+    """Page, sheets and budget of the report on the calibration of this file, and the XML of a certificate.
 
     Raises BadInputError where one of them has the file's own name.
     """
-    page, sheets, budget = (calibration.stem + of for of in (PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX))
-    names = page, sheets, budget
+    suffixes = (PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, *([DCC_SUFFIX] if is_certificate else []))
+    names = tuple(calibration.stem + suffix for suffix in suffixes)
     if calibration.name in names:
         raise BadInputError(calibration, "is what its report would be called; possible: calibration.json")
     return names
 
 
-def check_report(folder: Path, names: Sequence[str]) -> None:
+def check_report(folder: Path, names: Sequence[str], option: str = "--report") -> None:
     """Say before any work is done what would stop a report: no matplotlib, a folder that cannot be written.
 
-    ``names`` are those of its files. Leaves nothing behind. Raises BadInputError.
+    ``names`` are those of its files, ``option`` is the argument that asks for it. Leaves nothing behind.
+    Raises BadInputError.
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
     try:
         importlib.import_module("matplotlib")
     except ImportError as error:
-        raise BadInputError(
-            "--report", "needs matplotlib, which comes with the extra altd[report]"
-        ) from error
+        raise BadInputError(option, "needs matplotlib, which comes with the extra altd[report]") from error
     try:
         is_new = _make_folder(folder)
         descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")

@@ -45,6 +45,8 @@ DONE = {
     "locate {beams}/front0000.png none.png": (2, "altd locate: none.png: No such file or directory\n", set()),
     "map": (0, "", set()),
     "selfcheck": (1, "", set()),
+    "verify": (1, "", set()),
+    "verify's page": (1, "", {"page"}),
     "selfcheck's daemon": (
         1,
         r"altd selfcheck: no daemon answers at 127\.0\.0\.1 port \d+: Connection refused\n",
@@ -76,6 +78,7 @@ FULL_DISK = {
     "replay's csv": (4, "t.csv"),
     "replay's parquet": (4, "t.parquet"),
     "replay's plot": (16, "p.svg"),
+    "verify's page": (16, "page"),
     "export": (4, "t.csv"),
     "export's parquet": (4, "t.parquet"),
     "hw_sim scan": (1000, "kept"),
@@ -161,7 +164,7 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> No
     "name",
     [
         *("calibrate", "replay", "replay's csv on standard output", "locate", "locate's table"),
-        *("map", "map's table", "selfcheck", "check-config", "registers", "devices", "doctor"),
+        *("map", "map's table", "selfcheck", "verify", "check-config", "registers", "devices", "doctor"),
         *("export on standard output", "events"),
     ],
 )

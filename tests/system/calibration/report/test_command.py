@@ -8,9 +8,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from support.cli import Outcome, altd, altd_here, refusal
+from support.places import ROOT
 from support.recordings import write_scan
 
 WITHOUT_MATPLOTLIB = "import sys; sys.modules['matplotlib'] = None"
@@ -72,6 +74,34 @@ def test_without_a_folder_the_report_stands_beside_the_calibration_and_names_it(
     page, checksum = (tmp_path / "unit-7.html").read_text(), checksum_of_file(tmp_path / "unit-7.json")
     assert f'<meta name="altd-calibration" content="{checksum}">' in page[:1024]
     assert hashlib.sha256((tmp_path / "unit-7.json").read_bytes()).hexdigest() in page, "for a person"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_with_facts_the_report_is_a_certificate_with_xml(scan: Path, tmp_path: Path) -> None:
+    facts = ROOT / "config" / "certificate.toml"
+    done = altd_here("calibrate", scan, "-o", tmp_path / "cal.json", "--certificate", facts)
+    assert (done.status, done.err) == (0, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "cal-budget.json",
+        "cal.html",
+        "cal.json",
+        "cal.pdf",
+        "cal.xml",
+    ]
+    assert "Calibration certificate 2026-117" in (tmp_path / "cal.html").read_text()
+    assert ElementTree.parse(tmp_path / "cal.xml").getroot().tag.endswith("digitalCalibrationCertificate")
+
+
+def test_wrong_facts_end_the_command_before_any_work(scan: Path, tmp_path: Path) -> None:
+    facts = tmp_path / "facts.toml"
+    facts.write_text((ROOT / "config" / "certificate.toml").read_text().replace("number =", "nummer ="))
+    done = altd_here("calibrate", scan, "-o", tmp_path / "cal.json", "--certificate", facts)
+    assert (done.status, done.out) == (2, "")
+    assert done.err.splitlines() == [
+        f"altd calibrate: {facts}: number: is missing",
+        f"altd calibrate: {facts}: line 2, column 1: nummer: there is no such key; did you mean `number`?",
+    ]
+    assert list(tmp_path.iterdir()) == [facts]
 
 
 def checksum_of_file(path: Path) -> str:

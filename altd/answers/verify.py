@@ -1,0 +1,155 @@
+"""``altd verify``: known beams, measured, and whether the unit keeps what it states."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from altd.app.replay import Replay, open_replay
+from altd.calibration.verification.beams import BeamSet, beam_set
+from altd.calibration.verification.document import (
+    comparison,
+    head_object,
+    read_earlier,
+    residual_objects,
+    set_objects,
+)
+from altd.calibration.verification.estimate import estimate, why_not_aligned, why_too_few
+from altd.calibration.verification.verdict import Judgement, Result, judge
+from altd.errors import BadInputError
+from altd.recording.header import RecordingHeader
+from altd.records import Limits, Measurement, counted, utc_text
+from altd.records.limits import LIMIT_KEYS
+
+MAX_POSITIONS = 2000
+"""Of all sets together; their covariances are full matrices."""
+_MAX_INVALID_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """A recording, measured."""
+
+    replay: Replay
+    beams: BeamSet
+    positions: int
+    invalid: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def header(self) -> RecordingHeader:
+        return self.replay.recording.header
+
+
+def verify(
+    recordings: Sequence[Path],
+    calibration: Path,
+    earlier: Path | None,
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """The verification as plain JSON types; each recording is a set.
+
+    Raises BadInputError for files that cannot be read or do not belong together.
+    """
+    replays = [open_replay(path, calibration) for path in recordings]
+    unit = replays[0].calibration.unit_serial
+    before = None if earlier is None else read_earlier(earlier, unit)
+    measured = [_measure(replay, progress) for replay in replays]
+    judgement, of_sets, residuals = _judged(measured)
+    file = replays[0].calibration.file
+    sha256 = "" if file is None else file.sha256
+    return {
+        **head_object(judgement, unit, datetime.now(UTC), any(replay.is_simulated for replay in replays)),
+        "calibration": {
+            "path": str(calibration),
+            "created": utc_text(replays[0].calibration.created),
+            "sha256": sha256,
+            "limits": asdict(replays[0].calibration.limits),
+        },
+        "reference": None if (reference := _reference(measured)) is None else asdict(reference),
+        "sets": of_sets,
+        "residuals": residuals,
+        "comparison": None if before is None else comparison(before, judgement.tests, sha256),
+    }
+
+
+def _measure(replay: Replay, progress: Callable[[int, int], None]) -> _Measured:
+    positions, path = replay.positions, replay.recording.path
+    if positions is None:
+        raise BadInputError(path, "has no known positions (x_mm, y_mm) to verify the unit against")
+    valid, known, invalid = list[Measurement](), list[tuple[float, float]](), Counter[str]()
+    for measurement in replay.measurements(progress):
+        if measurement.valid:
+            valid.append(measurement)
+            known.append(positions.known_mm(measurement.sequence))
+        else:
+            invalid[str(next(iter(measurement.status), "unknown"))] += 1
+        if len(valid) > MAX_POSITIONS:
+            raise BadInputError(path, f"has more than {MAX_POSITIONS} positions")
+    header = replay.recording.header
+    stage_mm = 0.0 if header.limits is None else header.limits.stage_mm or 0.0
+    beams = beam_set(
+        replay.calibration, valid, np.array(known).reshape(-1, 2), header.turned_deg > 0, stage_mm
+    )
+    return _Measured(replay, beams, len(valid) + invalid.total(), invalid)
+
+
+def _judged(measured: Sequence[_Measured]) -> tuple[Judgement, list[dict[str, Any]], list[dict[str, Any]]]:
+    """The judgement, what is known of each set, and the residuals of all."""
+    reasons = list[str]()
+    used = list[_Measured]()
+    for one in measured:
+        path, valid = one.replay.recording.path, len(one.beams)
+        if why := why_too_few(one.beams):
+            reasons.append(f"{path}: {why}")
+            continue
+        if why := why_not_aligned(one.beams):
+            raise BadInputError(path, why)
+        if valid < (1.0 - _MAX_INVALID_SHARE) * one.positions:
+            reasons.append(
+                f"{path}: only {valid} of {counted(one.positions, 'position')} gave a valid measurement"
+            )
+        used.append(one)
+    objects = [_set_object(one) for one in measured]
+    if not used:
+        return Judgement(Result.NOT_DECIDED, tuple(reasons), ()), objects, []
+    found = estimate([one.beams for one in used])
+    judgement = judge(found, _reference(used), used[0].replay.calibration.limits, reasons)
+    residuals = list[dict[str, Any]]()
+    for one, of_set, left in zip(used, set_objects(found), found.residuals, strict=True):
+        number = next(n for n, other in enumerate(measured) if other is one)
+        objects[number] |= of_set
+        residuals += [{"set": number + 1, **of} for of in residual_objects(one.beams, left)]
+    return judgement, objects, residuals
+
+
+def _set_object(one: _Measured) -> dict[str, Any]:
+    recording, header = one.replay.recording, one.header
+    return {
+        "recording": str(recording.path),
+        "sha256": recording.sha256(),
+        "note": header.note,
+        "start": None if header.start is None else utc_text(header.start),
+        "turned_deg": header.turned_deg,
+        "positions": one.positions,
+        "valid": len(one.beams),
+        "invalid": dict(one.invalid),
+    }
+
+
+def _reference(measured: Sequence[_Measured]) -> Limits | None:
+    """The largest limits of all sets; what one set does not state is not stated."""
+    stated = [one.header.limits for one in measured]
+    known = [limits for limits in stated if limits is not None]
+    if not known or len(known) < len(stated):
+        return None
+    largest = dict[str, float | None]()
+    for key in LIMIT_KEYS:
+        values = [getattr(limits, key) for limits in known]
+        largest[key] = None if None in values else max(values)
+    return Limits(**largest)

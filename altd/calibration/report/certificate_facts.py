@@ -1,0 +1,123 @@
+"""Facts of a calibration certificate that only a person knows, from a TOML file (docs/calibrate.md)."""
+
+from __future__ import annotations
+
+import tomllib
+from datetime import date
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError
+
+from altd.config.places import Place, Places
+from altd.config.table import Table
+from altd.errors import BadInputError, did_you_mean
+from altd.files.documents import TomlError, parse_toml
+from altd.files.reading import read_file
+
+_MAX_BYTES = 1 << 16
+
+Text = Annotated[str, Field(min_length=1, max_length=400)]
+Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
+
+
+class Contact(Table):
+    """A laboratory or a customer."""
+
+    name: Text
+    email: Text
+    street: Text | None = None
+    post_code: Text | None = None
+    city: Text
+    country: Country
+    """Two letters of ISO 3166."""
+    code: Text | None = None
+    """Of an accredited laboratory: its code."""
+
+
+class Operator(Table):
+    """The person who calibrated and signs."""
+
+    name: Text
+    role: Text = "operator"
+
+
+class UnitFacts(Table):
+    """Maker and type of the unit."""
+
+    manufacturer: Text
+    model: Text
+
+
+class Environment(Table):
+    """The surroundings during the scan."""
+
+    temperature_c: Annotated[float, Field(ge=-50, le=100)]
+    temperature_expanded_k: Annotated[float, Field(gt=0, le=50)]
+    """Expanded uncertainty (k = 2) of the temperature, its change during the scan included."""
+
+
+class Equipment(Table):
+    """A measuring equipment, such as the stage or the laser."""
+
+    name: Text
+    manufacturer: Text
+    model: Text
+    serial: Text
+    certificate: Text | None = None
+    """Number of its calibration certificate; absent: not traceable."""
+    calibrated_by: Text | None = None
+    valid_until: date | None = None
+
+
+class Facts(Table):
+    """The whole file."""
+
+    number: Text
+    """Of the certificate."""
+    performed: date
+    valid_until: date | None = None
+    procedure: Text = "altd: Calibrating a unit (docs/calibrate.md)"
+    laboratory: Contact
+    customer: Contact
+    operator: Operator
+    unit: UnitFacts
+    environment: Environment
+    equipment: Annotated[tuple[Equipment, ...], Field(min_length=1)]
+
+
+def load_facts(path: Path) -> Facts:
+    """Read and check a file; raises BadInputError with one line for each fault, with line and key."""
+    content = read_file(path, _MAX_BYTES)
+    try:
+        document = parse_toml(content)
+        facts = Facts.model_validate(document)
+    except TomlError as error:
+        at = "" if error.line is None else f"{Place(error.line, error.column or 1)}: "
+        raise BadInputError(path, f"{at}{error}") from error
+    except ValidationError as error:
+        places = Places(content.decode(), tomllib.loads(content.decode()))
+        faults = []
+        for detail in error.errors(include_url=False):
+            keys = detail["loc"]
+            where = places.value(keys) or places.nearest(keys)
+            said = detail["msg"]
+            if detail["type"] == "extra_forbidden":
+                where = places.key(keys)
+                said = f"there is no such key{did_you_mean(keys[-1], _keys_beside(keys))}"
+            elif detail["type"] == "missing":
+                said = "is missing"
+            faults.append(f"{f'{where}: ' if where else ''}{'.'.join(map(str, keys))}: {said}")
+        raise BadInputError(path, *faults) from error
+    if facts.valid_until is not None and facts.valid_until <= facts.performed:
+        raise BadInputError(path, "valid_until: is not after performed")
+    return facts
+
+
+def _keys_beside(keys: tuple[str | int, ...]) -> list[str]:
+    """The possible keys of the table that a key is in."""
+    tables: dict[str | int, type[Table]] = {
+        "laboratory": Contact, "customer": Contact, "operator": Operator, "unit": UnitFacts,
+        "environment": Environment, "equipment": Equipment,
+    }  # fmt: skip
+    return list((Facts if len(keys) == 1 else tables.get(keys[0], Facts)).model_fields)

@@ -1,0 +1,217 @@
+"""Least squares of measured against known beams: scale, squareness, rotation, zero and scatter."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from altd.calibration.verification.beams import BeamSet, joint_covariance
+from altd.records import FloatArray
+
+MAX_ROTATION_DEG = 10.0
+"""A stage that is mounted by hand is better aligned; more is another axis, or a wrong ``turned_deg``."""
+MIN_POSITIONS = 5
+"""Valid positions of a set: offset, rotation, scale and squareness are six of their ten coordinates."""
+_MIN_WIDTH_SHARE = 0.05
+"""Of the length of the positions' cloud; narrower ones hardly tell scale from rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """A parameter, and its standard uncertainty by what the unit states of its measurements."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """An experimental standard deviation against the stated one.
+
+    ``degrees_of_freedom`` are the effective ones (Welch and Satterthwaite): measurements that share the
+    map's errors or a place count less.
+    """
+
+    experimental: float
+    stated: float
+    degrees_of_freedom: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Errors of the unit and mounting of the sets.
+
+    ``scale_ppm`` along x and y and ``square_mrad`` are errors of the unit's readings: positive where it reads
+    too long, and where its axes enclose less than 90°. By set: ``offsets_mm`` (k, 2), ``rotations_mrad``
+    (k,), ``directions_deg`` (k, 2) as measured. ``zero_deg`` of yaw and pitch is the mean of both
+    orientations; None without a turned set. Each unturned set makes a pair with one turned set, in the order
+    in which they are given. ``upright_deg`` is the mean direction of the sets that are not turned.
+    ``residuals`` (k arrays (n, 4)) are what is left.
+    """
+
+    scale_ppm: tuple[Estimated, Estimated]
+    square_mrad: Estimated
+    offsets_mm: FloatArray
+    rotations_mrad: FloatArray
+    directions_deg: FloatArray
+    zero_deg: tuple[Estimated, Estimated] | None
+    upright_deg: tuple[Estimated, Estimated] | None
+    displacement: Scatter
+    direction: Scatter
+    residuals: tuple[FloatArray, ...]
+
+
+def why_too_few(one: BeamSet) -> str:
+    """Why nothing can be estimated from a set; empty: it can be."""
+    if len(one) < MIN_POSITIONS:
+        return f"too few positions: {len(one)} valid, at least {MIN_POSITIONS} are needed"
+    along, across = np.linalg.svd(one.known_mm - one.known_mm.mean(axis=0), compute_uv=False)
+    return "its positions are on one line" if across < _MIN_WIDTH_SHARE * along or along == 0.0 else ""
+
+
+def why_not_aligned(one: BeamSet) -> str:
+    """The complaint about a set whose stage has other axes than the unit; empty: they are alike."""
+    turn_deg = math.degrees(_turn_rad(one))
+    if abs(turn_deg) <= MAX_ROTATION_DEG:
+        return ""
+    return (
+        f"the measured positions are turned by {turn_deg:.0f}° against the known ones: check turned_deg and "
+        "the stage's axes"
+    )
+
+
+def estimate(sets: Sequence[BeamSet]) -> Estimate:
+    """Fit all sets together; each is one of which ``why_too_few`` and ``why_not_aligned`` find nothing.
+
+    The parameters are those of least squares weighted by the stated sigma; their uncertainty takes all
+    correlations with it, and so do the degrees of freedom.
+    """
+    turns = [_turn_rad(one) for one in sets]
+    expected = [_turned(one, turn) for one, turn in zip(sets, turns, strict=True)]
+    of_set = np.repeat(np.arange(len(sets)), [len(one) for one in sets])
+    measured = np.concatenate([one.values for one in sets])
+    known = np.concatenate(expected)
+    displaced = _Fit.of(
+        _design_displacement(known, of_set, len(sets)),
+        (measured[:, :2] - known).T.ravel(),
+        joint_covariance(sets, (0, 1), True),
+    )
+    directed = _Fit.of(
+        np.asarray(np.kron(np.eye(2), _membership(of_set, len(sets))), dtype=np.float64),
+        measured[:, 2:].T.ravel(),
+        joint_covariance(sets, (2, 3), False),
+    )
+    upright = [number for number, one in enumerate(sets) if not one.turned]
+    turned = [number for number, one in enumerate(sets) if one.turned]
+    paired = list(itertools.chain.from_iterable(zip(upright, turned, strict=False)))
+    per_set = displaced.parameters[3:].reshape(3, -1)
+    residuals = np.column_stack([fit.residuals.reshape(2, -1).T for fit in (displaced, directed)])
+    ends = np.cumsum([len(one) for one in sets])[:-1]
+    return Estimate(
+        (displaced.linear({0: 1.0}, 1e6), displaced.linear({1: 1.0}, 1e6)),
+        displaced.linear({2: 1.0}, 1e3),
+        per_set[:2].T,
+        1e3 * (np.array(turns) + per_set[2]),
+        directed.parameters.reshape(2, -1).T,
+        _mean_direction(directed, len(sets), paired),
+        _mean_direction(directed, len(sets), upright),
+        displaced.scatter(),
+        directed.scatter(),
+        tuple(np.split(residuals, ends)),
+    )
+
+
+def _turn_rad(one: BeamSet) -> float:
+    """By how much the measured positions are turned against the known ones, a turned unit's by 180° less."""
+    known, measured = (
+        complex_of - complex_of.mean()
+        for complex_of in (_complex(one.known_mm) * _sign(one), _complex(one.values[:, :2]))
+    )
+    return float(np.angle(np.vdot(known, measured)))
+
+
+def _turned(one: BeamSet, turn_rad: float) -> FloatArray:
+    """The known positions (n, 2) in the directions of the unit's axes."""
+    turned = _complex(one.known_mm) * _sign(one) * np.exp(1j * turn_rad)
+    return np.column_stack([turned.real, turned.imag])
+
+
+def _complex(points: FloatArray) -> npt.NDArray[np.complex128]:
+    return points[:, 0] + 1j * points[:, 1]
+
+
+def _sign(one: BeamSet) -> int:
+    return -1 if one.turned else 1
+
+
+def _membership(of_set: npt.NDArray[np.intp], count: int) -> FloatArray:
+    """1 where a measurement (row) is of a set (column)."""
+    return np.eye(count)[of_set]
+
+
+def _design_displacement(known_mm: FloatArray, of_set: npt.NDArray[np.intp], count: int) -> FloatArray:
+    """Derivatives (2 N, 3 + 3 k): scale of x and y, squareness, then by set offset in x, in y, rotation."""
+    x, y = known_mm.T[:, :, None]
+    member = _membership(of_set, count)
+    none, no_set = np.zeros_like(x), np.zeros_like(member)
+    of_x = np.hstack([x, none, y / 2, member, no_set, -y * member])
+    of_y = np.hstack([none, y, x / 2, no_set, member, x * member])
+    return np.vstack([of_x, of_y])
+
+
+def _mean_direction(directed: _Fit, count: int, numbers: Sequence[int]) -> tuple[Estimated, Estimated] | None:
+    """The mean direction of some of ``count`` sets; None of none."""
+    if not numbers:
+        return None
+    share = 1.0 / len(numbers)
+    yaw = directed.linear(dict.fromkeys(numbers, share), 1.0)
+    return yaw, directed.linear({count + number: share for number in numbers}, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Weighted least squares with a covariance that the weights do not know all of."""
+
+    parameters: FloatArray
+    covariance: FloatArray
+    residuals: FloatArray
+    _degrees: float
+    _ratio: float
+    _stated: float
+
+    @classmethod
+    def of(cls, design: FloatArray, measured: FloatArray, covariance: FloatArray) -> _Fit:
+        variances = np.diag(covariance)
+        weights = 1.0 / variances
+        weighted = design.T * weights
+        solve = np.linalg.solve(weighted @ design, weighted)
+        parameters = solve @ measured
+        residuals = measured - design @ parameters
+        leaves = np.eye(len(measured)) - design @ solve
+        # E[Q] = tr(A V) and Var[Q] = 2 tr(A V A V) of the quadratic form Q = eᵀ A e
+        shaped = (leaves.T * weights) @ leaves @ covariance
+        mean = float(np.trace(shaped))
+        square_sum = float(np.square(residuals) @ weights)
+        return cls(
+            parameters,
+            solve @ covariance @ solve.T,
+            residuals,
+            mean**2 / float(np.einsum("ij,ji->", shaped, shaped)),
+            float(np.sqrt(square_sum / mean)),
+            float(np.sqrt(variances.mean())),
+        )
+
+    def linear(self, terms: dict[int, float], scale: float) -> Estimated:
+        """A linear combination of parameters."""
+        row = np.zeros(len(self.parameters))
+        row[list(terms)] = list(terms.values())
+        sigma = float(np.sqrt(row @ self.covariance @ row))
+        return Estimated(scale * float(row @ self.parameters), scale * sigma)
+
+    def scatter(self) -> Scatter:
+        return Scatter(self._ratio * self._stated, self._stated, self._degrees)

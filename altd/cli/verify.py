@@ -1,0 +1,92 @@
+"""``altd verify``: whether a unit measures known beams as exactly as it states."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from altd.cli.options import progress_on
+from altd.process.standard_streams import say
+
+SUMMARY = "check a unit against known beams, in the manner of ISO 17123: verdict, statistics, limits"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument(
+        "recordings",
+        type=Path,
+        nargs="+",
+        metavar="RECORDING",
+        help="folder of a set: a scan, or a measurement with known positions",
+    )
+    parser.add_argument(
+        "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the recorded unit"
+    )
+    parser.add_argument(
+        "--compare", type=Path, metavar="FILE", help="also compare with an earlier verification (JSON)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="also write verification.html and verification.json into DIR",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the verdict with its tests; 0 passed, 1 not."""
+    from altd.answers.verify import verify
+    from altd.calibration.report.write import check_report, write_together
+
+    names = ("verification.html", "verification.json")
+    if options.output is not None:
+        check_report(options.output, names, "-o DIR")
+    document = verify(options.recordings, options.calibration, options.compare, progress_on("frames"))
+    text = json.dumps(document, allow_nan=False)
+    if options.output is not None:
+        from altd.calibration.report.html import html_page
+        from altd.calibration.report.verification import verification_page
+
+        page = html_page(verification_page(document))
+        write_together(options.output, dict(zip(names, (page, text.encode() + b"\n"), strict=True)))
+    if options.json:
+        say(text)
+    else:
+        say(*_lines(document))
+        if options.output is not None:
+            say(f"written: {', '.join(str(options.output / name) for name in names)}")
+    return 0 if document["verdict"] == "passed" else 1
+
+
+def _lines(document: dict[str, Any]) -> Iterator[str]:
+    """The verdict, its reasons, the tests and the comparison."""
+    simulated = ", SIMULATED" if document["origin"] == "simulated" else ""
+    yield f"unit {document['unit']}{simulated}: {document['verdict'].upper()}"
+    yield from (f"  {reason}" for reason in document["reasons"])
+    columns = "{:<36}{:>11}{:>13}{:>11}{:>12}  {}"
+    if document["tests"]:
+        yield columns.format("test", "found", "uncertainty", "limit", "detectable", "result")
+    for test in document["tests"]:
+        numbers = (_number(test, key) for key in ("value", "sigma", "limit", "detectable"))
+        yield columns.format(
+            f"{test['name']}, {test['unit'].strip()}", *numbers, test["why_not"] or test["result"]
+        )
+    if (change := document["comparison"]) is None:
+        return
+    yield f"compared with {change['created']} ({change['verdict']}):"
+    yield "{:<36}{:>11}{:>13}{:>11}  {}".format("", "change", "uncertainty", "limit", "result")
+    for one in change["changes"]:
+        numbers = (_number(one, key) for key in ("change", "sigma", "limit"))
+        result = "changed" if one["changed"] else "no significant change"
+        yield "{:<36}{:>11}{:>13}{:>11}  {}".format(f"{one['name']}, {one['unit'].strip()}", *numbers, result)
+
+
+def _number(test: dict[str, Any], key: str) -> str:
+    value, decimals = test[key], test["decimals"]
+    return "-" if value is None else f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -1,0 +1,175 @@
+"""``altd verify``: recordings of known beams against a calibration, by what was put into the pictures."""
+
+from __future__ import annotations
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.cli import altd_here, refusal
+from support.played_unit import PlayedUnit
+from support.recordings import Shot, grid, write
+
+LIMITS = {"stage_mm": 0.002, "stage_scale_ppm": 50, "stage_square_mrad": 0.05, "beam_normal_mm_per_m": 0.1}
+PLACES = grid(5, 4, 24.0)
+
+
+def known_beams(
+    path: Path,
+    *,
+    scale: float = 1.0,
+    slope: float = 0.0,
+    turned: bool = False,
+    kind: str = "scan",
+    places: list[tuple[float, float]] = PLACES,
+    **more: object,
+) -> Path:
+    """Beams whose places in the pictures are ``scale`` times those that the stage states."""
+    sign = -1.0 if turned else 1.0
+    shots: list[Shot] = []
+    for x, y in places:
+        at = sign * scale * x, sign * scale * y
+        shots.append((at, (at[0] + sign * 280 * slope, at[1]), (x, y)))
+    about: dict[str, object] = {"limits": LIMITS, "turned_deg": 180 if turned else 0}
+    return write(path, kind, shots, **(about | more))
+
+
+def verified(unit: PlayedUnit, *arguments: object, status: int) -> dict[str, Any]:
+    outcome = altd_here("verify", *arguments, "--calibration", unit.calibration, "--json")
+    assert outcome.status == status, outcome
+    (document,) = outcome.objects
+    return document
+
+
+def found(document: dict[str, Any], key: str) -> dict[str, Any]:
+    return next(test for test in document["tests"] if test["key"] == key)
+
+
+def test_both_orientations_of_a_right_unit_pass(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    upright = known_beams(tmp_path / "a", slope=0.001)
+    turned = known_beams(tmp_path / "b", slope=0.001, turned=True)
+    document = verified(played_unit, upright, turned, status=0)
+    assert (document["verdict"], document["reasons"], document["unit"]) == ("passed", [], "TEST-1")
+    first, second = document["sets"]
+    assert (first["valid"], first["positions"], second["turned_deg"]) == (20, 20, 180.0)
+    # a beam of 1 mm/m is 0.0573°, seen from the other side by a turned unit
+    assert first["direction_deg"][0] == pytest.approx(0.0573, abs=0.004)
+    assert second["direction_deg"][0] == pytest.approx(-0.0573, abs=0.004)
+    assert found(document, "zero_yaw_deg")["value"] == pytest.approx(0.0, abs=0.004)
+    assert found(document, "zero_yaw_deg")["parts"]["reference"] == 0.0
+    assert len(document["residuals"]) == 40
+
+
+def test_a_unit_that_reads_too_long_fails(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    outcome = altd_here(
+        "verify", known_beams(tmp_path / "a", scale=1.002), "--calibration", played_unit.calibration
+    )
+    assert outcome.status == 1
+    lines = outcome.out.splitlines()
+    assert lines[0] == "unit TEST-1: FAILED"
+    assert "  scale of x is beyond its limit" in lines
+    scale = next(line for line in lines if line.startswith("scale of x, ppm"))
+    assert float(scale.split()[4]) == pytest.approx(2000, abs=200)
+
+
+def test_the_zero_of_one_orientation_is_held_against_the_stated_beam(
+    played_unit: PlayedUnit, tmp_path: Path
+) -> None:
+    document = verified(played_unit, known_beams(tmp_path / "a", slope=0.002), status=1)
+    assert document["reasons"] == ["zero of yaw is beyond its limit"]
+    assert found(document, "zero_yaw_deg")["value"] == pytest.approx(0.1146, abs=0.004)
+
+
+def test_without_limits_nothing_is_decided(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    document = verified(played_unit, known_beams(tmp_path / "a", limits=None), status=1)
+    assert (document["verdict"], document["reference"]) == ("not decided", None)
+    assert document["reasons"] == ["nothing is known of the reference: its header states no limits"]
+
+
+def test_too_few_positions_decide_nothing(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    few = known_beams(tmp_path / "a", places=PLACES[:3])
+    document = verified(played_unit, few, status=1)
+    assert (document["verdict"], document["tests"]) == ("not decided", [])
+    assert "too few positions: 3 valid" in document["reasons"][0]
+    six = verified(played_unit, known_beams(tmp_path / "b", places=[*PLACES[:3], *PLACES[10:13]]), status=1)
+    assert "too few positions: 6.0 degrees of freedom" in six["reasons"][0]
+
+
+def test_positions_without_a_measurement_are_counted_with_their_reasons(
+    played_unit: PlayedUnit, tmp_path: Path
+) -> None:
+    shots: list[Shot] = [(place, place if n > 4 else None, place) for n, place in enumerate(PLACES)]
+    document = verified(played_unit, write(tmp_path / "a", "scan", shots, limits=LIMITS), status=1)
+    assert document["sets"][0]["invalid"] == {"rear_spot_missing": 5}
+    assert document["reasons"] == [f"{tmp_path / 'a'}: only 15 of 20 positions gave a valid measurement"]
+
+
+def test_a_measurement_with_known_positions_is_a_set(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    document = verified(played_unit, known_beams(tmp_path / "a", kind="measurement"), status=0)
+    assert document["sets"][0]["positions"] == 20
+
+
+def test_page_and_json_are_written_and_compared_with_a_year_later(
+    played_unit: PlayedUnit, tmp_path: Path
+) -> None:
+    first, later = known_beams(tmp_path / "a"), known_beams(tmp_path / "b", scale=1.0005)
+    verified(played_unit, first, "-o", tmp_path / "out", status=0)
+    outcome = altd_here(
+        *("verify", later, "--calibration", played_unit.calibration, "-o", tmp_path / "later"),
+        *("--compare", tmp_path / "out" / "verification.json"),
+    )
+    assert "no significant change" in outcome.out
+    document = json.loads((tmp_path / "later" / "verification.json").read_text())
+    scale = next(one for one in document["comparison"]["changes"] if one["key"] == "scale_x_ppm")
+    assert scale["change"] == pytest.approx(500, abs=60)
+    assert document["comparison"]["same_calibration"] is True
+    text = _text((tmp_path / "later" / "verification.html").read_text())
+    for words in ("Verification of unit TEST-1", "Comparison with an earlier verification", "scale of x"):
+        assert words in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["{beams}"], "beams: has no known positions (x_mm, y_mm) to verify the unit against"),
+        (["{wrong_turn}"], "the measured positions are turned by "),
+        (
+            ["{right}", "--compare", "{right}/recording.json"],
+            "is no verification of `altd verify --json`: format",
+        ),
+        (["{right}", "--compare", "{other}"], "is of unit 'OTHER', not 'TEST-1'"),
+        (["{right}", "--compare", "none.json"], "none.json: No such file or directory"),
+    ],
+)
+def test_what_cannot_be_verified_is_one_line(
+    arguments: list[str], line: str, played_unit: PlayedUnit, tmp_path: Path
+) -> None:
+    right, wrong_turn = known_beams(tmp_path / "a"), known_beams(tmp_path / "b", turned=True)
+    header = json.loads((wrong_turn / "recording.json").read_text())
+    (wrong_turn / "recording.json").write_text(json.dumps(header | {"turned_deg": 0}))
+    other = tmp_path / "other.json"
+    nothing = {"calibration": {"sha256": ""}, "tests": [], "verdict": "passed", "unit": "OTHER"}
+    other.write_text(
+        json.dumps({"format": "altd-verification/1", "created": "2026-01-01T00:00:00Z"} | nothing)
+    )
+    files = {"beams": played_unit.beams, "right": right, "wrong_turn": wrong_turn, "other": other}
+    filled = [argument.format(**files) for argument in arguments]
+    refused = refusal(altd_here("verify", *filled, "--calibration", played_unit.calibration))
+    assert line in refused
+
+
+class _Words(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.words: list[str] = []
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def _text(page: str) -> str:
+    parser = _Words()
+    parser.feed(page)
+    return " ".join(parser.words)
