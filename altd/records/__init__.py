@@ -6,15 +6,17 @@ Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/co
 from altd.records.faults import Fault, origin_faults
 from altd.records.frames import CameraIdentity, ComplexArray, FloatArray, Frame, Origin, PixelArray
 from altd.records.measurement import Measurement, Quantities, Quantity, Value, counted, utc_text
-from altd.records.spots import FrameSet, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
+from altd.records.spots import GLASS_INDEX, FrameSet, Glass, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
 
 __all__ = [
+    "GLASS_INDEX",
     "CameraIdentity",
     "ComplexArray",
     "Fault",
     "FloatArray",
     "Frame",
     "FrameSet",
+    "Glass",
     "MeanSpots",
     "Measurement",
     "NoSpot",
