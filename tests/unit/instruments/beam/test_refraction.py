@@ -45,7 +45,7 @@ def traced(
     panes: list[tuple[float, Glass]],
     z_mm: list[float],
 ) -> FloatArray:
-    """Where a ray that starts at ``foot_mm`` on the first target meets each target, (T, 2)."""
+    """Places (T, 2) at which a ray that starts at ``foot_mm`` on the first target meets each target."""
     targets = [(z, 0.0) for z in z_mm]
     surfaces = [
         surface
