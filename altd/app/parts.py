@@ -149,7 +149,7 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
     calibration = load_calibration(path, config.unit.serial)
     for target in config.targets:
         target_of(calibration, path, target.name)
-        check_place(calibration, path, target.name, target.z_mm)
+        check_place(calibration, path, target.name, target.z_mm, target.glass)
         camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
         if isinstance(camera, PlaybackCamera):
             check_image_size(calibration, path, target.name, camera.width, camera.height)

@@ -25,7 +25,7 @@ from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, CalibrationFile, TargetCalibration
 from altd.measuring.cross_check import CrossCheck
 from altd.recording.header import RecordingHeader
-from altd.records import CameraIdentity, FloatArray, utc_text
+from altd.records import CameraIdentity, FloatArray, Glass, utc_text
 from altd.vision.flat import Flat
 from altd.vision.settings import UNKNOWN_SPOT
 
@@ -71,7 +71,13 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "leds_px": target.leds_px.tolist(),
         "spot": None if target.spot == UNKNOWN_SPOT else asdict(target.spot),
         "fingerprint": as_document(target.fingerprint),
+        **_glass_document(target.glass),
     }
+
+
+def _glass_document(glass: Glass | None) -> dict[str, float]:
+    """Without glass the keys are left out: releases that do not know them read the file too."""
+    return {} if glass is None else {"glass_mm": glass.thickness_mm, "glass_index": glass.index}
 
 
 def _flat_document(flat: Flat | None) -> dict[str, str] | None:
@@ -138,6 +144,7 @@ def _from_target(target: TargetTable) -> TargetCalibration:
         spot=UNKNOWN_SPOT if target.spot is None else target.spot,
         camera=CameraIdentity(target.camera_serial, target.camera_model, target.camera_driver),
         origin=target.origin,
+        glass=None if target.glass_mm is None else Glass(target.glass_mm, target.glass_index),
         fingerprint=from_table(place, target.fingerprint, target.width, target.height, flat),
     )
 
@@ -245,7 +252,7 @@ def check_recording(calibration: Calibration, path: Path, header: RecordingHeade
         check_image_size(calibration, path, target.name, size.width, size.height)
         check_camera(calibration, path, target.name, size.identity)
         if header.targets is not None:
-            check_place(calibration, path, target.name, target.z_mm)
+            check_place(calibration, path, target.name, target.z_mm, target.glass)
 
 
 def target_of(calibration: Calibration, path: Path, name: str) -> TargetCalibration:
@@ -269,11 +276,23 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
         )
 
 
-def check_place(calibration: Calibration, path: Path, target: str, z_mm: float) -> None:
-    """Refuse a target whose place on the beam is not that of its calibration."""
+def check_place(
+    calibration: Calibration, path: Path, target: str, z_mm: float, glass: Glass | None = None
+) -> None:
+    """Refuse a target whose place on the beam, or glass, is not that of its calibration.
+
+    ``glass`` None: not stated, the calibration's counts.
+    """
     known = calibration.target(target)
-    if known is not None and abs(known.z_mm - z_mm) > _Z_TOLERANCE_MM:
+    if known is None:
+        return
+    if abs(known.z_mm - z_mm) > _Z_TOLERANCE_MM:
         raise BadInputError(path, f"target {target!r} was calibrated at z {known.z_mm:g} mm, not {z_mm:g}")
+    if glass is not None and glass != known.glass:
+        calibrated = "without glass" if known.glass is None else f"with {known.glass}"
+        raise BadInputError(
+            path, f"target {target!r} was calibrated {calibrated} behind it, not with {glass}"
+        )
 
 
 def check_camera(calibration: Calibration, path: Path, target: str, camera: CameraIdentity) -> None:

@@ -11,7 +11,7 @@ from pydantic_core import CoreSchema, core_schema
 from altd.calibration.file_fingerprint import FingerprintTable
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model
-from altd.records import Limits, Origin
+from altd.records import GLASS_INDEX, Limits, Origin
 from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
 from altd.vision.flat import Source
 from altd.vision.settings import ShapeReference, SpotReference, SpotSettings
@@ -157,6 +157,8 @@ class TargetTable(_Table):
     leds_px: list[tuple[Pixels, Pixels]]
     spot: _Spot | None = None
     fingerprint: FingerprintTable | None = None
+    glass_mm: Annotated[float, Field(gt=0, le=100)] | None = None
+    glass_index: Annotated[float, Field(ge=1, le=3)] = GLASS_INDEX
 
 
 _Limit = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None

@@ -126,6 +126,7 @@ def _target(
     target = TargetCalibration(
         name=name,
         z_mm=seen.z_mm,
+        glass=seen.glass,
         width=width,
         height=height,
         localiser=_LOCALISER,

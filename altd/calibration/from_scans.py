@@ -247,6 +247,7 @@ def _target(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetCalibr
     return TargetCalibration(
         name=job.name,
         z_mm=job.frames.z_mm,
+        glass=job.frames.glass,
         width=width,
         height=height,
         localiser=job.localiser,

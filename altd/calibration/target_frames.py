@@ -12,7 +12,7 @@ from altd.errors import BadInputError
 from altd.recording.frames_table import Row
 from altd.recording.header import HEADER_FILE, PlateHeader, TargetHeader
 from altd.recording.reader import Recording
-from altd.records import CameraIdentity, Frame, Origin
+from altd.records import CameraIdentity, Frame, Glass, Origin
 
 CalibrationKind = Literal["scan", "plate"]
 
@@ -77,6 +77,11 @@ class TargetFrames:
     def z_mm(self) -> float:
         """Its place on the beam."""
         return self.parts[0].target.z_mm
+
+    @property
+    def glass(self) -> Glass | None:
+        """The glass behind it, of the first recording that states it."""
+        return next((part.target.glass for part in self.parts if part.target.glass), None)
 
     @property
     def kind(self) -> CalibrationKind:
@@ -206,6 +211,9 @@ def _check_same_target(known: TargetFrames, part: RecordedTarget) -> None:
         raise refusal(f"is shown by the plate in {first.recording.path} already")
     if abs(target.z_mm - known.z_mm) > _Z_TOLERANCE_MM:
         raise refusal(f"is at z {target.z_mm:g} mm, in {first.recording.path} at {known.z_mm:g} mm")
+    for other in known.parts:
+        if target.glass and other.target.glass and target.glass != other.target.glass:
+            raise refusal(f"has {target.glass} behind it, in {other.recording.path} {other.target.glass}")
     if part.image_size != known.image_size:
         sizes = [f"{width} × {height}" for width, height in (part.image_size, known.image_size)]
         raise refusal(f"has pictures of {sizes[0]}, in {first.recording.path} of {sizes[1]}")

@@ -24,6 +24,7 @@ from altd.cli import (
     map,  # noqa: A004  the command's name
     password,
     record,
+    refraction,
     registers,
     replay,
     run,
@@ -70,6 +71,7 @@ COMMANDS: dict[str, Command] = {
     "events": events,
     "check-config": check_config,
     "registers": registers,
+    "refraction": refraction,
     "devices": devices,
     "doctor": doctor,
 }

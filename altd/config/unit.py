@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from altd.config.table import Millimetres, Name, OffsetDegrees, Table, complaint
 from altd.errors import escaped
+from altd.records import GLASS_INDEX, Glass
 
 
 def _printable(serial: str) -> str:
@@ -35,6 +36,23 @@ class Target(Table):
     """Distance from the front target's printed surface, along the beam."""
     camera: Name
     """Its camera: a name under ``[cameras]``."""
+    glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
+    """Thickness of the glass behind its printed surface; none: as calibrated. It displaces a slanted beam."""
+    glass_index: Annotated[float, Field(ge=1, le=3)] = GLASS_INDEX
+    """Refractive index of that glass at the laser's wavelength."""
+
+    @model_validator(mode="after")
+    def _check_glass(self) -> Self:
+        if "glass_index" in self.model_fields_set and self.glass_mm is None:
+            raise complaint(
+                (("glass_index",), "there is no glass_mm; possible: with glass_mm, or without both")
+            )
+        return self
+
+    @property
+    def glass(self) -> Glass | None:
+        """The glass behind it; None: not stated."""
+        return Glass(self.glass_mm, self.glass_index) if self.glass_mm else None
 
 
 class Installation(Table):

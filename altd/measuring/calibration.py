@@ -12,7 +12,7 @@ from altd.mapping.grid import moved_outwards
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.cross_check import CrossCheck
-from altd.records import CameraIdentity, FloatArray, Limits, Origin, TargetPoint
+from altd.records import CameraIdentity, FloatArray, Glass, Limits, Origin, TargetPoint
 from altd.records.limits import NO_LIMITS
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
@@ -29,7 +29,8 @@ class TargetCalibration:
     ``repeatability_px`` (2,) is the scatter of single frames at one node in u and v; ``leds_px`` (n, 2)
     are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
     that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known. ``origin`` is that of
-    the frames it was calibrated with, a recorded flat's aside: see ``simulated``.
+    the frames it was calibrated with, a recorded flat's aside: see ``simulated``. ``glass`` is what the beam
+    passes behind its printed surface.
     """
 
     name: str
@@ -50,6 +51,7 @@ class TargetCalibration:
     camera: CameraIdentity = field(default_factory=CameraIdentity)
     fingerprint: Fingerprint | None = None
     origin: Origin = Origin.CAMERA
+    glass: Glass | None = None
 
     @property
     def simulated(self) -> bool:

@@ -290,6 +290,7 @@ class MeasuringChain:
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
             return self._invalid(frame_set, mean.t_ns, (fault,))
+        mean = self._synchrony.with_lag_in_sigma(mean)
         spots = mean.at_newest() if self._is_of_now else mean
         if spots is None:
             return self._invalid(frame_set, mean.t_ns, (_MOTION_UNKNOWN,))

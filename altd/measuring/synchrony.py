@@ -15,10 +15,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
-from altd.records import FloatArray, FrameSet, Spot, counted
+from altd.measuring.start_of_motion import StartOfMotion
+from altd.records import FloatArray, FrameSet, MeanSpots, Spot, counted
 from altd.statistics import MAD_TO_SIGMA, median
 
 _WINDOW_FRAME_SETS = 200
@@ -36,10 +38,16 @@ _CLIP_SIGMAS = 4.0
 _MAX_INTERVAL_DEVIATION = 0.25
 _MAX_SKEW_PERIODS = 0.1
 """Between frames further apart than this, vibration has moved on: no lag is that of the other's motion."""
+_PATTERN_DIAMETERS = 1e-3
+"""The noise that print and surface add to a spot that moves, by its diameter: 0.01 mm of 12 mm."""
 
 
 class SynchronyCheck:
     """Compares the motion of each spot with that of the first target's.
+
+    Steady vibration shows a lag after seconds, the start of a motion from rest at once (``StartOfMotion``).
+    A lag that the start shows counts in sigma, for a yaw of its own may look like it. So does one frame set
+    while the spots move from rest and the cameras never were in step (``with_lag_in_sigma``).
 
     What cannot be detected: a machine at rest, or one that moves smoothly or in pure lines of vibration, for
     what lags there may as well be a yaw of its own (at v mm/s the wrong displacement of the late target is v
@@ -52,11 +60,41 @@ class SynchronyCheck:
         self._rows: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_WINDOW_FRAME_SETS)
         self._since_comparison = 0
         self._late: dict[str, int] = {}
+        self._starts = {target: StartOfMotion() for target in targets[1:]}
+        self._late_at_start: dict[str, int] = {}
+        """By target, 0: in step; absent: not shown yet."""
 
     def restart(self) -> None:
         """The cameras were restarted: what was found before does not count."""
         self._rows.clear()
         self._late.clear()
+        self._late_at_start.clear()
+        self._restart_starts()
+
+    def _restart_starts(self) -> None:
+        for start in self._starts.values():
+            start.restart()
+
+    def with_lag_in_sigma(self, mean: MeanSpots) -> MeanSpots:
+        """The mean spots, with the movement within a lag that is found or possible in their covariance.
+
+        Possible is, while the spots start from rest and never were in step, one frame set in any of the
+        targets; its square counts in equal shares. Not in windows of three exposures or fewer, whose motion
+        is unknown.
+        """
+        frame_sets2 = np.zeros(len(self._targets))
+        for index, target in enumerate(self._targets[1:], start=1):
+            lag = self._late_at_start.get(target)
+            if lag:
+                frame_sets2[index if lag > 0 else 0] += lag**2
+            elif lag is None and self._starts[target].is_open:
+                frame_sets2[[0, index]] += 0.5
+        if not frame_sets2.any() or mean.motion is None or len(self._rows) < 2:
+            return mean
+        period_s = (self._rows[-1][0] - self._rows[-2][0]) * 1e-9
+        moved_px = np.repeat(np.sqrt(frame_sets2), 2) * mean.motion.rate_px_per_s * period_s
+        blocks = np.kron(np.eye(len(self._targets)), np.ones((2, 2)))
+        return replace(mean, covariance_px2=mean.covariance_px2 + blocks * np.outer(moved_px, moved_px))
 
     def inspect(self, frame_set: FrameSet) -> str:
         """Take a frame set; in words which target's pictures do not belong to its time, empty: none known.
@@ -67,14 +105,37 @@ class SynchronyCheck:
         positions_px = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
         if len(positions_px) < len(self._targets):
             self._rows.clear()
+            self._restart_starts()
             return self._complaint()
         behind_ns = np.array([frame_set.behind_ns.get(target, 0) for target in self._targets], dtype=float)
         self._rows.append((frame_set.t_ns, np.array(positions_px), behind_ns))
+        self._inspect_starts([spot for spot in spots if isinstance(spot, Spot)])
         self._since_comparison += 1
         if self._since_comparison >= _INTERVAL_FRAME_SETS and len(self._rows) >= _MIN_FRAME_SETS:
             self._since_comparison = 0
             self._compare()
         return self._complaint()
+
+    def _inspect_starts(self, spots: list[Spot]) -> None:
+        """Take the newest row; one at an uneven interval begins again."""
+        if len(self._rows) < 3:
+            return
+        (first_ns, _, _), (before_ns, _, _), (t_ns, places_px, behind_ns) = (
+            self._rows[place] for place in (-3, -2, -1)
+        )
+        period_ns = before_ns - first_ns
+        if abs(t_ns - before_ns - period_ns) > _MAX_INTERVAL_DEVIATION * period_ns:
+            self._restart_starts()
+            return
+        noise_px = [math.hypot(spot.sigma_px, _PATTERN_DIAMETERS * spot.diameter_px) for spot in spots]
+        for index, (target, start) in enumerate(self._starts.items(), start=1):
+            if abs(behind_ns[index] - behind_ns[0]) > _MAX_SKEW_PERIODS * period_ns:
+                start.restart()
+                continue
+            pair = [0, index]
+            lag = start.add(places_px[pair].ravel(), np.repeat([noise_px[place] for place in pair], 2))
+            if lag is not None:
+                self._late_at_start[target] = lag
 
     def _complaint(self) -> str:
         return "; ".join(
@@ -108,6 +169,7 @@ class SynchronyCheck:
                 self._late[target] = lag
             elif chi_at_zero > max(_MIN_CHI, chi[lag] + _MIN_CHI_DIFFERENCE):
                 self._late.pop(target, None)
+                self._late_at_start[target] = 0
 
 
 def _autoregression(steps: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from altd.files.documents import parse_json
 from altd.files.reading import read_file
 from altd.ports import Camera
 from altd.recording.frames_table import MAX_POSITION_MM
-from altd.records import CameraIdentity, Frame, Limits, Origin
+from altd.records import GLASS_INDEX, CameraIdentity, Frame, Glass, Limits, Origin
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -117,11 +117,28 @@ class TargetHeader(_Header):
     name: Annotated[str, Field(pattern=NAME_PATTERN, max_length=32)]
     z_mm: Annotated[float, Field(ge=-100_000, le=100_000)]
     camera: str
+    glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
+    """Thickness of the glass behind it, where the recording knows."""
+    glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
+
+    @property
+    def glass(self) -> Glass | None:
+        """The glass behind it; None: not stated."""
+        return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
 
 
 def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
     """The targets of a config as the header of a recording of its cameras names them."""
-    return tuple(TargetHeader(name=of.name, z_mm=of.z_mm, camera=of.camera) for of in targets)
+    return tuple(
+        TargetHeader(
+            name=of.name,
+            z_mm=of.z_mm,
+            camera=of.camera,
+            glass_mm=of.glass_mm,
+            glass_index=of.glass_index if of.glass else None,
+        )
+        for of in targets
+    )
 
 
 def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:

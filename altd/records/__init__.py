@@ -7,15 +7,17 @@ from altd.records.faults import Fault, origin_faults
 from altd.records.frames import CameraIdentity, ComplexArray, FloatArray, Frame, Origin, PixelArray
 from altd.records.limits import Limits
 from altd.records.measurement import Measurement, Quantities, Quantity, Value, counted, utc_text
-from altd.records.spots import FrameSet, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
+from altd.records.spots import GLASS_INDEX, FrameSet, Glass, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
 
 __all__ = [
+    "GLASS_INDEX",
     "CameraIdentity",
     "ComplexArray",
     "Fault",
     "FloatArray",
     "Frame",
     "FrameSet",
+    "Glass",
     "Limits",
     "MeanSpots",
     "Measurement",

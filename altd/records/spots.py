@@ -194,6 +194,21 @@ class MeanSpots:
         )
 
 
+GLASS_INDEX = 1.52
+"""Refractive index of window glass, float or crown, in red light."""
+
+
+@dataclass(frozen=True, slots=True)
+class Glass:
+    """The plane-parallel glass behind a target's printed surface: its thickness and its refractive index."""
+
+    thickness_mm: float
+    index: float = GLASS_INDEX
+
+    def __str__(self) -> str:
+        return f"{self.thickness_mm:g} mm of glass (index {self.index:g})"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPoint:
     """The intersection of the beam with one target, mm in the unit frame.

@@ -32,6 +32,7 @@ PAGES = {
     "events": "history.md",
     "check-config": "config.md",
     "registers": "modbus.md",
+    "refraction": "refraction.md",
     "devices": "cameras.md",
     "doctor": "doctor.md",
     "demo": "simulator.md",

@@ -95,6 +95,9 @@ def fingerprint(config: Config) -> Facts:
     facts: Facts = {"unit.serial": config.unit.serial}
     for target in config.targets:
         facts[f"targets.{target.name}.z_mm"] = target.z_mm
+        if target.glass is not None:
+            facts[f"targets.{target.name}.glass_mm"] = target.glass.thickness_mm
+            facts[f"targets.{target.name}.glass_index"] = target.glass.index
         facts[f"targets.{target.name}.camera"] = target.camera
     grid = config.scan.model_dump(exclude={"settle_s", "retries", "when_bad", "limits"})
     facts |= {f"scan.{key}": value for key, value in grid.items()}

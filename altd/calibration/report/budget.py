@@ -24,6 +24,7 @@ from altd.calibration.report.prediction import (
 )
 from altd.calibration.soundness import TargetEvidence
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
+from altd.instruments.beam.refraction import SIGMAS
 from altd.mapping.grid import contains
 from altd.measuring.calibration import Calibration
 from altd.records import FloatArray, TargetPoint
@@ -44,12 +45,16 @@ _TERMS = {
     "stage_square_mrad": "angle between the stage's axes",
     "beam_normal_mm_per_m": "calibrating beam against the normal",
     "target_distance_mm": "distance of the targets",
+    "glass_mm": "thickness of the window's glass",
+    "glass_index": "refractive index of the glass",
 }
 _UNITS = {
     "stage_scale_ppm": "ppm",
     "stage_square_mrad": "mrad",
     "beam_normal_mm_per_m": "mm/m",
     "target_distance_mm": "mm",
+    "glass_mm": "mm",
+    "glass_index": "",
 }
 
 
@@ -205,7 +210,7 @@ def budget_of(
             value = math.sqrt(float(np.mean([u * u for u in contributions[:2]])))
             terms.append(Term(key, value, "mm", "normal, type A", freedom[key], contributions))
         else:
-            stated = getattr(calibration.limits, key)
+            stated = SIGMAS[key] if key in SIGMAS else getattr(calibration.limits, key)
             terms.append(Term(key, stated, _UNITS[key], "normal, stated", math.inf, contributions))
     known = (term for term in terms if max(term.contributions) > _MIN_CONTRIBUTION)
     not_stated = [key for key in calibration.limits.not_stated if key in _TERMS]

@@ -253,7 +253,9 @@ def _inputs(source: Source, file_sha256: str) -> list[Block]:
         facts.append(
             (
                 f"Target {target.name}",
-                f"z {target.z_mm:g} mm, picture {target.width} × {target.height} px, map {target.map.name}, "
+                f"z {target.z_mm:g} mm, "
+                + (f"{target.glass} behind it, " if target.glass else "")
+                + f"picture {target.width} × {target.height} px, map {target.map.name}, "
                 f"spots located {_located(target)}, "
                 f"valid within x {low[0]:.1f} to {high[0]:.1f}, y {low[1]:.1f} to {high[1]:.1f} mm",
             )

@@ -9,6 +9,7 @@ import numpy as np
 
 from altd.calibration.soundness import Candidate
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.instruments.beam.refraction import Refraction
 from altd.instruments.beam.systematics import effects_mm
 from altd.mapping.grid import contains
 from altd.mapping.tensor_map import TensorMap, tensor_basis
@@ -126,7 +127,10 @@ def variances_of(
     places_mm = np.array([(point.x_mm, point.y_mm) for point in points])
     slopes = (gain @ places_mm.ravel())[2:] if len(z_mm) > 1 else np.zeros(2)
     gain[2:] *= np.degrees(1 / (1 + np.square(slopes)))[: len(gain) - 2, None]
-    for key, columns in effects_mm(calibration.limits, z_mm, places_mm, (slopes[0], slopes[1])).items():
+    effects = effects_mm(calibration.limits, z_mm, places_mm, (slopes[0], slopes[1]))
+    if (refraction := Refraction.of(calibration)) is not None:
+        effects |= refraction.effects_mm(slopes, z_mm)
+    for key, columns in effects.items():
         parts[key] = columns @ columns.T
     return {cause: np.einsum("qi,ij,qj->q", gain, part, gain) for cause, part in parts.items()}
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from altd.config import Installation, Measuring
+from altd.instruments.beam.refraction import Refraction
 from altd.instruments.beam.solver import (
     Beam,
     fit_beam,
@@ -77,17 +78,15 @@ _ROWS = ("x_mm", "yaw_deg", "y_mm", "pitch_deg")
 def beam_motions(
     motion: SpotMotion,
     points: Sequence[TargetPoint],
-    z_mm: Sequence[float],
-    covariance_mm2: FloatArray,
+    gain: FloatArray,
     beam: Beam,
     installation: Installation,
 ) -> dict[str, Motion]:
     """The motion of each quantity of ``beam`` that has a sigma, with the signs of its installation.
 
-    ``beam`` is that of the unit frame. yaw = atan(slope), so its derivative is that of the slope over
-    1 + slope². Over a few millimetres the maps are taken as straight.
+    ``gain`` (4, 2 T) is that of ``line_gain``, ``beam`` that of the unit frame. yaw = atan(slope), so its
+    derivative is that of the slope over 1 + slope². Over a few millimetres the maps are taken as straight.
     """
-    gain, _ = line_gain(z_mm, covariance_mm2, installation.reference_plane_mm)
     per_slope_deg = [
         math.degrees(math.cos(math.radians(angle)) ** 2) for angle in (beam.yaw_deg, beam.pitch_deg)
     ]
@@ -142,6 +141,7 @@ class BeamInstrument:
         self._limits = calibration.limits
         self._measuring = measuring
         self._installation = installation or Installation()
+        self._refraction = Refraction.of(calibration)
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:
         """The beam through the window's mean spots, or why there is none."""
@@ -154,9 +154,9 @@ class BeamInstrument:
             return doubts_mm
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
         z_mm = [target.z_mm for target in targets]
+        plane_mm, refraction = self._installation.reference_plane_mm, self._refraction
         try:
-            plane_mm = self._installation.reference_plane_mm
-            beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits)
+            beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits, refraction)
         except np.linalg.LinAlgError:
             return Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
         if (unsteady := self._too_uncertain(beam)) is not None:
@@ -164,12 +164,15 @@ class BeamInstrument:
         if (doubt := range_fault(beam)) is not None:
             return doubt
         places = zip(mean.targets, points, strict=True)
+        motions = {}
+        if mean.motion is not None:
+            per_slope = None if refraction is None else refraction.displaced_mm(beam.slopes, z_mm)[1]
+            gain, _ = line_gain(z_mm, covariance, plane_mm, per_slope)
+            motions = beam_motions(mean.motion, points, gain, beam, self._installation)
         return Solution(
             values_of(installed(beam, self._installation)),
             {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
-            beam_motions(mean.motion, points, z_mm, covariance, beam, self._installation)
-            if mean.motion
-            else {},
+            motions,
         )
 
     def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:

@@ -235,6 +235,11 @@ class TestBadInput:
             ('serial = "TEST-1"', 'serial = "TEST-1"\nnumber = 1', "unit.number: there is no such key"),
             ("window = 4", 'window = "four"', 'measuring.window: "four" is not a whole number'),
             ("z_mm = 280.0", "z_mm = 281.0", "target 'rear' was calibrated at z 280 mm, not 281"),
+            (
+                "z_mm = 0.0",
+                "z_mm = 0.0\nglass_mm = 4.0",
+                "target 'front' was calibrated without glass behind it, not with 4 mm of glass (index 1.52)",
+            ),
             ('serial = "TEST-1"', 'serial = "OTHER"', "is for unit 'TEST-1', this is unit 'OTHER'"),
             ('"front"\nz_mm', '"middle"\nz_mm', "does not know target 'middle'"),
         ):

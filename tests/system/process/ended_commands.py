@@ -115,6 +115,7 @@ COMMANDS = {
     "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
     "check-config": Command("check-config {config}", "altd.config:load_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),
+    "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
     "devices": Command("devices", "altd.app.connected_devices:lines 1"),
     "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),

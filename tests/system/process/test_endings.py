@@ -64,6 +64,7 @@ DONE = {
     "check-config": (0, "", set()),
     "devices": (0, "", set()),
     "registers": (0, "", set()),
+    "refraction": (0, "", set()),
     "doctor": (0, "", set()),
     "hw_sim flat": (0, "", {"kept"}),
     "hw_sim plate": (0, "", {"kept"}),
@@ -165,7 +166,7 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> No
     [
         *("calibrate", "replay", "replay's csv on standard output", "locate", "locate's table"),
         *("map", "map's table", "selfcheck", "verify", "check-config", "registers", "devices", "doctor"),
-        *("export on standard output", "events"),
+        *("export on standard output", "events", "refraction"),
     ],
 )
 def test_ended_by_who_reads(name: str, redirected: str, played_unit: PlayedUnit, folder: Path) -> None:

@@ -13,11 +13,12 @@ from support.played_unit import PlayedUnit
 from support.recordings import place_px, write_beams
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import check_image_size, file_of, load_calibration, save_calibration
+from altd.calibration.file import check_image_size, check_place, file_of, load_calibration, save_calibration
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
+from altd.records import Glass
 from altd.vision.flat import Flat
 
 
@@ -75,6 +76,25 @@ def test_a_loaded_calibration_knows_its_file_and_a_made_one_has_none(
     assert read.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
     assert read.checksum == json.loads(file.read_text())["checksum"]
     assert calibration.file is None
+
+
+def test_a_file_keeps_the_glass_and_a_recording_with_another_one_is_refused(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    """A recording or a config that does not state the glass has that of the calibration."""
+    front, rear = calibration.targets
+    with_window = replace(calibration, targets=(replace(front, glass=Glass(4.0, 1.49)), rear))
+    save_calibration(with_window, tmp_path / "glass.json")
+    read = load_calibration(tmp_path / "glass.json")
+    assert [target.glass for target in read.targets] == [Glass(4.0, 1.49), None]
+    for glass in (None, Glass(4.0, 1.49)):
+        check_place(read, tmp_path, "front", 0.0, glass)
+    with pytest.raises(BadInputError) as caught:
+        check_place(read, tmp_path, "front", 0.0, Glass(4.0))
+    assert caught.value.message == (
+        "target 'front' was calibrated with 4 mm of glass (index 1.49) behind it, "
+        "not with 4 mm of glass (index 1.52)"
+    )
 
 
 def test_a_file_gives_back_what_was_saved(calibration: Calibration, file: Path) -> None:

@@ -15,6 +15,7 @@ from support.recordings import seen, write_scan, write_scan_of, write_targets
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
+from altd.records import Glass
 
 SIZE = {"width": 752, "height": 480, "bits": 8}
 
@@ -59,6 +60,19 @@ def test_recordings_that_do_not_go_together_are_refused(
 ) -> None:
     other = write_scan_of(tmp_path / "other", target, **more)
     assert refused(rear, other) == f"{other / 'recording.json'}: {complaint.format(rear=rear)}"
+
+
+def test_the_glass_of_a_target_is_that_of_the_scan_that_states_it(rear: Path, tmp_path: Path) -> None:
+    scans = [
+        write_scan_of(tmp_path / name, seen("rear", 280.0, "cam") | {"glass_mm": thick})
+        for name, thick in (("thin", 3.0), ("thick", 4.0))
+    ]
+    (frames,) = target_frames([open_recording(path) for path in (rear, scans[1])])
+    assert frames.glass == Glass(4.0, 1.52)
+    assert refused(rear, *scans) == (
+        f"{scans[1] / 'recording.json'}: target 'rear' has 4 mm of glass (index 1.52) behind it, "
+        f"in {scans[0]} 3 mm of glass (index 1.52)"
+    )
 
 
 def test_pictures_of_another_size_are_refused(rear: Path, tmp_path: Path) -> None:

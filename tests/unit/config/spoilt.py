@@ -38,6 +38,9 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ("z_mm = 280.0", "z_mm = «0.0", "targets.1.z_mm", "0 is not behind targets.0; possible: above 0"),
     ("z_mm = 280.0", "z_mm = «-280.0", "targets.1.z_mm", "-280 is not behind targets.0"),
     ("z_mm = 0.0", "z_mm = «nan", "targets.0.z_mm", "nan is not a finite number"),
+    ("z_mm = 0.0", "z_mm = 0.0\nglass_mm = «-4.0", "targets.0.glass_mm", "-4.0 is too small; possible: "),
+    ("z_mm = 0.0", "z_mm = 0.0\nglass_index = «0.9", "targets.0.glass_index", "0.9 is too small; possible: "),
+    ("z_mm = 0.0", "z_mm = 0.0\nglass_index = «1.5", "targets.0.glass_index", "there is no glass_mm; "),
     ('camera = "rear"', 'camera = «"raer"', "targets.1.camera", "no table [cameras.raer]; "),
     ('camera = "rear"', 'camera = «"front"', "targets.1.camera", '"front" is the camera of targets.0 too'),
     # [cameras.…]

@@ -66,6 +66,14 @@ def test_with_the_key_it_alone_decides_and_no_distance_is_needed() -> None:
         ([{"name": "x", "camera": "a"}], "targets.0.z_mm: Field required"),
         ([seen("x", float("nan"), "a")], "targets.0.z_mm: Input should be a finite number"),
         ([seen("x", 1e9, "a")], "targets.0.z_mm: Input should be less than or equal to 100000"),
+        (
+            [seen("x", 0.0, "a") | {"glass_mm": -4.0}],
+            "targets.0.glass_mm: Input should be greater than or equal to 0",
+        ),
+        (
+            [seen("x", 0.0, "a") | {"glass_mm": 4.0, "glass_index": 0.9}],
+            "targets.0.glass_index: Input should be greater than or equal to 1",
+        ),
         ([seen("X y", 0.0, "a")], "targets.0.name: String should match pattern"),
         ([seen("x" * 40, 0.0, "a")], "targets.0.name: String should have at most 32 characters"),
         ("front", "targets: Input should be a valid tuple"),
@@ -85,13 +93,16 @@ def test_a_mistake_is_one_line_that_names_file_and_key(
 
 
 def test_the_targets_of_a_config_are_written_and_read_back(tmp_path: Path) -> None:
-    config = [Target.model_validate(target | {"camera": f"{target['camera']}_cam"}) for target in TARGETS]
+    config = [
+        Target.model_validate(target | {"camera": f"{target['camera']}_cam"} | glass)
+        for target, glass in zip(TARGETS, ({"glass_mm": 4.0}, {}), strict=True)
+    ]
     about = header("scan", cameras={"front_cam": SIZE, "rear_cam": SIZE}, unit={"serial": "A"})
     wanted = RecordingHeader.model_validate(about | {"targets": target_headers(config)})
     RecordingWriter(tmp_path / "rec", wanted).close()
     assert read_header(tmp_path / "rec" / "recording.json") == wanted
     assert json.loads((tmp_path / "rec" / "recording.json").read_text())["targets"] == [
-        {"name": "front", "z_mm": 0.0, "camera": "front_cam"},
+        {"name": "front", "z_mm": 0.0, "camera": "front_cam", "glass_mm": 4.0, "glass_index": 1.52},
         {"name": "rear", "z_mm": 280.0, "camera": "rear_cam"},
     ]
 

@@ -1,0 +1,126 @@
+"""The lag between two targets' spots, by the first exposures of a motion that begins at rest.
+
+A machine that sets itself in motion moves in one way at first: the displacements of both spots from rest are
+one function of time g, f(t) = a g(t) and r(t) = b g(t), whatever the pivot. If the pictures of the second
+spot are L frame sets late, r(t) = b g(t − L). For each L the displacements f(t), r(t + L), in units of their
+noise, make a matrix (m, 4) of rank one; the smaller three eigenvalues of its Gram matrix add up to the least
+χ², with 3 (m − 1) degrees of freedom (Golub and Van Loan, Matrix Computations, 6.3: total least squares).
+
+A yaw of its own can look like a late picture, where it leaves the first spot at rest and begins whole frame
+sets later with the same course. Therefore a lag is a finding for sigma, not a reason to refuse.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from altd.records import FloatArray
+from altd.statistics import MAD_TO_SIGMA, median
+
+MAX_LAG_FRAMES = 3
+_TESTED_LAG_FRAMES = 4
+"""A best lag this large is the edge of the test: another motion."""
+_MIN_REST_FRAME_SETS = 16
+_MAX_REST_FRAME_SETS = 40
+_LEAD_FRAME_SETS = 8
+"""The last ones at rest may hold a slow beginning: they belong to the motion, and not to its zero."""
+_MIN_MOVING_FRAME_SETS = 6
+_MIN_FOR_VIBRATION = 8
+_EACH_FRAME_SET_UP_TO = 40
+_LATER_INTERVAL_FRAME_SETS = 10
+_MAX_MOVING_FRAME_SETS = 180
+"""Until then vibration has shown the lag of a machine that vibrates."""
+_DEPARTURE_SIGMAS = 6.0
+_MIN_CHI2_DIFFERENCE = 40.0
+"""Six standard deviations between the lag that fits and those that do not."""
+_MIN_CHI2_NEIGHBOUR = 9.0
+"""A lag between whole frame sets is a motion and not a late picture."""
+_MAX_MISFIT = 2.0
+"""χ² by its degrees of freedom: beyond it the motion is not one function of time."""
+
+
+class StartOfMotion:
+    """Watches the spots of two targets until they leave their rest, then until their lag is decided."""
+
+    def __init__(self) -> None:
+        self._rest: deque[FloatArray] = deque(maxlen=_MAX_REST_FRAME_SETS)
+        self._rest_sum = np.zeros(4)
+        self._moving: list[FloatArray] = []
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the spots move, from a known rest, and their lag is not decided."""
+        return bool(self._moving)
+
+    def restart(self) -> None:
+        """Forget rest and motion."""
+        self._rest.clear()
+        self._rest_sum = np.zeros(4)
+        self._moving.clear()
+
+    def add(self, places_px: FloatArray, noise_px: FloatArray) -> int | None:
+        """Take u, v of both spots (4,) and their noise.
+
+        The lag of the second one in frame sets when this frame set decides it, 0: none; otherwise None.
+        """
+        if self._moving:
+            self._moving.append(places_px)
+            moving = len(self._moving)
+            is_due = moving <= _EACH_FRAME_SET_UP_TO or moving % _LATER_INTERVAL_FRAME_SETS == 0
+            lag = self._lag(noise_px) if is_due else None
+            if lag is not None or moving >= _MAX_MOVING_FRAME_SETS:
+                self.restart()
+            return lag
+        if self._rest:
+            zero = self._rest_sum / len(self._rest)
+            if (np.abs(places_px - zero) > _DEPARTURE_SIGMAS * noise_px).any():
+                if len(self._rest) >= _MIN_REST_FRAME_SETS:
+                    self._moving.append(places_px)
+                    return None
+                self.restart()
+        if len(self._rest) == _MAX_REST_FRAME_SETS:
+            self._rest_sum -= self._rest[0]
+        self._rest.append(places_px)
+        self._rest_sum += places_px
+        return None
+
+    def _lag(self, noise_px: FloatArray) -> int | None:
+        if len(self._moving) < _MIN_MOVING_FRAME_SETS:
+            return None
+        rest = np.array(self._rest)
+        zero = rest[:-_LEAD_FRAME_SETS].mean(axis=0)
+        if len(self._moving) >= _MIN_FOR_VIBRATION:
+            # third differences of a smooth motion are noise: 1 + 9 + 9 + 1 variances
+            rough = np.abs(np.diff(np.array(self._moving), 3, axis=0))
+            noise_px = np.maximum(noise_px, MAD_TO_SIGMA * median(rough, axis=0) / np.sqrt(20.0))
+        rows = (np.concatenate([rest[-_LEAD_FRAME_SETS:], self._moving]) - zero) / noise_px
+        excess, misfit = _chi2_by_half_lags(rows[:, :2], rows[:, 2:])
+        whole = excess[::2].copy()
+        best = int(whole.argmin())
+        lag = best - _TESTED_LAG_FRAMES
+        at_best, whole[best] = whole[best], np.inf
+        if misfit[2 * best] > _MAX_MISFIT or abs(lag) > MAX_LAG_FRAMES:
+            return None
+        if lag == 0:
+            return 0 if whole.min() - at_best > _MIN_CHI2_DIFFERENCE else None
+        others = np.delete(excess, 2 * best)
+        is_late = whole[_TESTED_LAG_FRAMES] - at_best > _MIN_CHI2_DIFFERENCE
+        return lag if is_late and others.min() - at_best > _MIN_CHI2_NEIGHBOUR else None
+
+
+def _chi2_by_half_lags(first: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """χ² less its degrees of freedom, and by them, for lags of −4, −3.5 … 4 frame sets (17,)."""
+    between = (first[1:] + first[:-1]) / 2
+    excess, misfit = [], []
+    for half_lags in range(-2 * _TESTED_LAG_FRAMES, 2 * _TESTED_LAG_FRAMES + 1):
+        lag, is_half = divmod(half_lags, 2)
+        a, b = (between, other[1:]) if is_half else (first, other)
+        count = len(a) - abs(lag)
+        pairs = np.hstack([a[max(-lag, 0) :][:count], b[max(lag, 0) :][:count]])
+        chi2 = float(np.linalg.eigvalsh(pairs.T @ pairs)[:3].sum())
+        degrees_of_freedom = 3 * (count - 1)
+        excess.append(chi2 - degrees_of_freedom)
+        misfit.append(chi2 / degrees_of_freedom)
+    return np.array(excess), np.array(misfit)

@@ -1,0 +1,70 @@
+"""The lag of the second spot by the start of a motion; the spots are computed here from rigid motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from altd.measuring.start_of_motion import StartOfMotion
+
+NOISE_PX = np.full(4, 0.05)
+
+
+def verdict(of_time: Callable[[float], float], by_px: list[float], late: int, seed: int) -> int | str | None:
+    """The first lag that is decided; ``by_px`` (4,) are the spots' displacements for a motion of 1."""
+    rng, start = np.random.default_rng(seed), StartOfMotion()
+    for number in range(160):
+        now, then = (of_time(0.05 * (number - delay) - 3.01) for delay in (0, late))
+        places = np.array(by_px) * [now, now, then, then] + rng.normal(0, NOISE_PX)
+        if (lag := start.add(places, NOISE_PX)) is not None:
+            return lag
+    return "open" if start.is_open else None
+
+
+def jerk(t_s: float) -> float:
+    return max(t_s, 0.0) ** 3
+
+
+def jump(t_s: float) -> float:
+    return max(t_s, 0.0)
+
+
+def sway(t_s: float) -> float:
+    return float(1 - np.cos(4 * max(t_s, 0.0)))
+
+
+@pytest.mark.parametrize("late", [-3, -1, 0, 1, 2, 3])
+@pytest.mark.parametrize("course", [jerk, jump, sway])
+@pytest.mark.parametrize("by_px", [[8.0, 30.0, -9.0, 28.0], [5.0, -9.0, 40.0, 2.0], [-20.0, 0.0, 0.0, 20.0]])
+def test_one_motion_of_both_spots_shows_the_lag(
+    by_px: list[float], course: Callable[[float], float], late: int
+) -> None:
+    assert [verdict(course, by_px, late, seed) for seed in range(3)] == [late] * 3
+
+
+@pytest.mark.parametrize("late", [0, 1])
+@pytest.mark.parametrize("by_px", [[0.0, 0.0, 8.0, 30.0], [8.0, 30.0, 0.0, 0.0], [0.3, 0.2, 0.2, 0.4]])
+def test_spots_of_which_one_rests_or_both_creep_show_none(by_px: list[float], late: int) -> None:
+    assert {verdict(jump, by_px, late, seed) for seed in range(5)} <= {"open", None}
+
+
+@pytest.mark.parametrize("delay_s", [0.02, 0.2])
+def test_a_yaw_that_begins_later_than_the_shift_is_no_lag(delay_s: float) -> None:
+    """The second spot moves with the first one at once, and faster from then on."""
+    for seed in range(5):
+        rng, start, lags = np.random.default_rng(seed), StartOfMotion(), []
+        for number in range(160):
+            shift, yaw = (jump(0.05 * number - 3.01 - since_s) for since_s in (0.0, delay_s))
+            places = np.array([20.0, 10.0, 20.0, 10.0]) * shift + np.array([0.0, 0.0, 15.0, 0.0]) * yaw
+            lags.append(start.add(places + rng.normal(0, NOISE_PX), NOISE_PX))
+        assert set(lags) <= {None, 0}
+
+
+def test_without_enough_rest_nothing_is_decided() -> None:
+    start = StartOfMotion()
+    rng = np.random.default_rng(1)
+    places = [np.full(4, 20.0 * jump(0.05 * n - 0.5)) + rng.normal(0, NOISE_PX) for n in range(60)]
+    assert {start.add(each, NOISE_PX) for each in places} == {None}
+    assert not start.is_open
