@@ -92,8 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         if arguments.grid != USUAL:
             raise BadInputError("--grid", "goes without --stage: what altd scan makes is its own grid")
-        return staged_scan(arguments.output, arguments.seed, arguments.exposures)
-    unit = Unit(UnitConfig(seed=arguments.seed))
+        return staged_scan(arguments.output, arguments.seed, arguments.exposures, arguments.hard)
+    unit = Unit(UnitConfig(seed=arguments.seed, hard=arguments.hard))
     stage = Stage(np.random.default_rng([arguments.seed, STAGE_STREAM]))
     progress = terminal_progress("scan")
     record_scan(arguments.output, unit, stage, arguments.exposures, progress, arguments.grid)
