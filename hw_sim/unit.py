@@ -60,7 +60,7 @@ class UnitConfig:
     ``expansion`` is by how much of its length the frame between the targets has grown since it was adjusted:
     the rear target is at (1 + expansion) times its distance. ``dust`` is what has settled on window and
     plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration. ``glass_mm`` is the
-    thickness of the window's glass behind the printed face (z = 0), ``glass_index`` its refractive index; the
+    thickness of the window's glass behind its print (z = 0), ``glass_index`` its refractive index; the
     camera's view through it belongs to its lens. ``hard`` turns on the effects of ``Hardness``.
     """
 

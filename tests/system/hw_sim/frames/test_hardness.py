@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from hw_sim.__main__ import main
 from hw_sim.assembly import make_dots
 from hw_sim.beam import BeamFlaws, BeamPose, Laser, footprint, glass_shift_mm
-from hw_sim.faults import Fault
 from hw_sim.hardness import HARD, Hardness
 from hw_sim.motion import Vibration
 from hw_sim.optics import transmission
@@ -210,7 +213,7 @@ def test_glare_spreads_its_share_and_conserves_the_light(clean: Unit) -> None:
     veiled = Unit(replace(CLEAN, hard=Hardness(glare_share=0.05)))
     pose = BeamPose(0.0, 0.0)
     sharp, seen = light(clean, REAR, pose), light(veiled, REAR, pose)
-    assert seen.sum() == pytest.approx(sharp.sum(), rel=3e-3)  # what falls beside the chip is lost
+    assert seen.sum() == pytest.approx(sharp.sum(), rel=3e-3)  # light beside the chip is lost
     beside = sharp < 1e-6 * sharp.max()
     assert 0.02 < seen[beside].sum() / seen.sum() < 0.05
     assert first_moment(seen) == pytest.approx(first_moment(sharp), abs=0.15)
@@ -248,5 +251,16 @@ def test_the_same_hard_unit_gives_the_same_picture_and_an_ordinary_one_another()
     one, other = (Unit(UnitConfig(seed=3, hard=HARD, vibration=Vibration())) for _ in range(2))
     for camera in CAMERAS:
         assert np.array_equal(one.expose(camera, 4, 10).pixels, other.expose(camera, 4, 10).pixels)
-    one.inject(Fault.NO_LASER)
-    assert one.expose(REAR, 4, 10).pixels.max() <= 255
+    plain = Unit(UnitConfig(seed=3, vibration=Vibration())).expose(REAR, 4, 10).pixels
+    assert not np.array_equal(plain, one.expose(REAR, 4, 10).pixels)
+
+
+def test_the_command_records_a_hard_unit(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.json"
+    arguments = ["--poses", "1", "--exposures", "1", "--seed", "3", "--hard"]
+    assert main(["measure", "-o", str(tmp_path / "poses"), "--truth", str(truth), *arguments]) == 0
+    (pose,) = json.loads(truth.read_text())["poses"]
+    unit = Unit(UnitConfig(seed=3, hard=HARD))
+    unit.place(BeamPose(**pose))
+    recorded = cv2.imread(str(tmp_path / "poses" / "rear" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(recorded, unit.expose(REAR, 0, 0, exact=True).pixels)
