@@ -33,13 +33,13 @@ def transmission(tan_angle: npt.ArrayLike, width_nm: float, source_nm: float = 0
     tan2 = np.square(np.asarray(tan_angle, dtype=np.float64))
     sin2 = tan2 / (1.0 + tan2)
     shift_nm = WAVELENGTH_NM * (1.0 - np.sqrt(1.0 - sin2 / EFFECTIVE_INDEX**2))
-    lines_nm = np.linspace(-1.5, 1.5, 61) * source_nm if source_nm else np.zeros(1)
+    lines_nm = np.linspace(-1.5, 1.5, 31) * source_nm if source_nm else np.zeros(1)
     weights = np.exp(-4.0 * np.log(2.0) * np.square(lines_nm / source_nm)) if source_nm else np.ones(1)
-    passed, straight = np.zeros_like(shift_nm), 0.0
+    passed, straight = np.zeros_like(shift_nm), np.zeros(1)
     for line_nm, weight in zip(lines_nm, weights, strict=True):
-        passed += weight / (1.0 + (2.0 * (line_nm + shift_nm) / width_nm) ** 4)
-        straight += weight / (1.0 + (2.0 * line_nm / width_nm) ** 4)
-    return np.asarray(passed / straight)
+        for total, off_nm in ((passed, line_nm + shift_nm), (straight, line_nm)):
+            total += weight / (1.0 + np.square(np.square(off_nm * (2.0 / width_nm))))
+    return np.asarray(passed / straight[0])
 
 
 def with_glare(electrons: Image, region: tuple[slice, slice], share: float) -> Image:
