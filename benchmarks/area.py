@@ -3,7 +3,8 @@
 Simulated units are scanned, calibrated and measured; each measurement is held against where the beam was. The
 scan goes over the specified area, or over 125 × 100 mm as that of Fig. 3.24 did: what lies outside of its
 nodes is then measured by the margin of the maps. ``tight`` are cameras whose pictures end 4 mm beside the
-area, so that spots at its edge are cut.
+area, so that spots at its edge are cut. ``hard`` has all effects of ``hw_sim.hardness``, ``no laser speckle``
+all but the laser's own speckle; their flats are made with a lamp.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -28,8 +29,9 @@ from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import open_recording
 from altd.records import Measurement
 from hw_sim.assembly import FIELD_HALF_MM
-from hw_sim.beam import BeamPose
+from hw_sim.beam import BeamPose, Laser
 from hw_sim.flat import record_flat
+from hw_sim.hardness import HARD, Hardness
 from hw_sim.measure import HALF_AREA_MM, random_poses
 from hw_sim.recording import Progress
 from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
@@ -60,7 +62,11 @@ class Case:
     print_mm: tuple[float, float] | None = None
     mounting: Mounting = ADJUSTED
     with_turned_scan: bool = False
+    hard: Hardness | None = None
+    laser: Laser = field(default_factory=Laser)
 
+
+STILL = replace(HARD, speckle_contrast=0.0)
 
 CASES = (
     Case("plain"),
@@ -75,6 +81,12 @@ CASES = (
     Case("tight, flat", flat=True, field_half_mm=TIGHT_HALF_MM),
     Case("misaligned", mounting=MISALIGNED),
     Case("misaligned, turned", mounting=MISALIGNED, with_turned_scan=True),
+    Case("no laser speckle", hard=STILL),
+    Case("no laser speckle, flat", flat=True, hard=STILL),
+    Case("hard", hard=HARD),
+    Case("hard, flat", flat=True, hard=HARD),
+    Case("hard, 15 mm", hard=HARD, laser=Laser(3.0, (15.0, 15.0))),
+    Case("hard, 13 x 5 mm", hard=HARD, laser=Laser(1.5, (13.0, 5.0))),
 )
 
 
@@ -100,6 +112,8 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison
         field_half_mm=case.field_half_mm,
         speckle_contrast=case.speckle_contrast,
         dots=DotPattern(size_mm=case.print_mm),
+        hard=case.hard,
+        laser=case.laser,
     )
     unit = Unit(of_unit)
     calibration, measuring = _calibrated(case, unit, folder), Measuring(window=WINDOW, every=WINDOW)

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from hw_sim.hardness import HARD
 from hw_sim.recording import Progress
 
 
@@ -20,6 +21,12 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
         help="new or empty folder for the recording",
     )
     parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
+    parser.add_argument(
+        "--hard",
+        action="store_const",
+        const=HARD,
+        help="add laser speckle, flaws of print and beam, filter, glare and blur, as docs/simulator.md lists",
+    )
 
 
 def natural(text: str) -> int:

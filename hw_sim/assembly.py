@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens, rotation
-from hw_sim.targets import DotPattern, DotPrint
+from hw_sim.targets import DotPattern, DotPrint, PrintFlaws
 
 FIELD_HALF_MM = (77.5, 62.5)
 """Half the field of view: a spot of 15 mm anywhere on the 140 × 110 mm (App. A.1), so 155 × 125 mm of the
@@ -17,15 +17,25 @@ across the 480 rows of 6 µm."""
 
 MARGIN_PX = 3.0
 
+FLAWED_DOTS = 256
+"""Rows and columns after which the flaws of a print repeat; a window has fewer."""
+
 FRONT_FOCAL_MM = (7.7, 8.2)
 REAR_FOCAL_MM = (5.6, 6.0)
 """The micro lenses of App. A.3, f = 8 and 5.7 mm, with their tolerances."""
 
 
-def make_dots(pattern: DotPattern, rng: np.random.Generator) -> DotPrint:
-    """A print at a random place on the window, turned by up to 2°."""
+def make_dots(
+    pattern: DotPattern, rng: np.random.Generator, jitter_mm: float = 0.0, bleed_mm: float = 0.0
+) -> DotPrint:
+    """A print at a random place on the window, turned by up to 2°, with its flaws if it has any."""
     phase_x, phase_y = rng.uniform(0.0, pattern.pitch_mm, size=2)
-    return DotPrint((float(phase_x), float(phase_y)), math.radians(rng.uniform(-2.0, 2.0)), pattern)
+    turn_rad = math.radians(rng.uniform(-2.0, 2.0))
+    flaws = None
+    if jitter_mm or bleed_mm:
+        size = (2, FLAWED_DOTS, FLAWED_DOTS, 3)
+        flaws = PrintFlaws(jitter_mm, bleed_mm, rng.standard_normal(size, dtype=np.float32))
+    return DotPrint((float(phase_x), float(phase_y)), turn_rad, pattern, flaws)
 
 
 def make_lens(

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hw_sim.dust import Shadow
+
+RIM = 0.05
+"""Width of the soft rim that diffraction gives to a clipped beam, in half diameters: 0.3 mm of 6 mm."""
 
 TAIL_CUTOFF = 1e-6
 """Below this share of the peak the beam is not rendered: 0.02 counts of 16 bits."""
@@ -38,19 +43,93 @@ class BeamPose:
         return self.x_mm + self.slope_x * z_mm, self.y_mm + self.slope_y * z_mm
 
 
+def glass_shift_mm(pose: BeamPose, glass_mm: float, index: float) -> tuple[float, float]:
+    """The (x, y) by which plane glass displaces a beam on all planes behind it, mm.
+
+    Snell's law, sin θ = n sin θ': within the glass of thickness t the beam proceeds aside by t·tan θ' instead
+    of t·tan θ, and leaves in its old direction. So the shift is −t·(tan θ − tan θ') along the slope.
+    """
+    slope = math.hypot(pose.slope_x, pose.slope_y)
+    if glass_mm == 0.0 or slope == 0.0:
+        return 0.0, 0.0
+    sine = slope / math.sqrt(1.0 + slope * slope) / index
+    share = glass_mm * (sine / math.sqrt(1.0 - sine * sine) / slope - 1.0)
+    return share * pose.slope_x, share * pose.slope_y
+
+
+@dataclass(frozen=True, slots=True)
+class BeamFlaws:
+    """Departures of a beam's profile from an ellipse's, about its centroid.
+
+    The truth of a beam is its centroid: that of all its light except for the halo, which is centred on it.
+    Lengths are in half diameters of the beam.
+
+    ``skew``, −0.5 to 0.5: along the first axis the profile is (1 + skew) times as wide on the positive side
+    of its peak, (1 − skew) times on the other; the power stays the same. ``aperture``: beyond this radius
+    around the peak (of the skewed profile) the light is cut. ``halo_share`` of the power is a Gaussian,
+    ``halo_ratio`` times as wide as the beam.
+    """
+
+    skew: float = 0.0
+    aperture: float = math.inf
+    halo_share: float = 0.0
+    halo_ratio: float = 2.5
+
+    def peak_offset(self, order: float) -> float:
+        """The distance from the peak to the centroid along the first axis, in half diameters."""
+        return 2.0 * self.skew * _mean_distance(order, self.aperture)
+
+    def profile(
+        self, p: npt.NDArray[np.float32], q: npt.NDArray[np.float32], order: float
+    ) -> npt.NDArray[np.float32]:
+        """Irradiance at (p, q) half diameters off the centroid, relative to the peak without flaws."""
+        halo_peak = self.halo_share * 2.0 * math.gamma(1.0 + 1.0 / order) / 2.0 ** (1.0 / order)
+        halo_peak /= self.halo_ratio**2
+        halo = np.float32(halo_peak) * np.exp(np.float32(-2.0 / self.halo_ratio**2) * (p * p + q * q))
+        along = p + np.float32(self.peak_offset(order))
+        along /= np.where(along > 0.0, np.float32(1.0 + self.skew), np.float32(1.0 - self.skew))
+        rho2 = along * along + q * q
+        core = np.exp(np.float32(-2.0) * rho2 ** np.float32(order))
+        if math.isfinite(self.aperture):
+            core *= _passed(np.sqrt(rho2), self.aperture)
+        light: npt.NDArray[np.float32] = halo + np.float32(1.0 - self.halo_share) * core
+        return light
+
+    def reach(self, order: float) -> float:
+        """The distance from the centroid, in half diameters, beyond which all light is below the cut-off."""
+        whole = math.sqrt(-0.5 * math.log(TAIL_CUTOFF))
+        core = min(math.pow(whole, 1.0 / order), self.aperture + RIM) * (1.0 + abs(self.skew))
+        core += abs(self.peak_offset(order))
+        return max(core, self.halo_ratio * whole) if self.halo_share else core
+
+
+def _passed(rho: npt.NDArray[Any], aperture: float) -> npt.NDArray[Any]:
+    """The share of the light that an aperture with a soft rim lets pass."""
+    return np.clip((aperture - rho) / np.float32(RIM) + np.float32(0.5), 0.0, 1.0)
+
+
+@lru_cache(maxsize=16)
+def _mean_distance(order: float, aperture: float) -> float:
+    """The mean of |p| over a beam of this order, cut by the aperture; 1/√(2π) for a whole Gaussian."""
+    rho = np.linspace(0.0, min((-0.5 * math.log(1e-12)) ** (0.5 / order), aperture + RIM), 20_001)
+    light = np.exp(-2.0 * rho ** (2.0 * order)) * (_passed(rho, aperture) if math.isfinite(aperture) else 1.0)
+    return float(2.0 / math.pi * (rho * rho * light).sum() / (rho * light).sum())
+
+
 @dataclass(frozen=True, slots=True)
 class Laser:
     """The reference laser (App. A.1: 1–5 mW, ellipse or circle up to 15 mm).
 
     The profile across the beam is exp(−2 ρ^(2·order)), ρ = 1 on the ellipse of the 1/e² diameters, whose
     first axis is turned by ``angle_rad`` from x towards y; order 1 is a Gaussian, above a super-Gaussian. The
-    theodolite's spot has 12 mm at 10 m (App. A.3).
+    theodolite's spot has 12 mm at 10 m (App. A.3). ``flaws`` are departures from that profile.
     """
 
     power_mw: float = 3.0
     diameters_mm: tuple[float, float] = (12.0, 11.0)
     angle_rad: float = 0.3
     order: float = 1.0
+    flaws: BeamFlaws | None = None
 
     @property
     def peak_mw_per_mm2(self) -> float:
@@ -66,7 +145,8 @@ class Footprint:
 
     ``form`` (xx, xy, yy) in 1/mm² gives ρ² = xx·dx² + 2·xy·dx·dy + yy·dy²; it holds the elongation by
     1/cos of a beam that comes in aslant, and ``peak_mw_per_mm2`` the matching loss by cos. ``shadow`` is
-    that of dust which the beam has passed.
+    that of dust which the beam has passed. ``slopes`` are the beam's. With ``flaws``, ``axes`` (px, py, qx,
+    qy) in 1/mm take an offset to half diameters along the beam's two axes.
     """
 
     x_mm: float
@@ -75,17 +155,25 @@ class Footprint:
     order: float
     peak_mw_per_mm2: float
     shadow: Shadow | None = None
+    slopes: tuple[float, float] = (0.0, 0.0)
+    flaws: BeamFlaws | None = None
+    axes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def irradiance(
         self, x_mm: npt.NDArray[np.float32], y_mm: npt.NDArray[np.float32]
     ) -> npt.NDArray[np.float32]:
         """Irradiance in mW/mm² at points of the plane, any shape."""
         dx, dy = x_mm - np.float32(self.x_mm), y_mm - np.float32(self.y_mm)
-        xx, xy, yy = (np.float32(term) for term in self.form)
-        rho2 = dx * (xx * dx + (xy + xy) * dy) + yy * dy * dy
-        if self.order != 1.0:
-            rho2 = np.maximum(rho2, 0.0) ** np.float32(self.order)
-        irradiance: npt.NDArray[np.float32] = np.exp(np.float32(-2.0) * rho2)
+        irradiance: npt.NDArray[np.float32]
+        if self.flaws is not None:
+            px, py, qx, qy = (np.float32(term) for term in self.axes)
+            irradiance = self.flaws.profile(px * dx + py * dy, qx * dx + qy * dy, self.order)
+        else:
+            xx, xy, yy = (np.float32(term) for term in self.form)
+            rho2 = dx * (xx * dx + (xy + xy) * dy) + yy * dy * dy
+            if self.order != 1.0:
+                rho2 = np.maximum(rho2, 0.0) ** np.float32(self.order)
+            irradiance = np.exp(np.float32(-2.0) * rho2)
         irradiance *= np.float32(self.peak_mw_per_mm2)
         if self.shadow is not None:
             irradiance *= self.shadow.at(x_mm, y_mm)
@@ -96,6 +184,8 @@ class Footprint:
         """Half width and half height of the box that holds all but the last of the tail."""
         xx, xy, yy = self.form
         rho2 = (-0.5 * math.log(TAIL_CUTOFF)) ** (1.0 / self.order)
+        if self.flaws is not None:
+            rho2 = self.flaws.reach(self.order) ** 2
         determinant = xx * yy - xy * xy
         return math.sqrt(rho2 * yy / determinant), math.sqrt(rho2 * xx / determinant)
 
@@ -117,4 +207,7 @@ def footprint(laser: Laser, pose: BeamPose, z_mm: float, share: float = 1.0) -> 
         (float(form[0, 0]), float(form[0, 1]), float(form[1, 1])),
         laser.order,
         laser.peak_mw_per_mm2 * float(direction[2]) * share,
+        slopes=(pose.slope_x, pose.slope_y),
+        flaws=laser.flaws,
+        axes=(float(across[0, 0]), float(across[0, 1]), float(across[1, 0]), float(across[1, 1])),
     )

@@ -40,6 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Record a flat field; raises BadInputError."""
-    unit = Unit(UnitConfig(seed=arguments.seed))
+    unit = Unit(UnitConfig(seed=arguments.seed, hard=arguments.hard))
     record_flat(arguments.output, unit, arguments.exposures, terminal_progress("flat"))
     return 0

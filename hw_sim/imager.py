@@ -85,7 +85,7 @@ class Imager:
         view = self.view
         electrons = view.background_e(exposure_ms, self._lux, leds_on, self.blink_on)
         if even_mw_per_mm2 > 0.0:
-            electrons += view.response * np.float32(even_mw_per_mm2 * exposure_ms)
+            electrons += view.even_response * np.float32(even_mw_per_mm2 * exposure_ms)
         region, beam_e = view.beam_e(spots, exposure_ms)
         electrons[region] += beam_e
         return electrons

@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Record a measurement; raises BadInputError."""
     faults = parse_faults(filter(None, arguments.faults.split(",")))
-    unit = Unit(UnitConfig(seed=arguments.seed, faults=faults))
+    unit = Unit(UnitConfig(seed=arguments.seed, faults=faults, hard=arguments.hard))
     rng = np.random.default_rng([arguments.seed, POSES_STREAM])
     poses = random_poses(arguments.poses, unit.config.target_distance_mm, rng)
     truth_file: Path = arguments.truth

@@ -208,6 +208,6 @@ def run(arguments: argparse.Namespace) -> int:
     plate = Plate(
         PITCH_MM if own_cameras else WIDE_PITCH_MM, tuple(arguments.dark), arguments.tilt, arguments.fisheye
     )
-    unit = with_plate(Unit(UnitConfig(seed=arguments.seed)), plate)
+    unit = with_plate(Unit(UnitConfig(seed=arguments.seed, hard=arguments.hard)), plate)
     record_plate(arguments.output, unit, plate, arguments.exposures, terminal_progress("plate"))
     return 0

@@ -16,7 +16,7 @@ import cv2
 from altd.errors import BadInputError
 from hw_sim.beam import BeamPose
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
-from hw_sim.unit import CAMERAS, Unit
+from hw_sim.unit import CAMERAS, FRONT, REAR, Unit
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
@@ -110,6 +110,11 @@ def _header(unit: Unit, kind: str) -> dict[str, object]:
     if unit.faults:
         note += f", faults {', '.join(sorted(unit.faults))}"
     size = {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": config.bits, "origin": "simulated"}
+    glass = {"glass_mm": config.glass_mm, "glass_index": config.glass_index} if config.glass_mm else {}
+    targets = [
+        {"name": FRONT, "z_mm": 0.0, "camera": FRONT, **glass},
+        {"name": REAR, "z_mm": config.target_distance_mm, "camera": REAR},
+    ]
     return {
         "format": "altd-recording/1",
         "kind": kind,
@@ -117,4 +122,5 @@ def _header(unit: Unit, kind: str) -> dict[str, object]:
         "cameras": dict.fromkeys(CAMERAS, size),
         "unit": {"serial": config.serial, "target_distance_mm": config.target_distance_mm},
         "note": note,
+        **({"targets": targets} if glass else {}),
     }

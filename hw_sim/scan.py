@@ -100,8 +100,10 @@ def run(arguments: argparse.Namespace) -> int:
 
         if arguments.grid != USUAL:
             raise BadInputError("--grid", "goes without --stage: what altd scan makes is its own grid")
-        return staged_scan(arguments.output, arguments.seed, arguments.exposures)
-    unit = Unit(UnitConfig(seed=arguments.seed))
+        if arguments.misaligned or arguments.turned:
+            raise BadInputError("--misaligned, --turned", "go without --stage: its table is adjusted")
+        return staged_scan(arguments.output, arguments.seed, arguments.exposures, arguments.hard)
+    unit = Unit(UnitConfig(seed=arguments.seed, hard=arguments.hard))
     mounting = replace(MISALIGNED if arguments.misaligned else ADJUSTED, is_turned=arguments.turned)
     stage = Stage(
         np.random.default_rng([arguments.seed, STAGE_STREAM + mounting.is_turned]), mounting=mounting

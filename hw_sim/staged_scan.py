@@ -17,6 +17,7 @@ from altd.config import Config, GrblStageSettings, Scan, Target
 from altd.config import Unit as UnitTable
 from hw_sim.camera import make_cameras
 from hw_sim.grbl_table import GrblTable
+from hw_sim.hardness import Hardness
 from hw_sim.scan import STAGE_STREAM
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
 
@@ -53,9 +54,9 @@ def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:
     )
 
 
-def staged_scan(folder: Path, seed: int, frame_sets: int) -> int:
+def staged_scan(folder: Path, seed: int, frame_sets: int, hard: Hardness | None = None) -> int:
     """Scan the unit of ``seed`` with its table into ``folder``; the exit status. Raises BadInputError."""
-    unit = Unit(UnitConfig(seed=seed))
+    unit = Unit(UnitConfig(seed=seed, hard=hard))
     with GrblTable(unit, np.random.default_rng([seed, STAGE_STREAM])) as table:
         config = scan_config(unit, table.device, Scan(exposures=frame_sets, settle_s=0.2))
         cameras = {camera.name: camera for camera in make_cameras(unit)}

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hw_sim.image import Image
 
@@ -42,6 +43,20 @@ class DotPattern:
         return math.pi * self.diameter_mm**2 / (4.0 * self.pitch_mm**2)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PrintFlaws:
+    """Faults of each dot of a digital print (Fig. 3.8 left, Table 3.1), from a table of standard normals.
+
+    ``jitter_mm`` is the standard deviation of a dot's place per axis. ``bleed_mm`` is that of the ink's run
+    beyond (or short of) the drawn edge, one value a dot, and the width over which every edge fades.
+    ``normals`` (2, n, n, 3): of the lattice's two parts, the dots repeat after n rows and columns.
+    """
+
+    jitter_mm: float
+    bleed_mm: float
+    normals: npt.NDArray[np.float32]
+
+
 @dataclass(frozen=True, slots=True)
 class DotPrint:
     """A printed pattern: where one dot sits (mm), and the turn of the rows from x towards y."""
@@ -49,6 +64,7 @@ class DotPrint:
     phase_mm: tuple[float, float]
     rotation_rad: float
     pattern: DotPattern = DotPattern()
+    flaws: PrintFlaws | None = None
 
     def cover(self, x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
         """Share of ink, 0 to 1, in a small cell of about ``softness_mm`` at points of the window."""
@@ -61,17 +77,39 @@ class DotPrint:
         row = pitch
         if pattern.hexagonal:  # two rectangular lattices, one in the middle of the other
             row, offsets = np.float32(pattern.pitch_mm * math.sqrt(3.0)), (0.0, 0.5)
-        squared = [
-            (across - offset * pitch - pitch * np.rint(across / pitch - offset)) ** 2
-            + (up - offset * row - row * np.rint(up / row - offset)) ** 2
-            for offset in map(np.float32, offsets)
-        ]
-        distance = np.sqrt(np.minimum.reduce(squared))
-        ink = soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
+        radius_mm = pattern.diameter_mm / 2.0
+        if self.flaws is not None:
+            distances = [
+                _beyond_flawed_dot(across, up, offset, (pitch, row), self.flaws)
+                for offset in map(np.float32, offsets)
+            ]
+            distance = np.minimum.reduce(distances)
+            softness_mm = math.hypot(softness_mm, self.flaws.bleed_mm)
+        else:
+            squared = [
+                (across - offset * pitch - pitch * np.rint(across / pitch - offset)) ** 2
+                + (up - offset * row - row * np.rint(up / row - offset)) ** 2
+                for offset in map(np.float32, offsets)
+            ]
+            distance = np.sqrt(np.minimum.reduce(squared))
+        ink = soft_disc(distance, radius_mm, softness_mm)
         if pattern.size_mm is not None:
             half_x, half_y = (np.float32(size / 2.0) for size in pattern.size_mm)
             ink *= (np.abs(cos * x_mm + sin * y_mm) < half_x) & (np.abs(cos * y_mm - sin * x_mm) < half_y)
         return ink
+
+
+def _beyond_flawed_dot(
+    across: Image, up: Image, offset: np.float32, pitches: tuple[np.float32, np.float32], flaws: PrintFlaws
+) -> Image:
+    """Distance from the nearest dot's middle, less the run of its ink, in one part of the lattice, mm."""
+    column, row = np.rint(across / pitches[0] - offset), np.rint(up / pitches[1] - offset)
+    n = flaws.normals.shape[1]
+    drawn = flaws.normals[int(offset > 0.0)][row.astype(np.int64) % n, column.astype(np.int64) % n]
+    aside = across - (column + offset) * pitches[0] - np.float32(flaws.jitter_mm) * drawn[..., 0]
+    above = up - (row + offset) * pitches[1] - np.float32(flaws.jitter_mm) * drawn[..., 1]
+    beyond: Image = np.hypot(aside, above) - np.float32(flaws.bleed_mm) * drawn[..., 2]
+    return beyond
 
 
 def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -> Image:

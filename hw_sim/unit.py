@@ -12,7 +12,7 @@ import numpy as np
 
 from altd.records import Frame, PixelArray
 from hw_sim.assembly import FIELD_HALF_MM, FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
-from hw_sim.beam import BeamPose, Footprint, Laser, footprint
+from hw_sim.beam import BeamPose, Footprint, Laser, footprint, glass_shift_mm
 from hw_sim.displacement import Displacement
 from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, make_dust
 from hw_sim.faults import (
@@ -27,6 +27,7 @@ from hw_sim.faults import (
     Fault,
 )
 from hw_sim.frame_leds import ALL_LIT, Stray
+from hw_sim.hardness import Hardness
 from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, make_path, make_vibration
@@ -58,7 +59,9 @@ class UnitConfig:
     given, and the cameras are where their pictures hold ``field_half_mm`` to each side of the middle.
     ``expansion`` is by how much of its length the frame between the targets has grown since it was adjusted:
     the rear target is at (1 + expansion) times its distance. ``dust`` is what has settled on window and
-    plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
+    plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration. ``glass_mm`` is the
+    thickness of the window's glass behind its print (z = 0), ``glass_index`` its refractive index; the
+    camera's view through it belongs to its lens. ``hard`` turns on the effects of ``Hardness``.
     """
 
     seed: int = 1
@@ -69,6 +72,8 @@ class UnitConfig:
     bits: int = 8
     fps: float = 20.0
     target_distance_mm: float = 280.0
+    glass_mm: float = 0.0
+    glass_index: float = 1.52
     expansion: float = 0.0
     dust: float = 0.0
     dots: DotPattern | None = field(default_factory=DotPattern)
@@ -78,6 +83,7 @@ class UnitConfig:
     vibration: Vibration | None = None
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
+    hard: Hardness | None = None
 
     @property
     def serial(self) -> str:
@@ -104,7 +110,10 @@ class Unit:
         self._lock = threading.RLock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(8))
         rngs = (np.random.default_rng(stream) for stream in streams)
-        dots = make_dots(self._pattern, next(rngs))
+        hard = self.config.hard or Hardness()
+        self._instants = hard.instants
+        self._laser = replace(self.config.laser, flaws=hard.beam or self.config.laser.flaws)
+        dots = make_dots(self._pattern, next(rngs), hard.jitter_mm, hard.bleed_mm)
         lenses = {
             FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.field_half_mm),
             REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.field_half_mm),
@@ -116,6 +125,7 @@ class Unit:
                 dots if name == FRONT and self.config.dots else None,
                 self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
                 self.config.hot_pixels,
+                hard=self.config.hard,
             )
             for name, lens in lenses.items()
         }
@@ -247,6 +257,19 @@ class Unit:
         """The light of the beam on a camera's target at ``t_ns``."""
         return self._spots(camera, self.truth(t_ns), self._faults)
 
+    def exposed_spots(self, camera: str, t_ns: int) -> list[Footprint]:
+        """The light on a camera's target over an exposure with its middle at ``t_ns``.
+
+        Where the beam moves meanwhile, it is that of each of ``Hardness.instants`` in turn.
+        """
+        instants = self._instants
+        step_ns = self.imagers[camera].settings.exposure_ms * 1e6 / instants
+        poses = [self.truth(round(t_ns + step_ns * (k + 0.5 - 0.5 * instants))) for k in range(instants)]
+        if len(set(poses)) == 1:
+            return self._spots(camera, poses[0], self._faults)
+        spots = [spot for pose in poses for spot in self._spots(camera, pose, self._faults)]
+        return [replace(spot, peak_mw_per_mm2=spot.peak_mw_per_mm2 / instants) for spot in spots]
+
     def is_silent(self, camera: str) -> bool:
         """Whether a camera delivers nothing at all."""
         return _SILENT[camera] in self._faults
@@ -273,7 +296,7 @@ class Unit:
         if faults & ALL_PIXELS:
             pixels = self._faulty_pixels(faults, camera, sequence)
         else:
-            spots = self._spots(camera, self.truth(t_ns), faults)
+            spots = self.exposed_spots(camera, t_ns)
             lit = (leds_on and Fault.LEDS_DARK not in faults) or Fault.LEDS_ON in faults
             if imager.blinks:
                 imager.blink_on = bool(self._rng(camera, sequence, 3).random() < 0.5)
@@ -311,13 +334,16 @@ class Unit:
         if faults & {Fault.NO_LASER, _MISSING[camera]}:
             return []
         share = OVERLOAD_RATIO if Fault.SATURATED in faults else 1.0
-        z_mm = 0.0
+        z_mm, aside_mm = 0.0, (0.0, 0.0)
         if camera == REAR:
             share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
             z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
-        spot = footprint(self.config.laser, pose, z_mm, share)
+            aside_mm = glass_shift_mm(pose, self.config.glass_mm, self.config.glass_index)
+        spot = footprint(self._laser, pose, z_mm, share)
+        if aside_mm != (0.0, 0.0):
+            spot = replace(spot, x_mm=spot.x_mm + aside_mm[0], y_mm=spot.y_mm + aside_mm[1])
         if camera == REAR and self._window_dust is not None:
-            shift_mm = (pose.slope_x * z_mm, pose.slope_y * z_mm)
+            shift_mm = (pose.slope_x * z_mm + aside_mm[0], pose.slope_y * z_mm + aside_mm[1])
             spot = replace(spot, shadow=Shadow(self._window_dust, shift_mm))
         if _SECOND[camera] not in faults:
             return [spot]

@@ -21,8 +21,11 @@ from hw_sim.beam import Footprint
 from hw_sim.displacement import Displacement, carried
 from hw_sim.dust import Dust
 from hw_sim.frame_leds import ALL_LIT, Shines, Stray, led_coverage, stray_coverage
+from hw_sim.hardness import Hardness
 from hw_sim.image import Image
+from hw_sim.laser_speckle import LaserSpeckle, make_laser_speckle
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens
+from hw_sim.optics import LAMP_NM, transmission, with_glare
 from hw_sim.sensor import FULL_WELL_E
 from hw_sim.targets import DotPrint, speckle
 
@@ -81,11 +84,28 @@ class View:
     """Electrons per ms of stray lights that always shine."""
     blinking: Image | None = None
     """Electrons per ms of blinking stray lights, while they shine."""
+    laser_falloff: Image | None = None
+    """Transmission of the filter for the laser, which ``response`` holds."""
+    lamp_falloff: Image | None = None
+    """Transmission of the filter for the light of LEDs."""
+    speckle: LaserSpeckle | None = None
+    """Speckle of the laser's own."""
+    glare_share: float = 0.0
+    """Share of the spot's light that the lens spreads widely."""
+    blur_px: float = PSF_SIGMA_PX
+    """Blur of the lens, 1 sigma."""
+
+    @property
+    def even_response(self) -> Image:
+        """Electrons per mW/mm² and ms of a lamp that lights the whole target."""
+        if self.laser_falloff is None or self.lamp_falloff is None:
+            return self.response
+        return self.response / self.laser_falloff * self.lamp_falloff
 
     def with_dust(self, dust: Dust) -> View:
         """The same with dust on what it shows; lamps and chip are beside it."""
-        transmission = _blurred(dust.at(self.x_mm, self.y_mm))
-        return replace(self, response=self.response * transmission, ambient=self.ambient * transmission)
+        passed = _blurred(dust.at(self.x_mm, self.y_mm), self.blur_px)
+        return replace(self, response=self.response * passed, ambient=self.ambient * passed)
 
     def with_lights(self, levels: tuple[float, ...] = ALL_LIT, strays: tuple[Stray, ...] = ()) -> View:
         """The same with frame LEDs of these levels, and with these stray lights and no others."""
@@ -109,7 +129,9 @@ class View:
     def _light_e(self, coverage: Coverage) -> Image:
         """Electrons per ms of lights that cover parts of the target."""
         falloff = self.lens.relative_illumination(self.x_mm, self.y_mm).astype(np.float32)
-        lit = _blurred(_mean_over_pixels(self.x_mm, self.y_mm, coverage))
+        if self.lamp_falloff is not None:
+            falloff *= self.lamp_falloff
+        lit = _blurred(_mean_over_pixels(self.x_mm, self.y_mm, coverage), self.blur_px)
         return lit * falloff * np.float32(LED_LEVEL_E_PER_MS)
 
     def background_e(self, exposure_ms: float, lux: float, leds_on: bool, blink_on: bool = False) -> Image:
@@ -129,8 +151,15 @@ class View:
         region = self.region(footprints)
         electrons = np.zeros_like(self.response[region])
         for footprint in footprints:
-            electrons += footprint.irradiance(self.x_mm[region], self.y_mm[region])
-        return region, electrons * self.response[region] * np.float32(exposure_ms)
+            irradiance = footprint.irradiance(self.x_mm[region], self.y_mm[region])
+            if self.speckle is not None:
+                irradiance *= self.speckle.factor(region, footprint)
+            electrons += irradiance
+        electrons = electrons * self.response[region] * np.float32(exposure_ms)
+        if self.glare_share and footprints:
+            picture = with_glare(electrons, region, self.glare_share)
+            return (slice(0, HEIGHT_PX), slice(0, WIDTH_PX)), picture
+        return region, electrons
 
     def region(self, footprints: Sequence[Footprint]) -> tuple[slice, slice]:
         """The rows and columns that hold the spots; empty slices when none is in the picture."""
@@ -145,17 +174,18 @@ class View:
         return _within(v, HEIGHT_PX), _within(u, WIDTH_PX)
 
 
-def make_view(
+def make_view(  # noqa: PLR0913  a target, its camera, and what has happened to both
     lens: Lens,
     dots: DotPrint | None,
     contrast: float,
     hot_pixels: int,
     rng: np.random.Generator,
     displaced: Displacement | None = None,
+    hard: Hardness | None = None,
 ) -> View:
     """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None.
 
-    ``displaced``: as it sees the same target once it has moved.
+    ``displaced``: as it sees the same target once it has moved. ``hard``: with these effects.
     """
     before = lens
     if displaced is not None:
@@ -165,7 +195,12 @@ def make_view(
     texture = speckle(rng, (HEIGHT_PX, WIDTH_PX), contrast)
     if displaced is not None:
         texture = carried(texture, before, lens)
-    reflectance, lit = _reflectance_and_lamps(x_mm.astype(np.float32), y_mm.astype(np.float32), dots, texture)
+    blur_px = PSF_SIGMA_PX
+    if dots is not None and hard is not None and hard.front_blur_px is not None:
+        blur_px = hard.front_blur_px
+    reflectance, lit = _reflectance_and_lamps(
+        x_mm.astype(np.float32), y_mm.astype(np.float32), dots, texture, blur_px
+    )
     falloff = lens.relative_illumination(x_mm, y_mm).astype(np.float32)
     slope_u, slope_v = rng.uniform(-0.4, 0.4, size=2)
     gradient = 1.0 + slope_u * (2.0 * columns / WIDTH_PX - 1.0) + slope_v * (2.0 * rows / HEIGHT_PX - 1.0)
@@ -173,7 +208,7 @@ def make_view(
     hot_e = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
     where = rng.choice(hot_e.size, size=hot_pixels, replace=False)
     hot_e.flat[where] = rng.uniform(0.1, 1.0, size=hot_pixels) * FULL_WELL_E
-    return View(
+    view = View(
         lens=lens,
         x_mm=x_mm.astype(np.float32),
         y_mm=y_mm.astype(np.float32),
@@ -181,18 +216,45 @@ def make_view(
         ambient=ambient.astype(np.float32) * falloff,
         lamps=lit * falloff * np.float32(LED_LEVEL_E_PER_MS),
         hot_e=hot_e,
+        blur_px=blur_px,
     )
+    if hard is None:
+        return view
+    return _hardened(view, hard, reflectance / np.float32(INK_REFLECTANCE) if dots else None, rng)
+
+
+def _hardened(view: View, hard: Hardness, ink: Image | None, rng: np.random.Generator) -> View:
+    """The view with the effects of filter and lens, and with the laser's speckle."""
+    lens = view.lens
+    if hard.filter_nm:
+        # The filter lies across the lens axis: cos⁴ of the angle of incidence is the natural fall-off.
+        tangent = np.sqrt(lens.relative_illumination(view.x_mm, view.y_mm) ** -0.5 - 1.0)
+        laser = transmission(tangent, hard.filter_nm).astype(np.float32)
+        lamp = transmission(tangent, hard.filter_nm, LAMP_NM).astype(np.float32)
+        view = replace(
+            view,
+            response=view.response * laser,
+            lamps=view.lamps * lamp,
+            laser_falloff=laser,
+            lamp_falloff=lamp,
+        )
+    if hard.speckle_contrast:
+        pupil_rad = lens.focal_mm / F_NUMBER / float(lens.translation_mm[2])
+        speckle = make_laser_speckle(rng, hard.speckle_contrast, hard.speckle_mm, pupil_rad, ink)
+        view = replace(view, speckle=speckle)
+    return replace(view, glare_share=hard.glare_share)
 
 
 def _reflectance_and_lamps(
-    x_mm: Image, y_mm: Image, dots: DotPrint | None, texture: Image
+    x_mm: Image, y_mm: Image, dots: DotPrint | None, texture: Image, blur_px: float
 ) -> tuple[Image, Image]:
     """Mean reflectance and share of lit LED over each pixel's area, seen through the lens's blur."""
-    lit = _blurred(_mean_over_pixels(x_mm, y_mm, led_coverage))
+    lit = _blurred(_mean_over_pixels(x_mm, y_mm, led_coverage), blur_px)
     if dots is None:
-        return _blurred(texture) * np.float32(PLATE_REFLECTANCE), lit
+        return _blurred(texture, blur_px) * np.float32(PLATE_REFLECTANCE), lit
     ink = _summed_over_pixels(x_mm, y_mm, dots.cover)
-    return _blurred(ink * texture / np.float32(SUBSAMPLES**2)) * np.float32(INK_REFLECTANCE), lit
+    reflectance = _blurred(ink * texture / np.float32(SUBSAMPLES**2), blur_px) * np.float32(INK_REFLECTANCE)
+    return reflectance, lit
 
 
 def _mean_over_pixels(x_mm: Image, y_mm: Image, coverage: Coverage) -> Image:
@@ -215,8 +277,8 @@ def _summed_over_pixels(x_mm: Image, y_mm: Image, coverage: Coverage) -> Image:
     return total
 
 
-def _blurred(image: Image) -> Image:
-    return cv2.GaussianBlur(image, (0, 0), PSF_SIGMA_PX).astype(np.float32)
+def _blurred(image: Image, blur_px: float) -> Image:
+    return cv2.GaussianBlur(image, (0, 0), blur_px).astype(np.float32)
 
 
 def _within(positions_px: FloatArray, size: int) -> slice:

@@ -78,6 +78,5 @@ class Refraction:
             for (key, sigma), of_one in zip(
                 SIGMAS.items(), displacement_sensitivities(slopes, glass), strict=True
             ):
-                effect: FloatArray = sigma * behind * np.tile(of_one, len(z_mm))
-                columns[key].append(effect)
+                columns[key].append(np.where(behind, sigma * np.tile(of_one, len(z_mm)), 0.0))
         return {key: np.column_stack(of_panes) for key, of_panes in columns.items()}
