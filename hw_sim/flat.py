@@ -22,7 +22,7 @@ EVEN_MW_PER_MM2 = 0.03
 RASTER_PITCH_MM = 2.5
 """A quarter of a spot of 12 × 11 mm: the light of four spots' middles falls on each pixel."""
 _REACH_DIAMETERS = 0.75
-"""How far the raster goes beyond the scan's nodes: the spots there are lit as the others are."""
+"""Reach of the raster beyond the scan's nodes: what their spots light is then lit as the rest is."""
 
 
 def record_flat(folder: Path, unit: Unit, frame_sets: int, progress: Progress) -> None:

@@ -213,5 +213,5 @@ class _Correlation:
 
     @property
     def share(self) -> float:
-        """How much of what is expected is seen: 1 at best, NaN where nothing is expected."""
+        """The share of what is expected that is seen: 1 at best, NaN where nothing is expected."""
         return float("nan") if math.isnan(self.value) else self.both / self.expected
