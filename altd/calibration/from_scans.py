@@ -114,8 +114,11 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     """One target: through its recorded flat, else through the model of its print, else as it is."""
     if job.flat is not None:
         made = _fit_target(job, locate_nodes(job, progress), None)
-        doubts = _flat_doubts(flat_correlation(first_frames(job), job.flat), job.name)
-        remark = f"{job.name}: localised through its recorded flat"
+        by_laser = job.flat.source == "laser"
+        doubts = () if by_laser else _flat_doubts(flat_correlation(first_frames(job), job.flat), job.name)
+        remark = (
+            f"{job.name}: localised through its {'flat made with the laser' if by_laser else 'recorded flat'}"
+        )
         return replace(made, remark=remark, doubts=made.doubts + doubts, must_agree=True)
     printed, nodes = printed_nodes(job)
     if 2 * printed > nodes:

@@ -1,4 +1,4 @@
-"""A recording of the evenly lit targets becomes their flats."""
+"""A recording of the evenly lit targets, or of the laser's spot carried over them, becomes their flats."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from altd.calibration.laser_flat import laser_flat
 from altd.calibration.lit_rows import lit_rows
 from altd.calibration.result import Progress
+from altd.calibration.scan_nodes import Job, first_frames
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
 from altd.recording.reader import Recording
@@ -30,6 +32,8 @@ _MAX_CLIPPED_SHARE = 0.01
 _MIN_HOT_SHARE = 0.1
 _MAX_DARK_RATIO = 0.5
 _MIN_CONTRAST = 0.02
+_MIN_GROUND_SHARE = 0.5
+"""Of a flat made with the laser; speckle that moves with the beam is in none, so it does not count."""
 _TILES = 16, 10
 _MIN_UNIFORMITY = 0.2
 """The dimmer half of the picture gets at least this share of what its brightest part gets: the fall-off of
@@ -58,8 +62,10 @@ def flats_of(
     A target that the flat does not show, or without frames, gets none. Rows whose ``leds`` are ``on`` show
     the targets in even light, those ``off`` in the dark, which is taken off. Where all rows are alike, their
     light decides: when it was switched off during the recording the dim ones are the dark, else all are lit.
+    Where rows have the stage's position, the laser's spot is carried over the targets: ``laser_flat``.
     Hot and clipped pixels get 0: they do not count. Raises BadInputError when the recording is no flat, is
-    of another unit, camera or size than the scan, or is too dark, too bright or too uneven.
+    of another unit, camera or size than the scan, or is too dark, too bright or too uneven; one made with the
+    laser also when it leaves out a part of the scan or is not of the ground that the scan's spots show.
     """
     path = recording.path
     if recording.header.kind != "flat":
@@ -84,13 +90,27 @@ def flats_of(
         if other := header.identity.difference_from(target.camera):
             raise BadInputError(path, f"{name}: the flat is of another camera than the scan: {other}")
         try:
-            flats[name] = _flat(recording, camera, progress)
+            if any(row.position_mm is not None for row in recording.rows.of(camera)):
+                flats[name] = laser_flat(recording, camera, target, progress)
+                _check_ground(target, flats[name])
+            else:
+                flats[name] = _flat(recording, camera, progress)
         except ValueError as error:
             raise BadInputError(path, f"{name}: {error}") from error
     if not flats:
         names = " and ".join(repr(target.name) for target in targets)
         raise BadInputError(path, f"has no frame of the targets {names}")
     return flats
+
+
+def _check_ground(scan: TargetFrames, flat: Flat) -> None:
+    """Raise ValueError where the spots of a scan do not show what a flat made with the laser says."""
+    share = _ground(first_frames(Job(scan, SpotSettings(), None)), flat).share
+    if share < _MIN_GROUND_SHARE:
+        raise ValueError(
+            f"the flat is not what the spots of the scan show ({share:.2f} of it, 1 at best): "
+            "was it recorded before camera, lens or window were moved?"
+        )
 
 
 def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
@@ -147,6 +167,10 @@ def flat_correlation(frames: Iterable[Frame], flat: Flat) -> float:
     Near 0 the flat is not of these pixels: camera, lens or target moved since, or it is of other ones. NaN
     where the flat is too even to tell.
     """
+    return _ground(frames, flat).value
+
+
+def _ground(frames: Iterable[Frame], flat: Flat) -> _Correlation:
     settings = SpotSettings()
     ground = _Correlation()
     for frame in frames:
@@ -160,7 +184,7 @@ def flat_correlation(frames: Iterable[Frame], flat: Flat) -> float:
         core = (patch.smooth > 0.5 * patch.peak) & (even > 0)
         if core.any():
             ground.add(patch.excess[core] / patch.smooth[core], response[core] / even[core])
-    return ground.value
+    return ground
 
 
 @dataclass(slots=True)
@@ -186,3 +210,8 @@ class _Correlation:
         if self.expected < self.pixels * _MIN_CONTRAST**2 or not self.pixels:
             return float("nan")
         return self.both / math.sqrt(self.seen * self.expected)
+
+    @property
+    def share(self) -> float:
+        """The share of what is expected that is seen: 1 at best, NaN where nothing is expected."""
+        return float("nan") if math.isnan(self.value) else self.both / self.expected

@@ -30,7 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recordings", type=Path, nargs="+", metavar="RECORDING", help="folder of a scan or plate"
     )
     add_output(parser, "FILE", "calibration file to write")
-    parser.add_argument("--flat", type=Path, metavar="DIR", help="recording of the evenly lit targets")
+    parser.add_argument(
+        "--flat",
+        type=Path,
+        metavar="DIR",
+        help="recording of kind flat: the targets in even light, or under the laser",
+    )
     parser.add_argument(
         "--report",
         type=_report_folder,

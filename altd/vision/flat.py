@@ -13,7 +13,7 @@ import numpy.typing as npt
 from altd.records import FloatArray, Origin
 from altd.vision.image import Image
 
-Source = Literal["recording", "print"]
+Source = Literal["recording", "laser", "print"]
 
 BLOCK_PX = 4
 """Side of the blocks into which a spot is summed before it is fitted."""

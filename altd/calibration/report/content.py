@@ -194,9 +194,11 @@ def _left_out(source: Source) -> list[Block]:
 def _located(target: TargetCalibration) -> str:
     """The method that locates the target's spots, in words."""
     if target.flat is not None:
-        return {"recording": "through a recorded flat", "print": "through a model of the print"}[
-            target.flat.source
-        ]
+        return {
+            "recording": "through a recorded flat",
+            "laser": "through a flat made with the laser",
+            "print": "through a model of the print",
+        }[target.flat.source]
     return {
         "profile": "as on a plain target",
         "moment": "by their centre of light",

@@ -238,7 +238,7 @@ def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str
     """The remedies for the main causes; a flat comes first where a target has none that was recorded."""
     causes = _main_causes(prediction)
     words = [_ADVICE[cause] for cause in causes]
-    without = [target.name for target in targets if target.flat is None or target.flat.source != "recording"]
+    without = [target.name for target in targets if target.flat is None or target.flat.source == "print"]
     if "pattern" in causes and without:
         words.insert(0, f"record a flat of {' and '.join(without)} and calibrate a scan with it (--flat)")
     return "; ".join(words)

@@ -98,7 +98,7 @@ class CalibratedTarget(Answer):
     """Frame LEDs whose places are known."""
     cross_check: CalibrationCrossCheck
     flat: str | None
-    """Source of the target's response to even light: `recording` or `print`; null: taken as plain."""
+    """Source of the target's response: `recording`, `laser` or `print`; null: taken as plain."""
     fingerprint: CalibrationFingerprint | None
     """null: the camera's view cannot be verified."""
 
