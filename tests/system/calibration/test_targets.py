@@ -17,8 +17,10 @@ from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
+from altd.records import Glass
 
-THREE = [seen("front", 0.0, "near"), seen("middle", 140.0, "mid"), seen("rear", 280.0, "far")]
+GLASS = {"glass_mm": 20.0, "glass_index": 1.5}
+THREE = [seen("front", 0.0, "near") | GLASS, seen("middle", 140.0, "mid"), seen("rear", 280.0, "far")]
 PLATE_VIEW = View(1333.0, 420.0, tilted(12.0, 1.0, 2.0), mirrored=True)
 SIZE = {"width": 752, "height": 480, "bits": 8}
 
@@ -41,6 +43,7 @@ def test_three_targets_become_three_in_beam_order(three: Path) -> None:
         ("middle", 140),
         ("rear", 280),
     ]
+    assert [target.glass for target in targets] == [Glass(20.0, 1.5), None, None]
     for target in targets:
         point = target.point(*place_px(target.name, 11.0, -7.0))
         assert point is not None
@@ -54,12 +57,17 @@ def test_the_report_shows_all_three_and_names_the_cameras(three: Path) -> None:
         assert f"spots and LEDs in the picture of {name}" in page
     assert "from all targets together" in page
     assert "Camera near, target front" in page
+    assert "z 0 mm, 20 mm of glass (index 1.5) behind it, picture" in page
     assert (three / "report" / "cal.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_beam_through_three_targets_is_replayed(three: Path, tmp_path: Path) -> None:
-    """The camera ``spare`` looks at no target, and its frames are none of the measurement's."""
-    beam = {"front": (3.0, -4.0), "middle": (5.8, -2.6), "rear": (8.6, -1.2)}
+    """The camera ``spare`` looks at no target, and its frames are none of the measurement's.
+
+    Behind the glass the beam is displaced by a third of slope times thickness.
+    """
+    dx, dy = 20.0 * 0.02 / 3, 20.0 * 0.01 / 3
+    beam = {"front": (3.0, -4.0), "middle": (5.8 - dx, -2.6 - dy), "rear": (8.6 - dx, -1.2 - dy)}
     rec = write_targets(tmp_path / "rec", "measurement", THREE, [(beam, None)] * 4)
     about = json.loads((rec / "recording.json").read_text())
     about["cameras"]["spare"] = SIZE
@@ -78,6 +86,11 @@ def test_a_beam_through_three_targets_is_replayed(three: Path, tmp_path: Path) -
     ("change", "complaint"),
     [
         ({2: seen("rear", 281.0, "far")}, "cal.json: target 'rear' was calibrated at z 280 mm, not 281"),
+        (
+            {0: seen("front", 0.0, "near") | {"glass_mm": 4.0}},
+            "cal.json: target 'front' was calibrated with 20 mm of glass (index 1.5) behind it, "
+            "not with 4 mm of glass (index 1.52)",
+        ),
         ({1: seen("other", 140.0, "mid")}, "cal.json: does not know target 'other'"),
         ({1: None}, "rec: has no camera that looks at target 'middle'"),
     ],
@@ -100,12 +113,13 @@ def test_a_plate_recorded_with_one_camera_calibrates_one_target(tmp_path: Path) 
         {"cam7": plate_light(PLATE_VIEW)},
         cameras={"cam7": SIZE},
         unit={"serial": "TEST-1"},
-        targets=[seen("front", 0.0, "cam7")],
+        targets=[seen("front", 0.0, "cam7") | GLASS],
     )
     cal, report = tmp_path / "cal.json", tmp_path / "report"
     done = altd_here("calibrate", rec, "-o", cal, "--report", report)
     assert (done.status, done.err) == (0, "")
-    assert load_calibration(cal).target_names == ("front",)
+    (target,) = load_calibration(cal).targets
+    assert (target.name, target.glass) == ("front", Glass(20.0, 1.5))
     u, v = PLATE_VIEW.to_px(np.array([[21.0, -13.0]]))[0]
     mapped = altd_here("map", "--calibration", cal, "--target", "front", stdin=f"{u} {v}\n")
     assert [float(value) for value in mapped.out.split()[:2]] == pytest.approx([21.0, -13.0], abs=0.01)
