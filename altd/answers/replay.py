@@ -53,9 +53,7 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     replay = open_replay(question.recording, question.calibration, question.window, question.every)
     for line in gap_lines(replay.recording):
         warn(line)
-    columns = measurement_columns(
-        replay.quantities, replay.calibration.target_names, replay.positions is not None
-    )
+    columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
     history = History(_drawn(replay))
     count, differences_mm = 0, list[tuple[float, float]]()
     with _table(question, replay, columns) as add:
@@ -63,13 +61,13 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
             document = replay.as_object(measurement)
             add(document)
             count += 1
-            if measurement.valid and replay.positions is not None:
+            if measurement.valid and replay.knows_places:
                 differences_mm.append((document["dx_mm"], document["dy_mm"]))
             if question.plot is not None:
                 history.add(measurement.light_ns * 1e-9, document)
         if question.plot is not None:
             _draw(question.plot, history, replay)
-    if replay.positions is not None:
+    if replay.knows_places:
         warn(_summary(count, differences_mm))
 
 
@@ -161,7 +159,7 @@ def _drawn(replay: Replay) -> dict[str, Drawn]:
     drawn = {}
     for quantity in replay.quantities.main:
         key, label = quantity.key, quantity.label
-        if replay.positions is not None and key in ("x_mm", "y_mm"):
+        if replay.knows_places and key in ("x_mm", "y_mm"):
             key, label = f"d{key}", f"{label} − known {label}"
         drawn[key] = Drawn(f"{label}, {quantity.unit}", quantity.key)
     return drawn

@@ -188,6 +188,11 @@ class Replay:
         return self.calibration.simulated or Origin.SIMULATED in of_frames
 
     @property
+    def knows_places(self) -> bool:
+        """Whether the positions are in the unit's frame: those of a turned unit are not."""
+        return self.positions is not None and self.recording.header.turned_deg == 0.0
+
+    @property
     def window_text(self) -> str:
         """The window of the averages."""
         if self.positions is not None and self.positions.is_by_node:
@@ -205,7 +210,7 @@ class Replay:
 
     def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
         """A measurement as plain JSON types, that of a scan with what is known of it."""
-        if self.positions is None:
+        if self.positions is None or not self.knows_places:
             return as_object(measurement)
         return as_scan_object(measurement, self.positions.known_mm(measurement.sequence))
 

@@ -105,3 +105,15 @@ def test_a_scan_that_only_says_that_the_unit_was_turned_is_refused(
     said = altd_here("calibrate", scans[0], forged, "-o", tmp_path / "c.json")
     assert (said.status, (tmp_path / "c.json").exists()) == (2, False)
     assert "was the unit turned by 180° about z, and nothing else moved?" in said.err
+
+
+def test_a_replay_of_the_turned_unit_compares_nothing_with_the_stage(
+    calibrations: tuple[Calibration, Calibration], scans: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """The positions are those of another frame, which only the calibration and the verification know."""
+    save_calibration(calibrations[1], tmp_path / "c.json")
+    upright, turned = (altd_here("replay", scan, "--calibration", tmp_path / "c.json") for scan in scans)
+    assert "against the known positions" in upright.err
+    assert "known" not in turned.err
+    assert len(turned.objects) == 30
+    assert all(line["valid"] and "known_x_mm" not in line for line in turned.objects)
