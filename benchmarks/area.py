@@ -30,7 +30,7 @@ from altd.recording.reader import open_recording
 from altd.records import Measurement
 from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose, Laser
-from hw_sim.flat import record_flat
+from hw_sim.flat import RASTER_PITCH_MM, record_flat, record_laser_flat
 from hw_sim.hardness import HARD, Hardness
 from hw_sim.measure import HALF_AREA_MM, random_poses
 from hw_sim.recording import Progress
@@ -62,6 +62,7 @@ class Case:
     print_mm: tuple[float, float] | None = None
     mounting: Mounting = ADJUSTED
     with_turned_scan: bool = False
+    laser_flat: bool = False
     hard: Hardness | None = None
     laser: Laser = field(default_factory=Laser)
 
@@ -85,6 +86,8 @@ CASES = (
     Case("no laser speckle, flat", flat=True, hard=STILL),
     Case("hard", hard=HARD),
     Case("hard, flat", flat=True, hard=HARD),
+    Case("laser flat", laser_flat=True),
+    Case("hard, laser flat", laser_flat=True, hard=HARD),
     Case("hard, 15 mm", hard=HARD, laser=Laser(3.0, (15.0, 15.0))),
     Case("hard, 13 x 5 mm", hard=HARD, laser=Laser(1.5, (13.0, 5.0))),
 )
@@ -139,7 +142,10 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
         rng = np.random.default_rng([unit.config.seed, STAGE_STREAM + is_turned])
         stage = Stage(rng, mounting=replace(case.mounting, is_turned=bool(is_turned)))
         record_scan(scan, unit, stage, 2, quiet, Grid(case.pitch_mm))
-    flat = open_recording(folder / "flat") if case.flat else None
+    if case.laser_flat:
+        stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM + 2]), mounting=case.mounting)
+        record_laser_flat(folder / "flat", unit, stage, RASTER_PITCH_MM, FLAT_EXPOSURES, quiet)
+    flat = open_recording(folder / "flat") if case.flat or case.laser_flat else None
     unit.leds_on = False
     unit.even_mw_per_mm2 = 0.0
     return calibrate([open_recording(scan) for scan in scans], flat, quiet).calibration

@@ -225,7 +225,9 @@ def test_a_damaged_flat_is_refused_with_its_place(with_flat: Path) -> None:
         targets[0]["flat"]["png"] = png
         assert complaint in complaint_of(with_flat, targets), complaint
     targets[0]["flat"] = {"source": "guess", "png": good}
-    assert "targets.0.flat.source: Input should be 'recording' or 'print'" in complaint_of(with_flat, targets)
+    assert "targets.0.flat.source: Input should be 'recording', 'laser' or 'print'" in complaint_of(
+        with_flat, targets
+    )
     del targets[0]["flat"]
     assert "targets.0.flat: Field required" in complaint_of(with_flat, targets)
 
