@@ -24,7 +24,7 @@ from altd.calibration.report.prediction import (
 )
 from altd.calibration.soundness import TargetEvidence
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
-from altd.instruments.beam.refraction import SIGMAS
+from altd.instruments.beam.refraction import SIGMAS, Refraction
 from altd.mapping.grid import contains
 from altd.measuring.calibration import Calibration
 from altd.records import FloatArray, TargetPoint
@@ -89,7 +89,7 @@ class Term:
 class Budget:
     """All terms for the beams that reach the area with slopes up to the stated range.
 
-    ``not_stated`` are the keys of the limits that count as 0 because they were not stated.
+    ``not_stated`` are the keys of what counts as 0 because it was not stated.
     """
 
     quantities: tuple[str, ...]
@@ -213,7 +213,9 @@ def budget_of(
             stated = SIGMAS[key] if key in SIGMAS else getattr(calibration.limits, key)
             terms.append(Term(key, stated, _UNITS[key], "normal, stated", math.inf, contributions))
     known = (term for term in terms if max(term.contributions) > _MIN_CONTRIBUTION)
-    not_stated = [key for key in calibration.limits.not_stated if key in _TERMS]
+    not_stated = list(calibration.limits.not_stated)
+    if len(calibration.targets) > 1 and Refraction.of(calibration) is None:
+        not_stated.append("glass_mm")
     return Budget(quantities, tuple(known), tuple(not_stated), exposures)
 
 

@@ -13,7 +13,7 @@ from support.recordings import PX_PER_MM
 
 from altd.calibration.report.budget import Budget, Term, beams_of, budget_of, budget_section, student_quantile
 from altd.calibration.report.document import Table, Words
-from altd.records import Limits
+from altd.records import Glass, Limits
 
 LIMITS = Limits(0.005, 50.0, 0.05, 0.3, 0.05)
 EVIDENCE = (evidence("front"), evidence("rear", 2))
@@ -81,11 +81,28 @@ def test_limits_that_are_not_stated_are_named(budget: Budget) -> None:
     none = budget_of(calibration(), EVIDENCE)
     assert none.not_stated == (
         *("stage_mm", "stage_scale_ppm", "stage_square_mrad", "beam_normal_mm_per_m", "target_distance_mm"),
+        "glass_mm",
     )
     assert [each.key for each in none.terms] == ["pattern", "map", "scatter"]
     (words,) = (block for block in budget_section(none) if isinstance(block, Words))
     assert "Not stated, so not contained: positioning of the stage, scale of the stage" in words.text
-    assert budget.not_stated == ()
+    assert budget.not_stated == ("glass_mm",)
+
+
+def test_glass_that_is_stated_has_two_terms() -> None:
+    """Each is largest at the largest slopes, 0.0017° and 0.0009° (docs/refraction.md), and 0 without one."""
+    front, rear = calibration().targets
+    with_glass = replace(calibration(), targets=(replace(front, glass=Glass(4.0)), rear))
+    made = budget_of(with_glass, EVIDENCE)
+    assert "glass_mm" not in made.not_stated
+    slopes = np.array([(b[1].x_mm - b[0].x_mm, b[1].y_mm - b[0].y_mm) for b in beams_of(calibration())])
+    theta = np.arctan(np.linalg.norm(slopes / DISTANCE_MM, axis=1))
+    inner = np.arcsin(np.sin(theta) / 1.52)
+    of_thickness = 0.1 * np.sqrt(np.mean((np.tan(theta) - np.tan(inner)) ** 2)) / DISTANCE_MM
+    found = term(made, "glass_mm").contributions
+    assert math.hypot(*found[2:]) == pytest.approx(math.degrees(of_thickness), rel=0.05)
+    assert found[:2] == pytest.approx((0, 0), abs=1e-9)
+    assert 0 < math.hypot(*term(made, "glass_index").contributions[2:]) < math.hypot(*found[2:])
 
 
 def test_json_and_table_have_the_same_numbers(budget: Budget) -> None:
