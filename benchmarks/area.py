@@ -37,7 +37,7 @@ from hw_sim.recording import Progress
 from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import ADJUSTED, MISALIGNED, Mounting, Stage
 from hw_sim.targets import DotPattern
-from hw_sim.unit import CAMERAS, Unit, UnitConfig
+from hw_sim.unit import CAMERAS, EXPOSURES_MS, Unit, UnitConfig
 
 TIGHT_HALF_MM = (74.0, 59.0)
 NARROW_PITCH_MM = 25.0
@@ -45,6 +45,7 @@ OUTER_MM = 10.0
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 WINDOW = 4
 FLAT_EXPOSURES = 10
+FLAT_SHARE = 0.6
 POSES_STREAM = 11
 COVERAGE_FACTOR = 2.0
 """Of the expanded uncertainty, for 95 %."""
@@ -144,7 +145,11 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
         record_scan(scan, unit, stage, 2, quiet, Grid(case.pitch_mm))
     if case.laser_flat:
         stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM + 2]), mounting=case.mounting)
+        for name in CAMERAS:  # speckle clips pixels at the exposure of a measurement
+            unit.set_camera(name, exposure_ms=FLAT_SHARE * EXPOSURES_MS[name])
         record_laser_flat(folder / "flat", unit, stage, RASTER_PITCH_MM, FLAT_EXPOSURES, quiet)
+        for name in CAMERAS:
+            unit.set_camera(name, exposure_ms=EXPOSURES_MS[name])
     flat = open_recording(folder / "flat") if case.flat or case.laser_flat else None
     unit.leds_on = False
     unit.even_mw_per_mm2 = 0.0

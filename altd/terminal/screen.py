@@ -260,6 +260,6 @@ trends   how each number went
 causes   causes and remedies, the worst first
 parts    availability, the last self-check, the parts of the unit
 
-+/- is the standard deviation (1 sigma) of the mean, "now" that of the value as
++/- is the standard uncertainty (1 sigma) of the mean, "now" that of the value as
 a statement about the beam at this moment. What is not known is not shown.""".splitlines()
 )

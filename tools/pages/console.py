@@ -54,7 +54,8 @@ def page() -> str:
 This page describes how to read a unit as text: with `altd status` and `altd watch` on the unit's computer,
 or at the [serial console](#serial-console).
 
-Uncertainties are standard deviations (1 sigma); *now* is [`sigma_now`](conventions.md). Times are UTC.
+Uncertainties are combined standard uncertainties (1 sigma, [budget](budget.md)); *now* is
+[`sigma_now`](conventions.md). Times are UTC.
 
 {_local()}
 {_serial()}"""

@@ -72,7 +72,8 @@ gives one object. The members from `unit` on are for the [check of messages](pro
 steer by them |
 | `x_mm` … | displacement in mm, angles in degrees and, as slopes, in mm/m; directions as in \
 [Conventions](conventions.md) |
-| `sigma` | standard deviation (1 sigma) in the middle of the exposures |
+| `sigma` | [combined standard uncertainty](budget.md) (1 sigma) in the middle of the exposures |
+| `sigma_random` | the part of `sigma` that scatters |
 | `sigma_now` | standard deviation of the value as a statement about the beam at the moment of sending, \
 [with motion and vibration](accuracy.md) |
 | `rates` | change per second |

@@ -193,7 +193,7 @@ A value is the mean of one second, so its normal `age` is 500 to 600 ms; use it 
 
 ## Values
 
-f32 are in the unit, s32 in 1/{PER_UNIT} of it. Sigma is one standard deviation.
+f32 are in the unit, s32 in 1/{PER_UNIT} of it. Sigma is one combined standard uncertainty.
 [Signs, zero and reference plane](integrate.md#signs-zero-and-reference-plane).
 
 {_values()}

@@ -92,8 +92,8 @@ be added.
 {_keys(summary_model(QUANTITIES))}
 
 Then for each quantity an object: `mean`, `min` and `max` of the valid measurements since the last summary,
-and `sigma`, the standard deviation (1 sigma) of one of them. As the measurements overlap, the mean is hardly
-less uncertain:
+and `sigma`, the combined standard uncertainty (1 sigma) of one of them. As the measurements overlap, the mean
+is hardly less uncertain:
 
 ```json
 {json.dumps({key: summary[key] for key in ("time", "count", "valid_share", "x_mm")})}

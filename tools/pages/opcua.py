@@ -47,9 +47,9 @@ AnalogItems of Double:
 {_quantities()}
 | `targets.TARGET.x_mm`, `.y_mm` | calibrated area, mm | where the beam meets a target |
 
-All identifiers begin with `ns=2;s=`. `KEY.sigma` is the standard deviation (1 sigma), `KEY.sigma_now` that
-of the value as a statement about the beam when it was written. `EURange` includes the offsets of
-`[installation]`.
+All identifiers begin with `ns=2;s=`. `KEY.sigma` is the combined standard uncertainty (1 sigma),
+`KEY.sigma_now` that of the value as a statement about the beam when it was written. `EURange` includes the
+offsets of `[installation]`.
 
 | node | BrowseName | meaning |
 |---|---|---|

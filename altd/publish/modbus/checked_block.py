@@ -105,10 +105,10 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
     ("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
     ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
-    ("sigma_x", "mm", "standard deviation", values.sigma("x_mm")),
-    ("sigma_y", "mm", "standard deviation", values.sigma("y_mm")),
-    ("sigma_yaw", "°", "standard deviation", values.sigma("yaw_deg")),
-    ("sigma_pitch", "°", "standard deviation", values.sigma("pitch_deg")),
+    ("sigma_x", "mm", "combined standard uncertainty", values.sigma("x_mm")),
+    ("sigma_y", "mm", "combined standard uncertainty", values.sigma("y_mm")),
+    ("sigma_yaw", "°", "combined standard uncertainty", values.sigma("yaw_deg")),
+    ("sigma_pitch", "°", "combined standard uncertainty", values.sigma("pitch_deg")),
     ("sigma_roll", "°", "standard deviation of roll", values.sigma("roll_deg")),
 )
 """Each takes two registers from ``FLOATS`` on. A new one goes behind the last, or those below would move."""

@@ -188,7 +188,7 @@ class Statistics(Answer):
     min: float | None
     max: float | None
     sigma: float | None
-    """The standard deviation (1 sigma) of one measurement."""
+    """The combined standard uncertainty (1 sigma) of one measurement."""
 
 
 class _Summary(_Checked):

@@ -205,7 +205,7 @@ class UnitNodes:
         if not quantity.has_sigma:
             return
         for part, called, meaning in (
-            ("sigma", "Sigma", "standard deviation (1 sigma) of the value"),
+            ("sigma", "Sigma", "combined standard uncertainty (1 sigma) of the value"),
             ("sigma_now", "SigmaNow", "the same as a statement about the truth when it was written"),
         ):
             place = f"{key}.{part}"
