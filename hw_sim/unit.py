@@ -112,7 +112,6 @@ class Unit:
         rngs = (np.random.default_rng(stream) for stream in streams)
         hard = self.config.hard or Hardness()
         self._instants = hard.instants
-        self._laser = replace(self.config.laser, flaws=hard.beam or self.config.laser.flaws)
         dots = make_dots(self._pattern, next(rngs), hard.jitter_mm, hard.bleed_mm)
         lenses = {
             FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.field_half_mm),
@@ -339,7 +338,10 @@ class Unit:
             share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
             z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
             aside_mm = glass_shift_mm(pose, self.config.glass_mm, self.config.glass_index)
-        spot = footprint(self._laser, pose, z_mm, share)
+        laser, hard = self.config.laser, self.config.hard
+        if hard is not None and hard.beam is not None:
+            laser = replace(laser, flaws=hard.beam)
+        spot = footprint(laser, pose, z_mm, share)
         if aside_mm != (0.0, 0.0):
             spot = replace(spot, x_mm=spot.x_mm + aside_mm[0], y_mm=spot.y_mm + aside_mm[1])
         if camera == REAR and self._window_dust is not None:

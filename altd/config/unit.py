@@ -38,12 +38,12 @@ class Target(Table):
     """Its camera: a name under ``[cameras]``."""
     glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
     """Thickness of the glass behind its printed surface; none: as calibrated. It displaces a slanted beam."""
-    glass_index: Annotated[float, Field(ge=1, le=3)] = GLASS_INDEX
-    """Refractive index of that glass at the laser's wavelength."""
+    glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
+    """Refractive index of that glass at the laser's wavelength; 1.52 where only its thickness is given."""
 
     @model_validator(mode="after")
     def _check_glass(self) -> Self:
-        if "glass_index" in self.model_fields_set and self.glass_mm is None:
+        if self.glass_index is not None and self.glass_mm is None:
             raise complaint(
                 (("glass_index",), "there is no glass_mm; possible: with glass_mm, or without both")
             )
@@ -52,7 +52,7 @@ class Target(Table):
     @property
     def glass(self) -> Glass | None:
         """The glass behind it; None: not stated."""
-        return Glass(self.glass_mm, self.glass_index) if self.glass_mm else None
+        return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
 
 
 class Installation(Table):

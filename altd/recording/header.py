@@ -135,7 +135,7 @@ def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
             z_mm=of.z_mm,
             camera=of.camera,
             glass_mm=of.glass_mm,
-            glass_index=of.glass_index if of.glass else None,
+            glass_index=of.glass.index if of.glass else None,
         )
         for of in targets
     )
