@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,21 @@ def test_a_scan_that_only_says_that_the_unit_was_turned_is_refused(
     said = altd_here("calibrate", scans[0], forged, "-o", tmp_path / "c.json")
     assert (said.status, (tmp_path / "c.json").exists()) == (2, False)
     assert "was the unit turned by 180° about z, and nothing else moved?" in said.err
+
+
+def test_a_turned_scan_of_one_target_shows_no_tilt_and_is_refused(
+    scans: tuple[Path, Path], tmp_path: Path
+) -> None:
+    half = shutil.copytree(scans[1], tmp_path / "half")
+    rows = (half / "frames.csv").read_text().splitlines()
+    (half / "frames.csv").write_text("".join(f"{row}\n" for row in rows if ",rear," not in row))
+    targets = {"targets": [{"name": "front", "z_mm": 0.0, "camera": "front"}]}
+    (half / "recording.json").write_text(
+        json.dumps(json.loads((half / "recording.json").read_text()) | targets)
+    )
+    said = altd_here("calibrate", scans[0], half, "-o", tmp_path / "c.json")
+    assert (said.status, (tmp_path / "c.json").exists()) == (2, False)
+    assert "shows one target of the turned unit; the tilt needs two" in said.err
 
 
 def test_a_replay_of_the_turned_unit_compares_nothing_with_the_stage(
