@@ -84,7 +84,7 @@ def judge(
     calibration: Limits,
     further_reasons: Sequence[str] = (),
 ) -> Judgement:
-    """LimitTest an estimate against the limits of the reference and of the unit's calibration.
+    """Test an estimate against the limits of the reference and of the unit's calibration.
 
     ``reference`` None: nothing is known of it, and nothing is tested. A limit that the calibration does not
     state counts as 0. ``further_reasons`` against a decision, beside those that the tests have, do not
