@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stage 120 ppm long and 0.2 mrad out of square, beam tilted by 0.8 and 0.47 mm/m",
     )
     parser.add_argument(
-        "--turned", action="store_true", help="the unit is turned by 180° about z; stage and beam stand still"
+        "--turned", action="store_true", help="the unit is turned by 180° about z; stage and beam do not move"
     )
     parser.add_argument(
         "--stage", action="store_true", help="scan in real time, as `altd scan` does with a Grbl stage"

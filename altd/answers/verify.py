@@ -59,6 +59,7 @@ def verify(
     replays = [open_replay(path, calibration) for path in recordings]
     unit = replays[0].calibration.unit_serial
     before = None if earlier is None else read_earlier(earlier, unit)
+    _check_independent(replays)
     measured = [_measure(replay, progress) for replay in replays]
     judgement, of_sets, residuals = _judged(measured)
     file = replays[0].calibration.file
@@ -76,6 +77,16 @@ def verify(
         "residuals": residuals,
         "comparison": None if before is None else comparison(before, judgement.tests, sha256),
     }
+
+
+def _check_independent(replays: Sequence[Replay]) -> None:
+    """Refuse a set that is there twice, also as a copy: it would count as twice the evidence."""
+    seen = dict[str, Path]()
+    for replay in replays if len(replays) > 1 else ():
+        sha256, path = replay.recording.sha256(), replay.recording.path
+        if sha256 in seen:
+            raise BadInputError(path, f"is the same recording as {seen[sha256]}")
+        seen[sha256] = path
 
 
 def _measure(replay: Replay, progress: Callable[[int, int], None]) -> _Measured:

@@ -1,6 +1,6 @@
 """Scans of the unit turned by half a turn about its own z axis: they show the tilt of the calibrating beam.
 
-Stage and beam stand still while the unit is turned. The map of a target at z, fitted to the scan of the unit
+Stage and beam do not move while the unit is turned. The map of a target at z, fitted to the scan of the unit
 as it is, puts the beam at stage (X, Y) although it meets the target at (X, Y) + t · z, t the beam's tilt.
 The turned unit sees the same beam at c − (X, Y) − t · z, so the map reads c − (X, Y) − 2 t · z: the mean of
 reading and stage position is c at z = 0 and moves by −2 t for each mm along the beam.

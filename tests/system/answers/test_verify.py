@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,7 @@ def test_page_and_json_are_written_and_compared_with_a_year_later(
     [
         (["{beams}"], "beams: has no known positions (x_mm, y_mm) to verify the unit against"),
         (["{wrong_turn}"], "the measured positions are turned by "),
+        (["{right}", "{copy}"], "copy: is the same recording as "),
         (
             ["{right}", "--compare", "{right}/recording.json"],
             "is no verification of `altd verify --json`: format",
@@ -149,12 +151,19 @@ def test_what_cannot_be_verified_is_one_line(
     right, wrong_turn = known_beams(tmp_path / "a"), known_beams(tmp_path / "b", turned=True)
     header = json.loads((wrong_turn / "recording.json").read_text())
     (wrong_turn / "recording.json").write_text(json.dumps(header | {"turned_deg": 0}))
+    copy = shutil.copytree(right, tmp_path / "copy")
     other = tmp_path / "other.json"
     nothing = {"calibration": {"sha256": ""}, "tests": [], "verdict": "passed", "unit": "OTHER"}
     other.write_text(
         json.dumps({"format": "altd-verification/1", "created": "2026-01-01T00:00:00Z"} | nothing)
     )
-    files = {"beams": played_unit.beams, "right": right, "wrong_turn": wrong_turn, "other": other}
+    files = {
+        "beams": played_unit.beams,
+        "right": right,
+        "wrong_turn": wrong_turn,
+        "other": other,
+        "copy": copy,
+    }
     filled = [argument.format(**files) for argument in arguments]
     refused = refusal(altd_here("verify", *filled, "--calibration", played_unit.calibration))
     assert line in refused
