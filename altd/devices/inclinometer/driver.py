@@ -74,12 +74,17 @@ class Line:
             deadline = begun + self._seconds(len(frame)) + _ANSWER_TIMEOUT_S
             limit = begun + self._seconds(len(frame) + _MAX_BYTES) + _ANSWER_TIMEOUT_S
             heard = b""
-            while time.monotonic() < min(deadline, limit) and len(heard) < _MAX_BYTES:
+            while len(heard) < _MAX_BYTES and time.monotonic() < limit:
+                is_late = (
+                    time.monotonic() >= deadline
+                )  # before reading: a busy machine is no silent line
                 if data := self._port.read(max(1, self._port.in_waiting)):
                     heard += data
                     is_echo = heard == frame[: len(heard)]
                     rest_s = self._seconds(len(frame)) + _ANSWER_TIMEOUT_S if is_echo else _GAP_TIMEOUT_S
                     deadline = time.monotonic() + rest_s
+                elif is_late:
+                    break
         except (OSError, termios.error, TypeError) as error:  # pyserial's errors; TypeError: it is gone
             raise InclinometerNotFoundError(f"{self._device}: the port is gone: unplugged?") from error
         return heard

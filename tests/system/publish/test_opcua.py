@@ -264,7 +264,7 @@ async def test_without_a_client_the_server_gets_few_measurements(monkeypatch: py
 
 
 async def test_no_measurement_means_no_number_soon_after() -> None:
-    async with running(is_measuring=False) as there, connected(there.unit.url) as client:
+    async with running(is_measuring=False, stale_after_s=3.0) as there, connected(there.unit.url) as client:
         assert {each.status for each in (await read(client, *NUMBERS)).values()} == {
             Status.BAD_WAITING_FOR_INITIAL_DATA
         }

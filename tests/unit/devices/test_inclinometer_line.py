@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from itertools import count
 
 import pytest
 from support.inclinometer import answering, settings
@@ -10,7 +11,8 @@ from support.modbus_rtu_wire import frame
 from support.wire import Wire
 
 from altd.acquisition.inclination.judging import InclinationJudge
-from altd.devices.inclinometer.driver import ModbusInclinometer
+from altd.devices.inclinometer import driver
+from altd.devices.inclinometer.driver import Line, ModbusInclinometer
 from altd.devices.inclinometer.registers import BALLUFF
 from altd.ports import InclinometerDisturbedError
 from hw_sim.inclinometer import Inclinometer
@@ -37,6 +39,30 @@ def test_a_line_that_never_falls_silent_is_given_up_in_time() -> None:
         ending.set()
         thread.join()
         wire.hang_up()
+
+
+def test_an_answer_that_waits_while_the_machine_is_busy_is_read_to_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It sleeps for 40 ms at each step: longer than a gap, but the line was not silent."""
+    answer, times_s = frame(b"\x04\x02\x01\x2c", 1), count(0, 0.04)
+    rest = [answer[:4], answer[4:]]
+
+    class Port:
+        in_waiting = 0
+
+        def reset_input_buffer(self) -> None:
+            pass
+
+        def write(self, request: bytes) -> None:
+            pass
+
+        def read(self, size: int) -> bytes:
+            return rest.pop(0) if rest else b""
+
+    monkeypatch.setattr(driver, "open_serial", lambda *_, **__: Port())
+    monkeypatch.setattr(driver.time, "monotonic", lambda: next(times_s))
+    assert Line(settings("/dev/any"), 19200, 1).ask(4, 0, 1) == [300]
 
 
 def test_a_line_that_is_an_answer_behind_gives_no_roll_that_is_believed() -> None:

@@ -16,6 +16,7 @@ import pytest
 from asyncua import Client, ua
 from asyncua.server.internal_session import InternalSession
 from asyncua.ua.uaerrors import UaStatusCodeError
+from support.clock import FakeClock
 from support.opcua import OpcUaUnit, connected, made_certificate, read
 from support.ports import free_port
 
@@ -39,7 +40,7 @@ def quiet() -> Any:
 
 @pytest.fixture
 async def served() -> AsyncIterator[tuple[OpcUaUnit, ServedUnit]]:
-    unit = OpcUaUnit()
+    unit = OpcUaUnit(FakeClock(10**12))
     async with unit.served() as server:
         unit.measure()
         await server.take(unit.line())
