@@ -6,12 +6,14 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from altd.app.replay import Replay, open_replay
+from altd.calibration.calibrating import sha256_of_all
 from altd.calibration.verification.beams import BeamSet, beam_set
 from altd.calibration.verification.document import (
     comparison,
@@ -80,13 +82,21 @@ def verify(
 
 
 def _check_independent(replays: Sequence[Replay]) -> None:
-    """Refuse a set that is there twice, also as a copy: it would count as twice the evidence."""
+    """Refuse a set that is there twice, or that made the calibration, also as a copy.
+
+    It would count as twice the evidence, or show the map its own errors. A turned unit's calibration knows
+    its scans only together, so one of them alone is not noticed.
+    """
     seen = dict[str, Path]()
-    for replay in replays if len(replays) > 1 else ():
+    for replay in replays:
         sha256, path = replay.recording.sha256(), replay.recording.path
         if sha256 in seen:
             raise BadInputError(path, f"is the same recording as {seen[sha256]}")
         seen[sha256] = path
+    made_of = replays[0].calibration.recording_sha256
+    for hashes in (*((one,) for one in seen), *permutations(seen, 2)):
+        if sha256_of_all(hashes) == made_of:
+            raise BadInputError(seen[hashes[0]], "made the calibration; verify it with another recording")
 
 
 def _measure(replay: Replay, progress: Callable[[int, int], None]) -> _Measured:

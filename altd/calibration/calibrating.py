@@ -47,7 +47,7 @@ def calibrate(
         unit_serial=recordings[0].header.unit.serial,
         created=datetime.now(UTC),
         recording_note=_note(recordings),
-        recording_sha256=_sha256(recordings),
+        recording_sha256=sha256_of_all([recording.sha256() for recording in recordings]),
         targets=tuple(sorted((target for of in both for target in of.targets), key=lambda of: of.z_mm)),
         limits=limits,
     )
@@ -103,9 +103,8 @@ def _note(recordings: Sequence[Recording]) -> str:
     return "; ".join(dict.fromkeys(of.header.note for of in recordings if of.header.note))
 
 
-def _sha256(recordings: Sequence[Recording]) -> str:
-    """That of the recording; of several the hash over theirs, a line each, in their order."""
-    hashes = [recording.sha256() for recording in recordings]
+def sha256_of_all(hashes: Sequence[str]) -> str:
+    """That of one recording; of several the hash over theirs, a line each, in their order."""
     if len(hashes) == 1:
         return hashes[0]
     return hashlib.sha256("".join(f"{of}\n" for of in hashes).encode()).hexdigest()

@@ -137,6 +137,7 @@ def test_page_and_json_are_written_and_compared_with_a_year_later(
         (["{beams}"], "beams: has no known positions (x_mm, y_mm) to verify the unit against"),
         (["{wrong_turn}"], "the measured positions are turned by "),
         (["{right}", "{copy}"], "copy: is the same recording as "),
+        (["{right}", "{scan}"], "scan: made the calibration; verify it with another recording"),
         (
             ["{right}", "--compare", "{right}/recording.json"],
             "is no verification of `altd verify --json`: format",
@@ -163,6 +164,7 @@ def test_what_cannot_be_verified_is_one_line(
         "wrong_turn": wrong_turn,
         "other": other,
         "copy": copy,
+        "scan": played_unit.folder / "scan",
     }
     filled = [argument.format(**files) for argument in arguments]
     refused = refusal(altd_here("verify", *filled, "--calibration", played_unit.calibration))

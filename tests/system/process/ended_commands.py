@@ -98,9 +98,9 @@ COMMANDS = {
     ),
     "token": Command("token credentials press", "altd.files.writing:_opened_beside 1"),
     "selfcheck": Command("selfcheck {check} --calibration {cal}", FRAME),
-    "verify": Command("verify {nodes} --calibration {cal}", FRAME),
+    "verify": Command("verify {scan} --calibration {cal}", FRAME),
     "verify's page": Command(
-        "verify {nodes} --calibration {cal} -o page", "altd.calibration.report.html:svg 1"
+        "verify {scan} --calibration {cal} -o page", "altd.calibration.report.html:svg 1"
     ),
     "selfcheck's daemon": Command("selfcheck --config {served}", "http.client:HTTPConnection.request 1"),
     "status": Command("status --socket none.sock", "http.client:HTTPConnection.request 1"),
