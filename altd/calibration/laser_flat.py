@@ -75,14 +75,14 @@ def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: 
     first_map, diameter_mm = _first_map(scan, progress)
     raster = Raster(recording, camera, first_map, diameter_mm)
     total = recording.rows.count[camera]
-    done = 0
+    done, passes = 0, _PASSES
 
     def exposures() -> Iterator[tuple[Image, Shot | None]]:
         nonlocal done
         for exposure in raster:
             yield exposure
             done += 1
-            progress(done, _PASSES * total)
+            progress(done, passes * total)
 
     dark, clipped, spot = _survey(raster, exposures())
     outside_mm = np.full(raster.shape, -np.inf)
@@ -93,6 +93,10 @@ def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: 
         raise ValueError(f"too bright to be a flat: {share:.0%} of the pixels are saturated")
     first = _solved(raster, exposures(), dark, spot)
     powers = _powers(raster, exposures(), dark, spot, first)
+    if not powers.all():  # the first response counted exposures without light
+        passes += 2
+        first = _solved(raster, exposures(), dark, spot, (powers > 0).astype(np.float64))
+        powers = _powers(raster, exposures(), dark, spot, first)
     found = _solved(raster, exposures(), dark, spot, powers)
     dimmest = np.unravel_index(int(np.where(measured, found.light, np.inf).argmin()), raster.shape)
     if found.light[dimmest] < _MIN_LIGHT:

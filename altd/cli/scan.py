@@ -1,4 +1,4 @@
-"""``altd scan``: a calibration scan with the stage."""
+"""``altd scan``: a calibration scan with the stage, or a flat made with the laser."""
 
 from __future__ import annotations
 
@@ -23,17 +23,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "folder of the recording")
+    parser.add_argument(
+        "--flat",
+        action="store_true",
+        help="a flat made with the laser, for altd calibrate --flat: an exposure each flat_pitch_mm",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Scan with the config's stage and cameras."""
+    from altd.acquisition.scan.plan import Raster
     from altd.app.record import scanner_of
     from altd.app.settings import load_settings
     from altd.cli.scan_screen import ScanScreen
 
     screen = ScanScreen()
     with logging_to_stderr(logging.ERROR):
-        scanner = scanner_of(load_settings(options.config), options.config, options.output, screen)
+        config = load_settings(options.config)
+        if options.flat:
+            config = config.model_copy(update={"scan": Raster.over(config.scan)})
+        scanner = scanner_of(config, options.config, options.output, screen)
         return run_scan(scanner, options.output, screen)
 
 

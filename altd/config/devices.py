@@ -191,3 +191,7 @@ class Scan(Table):
     """180: the unit is turned about its own z axis; stage and beam are as for the scan before."""
     limits: ScanLimits = ScanLimits()
     """Uncertainties that the scan does not show."""
+    flat_pitch_mm: Annotated[float, Field(ge=1, le=20)] = 2.5
+    """Steps of ``altd scan --flat``: a quarter of the spot's diameter, at most half of it."""
+    flat_margin_mm: Annotated[float, Field(ge=0, le=100)] = 10.0
+    """Its reach beyond the grid: three quarters of the spot's diameter, where the stage can."""

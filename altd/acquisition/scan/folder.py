@@ -1,8 +1,8 @@
 """The folder of an unfinished scan: its contents are complete, and list what is done.
 
 It is called DIR.unfinished, and becomes DIR at the end, so half a scan cannot be mistaken for a whole one.
-After each node ``scan.json`` is replaced; it says how much of the table counts. Data behind that, left by an
-interruption, is cut off when the scan is resumed.
+After each node, of a flat after each 64, ``scan.json`` is replaced; it says how much of the table counts.
+Data behind that, left by an interruption, is cut off when the scan is resumed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from altd.acquisition.scan.plan import Facts
+from altd.acquisition.scan.plan import Facts, Raster
 from altd.config import Scan
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
@@ -46,7 +46,10 @@ SpotPx = tuple[float, float]
 
 
 class DoneNode(BaseModel):
-    """A node whose frames are kept: the position of the stage, and the mean spot per camera, px."""
+    """A node whose frames are kept: the position of the stage, and the mean spot per camera, px.
+
+    A node in the margin of a flat may be without spots.
+    """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -167,7 +170,7 @@ class ScanFolder:
         start = self._utc(first.t_ns)
         header = RecordingHeader(
             format="altd-recording/1",
-            kind="scan",
+            kind="flat" if isinstance(self._scan, Raster) else "scan",
             fps=FPS,
             cameras={
                 name: camera_header(frame, self._cameras.get(name)) for name, frame in first.items.items()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from altd.calibration.scan_nodes import node_spot
 from altd.config import Config, Scan
+from altd.errors import BadInputError
 from altd.measuring.pairing import Pair
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot
@@ -17,6 +19,9 @@ SpotPx = tuple[float, float]
 
 MAX_SCATTER_PX = 1.0
 """Exposures of a stage at rest scatter by a tenth of this; further apart it still moves, or is shaken."""
+
+
+_SAME_MM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +87,39 @@ def nodes_of(scan: Scan) -> tuple[Node, ...]:
     return tuple(nodes)
 
 
+class Raster(Scan):
+    """The scan of a flat made with the laser: over a grid and beyond it, in steps smaller than the spot."""
+
+    columns: int
+    rows: int
+    kind: Literal["flat"] = "flat"
+    grid: Scan
+
+    @classmethod
+    def over(cls, grid: Scan) -> Raster:
+        """One exposure at each place, ``flat_margin_mm`` beyond the grid too, and no LEDs.
+
+        Raises BadInputError for a turned unit: its positions are those of another frame.
+        """
+        if grid.turned_deg:
+            raise BadInputError("[scan] turned_deg", "a flat is recorded with the unit as it is: set 0")
+        steps = (
+            math.ceil(((lines - 1) * grid.pitch_mm + 2 * grid.flat_margin_mm) / grid.flat_pitch_mm - _SAME_MM)
+            for lines in (grid.columns, grid.rows)
+        )
+        columns, rows = (count + 1 for count in steps)
+        same = grid.model_dump(include={"centre_x_mm", "centre_y_mm", "order", "settle_s", "retries"})
+        pitch_mm = grid.flat_pitch_mm
+        return cls(columns=columns, rows=rows, pitch_mm=pitch_mm, exposures=1, led_pairs=0, grid=grid, **same)
+
+    def is_margin(self, node: Node) -> bool:
+        """Whether a node lies beyond the grid, where its spot need not be whole."""
+        grid = self.grid
+        half_x_mm, half_y_mm = ((lines - 1) / 2 * grid.pitch_mm for lines in (grid.columns, grid.rows))
+        x_mm, y_mm = abs(node.x_mm - grid.centre_x_mm), abs(node.y_mm - grid.centre_y_mm)
+        return x_mm > half_x_mm + _SAME_MM or y_mm > half_y_mm + _SAME_MM
+
+
 Facts = dict[str, str | int | float]
 """Settings by the name that they have in the config."""
 
@@ -99,7 +137,8 @@ def fingerprint(config: Config) -> Facts:
             facts[f"targets.{target.name}.glass_mm"] = target.glass.thickness_mm
             facts[f"targets.{target.name}.glass_index"] = target.glass.index
         facts[f"targets.{target.name}.camera"] = target.camera
-    grid = config.scan.model_dump(exclude={"settle_s", "retries", "when_bad", "limits"})
+    changeable = {"settle_s", "retries", "when_bad", "limits", "flat_pitch_mm", "flat_margin_mm", "grid"}
+    grid = config.scan.model_dump(exclude=changeable)
     facts |= {f"scan.{key}": value for key, value in grid.items()}
     stated = config.scan.limits.model_dump(exclude_none=True)
     facts |= {f"scan.limits.{key}": value for key, value in stated.items()}

@@ -1,4 +1,8 @@
-"""The calibration scan: the stage carries the beam from node to node, and what the cameras see is kept."""
+"""The calibration scan: the stage carries the beam from node to node, and what the cameras see is kept.
+
+A flat made with the laser (``calibration.laser_flat``) is a scan in steps smaller than the spot, beyond the
+grid as well: there the spot need not be whole.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,15 @@ from typing import Literal, Protocol, TypeVar
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
 from altd.acquisition.scan.leds import KnownUnit, ScanLeds
-from altd.acquisition.scan.plan import Node, NodeSpots, SpotPx, fingerprint, judge, nodes_of
+from altd.acquisition.scan.plan import (
+    Node,
+    NodeSpots,
+    Raster,
+    SpotPx,
+    fingerprint,
+    judge,
+    nodes_of,
+)
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.mapping.grid import Block
@@ -28,6 +40,10 @@ Result = TypeVar("Result")
 MAX_SHIFT_PX = 1.0
 """A resumed scan looks at its last node again; a spot further than this from where it was is no longer the
 same stage, laser and cameras."""
+MAX_LOST_IN_A_ROW = 10
+"""A flat does without a place at which the spot is bad; so many one after another have another cause."""
+_NODES_PER_COMMIT = 64
+"""Of a flat: its state is long, so writing it after each node would take longer than exposing."""
 
 
 class ScanStoppedError(Exception):
@@ -69,6 +85,8 @@ class Scanner:
     ) -> None:
         """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
         self._config = config.scan
+        self._raster = config.scan if isinstance(config.scan, Raster) else None
+        self._lost_in_a_row = 0
         self._stage = stage
         self._leds = leds
         self._clock = frame_sets.clock
@@ -155,20 +173,34 @@ class Scanner:
         self._tell(f"node {node}")
         await self._go(node.x_mm, node.y_mm)
         position_mm = await self._in_thread(self._stage.position)
-        state, complaint = self._folder.state, ""
+        state, raster, complaint = self._folder.state, self._raster, ""
         for _ in range(1 + self._config.retries):
             exposures = await self._settled(self._config.exposures)
             judged = judge(exposures)
-            if isinstance(judged, NodeSpots):
+            if isinstance(judged, NodeSpots) or (raster is not None and raster.is_margin(node)):
                 self._folder.keep(exposures, self._unit, note_of("altd scan", self._cameras), position_mm)
-                state.nodes[_key(node)] = DoneNode(position_mm=position_mm, spots_px=dict(judged.px))
+                spots_px = dict(judged.px) if isinstance(judged, NodeSpots) else {}
+                state.nodes[_key(node)] = DoneNode(position_mm=position_mm, spots_px=spots_px)
                 state.refused.pop(_key(node), None)
-                self._folder.commit()
+                self._lost_in_a_row = 0 if spots_px else self._lost_in_a_row
+                if raster is None or len(state.nodes) % _NODES_PER_COMMIT == 0:
+                    self._folder.commit()
                 return
             complaint = judged.complaint
         state.refused[_key(node)] = complaint
         self._folder.commit()
         self._progress.say(f"node {node} refused: {complaint}")
+        self._lost_in_a_row += 1
+        if raster is None:
+            self._check_sufficient(node, complaint)
+        elif self._lost_in_a_row >= MAX_LOST_IN_A_ROW:
+            raise ScanStoppedError(
+                f"{self._lost_in_a_row} nodes in a row are refused; the last one, {node}: {complaint}"
+            )
+
+    def _check_sufficient(self, node: Node, complaint: str) -> None:
+        """Raise ScanStoppedError where the nodes that are not refused cannot suffice."""
+        state = self._folder.state
         refused = [n for n in self._nodes if _key(n) in state.refused and _key(n) not in state.nodes]
         left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
         if not left.is_sufficient:
@@ -220,8 +252,8 @@ class Scanner:
         )
 
     async def _check_nothing_moved(self) -> None:
-        """Raise ScanStoppedError unless the spots of the last node that was kept are where they were."""
-        done = self._folder.state.nodes
+        """Raise ScanStoppedError unless the spots of the last node that has some are where they were."""
+        done = {key: node for key, node in self._folder.state.nodes.items() if node.spots_px}
         if not done:
             return
         node = next(n for n in self._nodes if _key(n) == list(done)[-1])

@@ -75,9 +75,7 @@ class Line:
             limit = begun + self._seconds(len(frame) + _MAX_BYTES) + _ANSWER_TIMEOUT_S
             heard = b""
             while len(heard) < _MAX_BYTES and time.monotonic() < limit:
-                is_late = (
-                    time.monotonic() >= deadline
-                )  # before reading: a busy machine is no silent line
+                is_late = time.monotonic() >= deadline  # before reading: a busy machine is no silent line
                 if data := self._port.read(max(1, self._port.in_waiting)):
                     heard += data
                     is_echo = heard == frame[: len(heard)]

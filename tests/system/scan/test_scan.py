@@ -13,10 +13,13 @@ import pytest
 from support.scanning import QUICK_TABLE, nodes
 
 from altd.acquisition import frame_sets
+from altd.acquisition.scan.plan import Raster
 from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError
 from altd.app.record import scanner_of
 from altd.calibration.calibrating import calibrate
-from altd.config import Config, Scan
+from altd.calibration.recorded_flat import flats_of
+from altd.calibration.target_frames import target_frames
+from altd.config import Scan
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.recording.header import CameraHeader, RecordingHeader, UnitHeader
@@ -24,6 +27,7 @@ from altd.recording.reader import open_recording
 from altd.recording.writer import RecordingWriter
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
+from hw_sim.flat import record_flat
 from hw_sim.grbl_table import GrblTable
 from hw_sim.stage import Stage
 from hw_sim.staged_scan import SimulatedLamps, scan_config
@@ -55,7 +59,7 @@ async def scanned(
     config = scan_config(unit, table.device, scan)
     assert config.stage is not None
     fast = config.stage.model_copy(update={"feed_mm_per_min": 100_000.0, **stage})
-    config = Config.model_validate(config.model_dump() | {"stage": fast.model_dump()})
+    config = config.model_copy(update={"stage": fast})
     cameras = {camera.name: camera for camera in make_cameras(unit)}
     return await scanner_of(config, folder, folder, listener, cameras, SimulatedLamps(unit)).run()
 
@@ -259,6 +263,38 @@ async def test_without_light_the_scan_stops_and_goes_on_with_light(
     result = await scanned(unit, table, tmp_path / "scan", listener, scan)
     assert [line.split(":")[0] for line in result.refused] == ["node x -12.5 y 12.5 mm"]
     assert len(nodes(open_recording(tmp_path / "scan"))) == 15
+
+
+async def test_a_flat_made_with_the_laser_is_resumed_and_shows_what_a_lamp_shows(
+    unit: Unit, table: GrblTable, tmp_path: Path
+) -> None:
+    grid = SMALL.model_copy(
+        update={"pitch_mm": 14.0, "flat_pitch_mm": 6.0, "flat_margin_mm": 6.0, "retries": 0}
+    )
+    await scanned(unit, table, tmp_path / "scan", Listener(), grid)
+    raster = Raster.over(grid)
+    listener = Listener()
+    # in the margin, where a node may be dark
+    listener.at["node x -27 y 9 mm"] = lambda: unit.inject(Fault.NO_LASER)
+    with pytest.raises(ScanStoppedError, match=r"10 nodes in a row are refused; .* x 15 y 15 mm: front"):
+        await scanned(unit, table, tmp_path / "flat", listener, raster)
+    unit.clear()
+    with pytest.raises(BadInputError, match=r"was begun with scan.columns = 10, now it is 4"):
+        await scanned(unit, table, tmp_path / "flat", Listener(), grid)
+    listener = Listener()
+    result = await scanned(unit, table, tmp_path / "flat", listener, raster)
+    assert listener.said == [f"going on with {tmp_path / 'flat'}.unfinished: 63 of 100 nodes are done"]
+    assert (result.exposures, result.refused) == (100, ())
+
+    flat = open_recording(tmp_path / "flat")
+    assert (flat.header.kind, flat.header.limits, len(nodes(flat))) == ("flat", None, 100)
+    record_flat(tmp_path / "lamp", unit, 5, lambda done, total: None)
+    targets = target_frames([open_recording(tmp_path / "scan")])
+    of_laser, of_lamp = (flats_of(open_recording(tmp_path / name), targets) for name in ("flat", "lamp"))
+    for name in (FRONT, REAR):
+        lit = of_laser[name].response > 0
+        seen = np.corrcoef(of_laser[name].response[lit], of_lamp[name].response[lit])[0, 1]
+        assert seen > 0.9, name
 
 
 async def test_a_silent_camera_stops_the_scan(

@@ -114,6 +114,11 @@ exposures = 1
         line = refusal(altd_here("scan", "--stage", "-o", tmp_path, module="hw_sim"))
         assert line == f"hw_sim: {tmp_path}: exists and is not an empty folder"
 
+    def test_a_flat_is_recorded_of_the_unit_as_it_is(self, config: Path, tmp_path: Path) -> None:
+        config.write_text(config.read_text() + "turned_deg = 180\n")
+        line = refusal(altd_here("scan", "--flat", "--config", config, "-o", tmp_path / "flat"))
+        assert line == "altd scan: [scan] turned_deg: a flat is recorded with the unit as it is: set 0"
+
     def test_a_config_without_a_stage_is_one_line(self, tmp_path: Path) -> None:
         write_beams(tmp_path / "rec", [(10.0, 5.0, 0.0, 0.0)])
         config = write_config(tmp_path / "altd.toml", tmp_path / "none.json", tmp_path / "rec")
