@@ -100,6 +100,7 @@ def _map_document(fitted: TensorMap) -> dict[str, Any]:
         "spread_u_px": fitted.covariance_factor_px[0].tolist(),
         "spread_v_px": fitted.covariance_factor_px[1].tolist(),
         "noise_px": fitted.noise_px,
+        "noise_shape": list(fitted.noise_shape),
         "hull_mm": fitted.hull_mm.tolist(),
         "margin_mm": fitted.margin_mm,
         "beyond_px_per_mm": fitted.beyond_px_per_mm,
@@ -176,6 +177,7 @@ def _from_map(place: str, content: MapTable) -> TensorMap:
             (2, rows * columns, len(content.spread_u_px[0]) if content.spread_u_px else 0),
         ),
         noise_px=content.noise_px,
+        noise_shape=content.noise_shape,
         hull_mm=np.array(content.hull_mm),
         margin_mm=content.margin_mm,
         beyond_px_per_mm=content.beyond_px_per_mm,
@@ -237,7 +239,7 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
         value = f", not {first['input']}" if isinstance(first["input"], int | float) else ""
-        raise BadInputError(path, f"{place}: {first['msg']}{value}") from error
+        raise BadInputError(path, f"{place}: {first['msg'].removeprefix('Value error, ')}{value}") from error
     except ValueError as error:
         raise BadInputError(path, str(error)) from error
     if unit_serial is not None and calibration.unit_serial != unit_serial:

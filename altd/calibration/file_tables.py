@@ -5,18 +5,29 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetPydanticSchema,
+    create_model,
+)
 from pydantic_core import CoreSchema, core_schema
 
 from altd.calibration.file_fingerprint import FingerprintTable
 from altd.mapping.grid import Axis
-from altd.mapping.tensor_map import Model
+from altd.mapping.tensor_map import ROUND, Model
 from altd.records import GLASS_INDEX, Limits, Origin
 from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
 from altd.vision.flat import Source
 from altd.vision.settings import ShapeReference, SpotReference, SpotSettings
 
 FORMAT = "altd-calibration/1"
+
+_MIN_SHAPE_DETERMINANT = 0.01
+"""A spot of 20 times its width has less."""
 
 Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
@@ -99,6 +110,17 @@ _Spot = Annotated[
 ]
 
 
+_Share = Annotated[float, Field(ge=0, le=2)]
+_Mixed = Annotated[float, Field(ge=-1, le=1)]
+
+
+def _checked_shape(shape: tuple[float, float, float]) -> tuple[float, float, float]:
+    uu, uv, vv = shape
+    if not (abs(uu + vv - 2) < 1e-6 and uu * vv - uv * uv >= _MIN_SHAPE_DETERMINANT):
+        raise ValueError("is no covariance (uu, uv, vv) of trace 2")
+    return shape
+
+
 class MapTable(_Table):
     """A map, or the one that checks it."""
 
@@ -112,6 +134,7 @@ class MapTable(_Table):
     spread_u_px: list[list[Coefficient]]
     spread_v_px: list[list[Coefficient]]
     noise_px: PositivePixels
+    noise_shape: Annotated[tuple[_Share, _Mixed, _Share], AfterValidator(_checked_shape)] = ROUND
     hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
     margin_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
     beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from altd.calibration.camera_fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.pattern import NodeScatter, pattern_noise_px
+from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shape
 from altd.calibration.printed.end import cut_sides
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
@@ -74,8 +74,8 @@ def calibrate_scans(
     evidence = tuple(of.evidence for of in made)
     return TargetsResult(
         tuple(
-            _with_pattern(job, target, pattern_px)
-            for job, (target, _), pattern_px in zip(jobs, marked, patterns_px, strict=True)
+            _with_pattern(job, target, of.scatter, pattern_px)
+            for job, (target, _), of, pattern_px in zip(jobs, marked, made, patterns_px, strict=True)
         ),
         (
             *(f"{of.name} node x {x:g} y {y:g} mm: {why}" for of in evidence for (x, y), why in of.excluded),
@@ -95,19 +95,22 @@ def calibrate_scans(
     )
 
 
-def _with_pattern(job: Job, target: TargetCalibration, pattern_px: float) -> TargetCalibration:
+def _with_pattern(
+    job: Job, target: TargetCalibration, scatter: NodeScatter, pattern_px: float
+) -> TargetCalibration:
     """The target with what print and speckle do to a spot, and what its spots are like."""
-    fitted = replace(target.map, noise_px=pattern_px)
     first = first_of_nodes(job)
     reference = spot_reference(
         lambda node: first[node].frame(),
         len(first),
         target.localiser,
         target.flat,
-        fitted,
+        target.map,
         pattern_px,
     )
-    return replace(target, map=fitted, spot=reference or UNKNOWN_SPOT)
+    spot = reference or UNKNOWN_SPOT
+    shape_mm = pattern_shape(np.array(list(scatter.residuals_mm.values())), spot.shape)
+    return replace(target, map=target.map.with_noise(pattern_px, shape_mm), spot=spot)
 
 
 def _calibrate_target(job: Job, progress: Progress) -> _Made:

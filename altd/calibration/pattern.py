@@ -7,6 +7,7 @@ unit measures. The stage's error is what the targets' nodes have in common, sinc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,6 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from altd.records import FloatArray
+from altd.vision.settings import ShapeReference
 
 Key = tuple[int, int]
 """A node of the scan."""
@@ -23,6 +25,9 @@ ExposureKey = tuple[Key, int, int]
 
 _MIN_SHARE = 0.3
 """A part below this share is not known well enough to be reduced further."""
+
+_NODES_OF_SPOT = 25.0
+"""The spots' shape predicts the ratio of the axes to 20 %, as so many nodes do."""
 
 _MIN_SIGNIFICANCE_SIGMAS = 2.5
 """Coarse patterns at 30 nodes share by chance as much as a good stage's error. Only what is that far beyond
@@ -59,6 +64,26 @@ def pattern_noise_px(targets: Sequence[NodeScatter]) -> list[float]:
     stage_mm2 = _mean([_common_mm2(a, b) for a, b in pairs])
     vibration_mm2 = _mean([_vibration_mm2(a, b) for a, b in pairs])
     return [_pattern_px(target, stage_mm2, vibration_mm2) for target in targets]
+
+
+def pattern_shape(residuals_mm: FloatArray, spot: ShapeReference | None) -> FloatArray:
+    """The shape of a pattern's covariance in mm, (2, 2) of trace 2, from nodes (n, 2) and their spots.
+
+    Texture finer than a spot displaces its centre along an axis in proportion to its width there. That is
+    what the spots say; the nodes say it themselves, but 30 of them know the ratio of both axes to 20 %. Both
+    count, the spots as much as ``_NODES_OF_SPOT``.
+    """
+    expected = np.eye(2)
+    if spot is not None:
+        _, along, across, _ = spot.mean
+        stretch = max(math.hypot(along, across), 1e-9)
+        expected += math.tanh(2 * stretch) / stretch * np.array([[along, across], [across, -along]])
+    seen = residuals_mm.T @ residuals_mm
+    if not np.trace(seen) > 0:
+        return expected
+    shape: FloatArray = _NODES_OF_SPOT * expected + len(residuals_mm) * 2 / np.trace(seen) * seen
+    shape *= 2 / np.trace(shape)
+    return shape
 
 
 def _pattern_px(target: NodeScatter, stage_mm2: float, vibration_mm2: float) -> float:

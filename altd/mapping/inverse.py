@@ -35,6 +35,7 @@ class InverseMap:
     _u: Rows
     _v: Rows
     _spread_px: FloatArray
+    _pattern_px2: tuple[float, float, float]
     _start_x: Rows
     _start_y: Rows
     _centre_px: tuple[float, float]
@@ -53,11 +54,13 @@ class InverseMap:
         scale = float(np.abs(px - centre).max())
         start = np.asarray(np.linalg.lstsq(_monomials((px - centre) / scale), points_mm, rcond=None)[0])
         u, v, covariance_factor_px = forward.powers()
+        pattern = forward.noise_covariance_px2
         return cls(
             forward,
             rows(u),
             rows(v),
             covariance_factor_px,
+            (float(pattern[0, 0]), float(pattern[0, 1]), float(pattern[1, 1])),
             rows(_triangle(start[:, 0])),
             rows(_triangle(start[:, 1])),
             (float(centre[0]), float(centre[1])),
@@ -141,8 +144,8 @@ class InverseMap:
         along_x, along_y = [q**j for j in range(degree_x + 1)], [r**i for i in range(degree_y + 1)]
         row = np.array([in_y * in_x for in_y in along_y for in_x in along_x])
         of_u, of_v = row @ self._spread_px
-        pattern = self.forward.noise_px**2
-        return pattern + float(of_u @ of_u), float(of_u @ of_v), pattern + float(of_v @ of_v)
+        uu, uv, vv = self._pattern_px2
+        return uu + float(of_u @ of_u), uv + float(of_u @ of_v), vv + float(of_v @ of_v)
 
 
 def _triangle(start: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,8 @@ from altd.records import FloatArray
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
 """The model that was fitted: the tensor polynomial itself, or a lens that it represents."""
 
+ROUND = 1.0, 0.0, 1.0
+"""The shape (uu, uv, vv) of noise that is alike along both axes."""
 _POINTS_ACROSS = 21
 """Points along each axis for figures of the whole hull."""
 
@@ -41,9 +43,11 @@ class TensorMap:
     (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``covariance_factor_px`` (2, K, m),
     K = (degree_x + 1)(degree_y + 1), is a factor F of the spectra's covariance F Fᵀ (Eq. 3.49–3.53), stacked
     row by row: each of the m columns is one independent error of 1 sigma that the nodes' noise leaves.
-    ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v: print and speckle
-    scatter alike along both, and 30 nodes leave little freedom to tell. No averaging of exposures removes it
-    at a new place. ``hull_mm`` (n, 2) is the convex polygon that its nodes span, counter-clockwise.
+    ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v. No averaging of
+    exposures removes it at a new place. Its covariance is ``noise_px``² times ``noise_shape``: the elements
+    (uu, uv, vv) of a matrix of trace 2, for spots that are wider along one axis.
+
+    ``hull_mm`` (n, 2) is the convex polygon that its nodes span, counter-clockwise.
     ``margin_mm`` beyond it the map is still known, as well as its spread says and worse by
     ``beyond_px_per_mm``: one sigma of what the model itself is off, for each mm outside.
     """
@@ -57,11 +61,32 @@ class TensorMap:
     hull_mm: FloatArray
     margin_mm: float = 0.0
     beyond_px_per_mm: float = 0.0
+    noise_shape: tuple[float, float, float] = ROUND
 
     @property
     def name(self) -> str:
         """The model for people, with its degrees along x and y where they were chosen."""
         return f"tensor {self.degree[0]} × {self.degree[1]}" if self.model == "tensor" else self.model
+
+    @property
+    def noise_covariance_px2(self) -> FloatArray:
+        """That of the nodes about the map, (2, 2)."""
+        uu, uv, vv = self.noise_shape
+        return self.noise_px**2 * np.array([[uu, uv], [uv, vv]])
+
+    def with_noise(self, noise_px: float, shape_mm: FloatArray) -> TensorMap:
+        """The map with nodes' noise of this size and the shape (2, 2) in mm, also in its own covariance.
+
+        The scale of ``shape_mm`` does not count. The slopes of the map's middle make it a shape in px.
+        """
+        jacobian = self.jacobian(self.hull_mm.mean(axis=0, keepdims=True))[0]
+        shape = jacobian @ shape_mm @ jacobian.T
+        shape *= 2 / np.trace(shape)
+        values, axes = np.linalg.eigh(shape)
+        root = axes * np.sqrt(values) @ axes.T
+        factor: FloatArray = np.einsum("uv,vkm->ukm", root, self.covariance_factor_px)
+        uu, uv, vv = float(shape[0, 0]), float(shape[0, 1]), float(shape[1, 1])
+        return replace(self, noise_px=noise_px, covariance_factor_px=factor, noise_shape=(uu, uv, vv))
 
     @property
     def sigma_px(self) -> float:

@@ -215,7 +215,7 @@ def _covariances_mm2(
     for index, (target, point) in enumerate(zip(targets, points, strict=True)):
         block = slice(2 * index, 2 * index + 2)
         jacobian = point.jacobian_mm_per_px
-        pattern_mm2 = target.map.noise_px**2 * jacobian @ jacobian.T
+        pattern_mm2 = jacobian @ target.map.noise_covariance_px2 @ jacobian.T
         parts["pattern"][block, block] = pattern_mm2
         parts["map"][block, block] = point.covariance_mm2 - pattern_mm2
         scatter_px2 = np.diag(target.repeatability_px**2 / exposures)

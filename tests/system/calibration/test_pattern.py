@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from altd.calibration.pattern import NodeScatter, pattern_noise_px
+from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shape
+from altd.records import Frame, Spot
+from altd.vision.localise import locate
+from altd.vision.settings import ShapeReference, SpotSettings
 
 NODES = [(column, row) for row in range(5) for column in range(6)]
 
@@ -83,3 +86,38 @@ def test_chance_seldom_makes_the_pattern_much_too_small() -> None:
     rng = np.random.default_rng(4)
     found = [pattern_noise_px(scatters(rng, (0.007, 0.007), 0.002)) for _ in range(300)]
     assert np.percentile(np.array(found) * 0.25, 5) > 0.0061  # all that they share taken off: 0.0057
+
+
+LONG = ShapeReference((1.4, 0.5 * np.log(2.5), 0.0, 1.0), (0.1, 0.1, 0.1, 0.1))
+"""A spot 2.5 times as wide along x as along y."""
+
+
+def axis_ratio(shape: np.ndarray) -> float:
+    return float(np.sqrt(shape[0, 0] / shape[1, 1]))
+
+
+def test_texture_displaces_a_long_spot_in_proportion_to_its_widths() -> None:
+    """The physics behind the shape that the spots predict: a Gaussian spot on 3 % of white texture."""
+    rng = np.random.default_rng(4)
+    v, u = np.mgrid[0:160, 0:240]
+    light = 170 * np.exp(-(((u - 120) / 25.0) ** 2 + ((v - 80) / 10.0) ** 2) / 2)
+    found = []
+    for number in range(150):
+        pixels = np.clip(light * rng.normal(1, 0.03, light.shape) + 5, 0, 255).astype(np.uint8)
+        spot = locate(Frame("front", number, 0, pixels), SpotSettings(method="profile"))
+        assert isinstance(spot, Spot)
+        found.append((spot.u_px, spot.v_px))
+    along, across = np.std(found, axis=0)
+    assert along / across == pytest.approx(2.5, rel=0.2)
+
+
+def test_the_shape_of_the_pattern_is_that_of_spots_and_nodes() -> None:
+    rng = np.random.default_rng(5)
+    scatter = rng.normal(0, 1, (200, 30, 2))
+    round_spots = [axis_ratio(pattern_shape(nodes, None)) for nodes in scatter]
+    assert np.median(round_spots) == pytest.approx(1.0, abs=0.05)
+    assert np.std(np.log(round_spots)) < 0.12  # of 30 nodes alone it would be 0.19
+    long_nodes = [pattern_shape(nodes * [2.5, 1.0], LONG) for nodes in scatter]
+    assert np.median([axis_ratio(shape) for shape in long_nodes]) == pytest.approx(2.5, rel=0.05)
+    assert [np.trace(shape) for shape in long_nodes] == pytest.approx([2.0] * 200)
+    assert axis_ratio(pattern_shape(np.zeros((0, 2)), LONG)) == pytest.approx(2.5)

@@ -105,6 +105,10 @@ def _spot_of_no_order(document: Document) -> None:
     }
 
 
+def _shapeless(document: Document) -> None:
+    document["targets"][0]["map"]["noise_shape"] = [1.9, 0.9, 0.1]
+
+
 def _nested(document: Document) -> None:
     node: list[Any] = []
     for _ in range(500):
@@ -142,6 +146,7 @@ def _huge_texture(document: Document) -> None:
         (_elsewhere, "targets.front.map: puts its hull outside of the picture"),
         (_folded, "targets.front.map: puts two places of its hull on one pixel"),
         (_spot_of_no_order, "targets.0.spot.shape.mean.3: Input should be greater than 0"),
+        (_shapeless, "targets.0.map.noise_shape: is no covariance (uu, uv, vv) of trace 2"),
         (_nested, "recording.note: Input should be a valid string"),
         (_huge_texture, "targets.front.fingerprint.png: is 40000 × 40000, expected 752 × 480"),
         (_huge_flat, "targets.front.flat.png: is 40000 × 40000, expected 752 × 480"),
