@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import os
+import struct
 import subprocess
+import termios
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -37,6 +40,13 @@ class Wire:
 
     def send(self, data: bytes) -> None:
         os.write(self.far, data)
+
+    async def taken(self) -> None:
+        """The unit has read all that was sent."""
+        async with asyncio.timeout(60):
+            while struct.unpack("i", fcntl.ioctl(self.near, termios.FIONREAD, b"\0" * 4))[0]:  # noqa: ASYNC110
+                await asyncio.sleep(0.002)
+            await asyncio.sleep(0.05)  # and looked at it
 
     async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 60.0) -> bytes:
         """The unit's bytes, up to when they are enough."""
