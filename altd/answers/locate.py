@@ -11,7 +11,7 @@ from altd.errors import BadInputError
 from altd.files.picture import read_picture
 from altd.records import Frame, Spot
 from altd.tables.columns import SPOT_COLUMNS, TEXT_FORMATS, Row, TextFormat
-from altd.vision.centre import Centre
+from altd.vision.image import Centre
 from altd.vision.localise import locate, locate_ellipse
 
 UNREADABLE = "unreadable"

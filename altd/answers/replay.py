@@ -18,8 +18,8 @@ from altd.app.replay import Replay, open_replay
 from altd.errors import BadInputError
 from altd.files.documents import line_of
 from altd.files.writing import check_replaceable, replacing
-from altd.recording.gaps import gap_lines
 from altd.recording.header import FRAMES_FILE, HEADER_FILE
+from altd.recording.reader import gap_lines
 from altd.records import counted, utc_text
 from altd.tables.columns import Column, CsvTable, Write, flat_row, measurement_columns
 from altd.tables.parquet import ParquetTable, check_parquet

@@ -45,9 +45,9 @@ from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.ports import Camera, Clock, Indicators, Lamps
 from altd.records import CameraIdentity, Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
-from altd.runtime.real_time import real_time_interpreter
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.supervision import keep_running
+from altd.runtime.threads import real_time_interpreter
 from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity, unit_number

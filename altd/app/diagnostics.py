@@ -14,7 +14,7 @@ from importlib.metadata import distributions
 
 from altd import __version__
 from altd.config import Config
-from altd.status.diagnostic_part import DiagnosticPart
+from altd.status.health import DiagnosticPart
 
 
 def diagnostic_parts(config: Config) -> tuple[DiagnosticPart, ...]:

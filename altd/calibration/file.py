@@ -13,8 +13,14 @@ import cv2
 import numpy as np
 from pydantic import ValidationError
 
-from altd.calibration.file_fingerprint import as_document, from_table
-from altd.calibration.file_tables import FORMAT, CalibrationTable, MapTable, TargetTable
+from altd.calibration.file_tables import (
+    FORMAT,
+    CalibrationTable,
+    MapTable,
+    TargetTable,
+    fingerprint_document,
+    fingerprint_of,
+)
 from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
@@ -70,7 +76,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
         "spot": None if target.spot == UNKNOWN_SPOT else asdict(target.spot),
-        "fingerprint": as_document(target.fingerprint),
+        "fingerprint": fingerprint_document(target.fingerprint),
         **_glass_document(target.glass),
     }
 
@@ -146,7 +152,7 @@ def _from_target(target: TargetTable) -> TargetCalibration:
         camera=CameraIdentity(target.camera_serial, target.camera_model, target.camera_driver),
         origin=target.origin,
         glass=None if target.glass_mm is None else Glass(target.glass_mm, target.glass_index),
-        fingerprint=from_table(place, target.fingerprint, target.width, target.height, flat),
+        fingerprint=fingerprint_of(place, target.fingerprint, target.width, target.height, flat),
     )
 
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from altd.calibration.camera_fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.lit_rows import LitRows, lit_rows
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
 from altd.calibration.soundness import TargetEvidence
-from altd.calibration.target_frames import FrameRow, TargetFrames
+from altd.calibration.target_frames import FrameRow, LitRows, TargetFrames, lit_rows
 from altd.errors import BadInputError
 from altd.mapping.light_centre import (
     disc_moment_mm2,

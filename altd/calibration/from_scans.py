@@ -13,9 +13,8 @@ from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shap
 from altd.calibration.printed.end import cut_sides
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
-from altd.calibration.repeated_scans import offset_doubts
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
-from altd.calibration.scan_grid import relative_sigmas, scan_grid
+from altd.calibration.scan_grid import offset_doubts, relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import (
     Job,
     Node,

@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.calibration.laser_flat import laser_flat
-from altd.calibration.lit_rows import lit_rows
 from altd.calibration.result import Progress
 from altd.calibration.scan_nodes import Job, first_frames
-from altd.calibration.target_frames import TargetFrames
+from altd.calibration.target_frames import TargetFrames, lit_rows
 from altd.errors import BadInputError
 from altd.recording.reader import Recording
 from altd.records import FloatArray, Frame, NoSpot

@@ -69,8 +69,7 @@ def run(options: argparse.Namespace) -> int:
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, report_names, write_together
     from altd.files.writing import check_replaceable
-    from altd.recording.gaps import gap_lines
-    from altd.recording.reader import open_recording
+    from altd.recording.reader import gap_lines, open_recording
 
     check_replaceable(options.output)
     facts = None

@@ -1,8 +1,13 @@
-"""``altd devices``: what is connected to this computer."""
+"""``altd devices``: what is connected to this computer, in the words that ``altd.toml`` wants.
+
+Nothing is taken hold of that another program uses, and no setting is changed.
+"""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from textwrap import wrap
 
 from altd.process.standard_streams import say
 
@@ -15,8 +20,106 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(_options: argparse.Namespace) -> int:
     """Print what is connected."""
-    from altd.app.connected_devices import lines
-
     for line in lines():
         say(line)
     return 0
+
+
+_WIDTH = 110
+_INDENT = " " * 6
+
+
+def lines() -> Iterator[str]:
+    """All of it for a person, section by section; a section without devices reports that, or why."""
+    yield 'Cameras: [cameras.NAME], driver = "v4l2"'
+    yield from _or_none(_video_cameras())
+    yield ""
+    yield 'Cameras: [cameras.NAME], driver = "aravis"'
+    yield from _or_none(_gige_cameras())
+    yield ""
+    yield "GPIO chips: [lamps], [indicators]"
+    yield from _or_none(_gpio_chips())
+    yield ""
+    yield "Serial ports: [[serial]], [inclinometer], [stage]"
+    yield from _or_none(_serial_ports())
+
+
+def _or_none(entries: Iterator[str]) -> Iterator[str]:
+    empty = True
+    for line in entries:
+        empty = False
+        yield line
+    if empty:
+        yield "  none"
+
+
+def _video_cameras() -> Iterator[str]:
+    from altd.devices.v4l2.find_cameras import UnreadableCamera, find_cameras
+
+    for found in find_cameras():
+        yield f'  device = "{found.path}"'
+        if isinstance(found, UnreadableCamera):
+            yield from _detail_lines(f"cannot be looked at: {found.why}")
+            continue
+        yield from _detail_lines(f"{found.card}, kernel driver {found.driver}")
+        if found.serial is not None:
+            yield f'  serial = "{found.serial}"'
+        for pixel_format, sizes in found.formats.items():
+            yield from _detail_lines(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
+        if not found.formats:
+            yield from _detail_lines("sends no grey picture that altd can use")
+        settable = [f"{c.name} {c.minimum} to {c.maximum}" for c in found.controls if c.writes]
+        if settable:
+            yield from _detail_lines(f"controls: {', '.join(settable)}")
+
+
+def _gige_cameras() -> Iterator[str]:
+    try:
+        from altd.devices.aravis.open_camera import find_cameras
+    except ImportError as error:
+        yield f"  cannot be looked for: {error}"
+        return
+    for found in find_cameras():
+        yield f'  device = "{found.serial or found.address}"'
+        yield from _detail_lines(f"{found.vendor} {found.model} at {found.address}; as an id {found.id!r}")
+        if found.in_use:
+            yield from _detail_lines("a program controls it now: what it can do is not asked")
+        elif found.formats:
+            yield from _detail_lines("pixel_format = " + " or ".join(f'"{name}"' for name in found.formats))
+        else:
+            yield from _detail_lines("sends no grey picture that altd can use, or did not answer")
+
+
+def _gpio_chips() -> Iterator[str]:
+    from altd.devices.gpio.find_chips import chip_paths, read_chip
+    from altd.ports import LampsError
+    from altd.records import counted
+
+    for path in chip_paths():
+        try:
+            chip = read_chip(path)
+        except LampsError as error:
+            yield f"  {error}"
+            continue
+        yield f'  chip = "{chip.label}"'
+        yield from _detail_lines(f"{chip.path}, {counted(len(chip.lines), 'line')}")
+        names = [
+            f'"{line.name or line.offset}"' + (f" (used by {line.used_by})" if line.used_by else "")
+            for line in chip.lines
+        ]
+        yield from _detail_lines(f"lines: {', '.join(names)}")
+
+
+def _serial_ports() -> Iterator[str]:
+    from altd.serial_port.opening import find_ports
+
+    for found in find_ports():
+        yield f'  device = "{found.path}"'
+        now = "" if found.path == found.device else f", now {found.device}"
+        yield from _detail_lines(f"{found.about}{now}")
+
+
+def _detail_lines(text: str) -> Iterator[str]:
+    """Below an entry, in as many lines as it needs."""
+    for number, line in enumerate(wrap(text, _WIDTH - len(_INDENT) - 2, break_on_hyphens=False)):
+        yield f"{_INDENT}{line}" if number == 0 else f"{_INDENT}  {line}"

@@ -1,7 +1,8 @@
-"""Opening a history file: for writing, for reading, and the treatment of a damaged one."""
+"""Opening a history file: for writing, by one daemon, for reading, and the treatment of a damaged one."""
 
 from __future__ import annotations
 
+import fcntl
 import glob
 import os
 import sqlite3
@@ -247,3 +248,30 @@ def _stat(path: Path) -> os.stat_result | None:
         return path.stat()
     except FileNotFoundError:
         return None
+
+
+class WriteLock:
+    """The lock of the file beside a history: one daemon writes it.
+
+    Held until it is released or its process ends. Raises OSError, and UnusableFileError while another
+    holds it.
+
+    SQLite would let two write by turns: their measurements would be mixed, and each would take the other
+    for one that crashed.
+    """
+
+    def __init__(self, history: Path) -> None:
+        path = history.with_name(f"{history.name}.lock")
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, _MODE)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.release()
+            raise UnusableFileError("another daemon writes it") from None
+        except OSError:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Let others write."""
+        os.close(self._descriptor)

@@ -13,9 +13,9 @@ from pathlib import Path
 from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
 from altd.history.columns import Column, prepare_columns, value_of
 from altd.history.facts import changed_facts, check_unit
-from altd.history.lock import WriteLock
 from altd.history.numbering import Epochs, Reasons
 from altd.history.opening import (
+    WriteLock,
     check_folder,
     check_pages,
     damage_told,

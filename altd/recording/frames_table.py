@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from altd.errors import BadInputError
-from altd.files.unchanged import UnchangedFile
+from altd.files.reading import UnchangedFile
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 

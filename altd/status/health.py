@@ -9,11 +9,23 @@ from enum import StrEnum
 
 from altd.ports import Clock
 from altd.status.cause import StateReport
-from altd.status.diagnostic_part import DiagnosticPart
 from altd.status.event_log import EventLog
 from altd.status.services import CalibrationService, PictureService, RecordingService, SelfCheckService
 from altd.status.target_area import TargetArea
 from altd.status.zero import Zero
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticPart:
+    """``name`` is the file's, ``meaning`` says in a few words what it is.
+
+    ``make`` gives its content, in a thread; whatever it raises costs this part only.
+    """
+
+    name: str
+    meaning: str
+    make: Callable[[], bytes]
+
 
 MEASURING = "measuring"
 """The component that does as the latest measurement does."""

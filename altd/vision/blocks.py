@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray
-from altd.vision.centre import Noise
 from altd.vision.flat import BLOCK_PX, BlockSums, Flat, block_sum, block_sums
-from altd.vision.image import Image
+from altd.vision.image import Image, Noise
 from altd.vision.patch import Patch
 
 LIGHT, MONOMIALS, HALF_MOMENTS, F1, F2 = 0, slice(1, 7), slice(7, 10), 10, 11

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from altd.records import FloatArray
-from altd.vision.centre import Centre, Noise
 from altd.vision.flat import Flat
-from altd.vision.image import Image, Mask, gaussian_blur
+from altd.vision.image import Centre, Image, Mask, Noise, gaussian_blur
 from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from altd.records import Frame, NoSpot
 from altd.vision.background import pixel_noise
-from altd.vision.centre import Noise
+from altd.vision.image import Noise
 from altd.vision.patch import Patch, patch_around
 from altd.vision.search import Region, Search, search
 from altd.vision.settings import SpotSettings

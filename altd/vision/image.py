@@ -1,6 +1,8 @@
-"""Images on their way from grey values to a spot: single precision, and the Gaussian that smooths them."""
+"""From grey values to a spot: images in single precision, the noise of their pixels, and the centre."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -18,3 +20,20 @@ def gaussian_blur(image: Image, sigma_px: float) -> Image:
     if sigma_px <= 0:
         return image
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The noise of a pixel: ``read_counts`` of the dark camera, shot noise at ``electrons_per_count``."""
+
+    read_counts: float
+    electrons_per_count: float
+
+
+@dataclass(frozen=True, slots=True)
+class Centre:
+    """A spot's centre and its sigma by read and shot noise, root mean square of both axes, px."""
+
+    u_px: float
+    v_px: float
+    sigma_px: float

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot, SpotShape
-from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.image import Centre, Noise
 from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
 from altd.vision.moment import moment
 from altd.vision.patch import Outline, Patch

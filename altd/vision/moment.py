@@ -7,8 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from altd.vision.centre import Centre, Noise
-from altd.vision.image import Image
+from altd.vision.image import Centre, Image, Noise
 from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 

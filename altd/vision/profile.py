@@ -11,9 +11,9 @@ import numpy.typing as npt
 from altd.records import FloatArray
 from altd.statistics import mad_sigma
 from altd.vision.blocks import blocks_of
-from altd.vision.centre import Centre, Noise
 from altd.vision.fit import RESIDUAL, Solution, solve
 from altd.vision.flat import BLOCK_PX, Flat
+from altd.vision.image import Centre, Noise
 from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
 

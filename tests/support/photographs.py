@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from altd.records import Frame
-from altd.vision.centre import Centre
+from altd.vision.image import Centre
 from support.frames import frame
 
 SIZE = 168

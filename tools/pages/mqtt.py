@@ -12,9 +12,14 @@ from pydantic import BaseModel
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S
 from altd.publish.mqtt.connecting import MAX_JITTER_S
-from altd.publish.mqtt.home_assistant import EXPIRE_AFTER_S, topic_of
 from altd.publish.mqtt.messages import Birth, Topics, summary_model, summary_of
-from altd.publish.mqtt.publisher import NUMBERS_EXPIRY_S, REFRESH_INTERVAL_S, RETAINED_EXPIRY_S
+from altd.publish.mqtt.publisher import (
+    EXPIRE_AFTER_S,
+    NUMBERS_EXPIRY_S,
+    REFRESH_INTERVAL_S,
+    RETAINED_EXPIRY_S,
+    discovery_topic,
+)
 from altd.runtime.supervision import MAX_BACKOFF_S, MIN_BACKOFF_S
 from altd.status.measurement_json import with_proof
 from tools.markdown import wrapped
@@ -160,7 +165,7 @@ in `[mqtt]` announces the unit as a device. Its sensors are the means of the sum
 measurements, the reasons and the state. A number is unavailable {EXPIRE_AFTER_S} s after the last summary.
 To remove the device, remove the key and send an empty retained message:
 
-    mosquitto_pub -h broker.plant.example -r -n -t {topic_of("homeassistant", identifier)}
+    mosquitto_pub -h broker.plant.example -r -n -t {discovery_topic("homeassistant", identifier)}
 """)
 
 

@@ -7,8 +7,15 @@ import sys
 from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S, MAX_RECEIVED_BYTES_PER_MESSAGE
 from altd.publish.mqtt.edge_node import MAX_PACKET_BYTES, REBIRTH_INTERVAL_S
 from altd.publish.mqtt.messages import birth_of
-from altd.publish.mqtt.metrics import identity_metrics, measurement_metrics, state_metrics
-from altd.publish.mqtt.sparkplug import NAMESPACE, REBIRTH, Metric, Type
+from altd.publish.mqtt.sparkplug import (
+    NAMESPACE,
+    REBIRTH,
+    Metric,
+    Type,
+    identity_metrics,
+    measurement_metrics,
+    state_metrics,
+)
 from altd.status.health import Health
 from tools.markdown import wrapped
 from tools.pages.example import MEASURED, SERIAL, board, clock

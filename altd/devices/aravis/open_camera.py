@@ -1,4 +1,4 @@
-"""One GigE Vision camera while it is open: its set-up, its output line, and its release."""
+"""One GigE Vision camera while it is open: its set-up, its output line, its release; and which there are."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from altd.config import AravisCameraSettings
+from altd.devices.aravis import gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import RETENTION_NS, Assembler, StreamFormat
+from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.devices.aravis.packets import PacketSocket
 from altd.devices.aravis.stream import Stream
 from altd.ports import CameraError, CameraLostError, CameraRefusedError, ExposureRange
@@ -238,3 +240,42 @@ def _set_choice(device: Device, feature: str, wanted: str) -> None:
     if wanted not in offered:
         raise CameraRefusedError(f"{feature} {wanted}: the camera offers {', '.join(offered) or 'none'}")
     device.set(feature, wanted)
+
+
+_DISCOVERY_TIMEOUT_S = 0.5
+_ANSWER_TIMEOUT_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """A camera as the config wants it named: by serial number, address or id.
+
+    ``in_use``: a program controls it. Its formats are then not known, for they are read from an open camera,
+    and Aravis takes control of one that it opens. ``formats`` holds those that altd can use; None: not known.
+    """
+
+    id: str
+    vendor: str
+    model: str
+    serial: str
+    address: str
+    in_use: bool
+    formats: tuple[str, ...] | None
+
+
+def find_cameras() -> list[FoundCamera]:
+    """All cameras that answer in half a second, by address; one without a controller is opened shortly."""
+    return [_examined(camera) for camera in gvcp.discover(_DISCOVERY_TIMEOUT_S)]
+
+
+def _examined(camera: DiscoveredCamera) -> FoundCamera:
+    in_use = gvcp.control_privilege(camera.address, _ANSWER_TIMEOUT_S) != 0
+    formats = None
+    if not in_use:
+        with suppress(CameraError, OSError):
+            device = Device(gvcp.own_address_towards(camera.address), camera.address)
+            try:
+                formats = tuple(name for name in device.choices("PixelFormat") if name in BITS)
+            finally:
+                device.close()
+    return FoundCamera(camera.id, camera.vendor, camera.model, camera.serial, camera.address, in_use, formats)

@@ -20,8 +20,18 @@ from altd.config import MqttSettings
 from altd.publish.mqtt.broker import Broker, BrokerError, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
 from altd.publish.mqtt.messages import birth_of
-from altd.publish.mqtt.metrics import identity_metrics, measurement_metrics, state_metrics, utc_ms
-from altd.publish.mqtt.sparkplug import NAMESPACE, REBIRTH, Metric, Type, commands_in, payload_of
+from altd.publish.mqtt.sparkplug import (
+    NAMESPACE,
+    REBIRTH,
+    Metric,
+    Type,
+    commands_in,
+    identity_metrics,
+    measurement_metrics,
+    payload_of,
+    state_metrics,
+    utc_ms,
+)
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health

@@ -1,23 +1,33 @@
-"""The profile in JSON. Each message is made after the one before it was acknowledged."""
+"""The profile in JSON, with the unit as a device of Home Assistant.
+
+Each message is made after the one before it was acknowledged.
+"""
 
 from __future__ import annotations
 
 import json
 import random
 import ssl
+from typing import Any
 
 import aiomqtt
 
 from altd.config import MqttSettings
-from altd.publish.mqtt import home_assistant
 from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics, birth_of, state_of, summary_of
-from altd.records import Measurement
+from altd.reasons import Signal
+from altd.records import Measurement, Quantities
 from altd.status.board import Board
 from altd.status.health import Component, Health
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Stamps
+
+EXPIRE_AFTER_S = 5
+"""Summaries come each second; in Home Assistant a number that none follows for this long is unavailable."""
+
+MAX_STATE_CHARACTERS = 255
+"""Of a state in Home Assistant."""
 
 NUMBERS_EXPIRY_S = 2
 """A broker that could not deliver a summary or a measurement for so long drops it."""
@@ -66,10 +76,8 @@ class MqttPublisher(BrokerPublisher[Broker]):
         birth = with_proof(birth_of(self._board, self._health, self._clock), self._board, self._stamps.next())
         await broker.send(topics.birth, birth, expiry_s=None, retain=True)
         if (prefix := self._settings.home_assistant) is not None:
-            device = home_assistant.device_of(
-                self._board.quantities, topics, self._identifier, self._serial, version
-            )
-            config = home_assistant.topic_of(prefix, self._identifier)
+            device = discovery_of(self._board.quantities, topics, self._identifier, self._serial, version)
+            config = discovery_topic(prefix, self._identifier)
             await broker.send(config, json.dumps(device), expiry_s=None, retain=True)
         self._told = None
         await self._refresh(broker)
@@ -114,3 +122,66 @@ class MqttPublisher(BrokerPublisher[Broker]):
         self._told_state = state
         line = with_proof(state_of(report, self._clock), self._board, self._stamps.next())
         await broker.send(self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)
+
+
+def discovery_topic(prefix: str, identifier: str) -> str:
+    """The topic on which Home Assistant looks for a device."""
+    return f"{prefix}/device/{identifier}/config"
+
+
+def discovery_of(
+    quantities: Quantities, topics: Topics, identifier: str, serial: str, version: str
+) -> dict[str, Any]:
+    """The device-based discovery message, retained at ``discovery_topic``.
+
+    Its sensors read summary and state.
+    """
+    components = {
+        quantity.key: _sensor(quantity.label)
+        | {
+            "value_template": f"{{{{ value_json.{quantity.key}.mean }}}}",
+            "unit_of_measurement": quantity.unit,
+            "state_class": "measurement",
+            "suggested_display_precision": quantity.decimals - 1,
+            "expire_after": EXPIRE_AFTER_S,
+        }
+        for quantity in quantities.shown
+    }
+    components["valid_share"] = _sensor("valid") | {
+        "value_template": "{{ 100 * value_json.valid_share if value_json.valid_share is number else None }}",
+        "unit_of_measurement": "%",
+        "state_class": "measurement",
+        "expire_after": EXPIRE_AFTER_S,
+    }
+    components["status"] = _sensor("reasons") | {
+        "value_template": f"{{{{ (value_json.status | join(', ') or 'none')[:{MAX_STATE_CHARACTERS}] }}}}",
+        "expire_after": EXPIRE_AFTER_S,
+    }
+    components["state"] = _sensor("state") | {
+        "state_topic": topics.state,
+        "value_template": "{{ value_json.signal }}",
+        "device_class": "enum",
+        "options": [str(signal) for signal in Signal],
+    }
+    for key, component in components.items():
+        component["unique_id"] = f"{identifier}_{key}"
+    return {
+        "dev": {
+            "ids": [identifier],
+            "name": f"Laser target {serial}",
+            "mdl": "Active Laser Target",
+            "sn": serial,
+            "sw": version,
+        },
+        "o": {"name": "altd", "sw": version},
+        "cmps": components,
+        "state_topic": topics.summary,
+        "availability_topic": topics.availability,
+        "payload_available": ONLINE,
+        "payload_not_available": OFFLINE,
+        "qos": 1,
+    }
+
+
+def _sensor(name: str) -> dict[str, Any]:
+    return {"p": "sensor", "name": name}

@@ -116,7 +116,7 @@ COMMANDS = {
     "check-config": Command("check-config {config}", "altd.config:load_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),
     "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
-    "devices": Command("devices", "altd.app.connected_devices:lines 1"),
+    "devices": Command("devices", "altd.cli.devices:lines 1"),
     "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),
     "hw_sim flat": Command("flat -o kept --exposures 4", EXPOSE, module=HW_SIM),

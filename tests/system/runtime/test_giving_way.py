@@ -14,7 +14,7 @@ from support.unit_toml import TARGETS
 from altd.app.daemon import Daemon
 from altd.config import Config
 from altd.measuring.calibration import Calibration
-from altd.runtime.real_time import real_time_interpreter
+from altd.runtime.threads import real_time_interpreter
 from hw_sim.camera import make_cameras
 from hw_sim.unit import Unit, UnitConfig
 

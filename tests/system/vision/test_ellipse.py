@@ -9,9 +9,9 @@ from support.frames import Blob, light
 from support.photographs import ELECTRONS_PER_COUNT, SIZE, found, photographed
 
 from altd.records import Frame
-from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
+from altd.vision.image import Centre, Noise
 from altd.vision.patch import Patch, patch_around
 from altd.vision.search import search
 from altd.vision.settings import SpotSettings

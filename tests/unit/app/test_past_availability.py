@@ -14,7 +14,7 @@ from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
 from altd.app.keeping import LOOK_INTERVAL_S, DaemonHistory, PastAvailability
 from altd.history.batch import About
 from altd.history.history import History, NoHistoryError
-from altd.history.lock import WriteLock
+from altd.history.opening import WriteLock
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.availability import Availability
 from altd.status.board import Board

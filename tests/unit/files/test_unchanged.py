@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from altd.errors import BadInputError
-from altd.files.unchanged import UnchangedFile
+from altd.files.reading import UnchangedFile
 
 PIECE_BYTES = 1 << 20
 

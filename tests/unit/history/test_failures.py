@@ -102,7 +102,7 @@ def test_of_two_daemons_on_one_history_the_second_writes_nothing_until_the_first
 
 def test_a_daemon_that_was_killed_holds_the_history_no_more(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from altd.history.lock import WriteLock;"
+        "import os, sys; from pathlib import Path; from altd.history.opening import WriteLock;"
         "WriteLock(Path(sys.argv[1])); print('held', flush=True); os.kill(os.getpid(), 9)"
     )
     killed = subprocess.run(

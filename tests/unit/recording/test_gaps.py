@@ -8,7 +8,7 @@ from support.cli import altd_here
 from support.played_unit import PlayedUnit
 
 from altd.recording.frames_table import Row
-from altd.recording.gaps import gaps
+from altd.recording.reader import gaps
 
 CAMERAS = ("front", "rear")
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from altd.runtime.real_time import real_time_interpreter
+from altd.runtime.threads import real_time_interpreter
 
 
 def test_within_threads_give_way_ten_times_sooner_and_after_as_they_did() -> None:

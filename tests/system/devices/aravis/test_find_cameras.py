@@ -14,7 +14,7 @@ from support.gige import HOME, Cameras, Grabbed, driver, register
 @pytest.mark.own_network
 class TestFoundCameras:
     def test_are_named_as_the_config_wants_them(self, cameras: Cameras) -> None:
-        from altd.devices.aravis.find_cameras import find_cameras
+        from altd.devices.aravis.open_camera import find_cameras
 
         cameras.start(HOME, "T1")
         cameras.start("127.0.0.2", "T2")
@@ -25,7 +25,7 @@ class TestFoundCameras:
         assert register(HOME, 0xA00) == 0
 
     def test_in_use_are_left_alone(self, cameras: Cameras) -> None:
-        from altd.devices.aravis.find_cameras import find_cameras
+        from altd.devices.aravis.open_camera import find_cameras
 
         cameras.start()
         with Grabbed(driver()) as grabbed:

@@ -23,8 +23,7 @@ from altd.credentials.file import change
 from altd.history.history import History
 from altd.publish.http import diagnostics
 from altd.status.board import Board
-from altd.status.diagnostic_part import DiagnosticPart
-from altd.status.health import Health
+from altd.status.health import DiagnosticPart, Health
 from altd.status.services import SelfCheckReport
 
 from .calibration_files import Files

@@ -17,8 +17,7 @@ from altd.acquisition.self_check.judging import Judged
 from altd.acquisition.self_check.schedule import Cause
 from altd.acquisition.self_check.service import Occasion, report_of
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.publish.http.api_page import api_page_of
-from altd.publish.http.openapi import document_of
+from altd.publish.http.openapi import api_page_of, document_of
 from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Value

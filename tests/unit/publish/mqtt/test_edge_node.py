@@ -14,8 +14,7 @@ from support.mqtt import ChosenBroker, Published, PublishingUnit
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt import broker as connection
 from altd.publish.mqtt import connecting, edge_node
-from altd.publish.mqtt.metrics import measurement_metrics
-from altd.publish.mqtt.sparkplug import Metric, Payload, Quality
+from altd.publish.mqtt.sparkplug import Metric, Payload, Quality, measurement_metrics
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, sensors
 from altd.records.sensors import SensorValue

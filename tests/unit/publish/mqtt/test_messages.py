@@ -11,8 +11,8 @@ from support.clock import FakeClock
 from support.measurements import BEAM, changed, measurement
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.publish.mqtt.home_assistant import device_of, topic_of
 from altd.publish.mqtt.messages import Topics, birth_of, summary_of
+from altd.publish.mqtt.publisher import discovery_of, discovery_topic
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.board import Board
@@ -97,7 +97,7 @@ def test_a_birth_names_unit_calibration_and_quantities(
 
 def test_a_device_of_home_assistant_has_what_its_discovery_requires() -> None:
     """As documented for device-based discovery; a real Home Assistant (2025.4) took this very message."""
-    device = device_of(QUANTITIES, Topics.of("altd", "ALT-0007"), "altd_1e4b2d8e", "ALT-0007", "0.1.0")
+    device = discovery_of(QUANTITIES, Topics.of("altd", "ALT-0007"), "altd_1e4b2d8e", "ALT-0007", "0.1.0")
     components = device["cmps"]
     assert {"ids", "name"} <= set(device["dev"])
     assert device["o"]["name"] == "altd"
@@ -106,4 +106,4 @@ def test_a_device_of_home_assistant_has_what_its_discovery_requires() -> None:
     assert device["availability_topic"] == "altd/ALT-0007/availability"
     of_summary = [component for component in components.values() if "state_topic" not in component]
     assert all(component["expire_after"] == 5 for component in of_summary), "an old number would stay"
-    assert topic_of("homeassistant", "altd_1e4b2d8e") == "homeassistant/device/altd_1e4b2d8e/config"
+    assert discovery_topic("homeassistant", "altd_1e4b2d8e") == "homeassistant/device/altd_1e4b2d8e/config"
