@@ -7,10 +7,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import line_of
@@ -63,42 +62,33 @@ COLUMNS = (
 """Of ``--format csv``."""
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
-    """Options of ``altd events``; no kinds: all."""
-
-    history: Path
-    span_us: tuple[int, int]
-    kinds: tuple[str, ...]
-    form: Literal["text", "csv", "jsonl"]
-    follow: bool
-
-
-def answer(question: Question) -> None:
-    """Write the events in the order in which they came; raises BadInputError."""
-    for kind in question.kinds:
+def answer(
+    history: Path, span_us: tuple[int, int], kinds: tuple[str, ...], form: str, *, follow: bool
+) -> None:
+    """Write the events in the order in which they came, no kinds: all; raises BadInputError."""
+    for kind in kinds:
         if kind not in set(EventKind):
             possible = ", ".join(EventKind)
             raise BadInputError(
                 "--kind", f"{kind[:40]!r}; possible: {possible}{did_you_mean(kind, EventKind)}"
             )
-    add = _writer(question.form)
+    add = _writer(form)
     while True:
-        file = _identity(question.history)
+        file = _identity(history)
         last = 0
-        with opened(question.history) as reader:
+        with opened(history) as reader:
             while True:
-                for event in reader.events_after(last, *question.span_us, question.kinds):
+                for event in reader.events_after(last, *span_us, kinds):
                     add(event)
                     last = event.id
-                if not question.follow:
+                if not follow:
                     return
                 sys.stdout.flush()
                 time.sleep(_LOOK_INTERVAL_S)
-                now = _identity(question.history)
+                now = _identity(history)
                 if now is not None and now != file:  # moved aside: the daemon has begun another
                     break
-        _wait_until_begun(question.history)
+        _wait_until_begun(history)
 
 
 def _wait_until_begun(file: Path) -> None:

@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a line an event, in the order in which they came."""
-    from altd.answers.events import Question, answer
+    from altd.answers.events import answer
 
     kinds = tuple(options.kind)
-    answer(Question(history_of(options), span_of(options), kinds, options.format, options.follow))
+    answer(history_of(options), span_of(options), kinds, options.format, follow=options.follow)
     return 0

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 from altd.history.reader import HistoryTimeoutError, Reader
-from altd.history.records import StoredEvent, StoredMeasurement, Trend
 from altd.history.schema import UnusableFileError
 from altd.runtime.threads import DeviceThread
 
@@ -39,27 +38,6 @@ class History:
         self.waiting = 0
         """Queries that are not answered yet."""
         self._thread: DeviceThread | None = None
-
-    async def trend(
-        self, from_us: int, to_us: int, max_points: int, keys: Sequence[str] | None = None
-    ) -> Trend:
-        """As ``Reader.trend``; raises ValueError and NoHistoryError."""
-        return await self.ask(lambda reader: reader.trend(from_us, to_us, max_points, keys))
-
-    async def measurements_after(self, after: int, limit: int) -> list[StoredMeasurement]:
-        """As ``Reader.measurements_after``; raises ValueError and NoHistoryError."""
-        return await self.ask(lambda reader: reader.measurements_after(after, limit))
-
-    async def events(
-        self,
-        from_us: int,
-        to_us: int,
-        kinds: Sequence[str] = (),
-        limit: int = 100,
-        before: int | None = None,
-    ) -> list[StoredEvent]:
-        """As ``Reader.events``; raises ValueError and NoHistoryError."""
-        return await self.ask(lambda reader: reader.events(from_us, to_us, kinds, limit, before))
 
     async def ask(self, query: Callable[[Reader], Result]) -> Result:
         """The result of a query on an open file, in a thread; raises what it raises, and NoHistoryError."""

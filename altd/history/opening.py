@@ -123,21 +123,11 @@ def open_to_read(path: Path) -> sqlite3.Connection:
     """
     _check_regular(path)
     try:
-        connection = _connected(path, "ro")
-        try:
-            return _checked(connection)
-        except BaseException:
-            connection.close()
-            raise
+        return _checked(_connected(path, "ro"))
     except sqlite3.OperationalError as error:
         if not _is_lone_copy(path, error):
             raise
-    connection = _connected(path, "ro&immutable=1")
-    try:
-        return _checked(connection)
-    except BaseException:
-        connection.close()
-        raise
+    return _checked(_connected(path, "ro&immutable=1"))
 
 
 def set_aside(path: Path, error: Exception) -> Path | None:
@@ -152,7 +142,7 @@ def set_aside(path: Path, error: Exception) -> Path | None:
     return None
 
 
-def move_aside(path: Path, what: str, now: datetime | None = None) -> Path:
+def move_aside(path: Path, what: str) -> Path:
     """Give a file that is ``DAMAGED`` or ``FOREIGN``, and what SQLite keeps beside it, another name.
 
     Returns that name. Raises UnusableFileError when there are too many already, OSError.
@@ -161,7 +151,7 @@ def move_aside(path: Path, what: str, now: datetime | None = None) -> Path:
     if sum(not name.endswith(_BESIDE) for name in earlier) >= MAX_FILES_ASIDE:
         before = f"is {what.replace('-', ' ')}, as {MAX_FILES_ASIDE} before it"
         raise UnusableFileError(f"{before}: move {path}.{what}-* away")
-    when = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%S%fZ")
+    when = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
     aside = path.with_name(f"{path.name}.{what}-{when}")
     for ending in _BESIDE:
         beside = path.with_name(path.name + ending)
@@ -218,16 +208,21 @@ def _text(content: bytes) -> str:
 
 
 def _checked(connection: sqlite3.Connection) -> sqlite3.Connection:
-    with damage_told():
-        version = version_of(connection)
-    if version == 0:
-        raise UnusableFileError("is an empty history")
-    if version < VERSION:
-        raise UnusableFileError(
-            f"is of version {version}, this program reads {VERSION}: a daemon that starts mends that"
-        )
-    with damage_told():
-        check_tables(connection)
+    """The connection of a history of this version; any other one is closed."""
+    try:
+        with damage_told():
+            version = version_of(connection)
+        if version == 0:
+            raise UnusableFileError("is an empty history")
+        if version < VERSION:
+            raise UnusableFileError(
+                f"is of version {version}, this program reads {VERSION}: a daemon that starts mends that"
+            )
+        with damage_told():
+            check_tables(connection)
+    except BaseException:
+        connection.close()
+        raise
     return connection
 
 

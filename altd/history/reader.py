@@ -59,7 +59,8 @@ class Reader:
         try:
             with damage_told():
                 self._columns = columns_in(self._connection)
-                self._codes = codes_in(self._connection)
+                self.codes = codes_in(self._connection)
+                """The codes of reasons and causes by their numbers in the file."""
         except BaseException:
             self._connection.close()
             raise
@@ -79,11 +80,6 @@ class Reader:
     def recorded(self) -> dict[str, Column]:
         """The quantities that measurements hold, by their keys, those of a target as ``TARGET.KEY``."""
         return {column.key: column for column in self._columns.values()}
-
-    @property
-    def codes(self) -> dict[int, str]:
-        """The codes of reasons and causes by their numbers in the file."""
-        return self._codes
 
     def facts(self) -> dict[str, str]:
         """The facts of the newest daemon: ``serial``, ``version``, ``config``, ``calibration``."""
@@ -241,8 +237,8 @@ class Reader:
         return SummaryPoint(t_us, width_s * _US, n, n_valid, *self._faults(row[3], row[4]), values)
 
     def _faults(self, worst: object, lost: object) -> tuple[int, str, str]:
-        severity, code = fault_in(worst, self._codes)
-        return severity, code, fault_in(lost, self._codes)[1]
+        severity, code = fault_in(worst, self.codes)
+        return severity, code, fault_in(lost, self.codes)[1]
 
     def _chosen(self, keys: Sequence[str] | None) -> list[tuple[int, Column]]:
         by_key = {

@@ -10,7 +10,6 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
-from altd.publish.http import login, self_check
 from altd.publish.http.calibration import LoadedCalibration
 from altd.publish.http.diagnostics import Diagnostics
 from altd.publish.http.errors import refusal
@@ -90,7 +89,7 @@ NOTHING_YET = {
 
 
 class Answers:
-    """The answers of one interface. ``guard`` says who may act.
+    """The answers of one interface, its own and those of its parts. ``guard`` says who may act.
 
     ``document``, as JSON, and ``api_page`` are the API's own and do not change: to make 70 kB of JSON again
     for each request would hold the loop for some 10 ms.
@@ -100,18 +99,19 @@ class Answers:
         self._board = board
         self._health = health
         self._component = component
-        self._guard = guard
-        self._past = past
+        self.guard = guard
+        self.past = past
         self._stamps = Stamps(board)
         self._metrics = Metrics(board, health)
         self._page = page_of(board.quantities)
         self._page_files = page_files()
         self.streams = Streams(board, component, self._stamps)
+        self.self_check = health.self_check
         self.viewers = Viewers(health.pictures, component, guard)
-        self._downloads = Downloads()
-        self._kept = Recordings(health.recordings, guard, self._downloads)
-        self._calibration = LoadedCalibration(health.calibration, guard, self._downloads)
-        self._diagnostics = Diagnostics(board, health, past, self._metrics)
+        downloads = Downloads()
+        self.recordings = Recordings(health.recordings, guard, downloads)
+        self.calibration = LoadedCalibration(health.calibration, guard, downloads)
+        self.diagnostics = Diagnostics(board, health, past, self._metrics, guard, downloads)
         self.document = b""
         self.api_page = ""
 
@@ -152,22 +152,6 @@ class Answers:
         """The areas in which the targets are measured."""
         return JSONResponse(as_object(self._health.targets))
 
-    async def self_check(self, request: Request) -> Response:
-        """The last self-check, or one that is made now."""
-        return await self_check.answer(request, self._health.self_check, self._guard)
-
-    async def session(self, request: Request) -> Response:
-        """The user who is logged in."""
-        return await login.session(request, self._guard)
-
-    async def log_in(self, request: Request) -> Response:
-        """Begin a session."""
-        return await login.log_in(request, self._guard)
-
-    async def log_out(self, request: Request) -> Response:
-        """End a session."""
-        return await login.log_out(request, self._guard)
-
     async def stream(self, request: Request) -> Response:
         """Measurements as they come."""
         if request.method == "HEAD":
@@ -179,47 +163,7 @@ class Answers:
         if request.method == "HEAD":
             return Response(media_type=EventStream.media_type)
         last_id = request.headers.get("Last-Event-ID")
-        return EventStream(self.streams, Resuming(None if last_id is None else self._past.since(last_id)))
-
-    async def trend(self, request: Request) -> Response:
-        """The course of the quantities."""
-        return await self._past.trend(request)
-
-    async def events(self, request: Request) -> Response:
-        """The events."""
-        return await self._past.events(request)
-
-    async def recordings(self, _: Request) -> Response:
-        """The frames that were kept."""
-        return self._kept.listed()
-
-    async def keep_frames(self, request: Request) -> Response:
-        """Keep the last seconds."""
-        return await self._kept.keep(request)
-
-    async def recording(self, request: Request) -> Response:
-        """One recording."""
-        return await self._kept.archive(request)
-
-    async def mark_recording(self, request: Request) -> Response:
-        """Mark a recording, or take its mark away."""
-        return await self._kept.mark(request)
-
-    async def calibration(self, _: Request) -> Response:
-        """The content of the loaded calibration."""
-        return await self._calibration.summary()
-
-    async def calibration_file(self, request: Request) -> Response:
-        """Its file."""
-        return self._calibration.file(request)
-
-    async def calibration_report(self, request: Request) -> Response:
-        """The report on it."""
-        return self._calibration.report(request)
-
-    async def diagnostics(self, request: Request) -> Response:
-        """All of it, for remote diagnostics."""
-        return self._diagnostics.archive(request, self._guard, self._downloads)
+        return EventStream(self.streams, Resuming(None if last_id is None else self.past.since(last_id)))
 
     async def metrics(self, _: Request) -> Response:
         """All numbers for Prometheus."""

@@ -9,16 +9,11 @@ from pydantic import BaseModel, ConfigDict
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from altd.publish.http.errors import refusal
-from altd.publish.http.guard import Guard, Refused
+from altd.publish.http.errors import Refused, refusal
+from altd.publish.http.guard import Guard
 from altd.publish.http.recordings import Downloads, saved_as, sent_whole
 from altd.status.models import Answer
-from altd.status.services import (
-    CalibrationFiles,
-    CalibrationService,
-    NoCalibrationFileError,
-    NoReportError,
-)
+from altd.status.services import CalibrationFiles, CalibrationService, NoReportError
 
 Range = tuple[float | None, float | None]
 
@@ -154,7 +149,7 @@ class LoadedCalibration:
         self._guard = guard
         self._downloads = downloads
 
-    async def summary(self) -> Response:
+    async def summary(self, _: Request) -> Response:
         """The content of the calibration, and whether there is a report on it."""
         if self._service.files is None:
             return refusal(503, _NONE)
@@ -165,40 +160,28 @@ class LoadedCalibration:
             why = str(error)
         return JSONResponse({**self._service.summary, "report": {"available": not why, "why": why}})
 
-    def file(self, request: Request) -> Response:
+    async def file(self, request: Request) -> Response:
         """The file as it was loaded."""
         files = self._files(request)
-        if isinstance(files, Response):
-            return files
 
         async def made() -> Response:
-            try:
-                content = await files.calibration()
-            except NoCalibrationFileError as error:
-                return refusal(409, str(error))
-            return sent_whole(content, "application/json", saved_as(files.name))
+            return sent_whole(await files.calibration(), "application/json", saved_as(files.name))
 
         return self._downloads.of(made)
 
-    def report(self, request: Request) -> Response:
+    async def report(self, request: Request) -> Response:
         """The report on it."""
         files = self._files(request)
-        if isinstance(files, Response):
-            return files
 
         async def made() -> Response:
-            try:
-                page = await files.report()
-            except NoReportError as error:
-                return refusal(404, str(error))
-            return sent_whole(page, "text/html", {"Content-Security-Policy": REPORT_POLICY})
+            policy = {"Content-Security-Policy": REPORT_POLICY}
+            return sent_whole(await files.report(), "text/html", policy)
 
         return self._downloads.of(made)
 
-    def _files(self, request: Request) -> CalibrationFiles | Response:
-        """The reader of the files, or the answer to give instead."""
-        try:
-            self._guard.check_may_look(request)
-        except Refused as refused:
-            return refused.answer
-        return refusal(503, _NONE) if self._service.files is None else self._service.files
+    def _files(self, request: Request) -> CalibrationFiles:
+        """The reader of the files; raises Refused."""
+        self._guard.check_may_look(request)
+        if self._service.files is None:
+            raise Refused(refusal(503, _NONE))
+        return self._service.files

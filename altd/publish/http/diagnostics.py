@@ -22,7 +22,7 @@ from altd.errors import one_line
 from altd.history.reader import MAX_ROWS, Reader
 from altd.history.records import SummaryPoint
 from altd.history.schema import MINUTES
-from altd.publish.http.guard import Guard, Refused
+from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import Metrics
 from altd.publish.http.past import Past, event_object
 from altd.publish.http.recordings import Downloads, saved_as, sent_whole
@@ -63,18 +63,19 @@ class _Part:
 class Diagnostics:
     """The diagnostics of one unit, for clients that may see pictures."""
 
-    def __init__(self, board: Board, health: Health, past: Past, metrics: Metrics) -> None:
+    def __init__(
+        self, board: Board, health: Health, past: Past, metrics: Metrics, guard: Guard, downloads: Downloads
+    ) -> None:
         self._board = board
         self._health = health
         self._past = past
         self._metrics = metrics
+        self._guard = guard
+        self._downloads = downloads
 
-    def archive(self, request: Request, guard: Guard, downloads: Downloads) -> Response:
+    async def archive(self, request: Request) -> Response:
         """A zip archive."""
-        try:
-            guard.check_may_look(request)
-        except Refused as refused:
-            return refused.answer
+        self._guard.check_may_look(request)
         if request.method == "HEAD":
             return Response(media_type=ZIP)
 
@@ -84,7 +85,7 @@ class Diagnostics:
             name = f"altd-{self._health.facts.get('serial', 'unit')}-{now:%Y%m%dT%H%M%SZ}.zip"
             return sent_whole(content, ZIP, saved_as(name))
 
-        return downloads.of(made)
+        return self._downloads.of(made)
 
     async def made(self, now: datetime) -> bytes:
         """The archive of this moment, ``now`` in UTC."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from http import HTTPStatus
 
 from starlette.exceptions import HTTPException
@@ -12,6 +12,25 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from altd.errors import did_you_mean, one_line
+from altd.history.history import NoHistoryError
+from altd.status.services import NoCalibrationFileError, NoReportError, NoSelfCheckError, NotKeptError
+
+_STATUSES = {
+    NoHistoryError: 503,
+    NoReportError: 404,
+    NoCalibrationFileError: 409,
+    NoSelfCheckError: 409,
+    NotKeptError: 409,
+}
+"""Of a request for what the unit cannot give now; the error's sentence says why."""
+
+
+class Refused(Exception):  # noqa: N818  an answer, not a fault
+    """Why a request is refused; ``answer`` is the response."""
+
+    def __init__(self, answer: Response) -> None:
+        super().__init__(answer.status_code)
+        self.answer = answer
 
 
 def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
@@ -41,12 +60,12 @@ def misdirected(host: str, address: str, accepts_page: bool) -> Response:
     return HTMLResponse(page, 421, {"Content-Security-Policy": "default-src 'none'"})
 
 
-async def of_defect(_: Request, __: Exception) -> Response:
+async def _of_defect(_: Request, __: Exception) -> Response:
     """500: whatever a handler fails on, among it a number that JSON does not have."""
     return refusal(500, "a defect of the unit; its log says more")
 
 
-async def of_routing(request: Request, error: Exception) -> Response:
+async def _of_routing(request: Request, error: Exception) -> Response:
     """404 and 405, from starlette; 404 names the path, and the most similar one that exists."""
     assert isinstance(error, HTTPException)  # noqa: S101  it is registered for no other
     if error.status_code == HTTPStatus.NOT_FOUND:
@@ -55,3 +74,24 @@ async def of_routing(request: Request, error: Exception) -> Response:
         near = did_you_mean(path, paths)
         return refusal(404, f"there is no {one_line(path)}{near}; /api/v1/ lists the paths")
     return refusal(error.status_code, error.detail, error.headers)
+
+
+async def _of_refused(_: Request, error: Exception) -> Response:
+    assert isinstance(error, Refused)  # noqa: S101  it is registered for no other
+    return error.answer
+
+
+def _with_status(status: int) -> Callable[[Request, Exception], Awaitable[Response]]:
+    async def answer(_: Request, error: Exception) -> Response:
+        return refusal(status, str(error))
+
+    return answer
+
+
+HANDLERS: dict[type[Exception], Callable[[Request, Exception], Awaitable[Response]]] = {
+    HTTPException: _of_routing,
+    Exception: _of_defect,
+    Refused: _of_refused,
+    **{kind: _with_status(status) for kind, status in _STATUSES.items()},
+}
+"""Makes an answer of whatever the handler of a path raises."""

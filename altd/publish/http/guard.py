@@ -12,7 +12,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.errors import refusal
+from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, host_of
 from altd.publish.http.sessions import LONGEST_S, Sessions
 from altd.status.event_log import EventKind, EventLog
@@ -43,14 +43,6 @@ class CredentialStore(Protocol):
 
     def name_of_token(self, token: str) -> str | None:
         """Whose token it is."""
-
-
-class Refused(Exception):  # noqa: N818  an answer, not a fault
-    """Why a request is refused; ``answer`` is the response."""
-
-    def __init__(self, answer: Response) -> None:
-        super().__init__(answer.status_code)
-        self.answer = answer
 
 
 class Guard:
@@ -90,6 +82,12 @@ class Guard:
                 _check_is_own_computer(request)
             return THIS_COMPUTER
         return self._identified(request, self._credentials())
+
+    def requester(self, request: HTTPConnection) -> str:
+        """The address and user who ask for an action, for the events; raises Refused without permission."""
+        actor = self.actor(request)
+        host = "" if request.client is None else f" {request.client.host}"
+        return f"http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}"
 
     def check_may_look(self, connection: HTTPConnection) -> None:
         """Raise Refused where pictures are not for this client: credentials are set, and it shows none."""

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
-from altd.publish.http.errors import refusal
-from altd.publish.http.guard import Guard, Refused, session_cookie
+from altd.publish.http.errors import Refused, refusal
+from altd.publish.http.guard import Guard, session_cookie
 from altd.publish.http.models import Login
 
 MAX_BODY_BYTES = 4096
@@ -21,11 +21,9 @@ async def log_in(request: Request, guard: Guard) -> Response:
     """Begin a session: its secret goes into a cookie that no script can read."""
     try:
         wanted = await _login_of(request)
-        secret = await guard.log_in(request, wanted.name, wanted.password)
-    except Refused as refused:
-        return refused.answer
     except ClientDisconnect:
         return refusal(400, "it ended before its body did")
+    secret = await guard.log_in(request, wanted.name, wanted.password)
     answer = JSONResponse({"name": wanted.name, "may_act": True, "login": True})
     answer.headers["Set-Cookie"] = session_cookie(request, secret)
     return answer
@@ -33,10 +31,7 @@ async def log_in(request: Request, guard: Guard) -> Response:
 
 async def log_out(request: Request, guard: Guard) -> Response:
     """End the session, if there is one."""
-    try:
-        guard.log_out(request)
-    except Refused as refused:
-        return refused.answer
+    guard.log_out(request)
     answer = JSONResponse({"name": None, "may_act": False, "login": guard.has_credentials})
     answer.headers["Set-Cookie"] = session_cookie(request, "")
     return answer

@@ -13,11 +13,11 @@ from json import dumps
 from starlette.requests import Request
 from starlette.responses import Response
 
-from altd.history.history import History, NoHistoryError
+from altd.history.history import History
 from altd.history.reader import Reader
 from altd.history.records import StoredEvent, Trend
 from altd.ports import Clock
-from altd.publish.http.errors import refusal
+from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.resuming import Resume, time_of
 from altd.records import Quantities
 from altd.status.event_log import EventKind
@@ -33,10 +33,6 @@ LAST_S = 253_402_300_799
 """The end of the year 9999, UTC."""
 
 _US = 10**6
-
-
-class UnusableQueryError(ValueError):
-    """A query that cannot be; the sentence says why."""
 
 
 class Past:
@@ -76,7 +72,7 @@ class Past:
         before = query.whole("before", 2**53, 0, 2**53)
         kind = query.text("kind")
         if kind is not None and kind not in set(EventKind):
-            raise UnusableQueryError(f"kind is none; possible: {', '.join(EventKind)}")
+            raise _unusable(f"kind is none; possible: {', '.join(EventKind)}")
 
         def read(reader: Reader) -> str:
             found = reader.events(from_us, to_us, () if kind is None else [kind], limit, before)
@@ -95,12 +91,7 @@ class Past:
         return absolute_us(query.number("from", from_s)), absolute_us(query.number("to", now_s + 1))
 
     async def _answer(self, request: Request, made: Callable[[Query], Callable[[Reader], str]]) -> Response:
-        try:
-            body = await self.history.ask(made(Query(request)))
-        except NoHistoryError as error:
-            return refusal(503, str(error))
-        except UnusableQueryError as error:
-            return refusal(400, str(error))
+        body = await self.history.ask(made(Query(request)))
         return Response(body, media_type="application/json")
 
 
@@ -111,31 +102,36 @@ class Query:
         self._given = request.query_params.multi_items()
 
     def text(self, name: str) -> str | None:
-        """A parameter as it came; None: it did not. Raises UnusableQueryError where it came twice."""
+        """A parameter as it came; None: it did not. Raises Refused where it came twice."""
         values = [value for key, value in self._given if key == name]
         if len(values) > 1:
-            raise UnusableQueryError(f"{name} is given twice")
+            raise _unusable(f"{name} is given twice")
         return values[0] if values else None
 
     def number(self, name: str, otherwise: float) -> float:
-        """Seconds; raises UnusableQueryError for what is no time of this calendar."""
+        """Seconds; raises Refused for what is no time of this calendar."""
         text = self.text(name)
         try:
             number = otherwise if text is None else float(text)
         except ValueError as error:
-            raise UnusableQueryError(f"{name} is no number") from error
+            raise _unusable(f"{name} is no number") from error
         if not -LAST_S <= number <= LAST_S:
-            raise UnusableQueryError(f"{name} is no time, in seconds")
+            raise _unusable(f"{name} is no time, in seconds")
         return number
 
     def whole(self, name: str, otherwise: int, low: int, high: int) -> int:
-        """A whole number; raises UnusableQueryError for another one."""
+        """A whole number; raises Refused for another one."""
         text = self.text(name)
         if text is None:
             return otherwise
         if not (text.isascii() and text.isdigit() and len(text) <= 16 and low <= int(text) <= high):
-            raise UnusableQueryError(f"{name} is not a whole number from {low} to {high}")
+            raise _unusable(f"{name} is not a whole number from {low} to {high}")
         return int(text)
+
+
+def _unusable(sentence: str) -> Refused:
+    """The refusal of a query that cannot be."""
+    return Refused(refusal(400, sentence))
 
 
 def _columns(trend: Trend, reader: Reader) -> dict[str, object]:

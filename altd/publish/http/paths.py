@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from altd.publish.http import models
+from altd.publish.http import login, models, self_check
 from altd.publish.http.answers import Answers
 from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
 from altd.publish.http.diagnostics import ZIP
@@ -37,9 +37,13 @@ _MEASUREMENT = {
 }
 _STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", models.Status)}
 _SELF_CHECK = {
-    "GET": Operation(Answers.self_check, "The result of the last self-check", models.SelfCheck),
+    "GET": Operation(
+        lambda to, request: self_check.answer(request, to.self_check, to.guard),
+        "The result of the last self-check",
+        models.SelfCheck,
+    ),
     "POST": Operation(
-        Answers.self_check,
+        lambda to, request: self_check.answer(request, to.self_check, to.guard),
         "Make a self-check now, and give what it says",
         models.SelfCheck,
         errors={
@@ -71,7 +75,7 @@ _NO_HISTORY = {
     503: "the history cannot be read now, or this unit has none",
 }
 _TREND = Operation(
-    Answers.trend,
+    lambda to, request: to.past.trend(request),
     "Each quantity over time: mean, sigma, lowest and highest",
     models.Trend,
     errors=_NO_HISTORY,
@@ -85,7 +89,7 @@ _TREND = Operation(
     ),
 )
 _EVENTS = Operation(
-    Answers.events,
+    lambda to, request: to.past.events(request),
     "Events of the unit",
     models.Events,
     errors=_NO_HISTORY,
@@ -110,9 +114,13 @@ _RECORDING_NAME = Parameter(
 )
 _NO_RECORDING = {404: "there is no such recording", 409: "this unit keeps none, or it cannot be done now"}
 _RECORDINGS = {
-    "GET": Operation(Answers.recordings, "The recordings that the unit has kept", models.Recordings),
+    "GET": Operation(
+        lambda to, request: to.recordings.listed(request),
+        "The recordings that the unit has kept",
+        models.Recordings,
+    ),
     "POST": Operation(
-        Answers.keep_frames,
+        lambda to, request: to.recordings.keep(request),
         "Keep the frames of the last seconds as a recording",
         models.Recording,
         status=201,
@@ -122,7 +130,7 @@ _RECORDINGS = {
     ),
 }
 _MARK = Operation(
-    Answers.mark_recording,
+    lambda to, request: to.recordings.mark(request),
     "Mark a recording, so that it is never removed to make room",
     models.Recording,
     errors={**_NOT_ALLOWED, **_NO_RECORDING},
@@ -139,7 +147,7 @@ _CALIBRATION_FILES = (
         "figures of the loaded calibration",
         {
             "GET": Operation(
-                Answers.calibration,
+                lambda to, request: to.calibration.summary(request),
                 "The loaded calibration, what it was made from, and what it is worth",
                 CalibrationSummary,
                 errors={503: _NO_CALIBRATION},
@@ -151,7 +159,7 @@ _CALIBRATION_FILES = (
         "its file as it was loaded, for `altd replay`",
         {
             "GET": Operation(
-                Answers.calibration_file,
+                lambda to, request: to.calibration.file(request),
                 "The calibration file as it was loaded",
                 CalibrationFile,
                 errors={
@@ -166,7 +174,7 @@ _CALIBRATION_FILES = (
         "the report on it, in HTML",
         {
             "GET": Operation(
-                Answers.calibration_report,
+                lambda to, request: to.calibration.report(request),
                 "The report on the loaded calibration",
                 media_type=HTML,
                 errors={**_NO_DOWNLOAD, 404: "there is no report on the loaded calibration"},
@@ -179,7 +187,10 @@ _DIAGNOSTICS = ServedPath(
     "a zip archive for remote diagnostics",
     {
         "GET": Operation(
-            Answers.diagnostics, "All of it, for remote diagnostics", media_type=ZIP, errors=_NO_DOWNLOAD
+            lambda to, request: to.diagnostics.archive(request),
+            "All of it, for remote diagnostics",
+            media_type=ZIP,
+            errors=_NO_DOWNLOAD,
         )
     },
 )
@@ -233,7 +244,7 @@ PATHS = (
         "one of them as a tar archive, for `altd replay`",
         {
             "GET": Operation(
-                Answers.recording,
+                lambda to, request: to.recordings.archive(request),
                 "A recording as a tar archive",
                 media_type="application/x-tar",
                 errors={
@@ -254,14 +265,20 @@ PATHS = (
     ServedPath(
         "/api/v1/session",
         "the user who is logged in, and whether acting is allowed",
-        {"GET": Operation(Answers.session, "The user who is logged in", models.Session)},
+        {
+            "GET": Operation(
+                lambda to, request: login.session(request, to.guard),
+                "The user who is logged in",
+                models.Session,
+            )
+        },
     ),
     ServedPath(
         "/api/v1/login",
         "`POST` name and password: begins a session",
         {
             "POST": Operation(
-                Answers.log_in,
+                lambda to, request: login.log_in(request, to.guard),
                 "Log in: begins a session, whose cookie comes back",
                 models.Session,
                 takes=models.Login,
@@ -282,7 +299,11 @@ PATHS = (
         "`POST`: ends the session",
         {
             "POST": Operation(
-                Answers.log_out, "Log out", models.Session, errors={403: _NOT_ALLOWED[403]}, acts=True
+                lambda to, request: login.log_out(request, to.guard),
+                "Log out",
+                models.Session,
+                errors={403: _NOT_ALLOWED[403]},
+                acts=True,
             )
         },
     ),

@@ -24,7 +24,8 @@ from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 from wsproto.events import Ping
 
-from altd.publish.http.guard import Guard, Refused
+from altd.publish.http.errors import Refused
+from altd.publish.http.guard import Guard
 from altd.status.health import Component
 from altd.status.services import NoPictureError, Picture, PictureService
 

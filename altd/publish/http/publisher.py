@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 
 from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
@@ -23,9 +22,8 @@ from altd.credentials.certificates import RenewedContext, server_context
 from altd.credentials.file import CredentialsKeeper
 from altd.history.history import History
 from altd.local_socket import identity_at, listening
-from altd.publish.http import errors
 from altd.publish.http.answers import Answers
-from altd.publish.http.errors import misdirected, refusal
+from altd.publish.http.errors import HANDLERS, misdirected, refusal
 from altd.publish.http.guard import Guard, too_many
 from altd.publish.http.limits import REQUESTS, Allowed, OwnNames, host_of
 from altd.publish.http.openapi import api_page_of, document_of
@@ -64,8 +62,7 @@ def application_of(
     ]
     routes.append(Route("/page/{file:path}", answers.page_file, methods=["GET"]))
     routes.append(WebSocketRoute(PATH, answers.viewers.show))
-    handlers = {HTTPException: errors.of_routing, Exception: errors.of_defect}
-    routed = Starlette(routes=routes, exception_handlers=handlers)
+    routed = Starlette(routes=routes, exception_handlers=HANDLERS)
     routed.router.redirect_slashes = False
     return _Gate(routed, component, requests, names)
 

@@ -10,8 +10,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from altd.publish.http.errors import refusal
-from altd.publish.http.guard import THIS_COMPUTER, Guard, Refused
+from altd.publish.http.errors import Refused, refusal
+from altd.publish.http.guard import Guard
 from altd.status.services import NotKeptError, RecordingKeeper, RecordingService
 
 MAX_DOWNLOADS = 2
@@ -83,46 +83,29 @@ class Recordings:
         self._guard = guard
         self._downloads = downloads
 
-    def listed(self) -> Response:
+    async def listed(self, _: Request) -> Response:
         """The fault recordings."""
         kept = [recording.as_object() for recording in self._service.recordings]
         return JSONResponse({"unavailable": self._service.unavailable, "recordings": kept})
 
     async def keep(self, request: Request) -> Response:
         """Keep the last seconds, for clients that may act."""
-        try:
-            actor = self._guard.actor(request)
-            host = "" if request.client is None else f" {request.client.host}"
-            by = f"asked by http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}"
-            kept = await self._service.provider.keep(by)
-        except Refused as refused:
-            return refused.answer
-        except NotKeptError as error:
-            return refusal(409, str(error))
+        by = self._guard.requester(request)
+        kept = await self._service.provider.keep(f"asked by {by}")
         return JSONResponse(kept.as_object(), status_code=201)
 
     async def mark(self, request: Request) -> Response:
         """``PUT`` marks, ``DELETE`` takes the mark away, for clients that may act."""
-        try:
-            self._guard.actor(request)
-            name = self._known_name(request)
-            kept = await self._service.provider.mark(name, request.method == "PUT")
-        except Refused as refused:
-            return refused.answer
-        except NotKeptError as error:
-            return refusal(409, str(error))
+        self._guard.actor(request)
+        name = self._known_name(request)
+        kept = await self._service.provider.mark(name, request.method == "PUT")
         return JSONResponse(kept.as_object())
 
     async def archive(self, request: Request) -> Response:
         """A recording as a tar archive, for clients that may see pictures."""
-        try:
-            self._guard.check_may_look(request)
-            name = self._known_name(request)
-            files = await self._service.provider.files(name)
-        except Refused as refused:
-            return refused.answer
-        except NotKeptError as error:
-            return refusal(409, str(error))
+        self._guard.check_may_look(request)
+        name = self._known_name(request)
+        files = await self._service.provider.files(name)
         if request.method == "HEAD":
             return Response(media_type=_TAR)
 

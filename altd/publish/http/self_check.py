@@ -8,8 +8,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from altd.publish.http.errors import refusal
-from altd.publish.http.guard import THIS_COMPUTER, Guard, Refused
-from altd.status.services import NoSelfCheckError, SelfCheckService
+from altd.publish.http.guard import Guard
+from altd.status.services import SelfCheckService
 
 WAIT_S = 25.0
 """A check that was asked for has ended by then, unless the cameras do not deliver."""
@@ -25,17 +25,10 @@ async def answer(request: Request, service: SelfCheckService, guard: Guard) -> R
             why = service.unavailable or "there was no self-check since the unit started"
             return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
         return JSONResponse(service.latest.document)
-    try:
-        actor = guard.actor(request)
-    except Refused as refused:
-        return refused.answer
+    by = guard.requester(request)
     if service.waiting >= MAX_WAITING:
         return refusal(503, f"{service.waiting} wait for a self-check already; /api/self-check has it soon")
-    try:
-        host = "" if request.client is None else f" {request.client.host}"
-        number = service.ask(f"http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}")
-    except NoSelfCheckError as error:
-        return refusal(409, str(error))
+    number = service.ask(by)
     try:
         async with asyncio.timeout(WAIT_S):
             report = await service.report(number)

@@ -5,8 +5,6 @@ V1.1b3. A frame begins after a silence, and its CRC says where it ends (Serial 2
 unit's answer can be, byte for byte, a request to this unit with a CRC that fits. So the bytes since a silence
 are first read as whole frames, one behind the other, with the answer that is awaited on the bus in mind; only
 where that does not work, after noise, is a request looked for at their end.
-
-"Serial" is the Modbus over Serial Line Specification V1.02.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ from typing import Any
 
 from altd.history.history import History, NoHistoryError
 from altd.history.records import SummaryPoint
-from altd.publish.serial.words import NO_MEASUREMENT, WIDTH, component_lines, hanging
-from altd.records import Measurement, Quantities, Quantity
+from altd.publish.serial.words import NO_MEASUREMENT, WIDTH, ascii_unit, component_lines, hanging
+from altd.records import Measurement, Quantities
 from altd.status.conditions import Condition
 from altd.status.event_log import Event, EventLog
 from altd.status.health import MEASURING, Health
@@ -64,7 +64,7 @@ def calibration_text(health: Health, quantities: Quantities) -> str:
 def _expected(summary: Mapping[str, Any], quantities: Quantities) -> str:
     """The sigma of a measurement, with the decimals of the report and the page."""
     sigmas = [
-        f"{quantity.label} {sigma:.4f} {quantity.unit.replace('°', 'deg')}"
+        f"{quantity.label} {sigma:.4f} {ascii_unit(quantity)}"
         for quantity in quantities.of_unit
         if (sigma := summary["expected_sigma"].get(quantity.key)) is not None
     ]
@@ -106,14 +106,15 @@ async def history_text(past: Past, quantities: Quantities, span: str) -> str:
     if now is None:
         return "no history: the time of day is not known"
     to_us = int(now.timestamp() * 1e6)
+    from_us = max(to_us - SPANS_S[span] * 10**6, 0)
     keys = [quantity.key for quantity in quantities.main]
     try:
-        trend = await past.history.trend(max(to_us - SPANS_S[span] * 10**6, 0), to_us, ROWS, keys)
+        trend = await past.history.ask(lambda reader: reader.trend(from_us, to_us, ROWS, keys))
     except (NoHistoryError, ValueError) as error:
         return hanging("", f"no history: {error}", 2).strip()
     if not trend.points:
         return f"nothing was measured in the last {span}"
-    head = "".join(f"{f'{quantity.label} {_unit(quantity)}':>10}" for quantity in quantities.main)
+    head = "".join(f"{f'{quantity.label} {ascii_unit(quantity)}':>10}" for quantity in quantities.main)
     rows = [_row(point, quantities, _TIMES[span]) for point in trend.points]
     return "\n".join([f"{'from (UTC)':<13}{'valid':>6}{head}", *rows])
 
@@ -126,10 +127,6 @@ def _row(point: SummaryPoint, quantities: Quantities, form: str) -> str:
         value = point.values.get(quantity.key)
         numbers += f"{'-':>10}" if value is None else f"{value.mean:10.{quantity.decimals - 1}f}"
     return f"{begun:<13}{share:>6}{numbers} {point.lost_to}"[:WIDTH].rstrip()
-
-
-def _unit(quantity: Quantity) -> str:
-    return quantity.unit.replace("°", "deg")
 
 
 def _event_line(event: Event) -> str:

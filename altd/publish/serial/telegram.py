@@ -93,7 +93,6 @@ SIGMAS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 """Keys of the quantities whose standard deviation is sent."""
 NUMBERS = (*SIGMAS, "roll_deg")
 """Keys of the quantities that are sent."""
-"""Fields that are all filled in a valid telegram and all empty in an invalid one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,7 @@ def measurement_text(measurement: Measurement | None, age_s: float | None = None
 
 def watch_head(quantities: Quantities) -> str:
     """The headings over the lines of ``watch_line``."""
-    heads = (f"{f'{quantity.label} {_unit(quantity)}':>11}" for quantity in quantities.main)
+    heads = (f"{f'{quantity.label} {ascii_unit(quantity)}':>11}" for quantity in quantities.main)
     return f"{'time (UTC)':<14}{''.join(heads)}"
 
 
@@ -161,7 +161,7 @@ def component_lines(components: Sequence[Component], *, whole: bool) -> list[str
 def _uncertainty(measurement: Measurement, age_s: float | None) -> str:
     """The standard deviations of the values as statements about the beam now."""
     told = [
-        f"{quantity.label} {sigma:.{quantity.decimals - 1}f} {_unit(quantity)}"
+        f"{quantity.label} {sigma:.{quantity.decimals - 1}f} {ascii_unit(quantity)}"
         for quantity in measurement.quantities.main
         if (sigma := _sigma_now(measurement, quantity, age_s)) is not None
     ]
@@ -184,18 +184,18 @@ def _value_lines(measurement: Measurement, age_s: float | None) -> list[str]:
         if value is None:
             lines[quantity.key] = f"  {quantity.label:<10}not available"
         elif quantity.is_also:
-            lines[quantity.is_also] += f"  ={value.value:9.{decimals}f} {_unit(quantity)}"
+            lines[quantity.is_also] += f"  ={value.value:9.{decimals}f} {ascii_unit(quantity)}"
         else:
             sigma = "" if value.sigma is None else f"+/- {value.sigma:.{decimals}f}"
             if (now := _sigma_now(measurement, quantity, age_s)) is not None:
                 sigma += f", now {now:.{decimals}f}"
-            line = f"  {quantity.label:<7}{value.value:10.{decimals}f} {_unit(quantity):<4}{sigma}"
+            line = f"  {quantity.label:<7}{value.value:10.{decimals}f} {ascii_unit(quantity):<4}{sigma}"
             lines[quantity.key] = line.rstrip()
     return list(lines.values())
 
 
-def _unit(quantity: Quantity) -> str:
-    """In ASCII."""
+def ascii_unit(quantity: Quantity) -> str:
+    """The unit of a quantity in ASCII."""
     return quantity.unit.replace("°", "deg")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from support.history import START_S, batch, event, store
 
-from altd.answers.events import Question, answer
+from altd.answers.events import answer
 from altd.history.opening import DAMAGED, move_aside
 from altd.status.event_log import EventKind
 
@@ -54,6 +54,6 @@ def test_goes_on_with_the_file_that_the_daemon_begins_anew(
     pause = pauses()
     monkeypatch.setattr(time, "sleep", lambda seconds: next(pause))
     with pytest.raises(KeyboardInterrupt):
-        answer(Question(history, (0, 2**62), ("request",), "text", True))
+        answer(history, (0, 2**62), ("request",), "text", follow=True)
     said = [line.split(" request ")[1].strip() for line in capsys.readouterr().out.splitlines()]
     assert said == ["the first", "the second", "in a new file"]

@@ -147,7 +147,7 @@ async def test_a_daemon_takes_nothing_from_a_history_of_another_unit(tmp_path: P
     lock = WriteLock(unit.path)
     async with past.recorded():
         with pytest.raises(NoHistoryError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):
-            await past.history.trend(0, 2**61, 10)
+            await past.history.ask(lambda reader: reader.trend(0, 2**61, 10))
         for _ in range(20):
             await unit.clock.advance(LOOK_INTERVAL_S)
             await asyncio.sleep(0.005)

@@ -142,28 +142,28 @@ class TestHistory:
 
     async def test_is_answered_in_a_thread(self, path: Path) -> None:
         history = History(path)
-        trend = await history.trend(START_S * US, (START_S + 3) * US, 3, ["x_mm"])
+        trend = await history.ask(lambda reader: reader.trend(START_S * US, (START_S + 3) * US, 3, ["x_mm"]))
         assert [point.values["x_mm"].mean for point in trend.points] == [10.0] * 3
-        assert len(await history.measurements_after(50, 100)) == 10
-        assert (await history.events(0, 2**62, ["state"]))[0].text == "first"
+        assert len(await history.ask(lambda reader: reader.measurements_after(50, 100))) == 10
+        assert (await history.ask(lambda reader: reader.events(0, 2**62, ["state"])))[0].text == "first"
         with pytest.raises(ValueError, match="there is no quantity"):
-            await history.trend(0, 1, 1, ["no"])
+            await history.ask(lambda reader: reader.trend(0, 1, 1, ["no"]))
         await history.end()
 
     async def test_without_one_it_says_why(self) -> None:
         history = History(None, "the history is off: no folder")
         with pytest.raises(NoHistoryError, match="off: no folder"):
-            await history.events(0, 1)
+            await history.ask(lambda reader: reader.events(0, 1))
         await history.end()
 
     async def test_a_file_that_is_gone_damaged_or_foreign_is_a_sentence(self, path: Path) -> None:
         history = History(path)
         spoil(path)
         with pytest.raises(NoHistoryError, match="the history cannot be read: file is not a database"):
-            await history.events(0, 1)
+            await history.ask(lambda reader: reader.events(0, 1))
         remove(path)
         with pytest.raises(NoHistoryError, match="the history cannot be read: No such file"):
-            await history.events(0, 1)
+            await history.ask(lambda reader: reader.events(0, 1))
         await history.end()
 
     async def test_a_query_that_takes_too_long_is_given_up(
@@ -173,9 +173,9 @@ class TestHistory:
         monkeypatch.setattr(history_module, "MAX_WAITING", 10_000)
         history = History(written[0])
         with pytest.raises(NoHistoryError, match=r"the query was given up: it took more than 0\.001 s"):
-            await history.trend(START_S * US, (START_S + SECONDS) * US, 5000)
+            await history.ask(lambda reader: reader.trend(START_S * US, (START_S + SECONDS) * US, 5000))
         monkeypatch.setattr(history_module, "QUERY_TIMEOUT_S", 2.0)
-        assert (await history.trend(START_S * US, (START_S + 60) * US, 1)).points
+        assert (await history.ask(lambda reader: reader.trend(START_S * US, (START_S + 60) * US, 1))).points
         await history.end()
 
     async def test_no_more_than_some_wait(self, path: Path) -> None:
@@ -185,7 +185,7 @@ class TestHistory:
         ]
         await asyncio.sleep(0.05)
         with pytest.raises(NoHistoryError, match=f"{MAX_WAITING} ask the history already"):
-            await history.events(0, 1)
+            await history.ask(lambda reader: reader.events(0, 1))
         may_go.set()
         assert await asyncio.gather(*waiting) == [True] * MAX_WAITING
         assert history.waiting == 0
