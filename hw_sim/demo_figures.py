@@ -135,7 +135,7 @@ class Figures:
     @property
     def pairs_lost(self) -> int:
         """Frame sets of which not both frames were measured, as the pairing counts them."""
-        return self._daemon.chain.lost_pairs
+        return self._daemon.chain.pairer.lost_pairs
 
     def note_memory(self) -> None:
         """Note the memory once it has settled; to be called now and then."""

@@ -96,7 +96,7 @@ class Pipeline:
             self._publish(self.chain.silence(self._heard_ns))
         not_told = dict.fromkeys(self.component.figures)
         self.component.observe(not_told | self.chain.step() | self.chain.spots() | self.chain.views())
-        self.component.counters["late_frames"] = self.chain.late_frames
+        self.component.counters["late_frames"] = self.chain.pairer.late
         for camera, dropped in self.located.frames.dropped.items():
             self.component.counters[f"dropped_{camera}"] = dropped
         if (self.chain.frame_sets, self.board.published) != before:

@@ -28,11 +28,7 @@ from altd.terminal.documents import (
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
-    calibration_of,
     reading_of,
-    self_check_of,
-    status_of,
-    targets_of,
 )
 from altd.terminal.knowledge import Knowledge
 
@@ -55,19 +51,19 @@ class RunningDaemon:
 
     def status(self) -> tuple[StatusDocument, object]:
         """The unit's state, causes, availability and components."""
-        return self._asked("/api/v1/status", status_of)
+        return self._asked("/api/v1/status", StatusDocument.checked)
 
     def self_check(self) -> tuple[SelfCheckDocument, object]:
         """The last self-check."""
-        return self._asked("/api/v1/self-check", self_check_of)
+        return self._asked("/api/v1/self-check", SelfCheckDocument.checked)
 
     def calibration(self) -> tuple[CalibrationDocument, object]:
         """The quality of the targets' calibration."""
-        return self._asked("/api/v1/calibration", calibration_of)
+        return self._asked("/api/v1/calibration", CalibrationDocument.checked)
 
     def targets(self) -> tuple[TargetsDocument, object]:
         """The areas in which the targets are measured."""
-        return self._asked("/api/v1/targets", targets_of)
+        return self._asked("/api/v1/targets", TargetsDocument.checked)
 
     def _asked(self, target: str, understood: Callable[[object], Document]) -> tuple[Document, object]:
         status, document = ask(self.path, target, self.timeout_s)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from pydantic import ValidationError
 
@@ -20,11 +18,12 @@ from altd.calibration.file_tables import (
     TargetTable,
     fingerprint_document,
     fingerprint_of,
+    png_levels,
+    png_text,
 )
 from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
-from altd.files.picture import decode_png
 from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.mapping.tensor_map import TensorMap
@@ -87,11 +86,9 @@ def _glass_document(glass: Glass | None) -> dict[str, float]:
 
 
 def _flat_document(flat: Flat | None) -> dict[str, str] | None:
-    """The levels as a grey PNG in base64."""
     if flat is None:
         return None
-    png = cv2.imencode(".png", flat.levels)[1].tobytes()
-    return {"source": flat.source, "origin": flat.origin, "png": base64.b64encode(png).decode("ascii")}
+    return {"source": flat.source, "origin": flat.origin, "png": png_text(flat.levels)}
 
 
 def _map_document(fitted: TensorMap) -> dict[str, Any]:
@@ -160,12 +157,8 @@ def _from_flat(target: TargetTable) -> Flat | None:
     if target.flat is None:
         return None
     place = f"targets.{target.name}.flat.png"
-    try:
-        png = base64.b64decode(target.flat.png, validate=True)
-        levels = decode_png(png, target.width, target.height, bits=8)
-    except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
-    return Flat(np.asarray(levels, dtype=np.uint8), target.flat.source, target.flat.origin)
+    levels = png_levels(place, target.flat.png, target.width, target.height)
+    return Flat(levels, target.flat.source, target.flat.origin)
 
 
 def _from_map(place: str, content: MapTable) -> TensorMap:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -63,8 +64,7 @@ def fingerprint_document(fingerprint: Fingerprint | None) -> dict[str, Any] | No
     png = None
     if fingerprint.source == "scan" and fingerprint.texture is not None:
         levels = np.rint(fingerprint.texture.relative * _LEVELS_PER_UNIT + _ZERO_LEVEL)
-        picture = np.clip(levels, 0, 255).astype(np.uint8)
-        png = base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode("ascii")
+        png = png_text(np.clip(levels, 0, 255).astype(np.uint8))
     return {
         "hot_px": fingerprint.hot.permanent.tolist(),
         "sometimes_hot_px": fingerprint.hot.intermittent.tolist(),
@@ -88,7 +88,8 @@ def fingerprint_of(
             raise ValueError(f"{place}.{key}: a pixel lies outside {width} × {height}")
     texture = None
     if table.png is not None:
-        texture = _texture(f"{place}.png", table.png, width, height)
+        levels = png_levels(f"{place}.png", table.png, width, height)
+        texture = Texture((levels.astype(np.float32) - _ZERO_LEVEL) / np.float32(_LEVELS_PER_UNIT))
     elif table.texture == "flat":
         if flat is None:
             raise ValueError(f"{place}.texture: 'flat', but the target has none")
@@ -96,13 +97,18 @@ def fingerprint_of(
     return Fingerprint(hot, texture, table.texture, table.doubled_px)
 
 
-def _texture(place: str, text: str, width: int, height: int) -> Texture:
+def png_text(levels: npt.NDArray[np.uint8]) -> str:
+    """A grey picture (rows, columns) as a PNG in base64."""
+    return base64.b64encode(cv2.imencode(".png", levels)[1].tobytes()).decode("ascii")
+
+
+def png_levels(place: str, text: str, width: int, height: int) -> npt.NDArray[np.uint8]:
+    """The grey picture of a text of ``png_text``; raises ValueError that names the ``place``."""
     try:
         png = base64.b64decode(text, validate=True)
-        levels = decode_png(png, width, height, bits=8)
+        return np.asarray(decode_png(png, width, height, bits=8), dtype=np.uint8)
     except ValueError as error:
         raise ValueError(f"{place}: {error}") from error
-    return Texture((levels.astype(np.float32) - _ZERO_LEVEL) / np.float32(_LEVELS_PER_UNIT))
 
 
 FORMAT = "altd-calibration/1"

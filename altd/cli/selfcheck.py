@@ -39,12 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the verdict with its parts; 0 good, 1 not good."""
     from altd.local_socket import NoAnswerError
-    from altd.terminal.documents import self_check_of
+    from altd.terminal.documents import SelfCheckDocument
     from altd.terminal.lines import self_check_table
 
     try:
         document = _document(options)
-        check = self_check_of(document)
+        check = SelfCheckDocument.checked(document)
     except NoAnswerError as error:
         complain(f"altd selfcheck: {error}")
         return 1

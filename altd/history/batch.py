@@ -73,4 +73,3 @@ class Written:
 
     notices: Sequence[Notice]
     used_bytes: int
-    log_bytes: int

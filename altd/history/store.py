@@ -34,7 +34,7 @@ from altd.history.schema import (
     UnusableFileError,
     column_name,
 )
-from altd.history.spans import GRACE_S, OpenSpans
+from altd.history.summary import GRACE_S, OpenSpans
 from altd.records import Measurement
 from altd.status.event_log import Event, EventKind
 
@@ -72,7 +72,7 @@ class Store:
                 self._open = self._opened(batch)
             used_bytes = self._open.write(batch)
             notices, self._untold = [*self._untold, *self._open.take_notices()], []
-            return Written(notices, used_bytes, self._open.log_bytes())
+            return Written(notices, used_bytes)
         except (OSError, sqlite3.Error, UnusableFileError) as error:
             self._close_file()
             if (aside := set_aside(self.path, error)) is not None:
@@ -214,7 +214,7 @@ class _OpenStore:
         notices, self._notices = self._notices, []
         return notices
 
-    def log_bytes(self) -> int:
+    def _log_bytes(self) -> int:
         """The length of the write-ahead log."""
         try:
             return self._path.with_name(f"{self._path.name}-wal").stat().st_size
@@ -234,7 +234,7 @@ class _OpenStore:
             with suppress(sqlite3.Error):  # a file that was moved is whole, and its log gets into no other
                 self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             raise TouchedFileError("was replaced, deleted or written by another program while it was open")
-        if self.log_bytes() > MAX_LOG_BYTES:
+        if self._log_bytes() > MAX_LOG_BYTES:
             busy, _, _ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             if busy:
                 raise UnusableFileError(

@@ -106,10 +106,6 @@ class Camera:
             [_PRIOR[self.optics], np.full(2 * self.bend.terms, _BEND_PRIOR_PX * math.sqrt(nodes))]
         )
 
-    def with_parameters(self, parameters: FloatArray) -> Camera:
-        """The same camera with other parameters."""
-        return replace(self, parameters=parameters)
-
     def with_bend(self, bend: Bend) -> Camera:
         """The same camera with a bend that is still 0."""
         return replace(

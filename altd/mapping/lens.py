@@ -8,6 +8,7 @@ describes.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -218,7 +219,7 @@ def _least_squares(
     damping = 1e-3
     for _ in range(_MAX_ITERATIONS):
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-        candidate = camera.with_parameters(camera.parameters + step)
+        candidate = replace(camera, parameters=camera.parameters + step)
         residuals, then = residuals_and_cost(candidate)
         if then < now:
             converged = now - then < _CONVERGED * now

@@ -141,16 +141,6 @@ class MeasuringChain:
         """A camera from which nothing came for so long is silent."""
         return self._measuring.silent_after_s
 
-    @property
-    def late_frames(self) -> int:
-        """Frames that came after their exposure was given up."""
-        return self.pairer.late
-
-    @property
-    def lost_pairs(self) -> int:
-        """Frame sets that lack a camera's frame, or all of them; it never falls."""
-        return self.pairer.lost_pairs
-
     def seen(self) -> str:
         """The last finding of each camera, in words: for the technician who aims the beam."""
         seen = self._last_spots

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -192,9 +192,7 @@ def _with_covariance(fitted: Fitted, noise: _Noise, pairs_seen: int) -> Similari
     stretch = max(1.0, fitted.chi2 / fitted.degrees_of_freedom) if fitted.degrees_of_freedom else 1.0
     covariance = found.covariance * stretch
     covariance[:2, :2] += np.eye(2) * noise.common_px2 * (1.0 + 1.0 / pairs_seen)
-    return Similarity(
-        found.about_px, found.shift_px, found.turn_deg, found.scale_ppm, covariance, found.radius_px
-    )
+    return replace(found, covariance=covariance)
 
 
 def _is_similarity(

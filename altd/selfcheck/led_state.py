@@ -91,9 +91,7 @@ def _state(seen: Seen, index: int, usual: float) -> LedState:
         return LedState.DIM if peak < _DIM_SHARE * usual else LedState.USED
     if seen.share[index] > 0:
         return LedState.UNSTEADY
-    brightness = np.mean(
-        [_patch_level(lit, u, v, 2) - _patch_level(dark, u, v, 2) for lit, dark in seen.pairs]
-    )
+    brightness = np.mean([_brightness(lit, u, v) - _brightness(dark, u, v) for lit, dark in seen.pairs])
     if not usual or brightness < _DARK_SHARE * usual:
         return LedState.DARK
     return LedState.DIM if brightness < _DIM_SHARE * usual else LedState.DISPLACED
@@ -118,5 +116,6 @@ def _window(frame: Frame, u: float, v: float, reach: float) -> FloatArray:
     return np.asarray(frame.pixels[top : round(v + reach) + 1, left : round(u + reach) + 1], dtype=np.float64)
 
 
-def _patch_level(frame: Frame, u: float, v: float, reach: float) -> float:
-    return float(_window(frame, u, v, reach).mean())
+def _brightness(frame: Frame, u: float, v: float) -> float:
+    """The mean level within 2 px."""
+    return float(_window(frame, u, v, 2).mean())

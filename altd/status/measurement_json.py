@@ -73,13 +73,6 @@ def as_scan_object(measurement: Measurement, known_mm: tuple[float, float]) -> d
     return document | _difference(measurement.values, axes)
 
 
-def keys_of(quantities: Quantities) -> frozenset[str]:
-    """The keys that are next to the targets' names in any of these objects."""
-    sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
-    without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
-    return frozenset(as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0)))
-
-
 def _sigmas(quantities: Quantities, sigma: Callable[[str], float | None]) -> dict[str, float | None]:
     return {
         each.key: _rounded(sigma(each.key), each.decimals) for each in quantities.of_unit if each.has_sigma
@@ -159,7 +152,10 @@ def with_proof(document: Mapping[str, Any], board: Board, stamp: Stamp) -> str:
 
 def reserved_names(quantities: Quantities) -> frozenset[str]:
     """The keys of the measurement object in any of its forms, whose place no target may take."""
-    return keys_of(quantities) | frozenset(PROOF_KEYS)
+    sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
+    without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
+    objects = as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0))
+    return frozenset(objects).union(PROOF_KEYS)
 
 
 def _hexadecimal(number: int | None) -> str | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -29,8 +29,15 @@ class _Document(BaseModel):
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-
-Model = TypeVar("Model", bound=_Document)
+    @classmethod
+    def checked(cls, document: object) -> Self:
+        """The content of a document; raises ValueError that says what is missing."""
+        try:
+            return cls.model_validate(document)
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_input=False)[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise ValueError(one_line(f"{place or 'the answer'}: {first['msg']}")) from error
 
 
 class CauseDocument(_Document):
@@ -200,26 +207,6 @@ class _Number(_Document):
     value: Number | None
 
 
-def status_of(document: object) -> StatusDocument:
-    """Raises ValueError that says what is missing."""
-    return _checked(StatusDocument, document)
-
-
-def self_check_of(document: object) -> SelfCheckDocument:
-    """Raises ValueError that says what is missing."""
-    return _checked(SelfCheckDocument, document)
-
-
-def calibration_of(document: object) -> CalibrationDocument:
-    """Raises ValueError that says what is missing."""
-    return _checked(CalibrationDocument, document)
-
-
-def targets_of(document: object) -> TargetsDocument:
-    """Raises ValueError that says what is missing."""
-    return _checked(TargetsDocument, document)
-
-
 def reading_of(document: object, quantities: Quantities) -> Reading | None:
     """The measurement; None: nothing was measured since the start.
 
@@ -227,9 +214,9 @@ def reading_of(document: object, quantities: Quantities) -> Reading | None:
     says what is missing.
     """
     if isinstance(document, dict) and "error" in document:
-        _checked(_NothingYet, document)
+        _NothingYet.checked(document)
         return None
-    measured = _checked(_MeasurementDocument, document)
+    measured = _MeasurementDocument.checked(document)
     given: Mapping[str, Any] = measured.model_extra or {}
     own = {quantity.key for quantity in quantities.of_unit}
     return Reading(
@@ -272,18 +259,9 @@ def _numbers(measured: _MeasurementDocument, given: Mapping[str, Any], quantitie
 
 
 def _number(given: Mapping[str, Any], key: str) -> float | None:
-    return _checked(_Number, {"value": given.get(key)}).value
+    return _Number.checked({"value": given.get(key)}).value
 
 
 def _place(value: object) -> tuple[float, float] | None:
-    place = _checked(_Place, value)
+    place = _Place.checked(value)
     return None if place.x_mm is None or place.y_mm is None else (place.x_mm, place.y_mm)
-
-
-def _checked(model: type[Model], document: object) -> Model:
-    try:
-        return model.model_validate(document)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ValueError(one_line(f"{place or 'the answer'}: {first['msg']}")) from error

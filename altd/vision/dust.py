@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from altd.statistics import MAD_TO_SIGMA
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.image import Image
 from altd.vision.texture import MAX_SHIFT_PX, Sample, Texture, match, sample_of
@@ -32,8 +33,6 @@ _MIN_PIXELS = 100
 _DARKEST = 0.01
 _MAX_GRAIN = 0.2
 """Contrast of a target's texture from which it is printed (``fingerprint``)."""
-_SIGMAS_PER_DEVIATION = 1.4826
-"""Of a normal distribution's median absolute deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ def count_dust(analysis: FrameAnalysis, texture: Texture) -> DustCount | None:
         return None
     loss = 1 - (1 + sample.relative) / expected
     usual = loss[is_used]
-    deviation = _SIGMAS_PER_DEVIATION * float(np.median(np.abs(usual - np.median(usual))))
+    deviation = MAD_TO_SIGMA * float(np.median(np.abs(usual - np.median(usual))))
     limit = np.maximum(max(_MIN_LOSS, _LOSS_SIGMAS * deviation), _LOSS_SIGMAS * noise)
     is_dark = (is_used & (loss > limit)).astype(np.uint8)
     together = cv2.boxFilter(is_dark, cv2.CV_32F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

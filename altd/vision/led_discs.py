@@ -59,13 +59,6 @@ class Discs:
 
 
 @dataclass(frozen=True, slots=True)
-class _NoDisc:
-    """Why a light is no LED, in words for people."""
-
-    sentence: str
-
-
-@dataclass(frozen=True, slots=True)
 class _AreaCentre:
     """The centre of a disc's area (u, v) in a window, the area, px, and the softness of the disc's edge."""
 
@@ -106,7 +99,7 @@ def find_discs(difference: Image) -> Discs:
             if isinstance(disc, Disc):
                 found.append(disc)
             else:
-                rejected.append(disc.sentence)
+                rejected.append(disc)
     median_softness = float(np.median([disc.softness for disc in found])) if found else 0.0
     glows = [
         disc for disc in found if disc.softness > max(_MAX_SOFTNESS, _MAX_SOFTNESS_RATIO * median_softness)
@@ -126,13 +119,13 @@ def disc_centres_px(difference: Image, discs: tuple[Disc, ...]) -> FloatArray:
     return centres
 
 
-def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | _NoDisc:
-    """The disc of a mask at (left, top), or why it is none."""
+def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
+    """The disc of a mask at (left, top), or in words why it is none."""
     rows, columns = difference.shape
     at_v, at_u = (positions.astype(np.int64) for positions in np.nonzero(mask))
     u, v = left + int(at_u.mean()), top + int(at_v.mean())
     if len(at_u) < _MIN_AREA_PX:
-        return _NoDisc(f"a light of {len(at_u)} px at ({u}, {v}) px is too small for an LED")
+        return f"a light of {len(at_u)} px at ({u}, {v}) px is too small for an LED"
     first_u, last_u, first_v, last_v = (
         left + int(at_u.min()),
         left + int(at_u.max()),
@@ -142,7 +135,7 @@ def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | _NoD
     is_cut = first_u <= 1 or first_v <= 1 or last_u >= columns - 2 or last_v >= rows - 2
     aspect, fill = shape_of(outline_of(mask))
     if not is_cut and (aspect > _MAX_ASPECT or fill < _MIN_FILL):
-        return _NoDisc(f"a light at ({u}, {v}) px is no disc: aspect ratio {aspect:.1f}, fill {fill:.2f}")
+        return f"a light at ({u}, {v}) px is no disc: aspect ratio {aspect:.1f}, fill {fill:.2f}"
     margin = _MARGIN_PX + max(last_u - first_u, last_v - first_v) // 3
     box = (
         max(first_u - margin, 0),
@@ -153,7 +146,7 @@ def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | _NoD
     window = difference[box[1] : box[3], box[0] : box[2]]
     measured = _area_centre(window, 0.0)
     if measured is None:
-        return _NoDisc(f"a light at ({u}, {v}) px has no even inside")
+        return f"a light at ({u}, {v}) px has no even inside"
     level = float(np.median(difference[at_v + top, at_u + left]))
     return Disc(
         u_px=box[0] + measured.u_px,

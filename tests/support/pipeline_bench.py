@@ -23,9 +23,9 @@ class Chain:
     """Replaces the measuring chain: a measurement for every frame set with the rear camera."""
 
     silent_after_s = 0.4
-    late_frames = 0
 
-    def __init__(self) -> None:
+    def __init__(self, pairer: Pairer[Frame]) -> None:
+        self.pairer = pairer
         self.broken = False
         self.frame_sets = 0
         self.spot = "spot_missing"
@@ -61,7 +61,7 @@ class Bench:
         pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
         self.pairs = FramePairs(pairer, lambda: None, self.clock)
         self.located = LocatedPairs(self.pairs)
-        self.chain = Chain()
+        self.chain = Chain(pairer)
         self.component = Health(self.clock).component("measuring")
         self.progress = 0
         self.pipeline = Pipeline(

@@ -27,7 +27,13 @@ from altd.status.health import MEASURING, State
 from altd.status.measurement_json import checked_line
 from altd.status.target_area import AREA_MM
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import calibration_of, reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import (
+    CalibrationDocument,
+    SelfCheckDocument,
+    StatusDocument,
+    TargetsDocument,
+    reading_of,
+)
 from altd.terminal.knowledge import HOLD_S, PATH_S, Knowledge
 from altd.terminal.lines import status_text
 from altd.terminal.screen import MIN_COLUMNS, MIN_ROWS, PAGES, View, draw
@@ -64,8 +70,10 @@ Uncertainties are combined standard uncertainties (1 sigma, [budget](budget.md))
 
 def _local() -> str:
     pages = ", ".join(f"*{name}*" for name, _ in PAGES)
-    calibration = calibration_of({"targets": _CALIBRATED})
-    shown = status_text(_reading(0), status_of(_status()), self_check_of(_CHECK), calibration)
+    calibration = CalibrationDocument.checked({"targets": _CALIBRATED})
+    shown = status_text(
+        _reading(0), StatusDocument.checked(_status()), SelfCheckDocument.checked(_CHECK), calibration
+    )
     return f"""## altd status
 
 {_block(shown)}
@@ -228,10 +236,12 @@ def _status() -> dict[str, Any]:
 def _screen() -> str:
     knowledge = Knowledge()
     targets = [{"name": name, "valid_mm": _OUTLINE_MM} for name in ("front", "rear")]
-    knowledge.hear_about(self_check_of(_CHECK), targets_of({"area_mm": AREA_MM, "targets": targets}))
+    knowledge.hear_about(
+        SelfCheckDocument.checked(_CHECK), TargetsDocument.checked({"area_mm": AREA_MM, "targets": targets})
+    )
     for second in range(1, _SECONDS + 1):
         knowledge.hear_reading(_reading(second), float(second))
-    knowledge.hear_status(status_of(_status()), float(_SECONDS))
+    knowledge.hear_status(StatusDocument.checked(_status()), float(_SECONDS))
     canvas = Canvas(24, 80, is_utf8=True)
     draw(knowledge, float(_SECONDS), View(), canvas)
     return canvas.text()

@@ -88,7 +88,7 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
     parts = tuple(
         (
             test["name"],
-            *(_number(test, test["parts"][of]) for of in ("measurements", "reference", "calibration")),
+            *(_number(test, test["parts"][of]) for of in _PARTS),
         )
         for test in tests
         if "measurements" in test["parts"]
@@ -122,7 +122,7 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
             "mounting)."
         ),
         Table(
-            ("standard uncertainty from", "measurements", "reference", "calibration"),
+            ("standard uncertainty from", *_PARTS),
             parts,
             (0.4, 0.2, 0.2, 0.2),
         ),

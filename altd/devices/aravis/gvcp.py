@@ -24,8 +24,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.devices.aravis import gvcp
-
 PORT = 3956
 DISCOVERY, READ_REGISTER = 0x0002, 0x0080
 """Commands; the acknowledge of each has the next number."""
@@ -114,21 +112,21 @@ _MAX_DATAGRAMS_AT_ONCE = 256
 _POLL_INTERVAL_S = 0.02
 
 
-def discover_at(address: str, timeout_s: float) -> gvcp.DiscoveredCamera | None:
+def discover_at(address: str, timeout_s: float) -> DiscoveredCamera | None:
     """The camera at an address, or None when none answers in time."""
-    payload = _acknowledge(address, gvcp.DISCOVERY, b"", timeout_s)
-    camera = None if payload is None else gvcp.read_discovery(payload)
+    payload = _acknowledge(address, DISCOVERY, b"", timeout_s)
+    camera = None if payload is None else read_discovery(payload)
     return camera if camera is not None and camera.address == address else None
 
 
-def discover(timeout_s: float) -> list[gvcp.DiscoveredCamera]:
+def discover(timeout_s: float) -> list[DiscoveredCamera]:
     """All cameras that answer to a broadcast on any of this computer's networks, by address.
 
     Anybody can claim to be one; ``discover_at`` asks the address itself.
     """
-    found: dict[str, gvcp.DiscoveredCamera] = {}
+    found: dict[str, DiscoveredCamera] = {}
     request_id = _new_request_id()
-    question = gvcp.command(gvcp.DISCOVERY, request_id, broadcast=True)
+    question = command(DISCOVERY, request_id, broadcast=True)
     sockets: list[socket.socket] = []
     try:
         for own in _own_addresses():
@@ -138,14 +136,14 @@ def discover(timeout_s: float) -> list[gvcp.DiscoveredCamera]:
             asking.setblocking(False)
             with suppress(OSError):  # an interface without a network
                 asking.bind((own, 0))
-                asking.sendto(question, ("255.255.255.255", gvcp.PORT))
+                asking.sendto(question, ("255.255.255.255", PORT))
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
             time.sleep(min(left_s, _POLL_INTERVAL_S))
             for asking in sockets:
                 for packet in _datagrams(asking):
-                    payload = gvcp.read_acknowledge(packet, gvcp.DISCOVERY, request_id)
-                    camera = None if payload is None else gvcp.read_discovery(payload)
+                    payload = read_acknowledge(packet, DISCOVERY, request_id)
+                    camera = None if payload is None else read_discovery(payload)
                     if camera is not None and len(found) < _MAX_CAMERAS:
                         found[camera.address] = camera
     finally:
@@ -159,37 +157,37 @@ def control_privilege(address: str, timeout_s: float) -> int | None:
 
     Aravis' simulated camera takes this question, from whomever, for its controller's sign of life.
     """
-    return _register(address, gvcp.CONTROL_PRIVILEGE, timeout_s)
+    return _register(address, CONTROL_PRIVILEGE, timeout_s)
 
 
 def heartbeat_timeout_s(address: str, timeout_s: float) -> float | None:
     """For how long the camera waits for its controller's sign of life before it drops it."""
-    heartbeat_ms = _register(address, gvcp.HEARTBEAT_TIMEOUT_MS, timeout_s)
+    heartbeat_ms = _register(address, HEARTBEAT_TIMEOUT_MS, timeout_s)
     return None if heartbeat_ms is None else heartbeat_ms * 1e-3
 
 
 def own_address_towards(address: str) -> str:
     """The address of the interface through which a camera is reached; raises OSError when there is none."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect((address, gvcp.PORT))
+        probe.connect((address, PORT))
         own: str = probe.getsockname()[0]
         return own
 
 
 def _register(address: str, register: int, timeout_s: float) -> int | None:
-    payload = _acknowledge(address, gvcp.READ_REGISTER, struct.pack(">I", register), timeout_s)
-    return None if payload is None else gvcp.read_register(payload)
+    payload = _acknowledge(address, READ_REGISTER, struct.pack(">I", register), timeout_s)
+    return None if payload is None else read_register(payload)
 
 
-def _acknowledge(address: str, command: int, payload: bytes, timeout_s: float) -> bytes | None:
+def _acknowledge(address: str, number: int, payload: bytes, timeout_s: float) -> bytes | None:
     """The payload of the camera's answer; None when it refuses or does not answer."""
     deadline, request_id = time.monotonic() + timeout_s, _new_request_id()
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        asking.connect((address, gvcp.PORT))
-        asking.send(gvcp.command(command, request_id, payload))
+        asking.connect((address, PORT))
+        asking.send(command(number, request_id, payload))
         while (left_s := deadline - time.monotonic()) > 0:
             asking.settimeout(left_s)
-            answer = gvcp.read_acknowledge(asking.recv(_MAX_DATAGRAM_BYTES), command, request_id)
+            answer = read_acknowledge(asking.recv(_MAX_DATAGRAM_BYTES), number, request_id)
             if answer is not None:
                 return answer
     return None

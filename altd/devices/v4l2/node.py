@@ -30,7 +30,6 @@ class Node:
             raise
         self.driver = text(about.driver)
         self.card = text(about.card)
-        self.bus = text(about.bus_info)
         self.serial = usb_serial(self.descriptor)
         capabilities = about.capabilities
         if capabilities & abi.V4L2_CAP_DEVICE_CAPS:  # those of this node, not of all nodes of the camera

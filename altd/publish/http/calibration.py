@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, Response
 
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard
-from altd.publish.http.recordings import Downloads, saved_as, sent_whole
+from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
 from altd.status.models import Answer
 from altd.status.services import CalibrationFiles, CalibrationService, NoReportError
 
@@ -167,7 +167,7 @@ class LoadedCalibration:
         async def made() -> Response:
             return sent_whole(await files.calibration(), "application/json", saved_as(files.name))
 
-        return self._downloads.of(made)
+        return Download(self._downloads, made)
 
     async def report(self, request: Request) -> Response:
         """The report on it."""
@@ -177,7 +177,7 @@ class LoadedCalibration:
             policy = {"Content-Security-Policy": REPORT_POLICY}
             return sent_whole(await files.report(), "text/html", policy)
 
-        return self._downloads.of(made)
+        return Download(self._downloads, made)
 
     def _files(self, request: Request) -> CalibrationFiles:
         """The reader of the files; raises Refused."""

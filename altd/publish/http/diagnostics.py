@@ -25,7 +25,7 @@ from altd.history.schema import MINUTES
 from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import Metrics
 from altd.publish.http.past import Past, event_object
-from altd.publish.http.recordings import Downloads, saved_as, sent_whole
+from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
 from altd.publish.http.resuming import time_of
 from altd.status.board import Board
 from altd.status.health import Health
@@ -85,7 +85,7 @@ class Diagnostics:
             name = f"altd-{self._health.facts.get('serial', 'unit')}-{now:%Y%m%dT%H%M%SZ}.zip"
             return sent_whole(content, ZIP, saved_as(name))
 
-        return self._downloads.of(made)
+        return Download(self._downloads, made)
 
     async def made(self, now: datetime) -> bytes:
         """The archive of this moment, ``now`` in UTC."""

@@ -29,13 +29,12 @@ class Downloads:
     def __init__(self) -> None:
         self.open = 0
 
-    def of(self, make: Callable[[], Awaitable[Response]]) -> Response:
-        """The answer that ``make`` gives once its turn has come; 503 where enough are under way."""
-        return _Download(self, make)
 
+class Download(Response):
+    """The answer that ``make`` gives; 503 where enough are under way.
 
-class _Download(Response):
-    """Counted from before it is made until it is sent, or the client has gone."""
+    It counts from before it is made until it is sent, or the client has gone.
+    """
 
     def __init__(self, downloads: Downloads, make: Callable[[], Awaitable[Response]]) -> None:
         super().__init__()
@@ -115,7 +114,7 @@ class Recordings:
                 _tar(self._service.provider, name, files), media_type=_TAR, headers=named
             )
 
-        return self._downloads.of(made)
+        return Download(self._downloads, made)
 
     def _known_name(self, request: Request) -> str:
         """The recording that the path names, one of the list; raises Refused."""

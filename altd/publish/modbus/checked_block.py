@@ -83,7 +83,7 @@ HEAD = (
     Register(212, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
     Register(214, "utc", Type.U32, "s", "middle of the exposures, since 1970-01-01", values.utc_s),
     Register(216, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),
-    Register(217, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
+    Register(217, "exposures", Type.U16, "", "exposures averaged", values.exposures),
     Register(
         218,
         "age",

@@ -152,7 +152,7 @@ HEADER = (
         lambda snapshot: snapshot.published % 0xFFFF,
     ),
     Register(6, "age", Type.U16, "ms", "since the middle of the exposures", values.age_ms, True),
-    Register(7, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
+    Register(7, "exposures", Type.U16, "", "exposures averaged", values.exposures),
     Register(8, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
     Register(10, "utc", Type.U32, "s", "middle of the exposures, since 1970-01-01", values.utc_s),
     Register(12, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),

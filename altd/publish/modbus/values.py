@@ -164,9 +164,9 @@ def reason(target: str | None) -> Reading:
     return lambda snapshot: reason_code(snapshot.measurement, target)
 
 
-def of_measurement(field: str) -> Reading:
-    """A number that the measurement has as an attribute."""
-    return lambda snapshot: getattr(snapshot.measurement, field, None)
+def exposures(snapshot: Snapshot) -> float | None:
+    """The exposures that the measurement is the mean of."""
+    return snapshot.measurement.frames if snapshot.measurement else None
 
 
 def number(key: str) -> Reading:

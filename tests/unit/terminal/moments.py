@@ -8,7 +8,7 @@ from support.daemon_documents import CHECK, DUSTY, SPOT_MISSING, TARGETS, invali
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import SelfCheckDocument, StatusDocument, TargetsDocument, reading_of
 from altd.terminal.knowledge import Knowledge
 from altd.terminal.screen import View, draw
 
@@ -22,7 +22,7 @@ def hear(knowledge: Knowledge, document: dict[str, Any], now_s: float) -> None:
 def after_a_minute() -> Knowledge:
     """At ``LAST_S`` the front spot is at x 35, y -27.5 mm; each second before, 3 mm to the left."""
     knowledge = Knowledge()
-    knowledge.hear_about(self_check_of(CHECK), targets_of(TARGETS))
+    knowledge.hear_about(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
     for second in range(60):
         back = second - 59
         place = {"x_mm": 35.0123 + 3 * back, "y_mm": -27.5}
@@ -32,7 +32,7 @@ def after_a_minute() -> Knowledge:
         )
         hear(knowledge, document, 1000.0 + second)
     state = status(SPOT_MISSING, DUSTY, signal="out_of_specification")
-    knowledge.hear_status(status_of(state), LAST_S)
+    knowledge.hear_status(StatusDocument.checked(state), LAST_S)
     return knowledge
 
 

@@ -14,7 +14,13 @@ from support.daemon_documents import CALIBRATION, CHECK, DUSTY, TARGETS, invalid
 from altd.files.documents import parse_json
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import calibration_of, reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import (
+    CalibrationDocument,
+    SelfCheckDocument,
+    StatusDocument,
+    TargetsDocument,
+    reading_of,
+)
 from altd.terminal.knowledge import Knowledge
 from altd.terminal.lines import WIDTH, self_check_table, status_text
 from altd.terminal.screen import PAGES, View, draw
@@ -63,15 +69,17 @@ def test_what_is_no_measurement_names_the_place(document: object, place: str) ->
 def test_control_characters_do_not_reach_a_terminal() -> None:
     nasty = "\x1b[2J\x1b]0;owned\x07\r\n\x9b31m\u202e\u200b"
     cause = DUSTY | {"brief": nasty, "remedy": nasty, "detail": nasty, "of": nasty}
-    state = status_of(status(cause) | {"serial": nasty, "version": nasty, "calibration": nasty})
+    state = StatusDocument.checked(status(cause) | {"serial": nasty, "version": nasty, "calibration": nasty})
     reading = reading_of(measurement(status=[nasty], time=nasty), QUANTITIES)
-    check = self_check_of({"verdict": nasty, "reasons": [nasty], "time": nasty})
+    check = SelfCheckDocument.checked({"verdict": nasty, "reasons": [nasty], "time": nasty})
     target = {"name": nasty, "left_out_px": 1.0, "residuals": {}, "flat": nasty}
-    calibration = calibration_of({"targets": [target]})
+    calibration = CalibrationDocument.checked({"targets": [target]})
     knowledge = Knowledge()
     knowledge.hear_reading(reading, 0.0)
     knowledge.hear_status(state, 0.0)
-    knowledge.hear_about(check, targets_of(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]}))
+    knowledge.hear_about(
+        check, TargetsDocument.checked(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]})
+    )
     shown = [status_text(reading, state, check, calibration)]
     for page in range(len(PAGES)):
         canvas = Canvas(24, 80, is_utf8=True)
@@ -132,10 +140,10 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
     for number in range(2_500):
         asked = (
             lambda: reading_of(_spoilt(chance, measurement()), QUANTITIES),
-            lambda: status_of(_spoilt(chance, status(DUSTY))),
-            lambda: self_check_of(_spoilt(chance, CHECK)),
-            lambda: targets_of(_spoilt(chance, TARGETS)),
-            lambda: calibration_of(_spoilt(chance, CALIBRATION)),
+            lambda: StatusDocument.checked(_spoilt(chance, status(DUSTY))),
+            lambda: SelfCheckDocument.checked(_spoilt(chance, CHECK)),
+            lambda: TargetsDocument.checked(_spoilt(chance, TARGETS)),
+            lambda: CalibrationDocument.checked(_spoilt(chance, CALIBRATION)),
         )
         told: list[Any] = []
         for ask in asked:

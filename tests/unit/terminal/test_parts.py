@@ -8,13 +8,12 @@ from support.daemon_documents import CALIBRATION, TARGETS, measurement, status
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import (
+    CalibrationDocument,
     Reading,
+    SelfCheckDocument,
+    StatusDocument,
     TargetsDocument,
-    calibration_of,
     reading_of,
-    self_check_of,
-    status_of,
-    targets_of,
 )
 from altd.terminal.lines import WIDTH, is_fine, self_check_table, status_text
 from altd.terminal.target_picture import Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
@@ -22,7 +21,7 @@ from altd.terminal.target_picture import Frame, draw_target, draw_trend, half_si
 
 @pytest.fixture
 def targets() -> TargetsDocument:
-    return targets_of(TARGETS)
+    return TargetsDocument.checked(TARGETS)
 
 
 class TestPicture:
@@ -103,12 +102,17 @@ def reading(**changes: object) -> Reading:
 
 class TestStatus:
     def test_it_is_this_text(self) -> None:
-        check = self_check_of(
+        check = SelfCheckDocument.checked(
             {"verdict": None, "reasons": ["there was no self-check since the unit started"]}
         )
         laser = {"state": "failed", "message": "lost: no such thing", "for_s": 3.0}
         assert (
-            status_text(reading(), status_of(status(laser=laser)), check, calibration_of(CALIBRATION))
+            status_text(
+                reading(),
+                StatusDocument.checked(status(laser=laser)),
+                check,
+                CalibrationDocument.checked(CALIBRATION),
+            )
             == """\
 unit         ALT-0007, altd 0.1.0, calibration 2026-11-02, workshop, stage 2
 state        good for 2 h 3 min
@@ -145,8 +149,8 @@ ok           camera front, measuring"""
         ],
     )
     def test_fine_is_who_may_be_used(self, valid: bool, signal: str, fine: bool) -> None:
-        assert is_fine(reading(valid=valid), status_of(status(signal=signal))) is fine
-        assert not is_fine(None, status_of(status()))
+        assert is_fine(reading(valid=valid), StatusDocument.checked(status(signal=signal))) is fine
+        assert not is_fine(None, StatusDocument.checked(status()))
 
     def test_a_self_check_is_this_table(self) -> None:
         part = {"of": "rear", "verdict": "bad", "unit": "mm", "error": 0.13755, "sigma": 0.00153}
@@ -166,7 +170,7 @@ ok           camera front, measuring"""
             "origin": "simulated",
         }
         assert (
-            "\n".join(self_check_table(self_check_of(document)))
+            "\n".join(self_check_table(SelfCheckDocument.checked(document)))
             == """\
 check        verdict  good if   bad if   value, +/- 1 sigma
 LEDs rear    good     >= 3               6 of 6 used
@@ -185,6 +189,9 @@ judged from SIMULATED frames"""
     def test_no_line_is_wider_than_a_screen(self) -> None:
         parts = {"serial /dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K1XYZ-if00-port0": {"x" * 90: 1}}
         components = {name: {"state": "degraded" * 9, "message": "m" * 300, "for_s": 1e9} for name in parts}
-        check, calibration = self_check_of({"verdict": "v" * 200}), calibration_of(CALIBRATION)
-        text = status_text(reading(), status_of(status(**components)), check, calibration)
+        check, calibration = (
+            SelfCheckDocument.checked({"verdict": "v" * 200}),
+            CalibrationDocument.checked(CALIBRATION),
+        )
+        text = status_text(reading(), StatusDocument.checked(status(**components)), check, calibration)
         assert max(map(len, text.split("\n"))) <= WIDTH < 80

@@ -12,14 +12,20 @@ from support.daemon_documents import CHECK, DUSTY, SPOT_MISSING, TARGETS, invali
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas, Style
-from altd.terminal.documents import CalibrationDocument, reading_of, self_check_of, status_of, targets_of
+from altd.terminal.documents import (
+    CalibrationDocument,
+    SelfCheckDocument,
+    StatusDocument,
+    TargetsDocument,
+    reading_of,
+)
 from altd.terminal.knowledge import HOLD_S, Knowledge
 from altd.terminal.lines import status_text
 from altd.terminal.screen import PAGES, View, draw
 
 from .moments import LAST_S, after_a_minute, hear, screen
 
-CHECKED = self_check_of(CHECK)
+CHECKED = SelfCheckDocument.checked(CHECK)
 SCREENS = Path(__file__).with_name("screens")
 """Checked by eye; ``test_the_spot_stands_where_…`` checks the places of spots in them by arithmetic."""
 
@@ -84,9 +90,11 @@ def test_a_number_is_whole_or_absent_on_any_size(rows: int) -> None:
         **place,
     )  # fmt: skip
     knowledge = Knowledge()
-    knowledge.hear_about(self_check_of(CHECK), targets_of(TARGETS))
+    knowledge.hear_about(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
     hear(knowledge, document, LAST_S)
-    knowledge.hear_status(status_of(status(SPOT_MISSING, DUSTY, signal="out_of_specification")), LAST_S)
+    knowledge.hear_status(
+        StatusDocument.checked(status(SPOT_MISSING, DUSTY, signal="out_of_specification")), LAST_S
+    )
     for page, columns in itertools.product(range(len(PAGES)), range(20, 101)):
         text = screen(knowledge, LAST_S, rows, columns, utf8=columns % 2 == 0, page=page)
         assert not numbers_on(text) - MEASURED - FURTHER, text
@@ -153,7 +161,7 @@ def test_numbers_that_are_not_of_now_are_not_called_valid(code: str) -> None:
     assert text.startswith(f"{code.upper()}, 0.5 s old, mean of 20 exposures; exposures_lost, {code}")
     assert style is Style.WARNING
     reading = reading_of(measurement(status=[code]), QUANTITIES)
-    shown = status_text(reading, status_of(status()), CHECKED, CalibrationDocument())
+    shown = status_text(reading, StatusDocument.checked(status()), CHECKED, CalibrationDocument())
     assert f"measuring    {code.upper()}, 0.50 s old" in shown
 
 
@@ -163,7 +171,7 @@ def test_the_age_grows_between_two_answers() -> None:
 
 def test_another_unit_has_another_past() -> None:
     knowledge = after_a_minute()
-    knowledge.hear_status(status_of(status() | {"serial": "ALT-0008"}), LAST_S + 1)
+    knowledge.hear_status(StatusDocument.checked(status() | {"serial": "ALT-0008"}), LAST_S + 1)
     hear(knowledge, measurement(), LAST_S + 1)
     assert knowledge.trend("x_mm", LAST_S + 1, 60, 1.0)[:-1] == [None] * 59
 
@@ -197,8 +205,8 @@ class TestView:
         }
         knowledge = Knowledge()
         hear(knowledge, measurement(), 0.0)
-        knowledge.hear_about(self_check_of(CHECK), targets_of(TARGETS))
-        knowledge.hear_status(status_of(status(**parts)), 0.0)
+        knowledge.hear_about(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+        knowledge.hear_status(StatusDocument.checked(status(**parts)), 0.0)
         view = View(3)
         for _ in range(500):
             view = draw(knowledge, 0.0, view.pressed("down"), Canvas(24, 80, is_utf8=False))
@@ -217,7 +225,7 @@ def test_a_hundred_causes_leave_the_keys_in_sight() -> None:
         "brief": "nothing new is measured", "remedy": "look", "detail": "",
     }  # fmt: skip
     knowledge = after_a_minute()
-    knowledge.hear_status(status_of(status(*[cause] * 100, signal="failure")), LAST_S)
+    knowledge.hear_status(StatusDocument.checked(status(*[cause] * 100, signal="failure")), LAST_S)
     lines = screen(knowledge, LAST_S).split("\n")
     assert lines[-1].startswith("tab, arrows: [targets]")
     assert lines[-2] == "... more on the page of causes"
