@@ -154,7 +154,7 @@ class Daemon:
         self._state_folder = folder
         if self.checks is not None:
             path = folder / f"self-checks-{unit_number(self.config.unit.serial):08X}.json"
-            self.checks.keep_history_in(path, self.health.component("self-check history"))
+            self.checks.memory.keep_in(path, self.health.component("self-check history"))
 
     async def run(self) -> None:
         """Measure and publish until cancelled.

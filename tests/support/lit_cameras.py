@@ -51,11 +51,11 @@ class QuickLamps(FrameLamps):
     def complaint(self) -> str:
         return self.lost
 
-    async def switch(self, on: bool) -> None:
-        self.leds.switch(on)
+    async def apply(self, setpoint: bool) -> None:
+        self.leds.switch(setpoint)
 
-    def darken(self) -> None:
-        self.leds.lit = False
+    def request(self, setpoint: bool) -> None:
+        self.leds.lit = setpoint
 
 
 class LitCameras:

@@ -152,13 +152,11 @@ def _complaint_of(error: Exception) -> str:
 _CAMERAS_POLL_INTERVAL_S = 0.05
 
 
-class FrameLamps:
-    """The daemon's frame LEDs. When they are lost while lit, they come back dark."""
+class FrameLamps(LampController[bool]):
+    """The daemon's frame LEDs, all lit or all dark. When they are lost while lit, they come back dark."""
 
     def __init__(self, lamps: Lamps, component: Component, clock: Clock) -> None:
-        self._controller: LampController[bool] = LampController(lamps, lamps.switch, False, component, clock)
-        self._component = component
-        self._clock = clock
+        super().__init__(lamps, lamps.switch, False, component, clock)
 
     async def run(self, cameras: Iterable[Component] = ()) -> None:
         """Control the lamps until cancelled; then they are dark.
@@ -168,25 +166,9 @@ class FrameLamps:
         for camera in cameras:
             while camera.state is State.STARTING:
                 await self._clock.sleep(_CAMERAS_POLL_INTERVAL_S)
-        await self._controller.run()
-
-    async def switch(self, on: bool) -> None:
-        """Light or darken all of them; returns once that is done.
-
-        Raises LampsError when they are not open or fail.
-        """
-        await self._controller.apply(on)
-
-    def darken(self) -> None:
-        """Darken them without waiting for it."""
-        self._controller.request(False)
+        await super().run()
 
     @property
     def is_starting(self) -> bool:
         """Whether they were not opened yet, nor has that failed."""
         return self._component.state is State.STARTING
-
-    @property
-    def complaint(self) -> str:
-        """Why they are not available; empty: they are."""
-        return self._controller.complaint

@@ -97,7 +97,7 @@ class CheckExposer:
     async def _switch(self, on: bool) -> None:
         self._leds.begin(on)
         try:
-            await self._lamps.switch(on)
+            await self._lamps.apply(on)
         except BaseException:
             self._give_up()
             raise
@@ -105,5 +105,5 @@ class CheckExposer:
 
     def _give_up(self) -> None:
         """Darken the LEDs without waiting for it: the daemon may be ending."""
-        self._lamps.darken()
+        self._lamps.request(False)
         self._leds.lost()

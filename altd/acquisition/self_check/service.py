@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from pathlib import Path
 
 from altd.acquisition.lamps.controller import FrameLamps
 from altd.acquisition.self_check.correction import Correction
@@ -93,7 +92,7 @@ class SelfChecks:
         self._judge = parts.judge
         self._geometry = parts.geometry
         self._correction = parts.correction
-        self._memory = parts.memory
+        self.memory = parts.memory
         self._service = service
         self._component = component
         self._clock = clock
@@ -106,10 +105,6 @@ class SelfChecks:
         """There was a shock since the last check began."""
         self._logged = ""
         service.open(partial(parts.schedule.ask, Cause.REQUEST))
-
-    def keep_history_in(self, path: Path, component: Component) -> None:
-        """Keep the history of the checks in this file; ``component`` says how that does. Before ``run``."""
-        self._memory.keep_in(path, component)
 
     def look(self, located: Located) -> None:
         """A frame was located: note the place of the spot, and whether all spots have jumped."""
@@ -147,7 +142,7 @@ class SelfChecks:
             await self._lamps_open(lamps)
             await self._check_for_ever(exposer, frames)
         finally:
-            await self._memory.end()
+            await self.memory.end()
 
     async def _check_for_ever(self, exposer: CheckExposer, frames: MarkedFrames) -> None:
         while True:
@@ -165,14 +160,14 @@ class SelfChecks:
             if self._geometry.awaits_first and not has_begun:
                 self._answer(occasion, judged)  # whatever the cause; the first check is still to come
                 continue
-            await self._memory.add(judged.check, occasion.time)
+            await self.memory.add(judged.check, occasion.time)
             self._settle(occasion, judged)
-            await self._memory.save()
+            await self.memory.save()
             await self._recall()
 
     async def _recall(self) -> None:
         """A bad verdict from before this start stays bad until a check has a verdict."""
-        if self._geometry.verdict is None and await self._memory.was_bad():
+        if self._geometry.verdict is None and await self.memory.was_bad():
             self._geometry.recall_bad()
             if not self._geometry.awaits_first:
                 self._component.set_state(self._geometry.state, self._geometry.faults[0].detail)
@@ -207,7 +202,7 @@ class SelfChecks:
     def _settle(self, occasion: Occasion, judged: Judged) -> None:
         """Apply a check: to the measurements, to the waiting requests, and to the next check."""
         check = judged.check
-        self._geometry.take(check, self._memory.slow_drift)
+        self._geometry.take(check, self.memory.slow_drift)
         if self._has_jumped:
             self._geometry.note_shock()  # the check after it is still to come
         report = report_of(occasion, judged)

@@ -83,15 +83,15 @@ async def lamps(leds: Leds, component: Component, clock: FakeClock) -> AsyncIter
 async def test_lamps_are_at_hand_dark_and_switch(lamps: FrameLamps, leds: Leds, component: Component) -> None:
     await leds.clock.until(lambda: component.state is State.OK)
     assert leds.lit is False
-    await lamps.switch(True)
+    await lamps.apply(True)
     assert leds.lit
-    await lamps.switch(False)
+    await lamps.apply(False)
     assert leds.lit is False
 
 
 async def test_all_calls_come_from_one_thread(lamps: FrameLamps, leds: Leds, component: Component) -> None:
     await leds.clock.until(lambda: component.state is State.OK)
-    await lamps.switch(True)
+    await lamps.apply(True)
     assert leds.threads == {"lamps"}
 
 
@@ -114,11 +114,11 @@ async def test_switching_lamps_that_are_not_at_hand_says_why(
     lamps: FrameLamps, leds: Leds, component: Component
 ) -> None:
     with pytest.raises(LampsError, match="not open yet"):
-        await lamps.switch(True)
+        await lamps.apply(True)
     leds.complaint = "gone"
     await leds.clock.until(lambda: component.state is State.FAILED)
     with pytest.raises(LampsError, match="gone"):
-        await lamps.switch(True)
+        await lamps.apply(True)
 
 
 async def test_a_loss_is_noticed_while_nothing_is_switched(
@@ -133,7 +133,7 @@ async def test_lamps_lost_while_lit_come_back_dark(
     lamps: FrameLamps, leds: Leds, component: Component
 ) -> None:
     await leds.clock.until(lambda: component.state is State.OK)
-    await lamps.switch(True)
+    await lamps.apply(True)
     leds.complaint = "gone"
     await leds.clock.until(lambda: component.state is State.FAILED)
     leds.complaint = ""
@@ -147,7 +147,7 @@ async def test_a_switch_that_fails_is_an_error(lamps: FrameLamps, leds: Leds, co
     await leds.clock.until(lambda: component.state is State.OK)
     leds.complaint = "gone"
     with pytest.raises(LampsError, match="gone"):
-        await leds.clock.run(lamps.switch(True))
+        await leds.clock.run(lamps.apply(True))
 
 
 async def test_a_defect_of_the_driver_ends_nothing(
@@ -165,13 +165,13 @@ async def test_a_driver_that_hangs_does_not_hold_the_loop_and_is_used_again_once
 ) -> None:
     await leds.clock.until(lambda: component.state is State.OK)
     leds.passable.clear()
-    switching = asyncio.create_task(lamps.switch(True))
+    switching = asyncio.create_task(lamps.apply(True))
     await leds.clock.until(lambda: component.state is State.FAILED, within_s=1.1)
     with pytest.raises(LampsError, match=r"does not answer within 1 s"):
         await switching
     leds.clock.release(leds.passable)
     await leds.clock.until(lambda: component.state is State.OK)
-    await lamps.switch(True)
+    await lamps.apply(True)
     assert leds.lit
 
 
@@ -212,7 +212,7 @@ async def test_who_waits_for_lamps_at_the_end_hears_of_no_failure(leds: Leds, co
     task = asyncio.create_task(lamps.run())
     await leds.clock.until(lambda: component.state is State.OK)
     leds.passable.clear()
-    switching = asyncio.create_task(lamps.switch(True))
+    switching = asyncio.create_task(lamps.apply(True))
     await leds.clock.settle()
     task.cancel()
     await asyncio.wait([switching])

@@ -139,11 +139,11 @@ async def test_what_was_bad_before_the_start_is_not_valid_after_a_first_check_th
     last: Verdict, tmp_path: Path
 ) -> None:
     before = Running(has_begun=True, found=SelfCheck(last, {}, {}, ("moved",)))
-    before.checks.keep_history_in(tmp_path / "checks.json", Component("history", before.clock))
+    before.checks.memory.keep_in(tmp_path / "checks.json", Component("history", before.clock))
     async with before, asyncio.timeout(60):
         await before.service.report(1)
     after = Running(has_begun=True)
-    after.checks.keep_history_in(tmp_path / "checks.json", Component("history", after.clock))
+    after.checks.memory.keep_in(tmp_path / "checks.json", Component("history", after.clock))
     async with after, asyncio.timeout(60):
         assert after.passed == (False, ["self_checking"])
         while after.service.latest is None:
