@@ -14,6 +14,7 @@ class Hardness:
     - ``speckle_contrast``, ``speckle_mm``: speckle of the laser's own, see ``LaserSpeckle``.
     - ``jitter_mm``, ``bleed_mm``: the dots of a digital print, see ``PrintFlaws``.
     - ``filter_nm``: full width at half maximum of the cameras' band-pass filters; 0 for none.
+    - ``filter_tilt_mrad``: tilt of the filters against the lens axis, towards the picture's right.
     - ``glare_share``: the share of a spot's light that the lens spreads over a wide kernel.
     - ``instants``: instants of an exposure; the picture of a moving spot is their mean.
     - ``beam``: flaws of the beam, in place of those of ``UnitConfig.laser``.
@@ -25,6 +26,7 @@ class Hardness:
     jitter_mm: float = 0.0
     bleed_mm: float = 0.0
     filter_nm: float = 0.0
+    filter_tilt_mrad: float = 0.0
     glare_share: float = 0.0
     instants: int = 1
     beam: BeamFlaws | None = None

@@ -61,6 +61,13 @@ class Lens:
         ray_x, ray_y, _ = self._rays(x_mm, y_mm)
         return np.asarray((1.0 + ray_x**2 + ray_y**2) ** -2.0)
 
+    def incidence_tangent(self, x_mm: npt.ArrayLike, y_mm: npt.ArrayLike, tilt_rad: float) -> FloatArray:
+        """The tangent of the angle between the ray and a normal tilted towards the picture's right."""
+        ray_x, ray_y, _ = self._rays(x_mm, y_mm)
+        along = ray_x * np.sin(tilt_rad) + np.cos(tilt_rad)
+        across = ray_x * np.cos(tilt_rad) - np.sin(tilt_rad)
+        return np.asarray(np.hypot(across, ray_y) / along)
+
     def _rays(self, x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Slopes of the rays in the camera frame, and their depth in mm."""
         face_x = np.asarray(x_mm, dtype=np.float64) * (-1.0 if self.mirrored else 1.0)

@@ -227,8 +227,7 @@ def _hardened(view: View, hard: Hardness, ink: Image | None, rng: np.random.Gene
     """The view with the effects of filter and lens, and with the laser's speckle."""
     lens = view.lens
     if hard.filter_nm:
-        # The filter lies across the lens axis: cos⁴ of the angle of incidence is the natural fall-off.
-        tangent = np.sqrt(lens.relative_illumination(view.x_mm, view.y_mm) ** -0.5 - 1.0)
+        tangent = lens.incidence_tangent(view.x_mm, view.y_mm, hard.filter_tilt_mrad * 1e-3)
         laser = transmission(tangent, hard.filter_nm).astype(np.float32)
         lamp = transmission(tangent, hard.filter_nm, LAMP_NM).astype(np.float32)
         view = replace(

@@ -19,12 +19,16 @@ from altd.cli.main import main as altd
 from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
+from hw_sim.hardness import HARD
 from hw_sim.measure import record_measurement
 from hw_sim.recording import Progress as Exposures
 from hw_sim.scan import STAGE_STREAM, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit
-from studies.result import Progress
+from studies.result import HARDER, Progress
+
+SIMULATORS = {"": None, HARDER: HARD}
+"""Endings of rows' names, each with the effects of the simulator that the rows are from."""
 
 FLAT_EXPOSURES = 20
 """Lit, and as many dark: the simulator's own default."""

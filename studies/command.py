@@ -25,6 +25,7 @@ STUDIES = {
     "output-now": "output_now",
     "ambient": "ambient",
     "laser": "laser",
+    "beam": "beam",
     "chessboard": "chessboard",
     "budget": "budget",
 }

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
+HARDER = ", hard"
+"""The end of a row's name: the same on the harder simulator (docs/decisions/0005-simulator.md)."""
+
 Progress = Callable[[str], None]
 """Called with a few words on what is being done."""
 
@@ -59,6 +62,16 @@ class Result:
     def worse(self) -> list[tuple[str, str]]:
         """Row and column of every value that the thesis bettered."""
         return [(row, column) for row, column, worse in self.compared() if worse]
+
+    def hardened(self) -> list[tuple[str, str, float]]:
+        """Row, column and ratio of all judged values of the harder simulator to those of the ordinary one."""
+        ordinary = {row.name + HARDER: row.ours for row in self.rows}
+        return [
+            (row.name, column.name, hard / easy)
+            for row in self.rows
+            for column, easy, hard in zip(self.columns, ordinary.get(row.name, ()), row.ours, strict=False)
+            if column.judged and easy and hard is not None
+        ]
 
 
 def is_worse(column: Column, ours: float | None, thesis: float | None) -> bool:

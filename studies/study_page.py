@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,9 +34,9 @@ compares its figures with those of the thesis. `make studies` runs all and write
 `python -m studies NAME` runs one and prints its table. All seeds are fixed: the same code gives the same
 pages.
 
-The parts are simulated, with lenses, print, speckle, noise and stage errors; refraction in the window and a
-beam over a hundred metres are not included ([decisions](../decisions/README.md)). Each page names what is
-worse than in the thesis.
+The parts are simulated, with lenses, print, speckle, noise and stage errors. Rows that end with *hard* are
+from the [harder simulator](../decisions/0005-simulator.md). Each page names what is worse than in the thesis,
+and by how much figures are worse on the harder simulator.
 
 """
 
@@ -74,14 +75,20 @@ def _reflow(text: str) -> str:
 
 
 def verdict(result: Result) -> str:
-    """The figures of the table that are worse than in the thesis; empty where it gives none."""
-    if not result.compared():
-        return ""
-    worse = result.worse()
-    compared_with = "the thesis" if result.beside == "thesis" else result.beside
-    if not worse:
-        return f"Worse than {compared_with}: nothing."
-    return f"Worse than {compared_with}: " + "; ".join(f"{column} ({row})" for row, column in worse) + "."
+    """The figures that are worse than in the thesis or on the harder simulator; empty where none are."""
+    said = []
+    if result.compared():
+        worse = "; ".join(f"{column} ({row})" for row, column in result.worse()) or "nothing"
+        said.append(f"Worse than {'the thesis' if result.beside == 'thesis' else result.beside}: {worse}.")
+    if ratios := sorted(result.hardened(), key=lambda ratio: ratio[2]):
+        row, column, most = ratios[-1]
+        median = statistics.median(ratio for _, _, ratio in ratios)
+        count = sum(ratio > 1 for _, _, ratio in ratios)
+        said.append(
+            f"Harder simulator: {count} of {len(ratios)} figures are worse than on the ordinary one; the "
+            f"median is {median:.1f} times as large, the worst {most:.1f} times ({column}; {row})."
+        )
+    return "\n\n".join(said)
 
 
 def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:

@@ -17,6 +17,7 @@ from altd.records import Limits
 from hw_sim.beam import BeamPose
 from studies import chessboard
 from studies.averaging import sliding_mean
+from studies.beam import grown, slanted_poses
 from studies.budget import monte_carlo
 from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
 from studies.fig_3_17 import angle_error_deg
@@ -80,6 +81,20 @@ def test_displacements_are_a_millimetre_long_in_any_direction() -> None:
 def test_the_places_between_the_nodes_are_in_the_middle_of_the_meshes() -> None:
     at = {(pose.x_mm, pose.y_mm) for pose in between_nodes()}
     assert at == {(x, y) for x in (-56.0, -28.0, 0.0, 28.0, 56.0) for y in (-42.0, -14.0, 14.0, 42.0)}
+
+
+def test_a_beam_spreads_by_its_divergence_far_away_and_by_root_two_at_its_rayleigh_length() -> None:
+    rayleigh_m = math.pi * 6.0**2 / (2.0 * 650e-6) * 1e-3
+    assert grown(12.0, rayleigh_m, 2.0) == pytest.approx(12.0 * math.sqrt(2.0))
+    assert grown(12.0, 1e5, 2.0) == pytest.approx(1e8 * 4.0 * 2.0 * 650e-6 / (math.pi * 12.0), rel=1e-4)
+
+
+def test_slanted_beams_have_the_angle_up_and_down_and_both_spots_on_the_area() -> None:
+    poses = slanted_poses(14.0, 280.0, np.random.default_rng(6))
+    assert {round(pose.pitch_deg, 9) for pose in poses} == {14.0, -14.0}
+    ends = np.array([pose.at(z_mm) for pose in poses for z_mm in (0.0, 280.0)])
+    assert (np.abs(ends) <= (70.0, 55.0)).all()
+    assert (np.abs(ends).max(axis=0) > (50.0, 50.0)).all()
 
 
 def test_principal_components_of_errors_are_their_axes_and_sizes() -> None:

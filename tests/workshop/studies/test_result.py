@@ -14,9 +14,10 @@ from studies import command
 from studies.__main__ import main
 from studies.bench import pooled_std
 from studies.plot import as_svg, panels, round_below
-from studies.result import Column, Progress, Result, Row
+from studies.result import HARDER, Column, Progress, Result, Row
 from studies.result_table import table
 from studies.study_page import page, verdict, write_index, write_page
+from studies.sweep import Point, rows
 
 
 def result(
@@ -49,6 +50,11 @@ def test_what_is_worse_is_marked_and_said() -> None:
     assert table(bad).count("**worse:** 0.021") == 1
     assert table(bad).count("worse") == 1  # 0.0204 is printed as 0.020; the count is not judged
     assert verdict(bad) == "Worse than the thesis: error, mm (f = 8)."
+    both = [Row("a", (0.1, 3)), Row("a, hard", (0.2, 9)), Row("b", (0.4, 1)), Row("b, hard", (0.36, 1))]
+    assert verdict(result(*both, Row("c", (None, 1)), Row("c, hard", (0.1, 1)))) == (
+        "Harder simulator: 1 of 2 figures are worse than on the ordinary one; the median is 1.4 times as "
+        "large, the worst 2.0 times (error, mm; a, hard)."
+    )
 
 
 def test_a_verdict_needs_something_to_compare() -> None:
@@ -105,6 +111,10 @@ def test_a_sweep_names_the_specification() -> None:
     assert "specified" in table(specified)
     assert "thesis" not in table(specified)
     assert verdict(specified) == "Worse than specified: error, mm (5 mW)."
+    easy, hard = ([Point(f"{lux} lx{end}", lux, (0.1,) * 6) for lux in (0, 1000)] for end in ("", HARDER))
+    table_rows = rows(easy, hard, lambda point: point.value == 1000)
+    assert [row.name for row in table_rows] == ["0 lx", "0 lx, hard", "1000 lx", "1000 lx, hard"]
+    assert [row.thesis is not None for row in table_rows] == [False, False, True, True]
 
 
 @pytest.mark.parametrize(

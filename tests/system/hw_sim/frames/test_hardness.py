@@ -209,6 +209,17 @@ def test_a_unit_behind_a_filter_has_a_fall_off_of_the_laser_and_another_of_the_l
         assert even == pytest.approx(after.even_response, rel=1e-5)
 
 
+def test_a_tilted_filter_passes_most_where_the_ray_runs_along_its_normal() -> None:
+    tilted = Unit(replace(CLEAN, hard=Hardness(filter_nm=10.0, filter_tilt_mrad=150.0)))
+    for camera in CAMERAS:
+        view = tilted.imagers[camera].view
+        assert view.laser_falloff is not None
+        v_px, u_px = np.nonzero(view.laser_falloff > 0.9999)
+        (u0_px, v0_px), focal_px = view.lens.principal_px, view.lens.focal_mm / 0.006
+        assert u_px.mean() == pytest.approx(u0_px + math.tan(0.15) * focal_px, abs=4.0)
+        assert v_px.mean() == pytest.approx(v0_px, abs=2.0)
+
+
 def test_glare_spreads_its_share_and_conserves_the_light(clean: Unit) -> None:
     veiled = Unit(replace(CLEAN, hard=Hardness(glare_share=0.05)))
     pose = BeamPose(0.0, 0.0)
