@@ -73,7 +73,7 @@ class Line:
             begun = time.monotonic()
             deadline = begun + self._seconds(len(frame)) + _ANSWER_TIMEOUT_S
             limit = begun + self._seconds(len(frame) + _MAX_BYTES) + _ANSWER_TIMEOUT_S
-            heard = b""
+            heard: bytes = b""
             while len(heard) < _MAX_BYTES and time.monotonic() < limit:
                 is_late = time.monotonic() >= deadline  # before reading: a busy machine is no silent line
                 if data := self._port.read(max(1, self._port.in_waiting)):
@@ -83,6 +83,7 @@ class Line:
                     deadline = time.monotonic() + rest_s
                 elif is_late:
                     break
+            heard += self._port.read(min(self._port.in_waiting, _MAX_BYTES))  # came while the process slept
         except (OSError, termios.error, TypeError) as error:  # pyserial's errors; TypeError: it is gone
             raise InclinometerNotFoundError(f"{self._device}: the port is gone: unplugged?") from error
         return heard

@@ -41,12 +41,13 @@ def test_a_line_that_never_falls_silent_is_given_up_in_time() -> None:
         wire.hang_up()
 
 
+@pytest.mark.parametrize(("asleep_s", "first_bytes"), [(0.04, 4), (1.0, 7)])
 def test_an_answer_that_waits_while_the_machine_is_busy_is_read_to_its_end(
-    monkeypatch: pytest.MonkeyPatch,
+    asleep_s: float, first_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It sleeps for 40 ms at each step: longer than a gap, but the line was not silent."""
-    answer, times_s = frame(b"\x04\x02\x01\x2c", 1), count(0, 0.04)
-    rest = [answer[:4], answer[4:]]
+    """It sleeps at each step: longer than a gap or an answer may take, but the line was not silent."""
+    answer, times_s = frame(b"\x04\x02\x01\x2c", 1), count(0, asleep_s)
+    rest = [answer[:first_bytes], answer[first_bytes:]]
 
     class Port:
         in_waiting = 0
