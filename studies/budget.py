@@ -132,7 +132,8 @@ def _measured(target: TargetCalibration, label_mm: FloatArray, rng: np.random.Ge
     of_map = target.map
     drawn = of_map.covariance_factor_px @ rng.normal(size=of_map.covariance_factor_px.shape[2])
     basis = tensor_basis((of_map.x_axis, of_map.y_axis), of_map.degree, label_mm[None])[0]
-    spot_px = of_map.to_px(label_mm[None])[0] + drawn @ basis + rng.normal(0, of_map.noise_px, 2)
+    pattern_px = rng.multivariate_normal((0.0, 0.0), of_map.noise_covariance_px2)
+    spot_px = of_map.to_px(label_mm[None])[0] + drawn @ basis + pattern_px
     spot_px += rng.normal(0, target.repeatability_px / math.sqrt(EXPOSURES))
     (point,), (jacobian,), (covariance,) = target.inverse.to_mm(spot_px[None])
     return TargetPoint(float(point[0]), float(point[1]), jacobian, covariance)

@@ -91,7 +91,7 @@ async def test_a_unit_that_keeps_none_says_why(served: Served) -> None:
         assert answer.json == {"unavailable": "this unit keeps no frames", "recordings": []}
         answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
         assert (answer.status, answer.json) == (409, {"error": "this unit keeps no frames"})
-        assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403, "only who may act is told"
+        assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403, "no permission, no reason"
 
 
 async def test_who_may_act_keeps_the_last_seconds(served: Served, keeper: Keeper) -> None:
