@@ -28,6 +28,7 @@ STUDIES = {
     "beam": "beam",
     "chessboard": "chessboard",
     "budget": "budget",
+    "kinematics": "kinematics",
 }
 """Names and modules, imported when they are run: not all need the same libraries."""
 
