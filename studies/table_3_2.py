@@ -75,7 +75,7 @@ def run(progress: Progress) -> Result:
         errors_by_lens[lenses.name] = [
             _errors(leds_mm, leds_px, lens, np.random.default_rng([seed, 32]))
             for seed in SEEDS
-            for leds_mm, leds_px, lens in _simulated_plates(seed, lenses)
+            for leds_mm, leds_px, lens in simulated_plates(seed, lenses)
         ]
 
     rows = []
@@ -129,7 +129,7 @@ other lenses: its 12 mm lens was a good one. Here all lenses distort alike for t
     )
 
 
-def _simulated_plates(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, FloatArray, Lens]]:
+def simulated_plates(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, FloatArray, Lens]]:
     """The LEDs' places (n, 2) mm, their discs' centres (n, 2) px, and the true lens, for both cameras."""
     plate = Plate(WIDE_PITCH_MM, tilt_deg=TILT_DEG, fisheye=lenses.fisheye)
     focal_mm = (lenses.focal_mm, lenses.focal_mm)
