@@ -198,6 +198,19 @@ class Reason(StrEnum):
         "restart the unit, check its config and calibration",
         "the numbers are not finite, not ordered or outside the measuring range",
     )  # fmt: skip
+    LEDS_MISSING = (
+        "leds_missing", _UNIT, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "too few LEDs of the plate are seen",
+        "check the LEDs' supply, and whether the camera sees them",
+        "fewer than two lights in the picture can be LEDs of the plate",
+    )  # fmt: skip
+    LEDS_MISFIT = (
+        "leds_misfit", _UNIT, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "the lights do not fit the plate's layout",
+        "look for reflections, lamps and other plates in the picture, and check the plate's layout",
+        "the lights are not where a rigid plate has its LEDs, fit the layout in two ways, or are too few "
+        "to tell LEDs from other lights",
+    )  # fmt: skip
     GEOMETRY_DRIFT = (
         "geometry_drift", _UNIT, 26, StatusGroup.NOT_TRUSTED, _FAILURE,
         "cameras or targets are not where they were calibrated",

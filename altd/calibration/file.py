@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -198,6 +199,8 @@ MAX_BYTES = 1 << 26
 
 _Z_TOLERANCE_MM = 1e-3
 
+Parsed = TypeVar("Parsed")
+
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all; raises BadInputError when it cannot be written."""
@@ -219,6 +222,24 @@ def _content_of(calibration: Calibration) -> tuple[bytes, str]:
 
 def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
+
+    def checked(document: Any) -> Calibration:
+        calibration = calibration_of(CalibrationTable.model_validate(document))
+        check_calibration(calibration)
+        return calibration
+
+    content, calibration, checksum = read_document(path, FORMAT, checked)
+    if unit_serial is not None and calibration.unit_serial != unit_serial:
+        raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
+    return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), checksum))
+
+
+def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tuple[bytes, Parsed, str]:
+    """The bytes of a file, what ``parse`` makes of its document, and the checksum that it carries.
+
+    ``parse`` gets the document without its checksum. Raises BadInputError when format, checksum or content is
+    wrong.
+    """
     content = read_file(path, MAX_BYTES)
     try:
         document = parse_json(content)
@@ -226,14 +247,13 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
         raise BadInputError(path, f"is no calibration of `altd calibrate`: {error}") from error
     if not isinstance(document, dict):
         raise BadInputError(path, "is not a calibration: no JSON object")
-    if document.get("format") != FORMAT:
-        raise BadInputError(path, f"format is {document.get('format')!r}, this altd reads {FORMAT!r}")
+    if document.get("format") != form:
+        raise BadInputError(path, f"format is {document.get('format')!r}, this altd reads {form!r}")
     checksum = document.pop("checksum", None)
     if checksum != checksum_of(document):
         raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
     try:
-        calibration = calibration_of(CalibrationTable.model_validate(document))
-        check_calibration(calibration)
+        return content, parse(document), str(checksum)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -241,9 +261,6 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
         raise BadInputError(path, f"{place}: {first['msg'].removeprefix('Value error, ')}{value}") from error
     except ValueError as error:
         raise BadInputError(path, str(error)) from error
-    if unit_serial is not None and calibration.unit_serial != unit_serial:
-        raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
-    return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), str(checksum)))
 
 
 def check_recording(calibration: Calibration, path: Path, header: RecordingHeader) -> None:

@@ -91,6 +91,11 @@ def fit_lens_map(
     return _as_fit(state, nodes, hull_mm)
 
 
+def fit_camera(nodes: Nodes, image_size: tuple[int, int]) -> Camera:
+    """The camera with Brown's distortion through nodes; raises ValueError as ``fit_lens_map``."""
+    return _fit_with_noise(_initial_camera(nodes.mm, nodes.px, image_size, "brown"), nodes, None).camera
+
+
 def fit_lens_maps(
     nodes: Nodes,
     hull_mm: FloatArray,

@@ -177,7 +177,7 @@ class LedPlateHeader(_Header):
     ``disc_mm`` is the diameter of an LED's even disc; None: the pictures show it.
     """
 
-    leds_mm: Annotated[tuple[tuple[Position, Position], ...], Field(min_length=4, max_length=64)]
+    leds_mm: Annotated[tuple[tuple[Position, Position], ...], Field(min_length=5, max_length=64)]
     disc_mm: Length | None = None
 
     @model_validator(mode="after")

@@ -76,7 +76,7 @@ def _powers(first_px: float, count: int, step_px: int, scale_px: float) -> Image
     )
 
 
-def coarse_image(pixels: PixelArray) -> Image:
+def coarse_image(pixels: PixelArray | Image) -> Image:
     """Means over CELL_PX × CELL_PX cells, without single hot pixels.
 
     Halfway down, a 3 × 3 median removes what is smaller than about 8 px. Rows and columns that do not fill

@@ -12,6 +12,7 @@ CONTRACT = {
     "check_failed": 25, "geometry_drift": 26, "geometry_unverified": 27, "self_checking": 28, "not_live": 29,
     "geometry_suspect": 0, "geometry_unknown": 0, "compensated": 0, "exposures_lost": 0,
     "playback": 0, "simulated": 0, "rehearsal": 0, "roll_missing": 0, "pitch_diverges": 0,
+    "leds_missing": 0, "leds_misfit": 0,
 }  # fmt: skip
 """Codes on the wires, and their numbers on Modbus, as released."""
 
@@ -46,6 +47,7 @@ def test_a_reason_is_its_code_and_knows_whose_it_is() -> None:
     assert {reason for reason in Reason if reason.scope is Scope.UNIT} == {
         "out_of_step", "out_of_range", "unsteady", "warming_up", "stale", "check_failed",
         "geometry_drift", "geometry_unverified", "self_checking", "not_live",
+        "leds_missing", "leds_misfit",
     }  # fmt: skip
 
 

@@ -69,13 +69,15 @@ STATUS_BITS = (
 )
 """The status word; bits that are not listed are 0."""
 
-WITHOUT_BIT = tuple(reason for reason in Reason if not any(reason in row.reasons for row in STATUS_BITS))
+WITHOUT_BIT = tuple(
+    reason for reason in Reason if reason.is_warning and not any(reason in row.reasons for row in STATUS_BITS)
+)
 """Warnings that the status word does not show: those of sensors, for all of its bits are taken."""
 
 REASON_CODES = tuple(
     sorted((reason for reason in Reason if reason.modbus_code), key=lambda reason: reason.modbus_code)
 )
-"""Every reason that is not a warning, by its number; 0 is none."""
+"""Every reason of the beam that is not a warning, by its number; 0 is none."""
 
 
 def status_word(measurement: Measurement | None) -> int:

@@ -49,7 +49,7 @@ def test_a_table_without_the_columns_has_no_pose(tmp_path: Path) -> None:
     [
         ({"plate": None}, "plate.leds_mm: Field required in a recording of kind 'planar'"),
         ({"plate": {"columns": 7}}, "plate.leds_mm: Field required in a recording of kind 'planar'"),
-        ({"plate": {"leds_mm": LEDS[:3]}}, "plate.leds_mm: Tuple should have at least 4 items"),
+        ({"plate": {"leds_mm": LEDS[:4]}}, "plate.leds_mm: Tuple should have at least 5 items"),
         ({"plate": {"leds_mm": [*LEDS, [1.0]]}}, "plate.leds_mm.5.1: Field required"),
         ({"plate": {"leds_mm": [*LEDS, [1.0, 2e4]]}}, "plate.leds_mm.5.1: Input should be less"),
         ({"plate": {"leds_mm": [*LEDS, LEDS[1]]}}, "plate: leds_mm.5: [38.0, -30.0] is the place"),

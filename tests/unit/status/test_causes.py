@@ -106,6 +106,8 @@ REACHED: dict[str, tuple[str, Callable[[Unit], StateReport]]] = {
     "rehearsal": (CHECK, measured_with(Reason.REHEARSAL)),
     "roll_missing": (MAINTENANCE, measured_with(Reason.ROLL_MISSING)),
     "pitch_diverges": (MAINTENANCE, measured_with(Reason.PITCH_DIVERGES)),
+    "leds_missing": (OFF_SPEC, measured_with(Reason.LEDS_MISSING)),
+    "leds_misfit": (OFF_SPEC, measured_with(Reason.LEDS_MISFIT)),
     "starting": (CHECK, just_started),
     "nothing_measured": (FAILURE, lambda unit: unit.state.read()),
     "unknown_reason": (FAILURE, a_reason_of_no_table),

@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from altd.instruments.planar.homography import apply_homography, fit_homography, vanishing_line_homography
+from altd.instruments.planar.homography import (
+    apply_homography,
+    fit_homography,
+    fit_rims,
+    vanishing_line_homography,
+)
 
 TRUTH = np.array([[4.1, 0.2, 370.0], [-0.15, -3.9, 241.0], [4e-4, -7e-4, 1.0]])
 
@@ -66,3 +71,16 @@ def test_points_that_leave_it_undetermined_are_refused() -> None:
     three_on_a_line = NODES[[0, 1, 2, 30]]
     with pytest.raises(ValueError, match="undetermined"):
         fit_homography(three_on_a_line, seen(three_on_a_line))
+
+
+def test_rims_of_circles_give_the_homography_whatever_their_radius() -> None:
+    # of a circle the middle is not seen in the middle: its rim tells
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    circle = 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    rims = [seen(node + circle) for node in NODES]
+    middles = np.array([rim.mean(axis=0) for rim in rims])
+    back = np.linalg.inv(TRUTH)
+    by_middles = fit_homography(middles, NODES)
+    assert np.abs(apply_homography(by_middles, seen(NODES)) - NODES).max() > 1e-3
+    refined = fit_rims(by_middles, rims, NODES, 2.7)
+    assert refined == pytest.approx(back / back[2, 2], rel=1e-6, abs=1e-9)

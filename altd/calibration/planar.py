@@ -1,0 +1,304 @@
+"""A recording of kind ``planar`` with known poses becomes the calibration of the instrument ``planar``."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from altd.calibration.result import Progress
+from altd.errors import BadInputError
+from altd.instruments.planar.cross_validation import leave_one_out
+from altd.instruments.planar.fitting import MIN_POSES_FOR_SPREAD, Sighting, fit_plane, radius_mm, scaled
+from altd.instruments.planar.homography import apply_homography, fit_homography
+from altd.instruments.planar.instrument import PlanarCalibration
+from altd.instruments.planar.layout import (
+    Pairs,
+    Pose,
+    check_layout,
+    min_distance_mm,
+    nearest,
+    placed_mm,
+    projective_match,
+)
+from altd.instruments.planar.leds import find_leds, led_image, rim_points_px
+from altd.instruments.planar.plane import MODELS, Model, homography_camera
+from altd.instruments.planar.pose import solve_pose
+from altd.mapping.grid import convex_hull_mm
+from altd.recording.frames_table import Row
+from altd.recording.header import HEADER_FILE, LedPlateHeader
+from altd.recording.reader import Recording
+from altd.records import FloatArray, Frame, counted
+from altd.vision.led_discs import Disc, disc_centres_px
+
+_MAX_FRAMES = 100
+"""Of one pose; more are not needed."""
+_NEAR_SHARE = 0.25
+"""An LED is sought within this share of the layout's least distance from where the known pose puts it."""
+_DIAMETER_RATIO_LIMITS = 0.75, 1.33
+_OUTLIER_SIGMAS, _MIN_OUTLIER_PX = 8.0, 0.3
+_MIN_LASTING_SHARE = 0.3
+_MIN_WRONG_MM, _WRONG_RATIO = 0.5, 8.0
+"""A known pose is wrong if it is so far from what the others say, and so many times farther than usual."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stay:
+    """The plate at one known pose, first seen in ``row``: the discs of its mean frame, and their rims."""
+
+    row: Row
+    pose: Pose
+    discs: tuple[Disc, ...]
+    rims_px: tuple[FloatArray, ...]
+    variance_px2: float
+    """Of a centre in one frame; NaN where there was but one."""
+    frames: int
+
+    @property
+    def centres_px(self) -> FloatArray:
+        """Of the discs, (n, 2)."""
+        return np.array([(disc.u_px, disc.v_px) for disc in self.discs]).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarResult:
+    """A calibration, what was left out of it, and what it cannot know."""
+
+    calibration: PlanarCalibration
+    refused: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+    def lines(self) -> tuple[str, ...]:
+        """The calibration for people."""
+        of = self.calibration
+        simulated = ("made from SIMULATED frames: every measurement with it says `simulated`",) * of.simulated
+        errors = (
+            f"{model}: leave-one-out error a, b {mm:.4f} mm, phi {deg:.4f}° rms"
+            for model, (mm, deg) in of.rms.items()
+        )
+        return (
+            f"unit {of.unit_serial}, {of.recording_note}",
+            *simulated,
+            *errors,
+            f"model: {of.fit.camera.model}; {counted(len(of.known_phi_deg), 'known pose')}; sigma of a "
+            f"centre {of.fit.noise_px:.4f} px, in one frame {of.frame_noise_px:.4f} px, of an LED's place "
+            f"{of.fit.sigma_led_mm:.4f} mm, of a known pose {of.fit.sigma_pose_mm:.4f} mm",
+        )
+
+
+def calibrate_planar(recording: Recording, progress: Progress = lambda done, total: None) -> PlanarResult:
+    """Fit the models to the known poses and keep the one that measures a pose best that it was not shown.
+
+    Rows without a pose are left out. Raises BadInputError when no row has one, when the LEDs cannot be found
+    or do not fit the layout, and where a known pose contradicts the others.
+    """
+    place = recording.path / HEADER_FILE
+    plate = recording.header.plate
+    if recording.header.kind != "planar" or not isinstance(plate, LedPlateHeader):
+        raise BadInputError(recording.path, f"is of kind {recording.header.kind!r}, not 'planar'")
+    leds_mm = np.array(plate.leds_mm)
+    try:
+        check_layout(leds_mm)
+    except ValueError as error:
+        raise BadInputError(place, f"plate.leds_mm: {error}") from error
+    stays = _stays(recording, progress)
+    (camera,) = recording.header.cameras.values()
+    size = camera.width, camera.height
+    homography = _first_homography(recording, stays, leds_mm)
+    matched = [_matched(stay, leds_mm, homography) for stay in stays]
+    refused = [
+        f"{recording.rows.place(stay.row)}: fewer than two LEDs are where the pose puts them"
+        for stay, pairs in zip(stays, matched, strict=True)
+        if len(pairs) < 2
+    ]
+    kept = [(stay, pairs) for stay, pairs in zip(stays, matched, strict=True) if len(pairs) >= 2]
+    stays = [stay for stay, _ in kept]
+    sightings = [_sighting(*each) for each in kept]
+    seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in sightings])
+    areas_px = [stay.discs[light].area_px for stay, pairs in kept for _, light in pairs]
+    per_mm = homography_camera(homography, seen_mm, size).px_per_mm(seen_mm)
+    disc_mm = _disc_mm(place, plate, float(np.median(areas_px / np.abs(np.linalg.det(per_mm)))))
+    sightings, outliers = _without_outliers(sightings, leds_mm, disc_mm, size)
+    refused += [f"{recording.rows.place(stays[at].row)}: {why}" for at, why in outliers]
+    chosen, rms, factor = _chosen(recording, stays, sightings, leds_mm, disc_mm)
+    fit = fit_plane(chosen, leds_mm, sightings, disc_mm, size)
+    frame_noise, lasting = _noise_px(stays, fit.noise_px)
+    fit = scaled(replace(fit, noise_px=lasting), factor)
+    calibration = PlanarCalibration(
+        unit_serial=recording.header.unit.serial,
+        created=datetime.now(UTC),
+        recording_note=recording.header.note,
+        recording_sha256=recording.sha256(),
+        camera=camera.identity,
+        origin=camera.origin,
+        disc_mm=disc_mm,
+        fit=fit,
+        frame_noise_px=frame_noise,
+        hull_mm=convex_hull_mm(seen_mm - seen_mm.mean(axis=0)) + seen_mm.mean(axis=0),
+        known_phi_deg=tuple(of.pose[2] for of in sightings),
+        rms=rms,
+    )
+    return PlanarResult(
+        calibration, tuple(refused), _doubts(len(sightings), any(stay.frames > 1 for stay in stays))
+    )
+
+
+def _doubts(poses: int, has_scatter: bool) -> tuple[str, ...]:
+    doubts = []
+    if poses < MIN_POSES_FOR_SPREAD:
+        doubts.append(
+            f"{counted(poses, 'known pose')}: the lens's distortion and the error of the known poses are not "
+            f"seen, so sigma lacks them; {MIN_POSES_FOR_SPREAD} or more are needed"
+        )
+    if not has_scatter:
+        doubts.append("one frame a pose: the noise of a frame is taken from the fit")
+    return tuple(doubts)
+
+
+def _noise_px(stays: Sequence[_Stay], of_fit_px: float) -> tuple[float, float]:
+    """The noise of a centre in one frame, and what of the fit's noise no averaging reduces."""
+    variances = [stay.variance_px2 for stay in stays if math.isfinite(stay.variance_px2)]
+    if not variances:
+        return of_fit_px, _MIN_LASTING_SHARE * of_fit_px
+    of_frame = float(np.mean(variances))
+    of_means = of_frame * float(np.mean([1.0 / stay.frames for stay in stays]))
+    lasting = max(of_fit_px**2 - of_means, (_MIN_LASTING_SHARE * of_fit_px) ** 2)
+    return math.sqrt(of_frame), math.sqrt(lasting)
+
+
+def _stays(recording: Recording, progress: Progress) -> list[_Stay]:
+    """The known poses in the order of the rows; each is seen in frames that follow one another."""
+    rows = [row for row in recording.rows if row.pose is not None]
+    if not rows:
+        raise BadInputError(
+            recording.rows.table.path, "no row has a known pose: a_mm, b_mm, phi_deg are empty or missing"
+        )
+    stays, done = [], 0
+    for pose, group in itertools.groupby(rows, key=lambda row: row.pose):
+        if pose is None:
+            continue
+        of_pose = list(group)
+        frames = [recording.frame(row) for row in of_pose[:_MAX_FRAMES]]
+        done += len(of_pose)
+        progress(done, len(rows))
+        stays.append(_stay(of_pose[0], pose, frames))
+    return stays
+
+
+def _stay(row: Row, pose: Pose, frames: Sequence[Frame]) -> _Stay:
+    image = led_image(np.asarray(np.mean([frame.pixels for frame in frames], axis=0, dtype=np.float32)))
+    discs = find_leds(image)
+    variance = math.nan
+    if len(frames) > 1 and discs:
+        centres = np.array([disc_centres_px(led_image(frame.pixels), discs) for frame in frames])
+        variances = centres[:, np.isfinite(centres).all(axis=(0, 2))].var(axis=0, ddof=1)
+        variance = float(variances.mean()) if variances.size else math.nan
+    rims = tuple(rim_points_px(image, disc) for disc in discs)
+    return _Stay(row, pose, discs, rims, variance, len(frames))
+
+
+def _first_homography(recording: Recording, stays: Sequence[_Stay], leds_mm: FloatArray) -> FloatArray:
+    """Px → mm of the fixed frame, by the first known pose whose lights fit the layout."""
+    why = ""
+    for stay in sorted(stays, key=lambda stay: abs(len(stay.discs) - len(leds_mm))):
+        try:
+            pairs = projective_match(leds_mm, stay.centres_px)
+        except ValueError as error:
+            why = why or f"{recording.rows.place(stay.row)}: {error}"
+            continue
+        led, light = (list(column) for column in zip(*pairs, strict=True))
+        return fit_homography(stay.centres_px[light], placed_mm(leds_mm[led], stay.pose))
+    raise BadInputError(recording.path, f"shows the plate at no known pose; {why}")
+
+
+def _matched(stay: _Stay, leds_mm: FloatArray, homography: FloatArray) -> Pairs:
+    """The lights that are where the known pose puts the LEDs."""
+    if not stay.discs:
+        return ()
+    lights_mm = apply_homography(homography, stay.centres_px)
+    near = np.full(len(lights_mm), _NEAR_SHARE * min_distance_mm(leds_mm))
+    return nearest(placed_mm(leds_mm, stay.pose), lights_mm, near)
+
+
+def _sighting(stay: _Stay, pairs: Pairs) -> Sighting:
+    led, light = (list(column) for column in zip(*pairs, strict=True))
+    rims = tuple(stay.rims_px[each] for each in light)
+    return Sighting(stay.pose, np.array(led), stay.centres_px[light], rims)
+
+
+def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
+    """The LEDs' diameter as the header has it, else as the pictures show it."""
+    seen_mm = math.sqrt(4 * area_mm2 / math.pi)
+    if plate.disc_mm is None:
+        return seen_mm
+    low, high = _DIAMETER_RATIO_LIMITS
+    if not low < seen_mm / plate.disc_mm < high:
+        raise BadInputError(
+            str(place), f"plate.disc_mm is {plate.disc_mm:g}, but the LEDs look {seen_mm:.1f} mm wide"
+        )
+    return plate.disc_mm
+
+
+def _without_outliers(
+    sightings: Sequence[Sighting], leds_mm: FloatArray, disc_mm: float, size: tuple[int, int]
+) -> tuple[list[Sighting], list[tuple[int, str]]]:
+    """The sightings without LEDs that are not where all others put them, and which those were."""
+    model: Model = "lens" if len(sightings) >= MIN_POSES_FOR_SPREAD else "homography"
+    fit = fit_plane(model, leds_mm, sightings, disc_mm, size)
+    kept, outliers = [], []
+    limit_px = max(_OUTLIER_SIGMAS * fit.noise_px, _MIN_OUTLIER_PX)
+    for at, seen in enumerate(sightings):
+        noise = np.full(len(seen.leds), fit.noise_px)
+        pose = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, noise).pose
+        off_px = np.linalg.norm(
+            fit.camera.to_px(placed_mm(fit.leds_mm[seen.leds], pose)) - seen.centres_px, axis=1
+        )
+        good = (off_px < limit_px) | (len(seen.leds) < 4)
+        outliers += [
+            (at, f"the light taken for LED {led} is {off:.1f} px from its place")
+            for led, off in zip(seen.leds[~good].tolist(), off_px[~good].tolist(), strict=True)
+        ]
+        rims = tuple(rim for rim, is_good in zip(seen.rims_px, good.tolist(), strict=True) if is_good)
+        if good.sum() >= 2:
+            kept.append(Sighting(seen.pose, seen.leds[good], seen.centres_px[good], rims))
+    return kept, outliers
+
+
+def _chosen(
+    recording: Recording,
+    stays: Sequence[_Stay],
+    sightings: Sequence[Sighting],
+    leds_mm: FloatArray,
+    disc_mm: float,
+) -> tuple[Model, Mapping[Model, tuple[float, float]], float]:
+    """The model with the least leave-one-out errors, the errors of each, and their ratio to sigma."""
+    (camera,) = recording.header.cameras.values()
+    size = camera.width, camera.height
+    if len(sightings) < MIN_POSES_FOR_SPREAD:
+        return "homography", {}, 1.0
+    rms: dict[Model, tuple[float, float]] = {}
+    cost: dict[Model, float] = {}
+    ratio: dict[Model, float] = {}
+    for model in MODELS:
+        off, sigma = leave_one_out(model, leds_mm, sightings, disc_mm, size)
+        length = np.linalg.norm(off, axis=1)
+        cost[model] = float(np.median(length))
+        rms[model] = (
+            float(np.sqrt(np.mean(off[:, :2] ** 2))),
+            float(np.degrees(np.sqrt(np.mean(off[:, 2] ** 2)) / radius_mm(leds_mm))),
+        )
+        excess = math.sqrt(float(np.mean((off / sigma) ** 2)))
+        ratio[model] = excess if excess > 1.0 + 2.0 / math.sqrt(2.0 * off.size) else 1.0
+        if model == MODELS[-1]:
+            worst = int(length.argmax())
+            if length[worst] > max(_MIN_WRONG_MM, _WRONG_RATIO * float(np.median(length))):
+                raise BadInputError(
+                    recording.rows.place(stays[worst].row),
+                    f"a_mm, b_mm, phi_deg are {length[worst]:.2f} mm from what the other poses say",
+                )
+    best = min(MODELS, key=lambda model: cost[model])
+    return best, rms, ratio[best]

@@ -1,0 +1,178 @@
+"""The calibration file of the instrument ``planar``: one JSON document, checked by its own checksum."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from altd.calibration.file import read_document
+from altd.errors import BadInputError
+from altd.files.documents import checksum_of
+from altd.files.writing import write_file
+from altd.instruments.planar.fitting import PlaneFit
+from altd.instruments.planar.instrument import PlanarCalibration
+from altd.instruments.planar.plane import Model, PlaneCamera
+from altd.measuring.calibration import CalibrationFile
+from altd.recording.header import RecordingHeader
+from altd.records import CameraIdentity, FloatArray, Origin, utc_text
+
+PLANAR_FORMAT = "altd-planar-calibration/1"
+
+Sigma = Annotated[float, Field(gt=0, le=1000)]
+_Place = tuple[float, float]
+_PARAMETERS: Mapping[Model, int] = {"homography": 8, "lens": 13}
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Unit(_Table):
+    serial: str
+
+
+class _Recording(_Table):
+    note: str
+    sha256: str
+
+
+class _Camera(_Table):
+    serial: str | None
+    model: str | None
+    driver: str | None
+    origin: Origin
+    width: Annotated[int, Field(ge=16, le=20_000)]
+    height: Annotated[int, Field(ge=16, le=20_000)]
+
+
+class _Content(_Table):
+    format: Literal["altd-planar-calibration/1"]
+    unit: _Unit
+    created: datetime
+    recording: _Recording
+    camera: _Camera
+    disc_mm: Sigma
+    model: Model
+    parameters: list[float]
+    origin_mm: _Place
+    leds_mm: Annotated[list[_Place], Field(min_length=5, max_length=64)]
+    covariance: list[list[float]]
+    noise_px: Sigma
+    sigma_led_mm: Sigma
+    sigma_pose_mm: Sigma
+    frame_noise_px: Sigma
+    hull_mm: Annotated[list[_Place], Field(min_length=3)]
+    known_phi_deg: Annotated[list[float], Field(min_length=1)]
+    leave_one_out: dict[Model, tuple[float, float]]
+
+
+def save_planar_calibration(calibration: PlanarCalibration, path: Path) -> None:
+    """Write the file whole or not at all; raises BadInputError when it cannot be written."""
+    fit, camera = calibration.fit, calibration.camera
+    document: dict[str, Any] = {
+        "format": PLANAR_FORMAT,
+        "unit": {"serial": calibration.unit_serial},
+        "created": utc_text(calibration.created),
+        "recording": {"note": calibration.recording_note, "sha256": calibration.recording_sha256},
+        "camera": {
+            "serial": camera.serial,
+            "model": camera.model,
+            "driver": camera.driver,
+            "origin": calibration.origin,
+            "width": fit.camera.width,
+            "height": fit.camera.height,
+        },
+        "disc_mm": calibration.disc_mm,
+        "model": fit.camera.model,
+        "parameters": fit.camera.parameters.tolist(),
+        "origin_mm": fit.camera.origin_mm.tolist(),
+        "leds_mm": fit.leds_mm.tolist(),
+        "covariance": fit.covariance.tolist(),
+        "noise_px": fit.noise_px,
+        "sigma_led_mm": fit.sigma_led_mm,
+        "sigma_pose_mm": fit.sigma_pose_mm,
+        "frame_noise_px": calibration.frame_noise_px,
+        "hull_mm": calibration.hull_mm.tolist(),
+        "known_phi_deg": list(calibration.known_phi_deg),
+        "leave_one_out": {model: list(rms) for model, rms in calibration.rms.items()},
+    }
+    text = json.dumps({**document, "checksum": checksum_of(document)}, indent=1)
+    write_file(path, (text + "\n").encode())
+
+
+def load_planar_calibration(path: Path, unit_serial: str | None = None) -> PlanarCalibration:
+    """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
+    content, calibration, checksum = read_document(
+        path, PLANAR_FORMAT, lambda document: _calibration_of(_Content.model_validate(document))
+    )
+    if unit_serial is not None and calibration.unit_serial != unit_serial:
+        raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
+    return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), checksum))
+
+
+def check_planar_recording(calibration: PlanarCalibration, path: Path, header: RecordingHeader) -> None:
+    """Refuse a recording of another image size, camera or plate than the calibration's."""
+    ((name, camera),) = header.cameras.items()
+    known = calibration.fit.camera
+    if (known.width, known.height) != (camera.width, camera.height):
+        size = f"{known.width} × {known.height}, not {camera.width} × {camera.height}"
+        raise BadInputError(path, f"camera {name!r} was calibrated at {size}")
+    if difference := camera.identity.difference_from(calibration.camera):
+        raise BadInputError(path, f"another camera was calibrated: {difference}")
+
+
+def _calibration_of(content: _Content) -> PlanarCalibration:
+    camera = content.camera
+    size = _PARAMETERS[content.model] + 2 * len(content.leds_mm)
+    covariance = _matrix(content.covariance)
+    if len(content.parameters) != _PARAMETERS[content.model]:
+        raise ValueError(f"parameters: expected {_PARAMETERS[content.model]} numbers")
+    if covariance.shape != (size, size):
+        raise ValueError(f"covariance: expected {size} × {size} numbers")
+    if (
+        np.linalg.eigvalsh(covariance / np.sqrt(np.outer(*2 * [np.diag(covariance).clip(1e-300)]))).min()
+        < -1e-6
+    ):
+        raise ValueError("covariance: is none, it has a negative eigenvalue")
+    return PlanarCalibration(
+        unit_serial=content.unit.serial,
+        created=content.created,
+        recording_note=content.recording.note,
+        recording_sha256=content.recording.sha256,
+        camera=CameraIdentity(camera.serial, camera.model, camera.driver),
+        origin=camera.origin,
+        disc_mm=content.disc_mm,
+        fit=PlaneFit(
+            PlaneCamera(
+                content.model,
+                np.array(content.parameters),
+                np.array(content.origin_mm),
+                camera.width,
+                camera.height,
+            ),
+            np.array(content.leds_mm),
+            covariance,
+            content.noise_px,
+            content.sigma_led_mm,
+            content.sigma_pose_mm,
+        ),
+        frame_noise_px=content.frame_noise_px,
+        hull_mm=np.array(content.hull_mm),
+        known_phi_deg=tuple(content.known_phi_deg),
+        rms=content.leave_one_out,
+    )
+
+
+def _matrix(rows: list[list[float]]) -> FloatArray:
+    try:
+        return np.array(rows, dtype=np.float64)
+    except ValueError:
+        return np.empty(0)

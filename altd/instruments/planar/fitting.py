@@ -1,0 +1,173 @@
+"""A camera from known poses of the plate, with all that is uncertain of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from altd.instruments.planar.homography import fit_rims, vanishing_line_homography
+from altd.instruments.planar.layout import Pose, placed_mm, rotation
+from altd.instruments.planar.plane import Model, PlaneCamera, homography_camera, lens_camera
+from altd.mapping.light_centre import light_centre_shift_px
+from altd.records import FloatArray
+
+MIN_POSES_FOR_SPREAD = 3
+"""From fewer known poses it cannot be told whether a pose, an LED's place or a centre is wrong."""
+
+_ITERATIONS = 12
+_MIN_NOISE_PX = 1e-3
+_MIN_SIGMA_MM = 1e-4
+_INITIAL_NOISE_PX = 0.02
+_INITIAL_SIGMA_MM = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """The plate at a known pose: LEDs (n,), their discs' centres (n, 2) px, and points of their rims."""
+
+    pose: Pose
+    leds: npt.NDArray[np.intp]
+    centres_px: FloatArray
+    rims_px: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneFit:
+    """A camera with the plate's LEDs as it shows them.
+
+    ``covariance`` is that of the camera's parameters and then of x, y of each LED. ``noise_px`` is the
+    standard deviation of a centre that averaging does not reduce, ``sigma_led_mm`` that of an LED from its
+    stated place, ``sigma_pose_mm`` that of a known pose: of a, b, and of φ at the layout's radius.
+    """
+
+    camera: PlaneCamera
+    leds_mm: FloatArray
+    covariance: FloatArray
+    noise_px: float
+    sigma_led_mm: float
+    sigma_pose_mm: float
+
+
+def fit_plane(
+    model: Model, leds_mm: FloatArray, sightings: Sequence[Sighting], disc_mm: float, size: tuple[int, int]
+) -> PlaneFit:
+    """The camera of a model, and the errors of LEDs and poses that explain what it leaves.
+
+    The homography is the source's: by the vanishing line, then by Gauss and Newton over the discs' rims.
+    The lens is fitted to the discs' centres, its parameters together with the errors of LEDs and poses, as
+    zero-mean normal deviates whose variances are those that make the observations most probable (the fixed
+    point of MacKay, "Bayesian interpolation", 1992). Raises ValueError when the LEDs are too few.
+    """
+    seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in sightings])
+    seen_px = np.concatenate([of.centres_px for of in sightings])
+    if model == "homography":
+        rims = [rim for of in sightings for rim in of.rims_px]
+        h = fit_rims(vanishing_line_homography(seen_px, seen_mm), rims, seen_mm, disc_mm / 2)
+        camera = homography_camera(h, seen_mm, size)
+    else:
+        camera = lens_camera(seen_mm, seen_px, size)
+    return _with_spread(camera, leds_mm, sightings, disc_mm**2 / 16, is_free=model == "lens")
+
+
+def radius_mm(leds_mm: FloatArray) -> float:
+    """Of the layout, at which a turn is told as a length: the LEDs' rms distance from the plate's origin."""
+    return float(np.sqrt(np.mean(np.sum(leds_mm**2, axis=1))))
+
+
+def _with_spread(
+    camera: PlaneCamera,
+    leds_mm: FloatArray,
+    sightings: Sequence[Sighting],
+    moment_mm2: float,
+    is_free: bool,
+) -> PlaneFit:
+    """The fit of ``fit_plane``; a camera that is not free keeps its parameters, and gets its covariance."""
+    design = _Design(leds_mm, sightings, moment_mm2)
+    cameras, leds = (
+        len(camera.parameters),
+        slice(len(camera.parameters), len(camera.parameters) + leds_mm.size),
+    )
+    poses = slice(leds.stop, leds.stop + 3 * len(sightings))
+    can_tell = len(sightings) >= MIN_POSES_FOR_SPREAD
+    noise, sigma_led, sigma_pose = _INITIAL_NOISE_PX, _INITIAL_SIGMA_MM, _INITIAL_SIGMA_MM
+    if not can_tell:
+        sigma_led = sigma_pose = _MIN_SIGMA_MM
+    errors = np.zeros(poses.stop - cameras)
+    for _ in range(_ITERATIONS):
+        jacobian, miss = design.linearised(camera, errors)
+        precision = np.concatenate(
+            [
+                camera.precision,
+                np.full(leds_mm.size, sigma_led**-2),
+                np.full(3 * len(sightings), sigma_pose**-2),
+            ]
+        )
+        known = np.concatenate([camera.parameters, errors]) * precision
+        free = slice(0 if is_free else cameras, None)
+        normal = jacobian.T @ jacobian / noise**2 + np.diag(precision)
+        step = np.linalg.solve(normal[free, free], (jacobian.T @ miss / noise**2 - known)[free])
+        camera = camera.moved_by(step[:cameras]) if is_free else camera
+        errors = errors + step[-len(errors) :]
+        covariance = np.linalg.inv(normal)
+        of_data = 1.0 - np.diag(covariance) * precision
+        residual = design.linearised(camera, errors)[1]
+        degrees = max(len(residual) - float(of_data.sum()), 1.0)
+        noise = max(math.sqrt(float(residual @ residual) / degrees), _MIN_NOISE_PX)
+        if can_tell:
+            sigma_led = _sigma(errors[: leds_mm.size], of_data[leds])
+            sigma_pose = _sigma(errors[leds_mm.size :], of_data[poses])
+    return PlaneFit(
+        camera,
+        leds_mm + errors[: leds_mm.size].reshape(-1, 2),
+        np.asarray(covariance[: leds.stop, : leds.stop], dtype=np.float64),
+        noise,
+        sigma_led,
+        sigma_pose,
+    )
+
+
+def _sigma(errors: FloatArray, of_data: FloatArray) -> float:
+    """Of errors, each weighted by how far the observations know it."""
+    return max(math.sqrt(float(errors @ errors) / max(float(of_data.sum()), 1e-9)), _MIN_SIGMA_MM)
+
+
+class _Design:
+    """The centres of all discs as functions of camera, LEDs and poses."""
+
+    def __init__(self, leds_mm: FloatArray, sightings: Sequence[Sighting], moment_mm2: float) -> None:
+        self._leds_mm, self._sightings, self._moment_mm2 = leds_mm, sightings, moment_mm2
+        self._seen_px = np.concatenate([of.centres_px for of in sightings])
+        self._radius_mm = radius_mm(leds_mm)
+
+    def linearised(self, camera: PlaneCamera, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """d(px)/d(parameters, LEDs, poses) and seen minus computed, a row each of u and v."""
+        leds = self._leds_mm + errors[: self._leds_mm.size].reshape(-1, 2)
+        of_poses = errors[self._leds_mm.size :].reshape(-1, 3)
+        points, slopes = [], []
+        for number, (seen, error) in enumerate(zip(self._sightings, of_poses, strict=True)):
+            phi_deg = seen.pose[2] + math.degrees(error[2] / self._radius_mm)
+            turned = leds[seen.leds] @ rotation(phi_deg).T
+            points.append(turned + seen.pose[:2] + error[:2])
+            slope = np.zeros((len(turned), 2, len(errors)))
+            each = np.arange(len(turned))
+            for axis in (0, 1):
+                slope[each, :, 2 * seen.leds + axis] = rotation(phi_deg)[:, axis]
+                slope[:, axis, leds.size + 3 * number + axis] = 1.0
+            across = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
+            slope[:, :, leds.size + 3 * number + 2] = across / self._radius_mm
+            slopes.append(slope)
+        at = np.concatenate(points)
+        of_places = camera.px_per_mm(at) @ np.concatenate(slopes)
+        jacobian = np.concatenate([camera.jacobian(at), of_places], axis=2)
+        shift = light_centre_shift_px(camera.to_px, at, self._moment_mm2)
+        miss: FloatArray = self._seen_px - camera.to_px(at) - shift
+        return jacobian.reshape(2 * len(at), -1), miss.ravel()
+
+
+def scaled(fit: PlaneFit, factor: float) -> PlaneFit:
+    """The same, uncertain by ``factor`` as much: what its model cannot say of itself."""
+    return replace(fit, covariance=fit.covariance * factor**2, noise_px=fit.noise_px * factor)

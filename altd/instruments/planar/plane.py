@@ -1,0 +1,105 @@
+"""A camera that looks at a plane: homography or lens, mm of the plane ↔ px of the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from altd.instruments.planar.homography import apply_homography, with_slopes
+from altd.mapping.camera_model import Camera, jacobian_px_per_mm
+from altd.mapping.lens import fit_camera
+from altd.mapping.nodes import Nodes
+from altd.records import FloatArray
+
+Model = Literal["homography", "lens"]
+MODELS: tuple[Model, ...] = get_args(Model)
+
+STEP_MM = 0.5
+"""Of derivatives by places on the plane."""
+_NEWTON_STEPS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneCamera:
+    """Places (n, 2) mm of the plane ↔ (n, 2) px, through a homography or a lens with Brown's distortion.
+
+    Both models count from ``origin_mm``. ``parameters`` of the homography are h1 … h8 of mm → px with h9 = 1,
+    those of the lens are ``Camera.parameters``.
+    """
+
+    model: Model
+    parameters: FloatArray
+    origin_mm: FloatArray
+    width: int
+    height: int
+
+    @property
+    def precision(self) -> FloatArray:
+        """Of what is known of the parameters before, (p,): 1/σ², 0 where nothing is."""
+        if self.model == "homography":
+            return np.zeros(len(self.parameters))
+        precision: FloatArray = 1.0 / np.square(self._camera.prior)
+        return precision
+
+    def moved_by(self, step: FloatArray) -> PlaneCamera:
+        """The same with other parameters."""
+        return replace(self, parameters=self.parameters + step)
+
+    def to_px(self, points_mm: FloatArray) -> FloatArray:
+        """The picture of places (n, 2) mm."""
+        from_origin = points_mm - self.origin_mm
+        if self.model == "lens":
+            return self._camera.to_px(from_origin)
+        return apply_homography(self._homography, from_origin)
+
+    def jacobian(self, points_mm: FloatArray) -> FloatArray:
+        """d(u, v)/d(parameters), (n, 2, p)."""
+        from_origin = points_mm - self.origin_mm
+        if self.model == "lens":
+            slopes = self._camera.jacobian(from_origin)
+        else:
+            slopes = with_slopes(self._homography, from_origin)[1]
+        return slopes.reshape(len(points_mm), 2, -1)
+
+    def px_per_mm(self, points_mm: FloatArray) -> FloatArray:
+        """d(u, v)/d(x, y), (n, 2, 2)."""
+        return jacobian_px_per_mm(self.to_px, points_mm, STEP_MM)
+
+    def to_mm(self, points_px: FloatArray) -> FloatArray:
+        """The places (n, 2) mm that are seen at (n, 2) px, by Newton's method; NaN where it fails."""
+        points_mm = np.repeat(self.origin_mm[None, :], len(points_px), axis=0)
+        with np.errstate(all="ignore"):
+            for _ in range(_NEWTON_STEPS):
+                miss = points_px - self.to_px(points_mm)
+                determinant = np.linalg.det(slopes := self.px_per_mm(points_mm))
+                slopes[~(np.abs(determinant) > 1e-9)] = np.nan
+                points_mm = points_mm + np.linalg.solve(slopes, miss[:, :, None])[:, :, 0]
+            off_px = np.linalg.norm(points_px - self.to_px(points_mm), axis=1)
+        return np.where((off_px < 1e-3)[:, None], points_mm, np.nan)
+
+    @property
+    def _camera(self) -> Camera:
+        return Camera("brown", self.parameters, False, self.width, self.height)
+
+    @property
+    def _homography(self) -> FloatArray:
+        return np.append(self.parameters, 1.0).reshape(3, 3)
+
+
+def homography_camera(
+    mm_per_px: FloatArray, points_mm: FloatArray, image_size: tuple[int, int]
+) -> PlaneCamera:
+    """The camera of a homography (3, 3) px → mm; ``points_mm`` (n, 2) lie about its origin."""
+    origin = points_mm.mean(axis=0)
+    from_origin = np.array([[1.0, 0.0, origin[0]], [0.0, 1.0, origin[1]], [0.0, 0.0, 1.0]])
+    px_per_mm = np.linalg.inv(mm_per_px) @ from_origin
+    return PlaneCamera("homography", (px_per_mm / px_per_mm[2, 2]).ravel()[:8], origin, *image_size)
+
+
+def lens_camera(points_mm: FloatArray, points_px: FloatArray, image_size: tuple[int, int]) -> PlaneCamera:
+    """The lens through places (n, 2) mm seen at (n, 2) px; raises ValueError when they are too few."""
+    origin = points_mm.mean(axis=0)
+    camera = fit_camera(Nodes.ordinary(points_mm - origin, points_px), image_size)
+    return PlaneCamera("lens", camera.parameters, origin, *image_size)

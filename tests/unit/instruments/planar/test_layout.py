@@ -1,0 +1,97 @@
+"""Which lights are LEDs: by layout alone, and as a rigid plate."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from altd.instruments.planar.layout import (
+    check_layout,
+    placed_mm,
+    projective_match,
+    rigid_matches,
+    rigid_pose,
+    wrapped_deg,
+)
+
+LEDS = np.array([(-41, -40), (-7, -39), (31, -32), (44, 16), (11, 3), (-38, 23), (2, 39)], dtype=float)
+PICTURE = np.array([[2.6, 0.2, 400.0], [0.1, -2.5, 380.0], [4e-4, -6e-4, 1.0]])
+"""A camera that is tilted by some 25°; v runs down."""
+
+
+def seen(points: np.ndarray) -> np.ndarray:
+    return np.asarray(cv2.perspectiveTransform(points[None], PICTURE)[0])
+
+
+def tolerances(count: int) -> np.ndarray:
+    return np.full(count, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"), [(180.0, 180.0), (-180.0, 180.0), (540.0, 180.0), (-179.5, -179.5), (361.0, 1.0)]
+)
+def test_turns_are_above_minus_180_and_up_to_180(angle: float, wrapped: float) -> None:
+    assert wrapped_deg(angle) == pytest.approx(wrapped)
+
+
+@pytest.mark.parametrize("pose", [(3.0, 700.0, 12.0), (-20.0, 5.0, 180.0), (0.0, 0.0, -91.0)])
+def test_a_rigid_pose_is_that_of_equation_2_59(pose: tuple[float, float, float]) -> None:
+    a, b, phi = pose
+    turn = cv2.getRotationMatrix2D((0.0, 0.0), -phi, 1.0)[:, :2]  # OpenCV's turns are clockwise with y up
+    at = LEDS @ turn.T + (a, b)
+    assert placed_mm(LEDS, pose) == pytest.approx(at)
+    assert rigid_pose(LEDS, at) == pytest.approx(pose)
+
+
+@pytest.mark.parametrize("lit", [[0, 1, 2, 3, 4, 5, 6], [6, 2, 0], [3, 5]])
+def test_lights_are_leds_whichever_are_dark_and_wherever_the_plate_is(lit: list[int]) -> None:
+    pose = (12.0, 690.0, 155.0)
+    best = rigid_matches(LEDS, placed_mm(LEDS, pose)[lit], tolerances(len(lit)))[0]
+    ways = rigid_matches(LEDS, placed_mm(LEDS, pose)[lit], tolerances(len(lit)))
+    if len(lit) > 2:
+        assert best.pose == pytest.approx(pose)
+        assert [lit[light] for _, light in best.pairs] == [led for led, _ in best.pairs]
+    else:  # two LEDs look the same when the plate is turned
+        assert sorted(round(way.pose[2]) for way in ways) == [-25, 155]
+
+
+def test_three_leds_and_a_light_that_is_none_give_the_three() -> None:
+    lights = np.vstack([placed_mm(LEDS, (0.0, 0.0, 30.0))[[1, 3, 6]], (70.0, -60.0)])
+    best, *others = rigid_matches(LEDS, lights, tolerances(4))
+    assert best.pairs == ((1, 0), (3, 1), (6, 2))
+    assert all(len(way.pairs) == 2 for way in others)
+
+
+@pytest.mark.parametrize(
+    ("leds", "said"),
+    [
+        ([(-10, 0), (10, 0), (0, 5), (0, -5)], "turned by 180°"),
+        ([(0, 0), (10, 0), (10, 10), (0, 10)], "turned by"),
+        ([(0, 0), (10, 0), (30, 0), (60, 0)], "lie on a line"),
+    ],
+)
+def test_a_layout_that_leaves_the_pose_open_is_refused(leds: list[tuple[int, int]], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        check_layout(np.array(leds, dtype=float))
+
+
+def test_a_layout_without_symmetry_is_accepted() -> None:
+    check_layout(LEDS)
+
+
+def test_the_layout_alone_tells_the_leds_in_a_tilted_picture() -> None:
+    order = [4, 2, 6, 0, 1, 5]  # LED 3 is dark
+    lights = np.vstack([seen(placed_mm(LEDS, (5.0, -8.0, 70.0)))[order], (900.0, 40.0)])
+    assert projective_match(LEDS, lights) == tuple(sorted((led, at) for at, led in enumerate(order)))
+
+
+def test_a_mirrored_picture_of_the_layout_is_none() -> None:
+    with pytest.raises(ValueError, match="no 6 fit the layout"):
+        projective_match(LEDS, seen(LEDS * (-1.0, 1.0)))
+
+
+def test_lights_at_random_are_no_layout() -> None:
+    lights = np.random.default_rng(3).uniform(0, 1000, size=(7, 2))
+    with pytest.raises(ValueError, match="7 lights are seen"):
+        projective_match(LEDS, lights)

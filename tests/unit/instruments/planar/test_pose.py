@@ -1,0 +1,204 @@
+"""The pose from LEDs through a camera whose formula is written here, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import cv2
+import numpy as np
+import pytest
+
+from altd.instruments.planar.fitting import Sighting, fit_plane
+from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
+from altd.mapping.grid import convex_hull_mm
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Fault, Origin, Value
+from altd.vision.led_discs import Disc
+
+LEDS = np.array([(-41, -40), (-7, -39), (31, -32), (44, 16), (11, 3), (-38, 23), (2, 39)], dtype=float)
+SIZE = 1024, 768
+DISC_MM = 5.0
+NOISE_PX = 0.01
+TURN, SHIFT = np.array([math.pi + 0.15, 0.02, 0.1]), np.array([-20.0, 640.0, 500.0])
+MATRIX = np.array([[1300.0, 0, 520.0], [0, 1300.0, 380.0], [0, 0, 1]])
+BENT = np.array([-0.08, 0.01, 2e-4, -1e-4])
+Pose = tuple[float, float, float]
+
+
+def placed(pose: Pose, leds: np.ndarray = LEDS) -> np.ndarray:
+    a, b, phi = pose[0], pose[1], math.radians(pose[2])
+    turn = np.array([[math.cos(phi), -math.sin(phi)], [math.sin(phi), math.cos(phi)]])
+    return np.asarray(leds @ turn.T + (a, b))
+
+
+def seen(points: np.ndarray) -> np.ndarray:
+    """OpenCV's camera."""
+    in_space = np.column_stack([points, np.zeros(len(points))])
+    return np.asarray(cv2.projectPoints(in_space, TURN, SHIFT, MATRIX, BENT)[0].reshape(-1, 2))
+
+
+def centre_px(point: np.ndarray) -> np.ndarray:
+    """Of the area of an LED's disc, from a polygon in the picture: the middle is seen elsewhere."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+    rim = seen(point + DISC_MM / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    x, y = (rim - rim.mean(axis=0)).T
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    moments = [((value + np.roll(value, -1)) * cross).sum() / (3 * cross.sum()) for value in (x, y)]
+    return np.asarray(rim.mean(axis=0) + moments)
+
+
+def poses(count: int, rng: np.random.Generator) -> list[Pose]:
+    drawn = rng.uniform((-40, 670, -35), (40, 730, 35), size=(count, 3))
+    return [(float(a), float(b), float(phi)) for a, b, phi in drawn]
+
+
+def calibrated(model: str = "lens", known: int = 10) -> PlanarCalibration:
+    rng = np.random.default_rng(11)
+    sightings = []
+    for pose in poses(known, rng):
+        centres = np.array([centre_px(point) for point in placed(pose)])
+        angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+        circle = DISC_MM / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        rims = tuple(seen(point + circle) for point in placed(pose))
+        noise = rng.normal(0.0, NOISE_PX, size=centres.shape)
+        sightings.append(Sighting(pose, np.arange(7), centres + noise, rims))
+    fit = fit_plane(model, LEDS, sightings, DISC_MM, SIZE)  # type: ignore[arg-type]
+    if model == "lens":
+        assert fit.noise_px == pytest.approx(NOISE_PX, rel=0.2)
+        fit = replace(fit, noise_px=1e-3)  # the noise of a frame is all that there is
+    hull = convex_hull_mm(np.concatenate([placed(of.pose) for of in sightings]))
+    turns = tuple(of.pose[2] for of in sightings)
+    now, nobody = datetime(2026, 1, 1, tzinfo=UTC), CameraIdentity()
+    return PlanarCalibration("P", now, "", "", nobody, Origin.CAMERA, DISC_MM, fit, NOISE_PX, hull, turns)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> PlanarCalibration:
+    return calibrated()
+
+
+def discs(points: np.ndarray, rng: np.random.Generator, diameter_mm: float = DISC_MM) -> list[Disc]:
+    found = []
+    for point in points:
+        (u, v), right, up = centre_px(point), seen(point[None] + (1, 0))[0], seen(point[None] + (0, 1))[0]
+        per_mm2 = abs(np.linalg.det(np.stack([right, up]) - seen(point[None])[0]))
+        du, dv = rng.normal(0.0, NOISE_PX, size=2)
+        area = math.pi / 4 * diameter_mm**2 * per_mm2
+        found.append(Disc(float(u + du), float(v + dv), area, 150.0, 1.3, False, (0, 0, 1, 1)))
+    return found
+
+
+def measured(calibration: PlanarCalibration, found: list[Disc]) -> dict[str, Value] | Fault:
+    instrument = PlanarInstrument(calibration)
+    leds = instrument.identify(found)
+    return instrument.solve(leds) if isinstance(leds, Leds) else leds
+
+
+def off_by_sigma(values: dict[str, Value], pose: Pose) -> list[float]:
+    return [
+        (values[key].value - truth) / float(values[key].sigma or 0.0)
+        for key, truth in zip(("a_mm", "b_mm", "phi_deg"), pose, strict=True)
+    ]
+
+
+def test_the_lens_is_found_where_no_led_was(calibration: PlanarCalibration) -> None:
+    points = np.stack(np.meshgrid(np.linspace(-60, 60, 7), np.linspace(650, 750, 7)), axis=-1).reshape(-1, 2)
+    assert np.abs(calibration.fit.camera.to_px(points) - seen(points)).max() < 0.05
+    assert np.abs(calibration.fit.camera.to_mm(seen(points)) - points).max() < 0.02
+    assert max(calibration.fit.sigma_led_mm, calibration.fit.sigma_pose_mm) < 0.003
+
+
+@pytest.mark.parametrize("leds", [7, 4, 3, 2])
+def test_errors_are_those_that_sigma_states(calibration: PlanarCalibration, leds: int) -> None:
+    rng = np.random.default_rng(leds)
+    errors = []
+    for pose in poses(60, rng):
+        values = measured(calibration, discs(placed(pose)[rng.permutation(7)[:leds]], rng))
+        assert isinstance(values, dict)
+        errors.append(off_by_sigma(values, pose))
+    assert np.sqrt(np.mean(np.square(errors), axis=0)) == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_source_s_homography_measures_too_and_its_rims_know_no_bias() -> None:
+    rng = np.random.default_rng(5)
+    values = measured(calibrated("homography"), discs(placed((10.0, 705.0, -20.0)), rng))
+    assert isinstance(values, dict)
+    assert [values[key].value for key in ("a_mm", "b_mm")] == pytest.approx([10.0, 705.0], abs=0.2)
+
+
+@pytest.mark.parametrize("turn", [-170.0, 95.0, 180.0])
+def test_three_leds_tell_any_turn(calibration: PlanarCalibration, turn: float) -> None:
+    values = measured(calibration, discs(placed((0.0, 700.0, turn))[[0, 3, 5]], np.random.default_rng(1)))
+    assert isinstance(values, dict)
+    assert values["phi_deg"].value == pytest.approx(turn, abs=0.02) or turn == 180.0
+    assert abs(abs(values["phi_deg"].value) - abs(turn)) < 0.02
+
+
+REFUSED = {
+    "one LED": (placed((0, 700, 0))[:1], Reason.LEDS_MISSING),
+    "no light": (np.empty((0, 2)), Reason.LEDS_MISSING),
+    "two LEDs beyond the known turns": (placed((0, 700, 90))[:2], Reason.LEDS_MISFIT),
+    "two LEDs and a reflection": (
+        np.vstack([placed((0, 700, 0))[:2], (30.0, 690.0)]),
+        Reason.LEDS_MISFIT,
+    ),
+    "an LED and a reflection": (
+        np.vstack([placed((0, 700, 0))[:1], (30.0, 690.0)]),
+        Reason.LEDS_MISFIT,
+    ),
+    "as many reflections as LEDs": (
+        np.vstack([placed((0, 700, 0))[:3], [(30.0, 690.0), (-50.0, 720.0), (0.0, 760.0)]]),
+        Reason.LEDS_MISFIT,
+    ),
+    "two plates": (
+        np.vstack([placed((-30, 690, 0))[:4], placed((40, 720, 20))[3:]]),
+        Reason.LEDS_MISFIT,
+    ),
+    "a plate far outside": (placed((150, 700, 0)), Reason.OUT_OF_RANGE),
+    "a plate of another size": (placed((0, 700, 0), 1.05 * LEDS), Reason.LEDS_MISFIT),
+    "a plate seen mirrored": (placed((0, 700, 0), LEDS * (-1, 1)), Reason.LEDS_MISFIT),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_no_pose_is_measured_from(calibration: PlanarCalibration, case: str) -> None:
+    points, reason = REFUSED[case]
+    refused = measured(calibration, discs(points, np.random.default_rng(2)))
+    assert isinstance(refused, Fault)
+    assert refused.reason is reason
+
+
+@pytest.mark.parametrize("diameter_mm", [DISC_MM, 12.0])
+def test_a_reflection_or_a_lamp_beside_the_leds_changes_nothing(
+    calibration: PlanarCalibration, diameter_mm: float
+) -> None:
+    rng, pose = np.random.default_rng(4), (5.0, 695.0, 11.0)
+    lights = discs(placed(pose)[2:], rng) + discs(np.array([(60.0, 655.0)]), rng, diameter_mm)
+    values = measured(calibration, lights)
+    assert isinstance(values, dict)
+    assert np.abs(off_by_sigma(values, pose)).max() < 4.0
+
+
+def test_an_led_that_moved_on_its_plate_is_left_out(calibration: PlanarCalibration) -> None:
+    rng, pose = np.random.default_rng(6), (5.0, 695.0, 11.0)
+    moved = placed(pose)
+    moved[4] += (0.4, -0.3)
+    values = measured(calibration, discs(moved, rng))
+    assert isinstance(values, dict)
+    assert np.abs(off_by_sigma(values, pose)).max() < 4.0
+
+
+def test_two_leds_are_followed_from_the_frame_before_to_any_turn(calibration: PlanarCalibration) -> None:
+    rng, instrument = np.random.default_rng(8), PlanarInstrument(calibration)
+    before = instrument.identify(discs(placed((0.0, 700.0, 95.0)), rng))
+    assert isinstance(before, Leds)
+    two = discs(placed((0.1, 700.0, 95.2))[[1, 5]], rng)
+    assert isinstance(instrument.identify(two), Fault)
+    leds = instrument.identify(two, before)
+    assert isinstance(leds, Leds)
+    assert leds.numbers == (1, 5)
+    values = instrument.solve(leds)
+    assert isinstance(values, dict)
+    assert values["phi_deg"].value == pytest.approx(95.2, abs=0.05)
