@@ -14,12 +14,13 @@ from typing import Any, Literal
 
 from altd import __version__
 from altd.answers.history import Drawn, History
-from altd.app.replay import Replay, open_replay
+from altd.app.planar_replay import PlanarReplay, planar_replay_of
+from altd.app.replay import Replay, replay_of
 from altd.errors import BadInputError
 from altd.files.documents import line_of
 from altd.files.writing import check_replaceable, replacing
 from altd.recording.header import FRAMES_FILE, HEADER_FILE
-from altd.recording.reader import gap_lines
+from altd.recording.reader import gap_lines, open_recording
 from altd.records import counted, utc_text
 from altd.tables.columns import Column, CsvTable, Write, flat_row, measurement_columns
 from altd.tables.parquet import ParquetTable, check_parquet
@@ -50,7 +51,7 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     Raises BadInputError; a file is then as it was.
     """
     _check(question)
-    replay = open_replay(question.recording, question.calibration, question.window, question.every)
+    replay = _open(question)
     for line in gap_lines(replay.recording):
         warn(line)
     columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
@@ -69,6 +70,14 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
             _draw(question.plot, history, replay)
     if replay.knows_places:
         warn(_summary(count, differences_mm))
+
+
+def _open(question: Question) -> Replay | PlanarReplay:
+    """The recording's kind chooses the instrument."""
+    recording = open_recording(question.recording)
+    if recording.header.kind == "planar":
+        return planar_replay_of(recording, question.calibration, question.window, question.every)
+    return replay_of(recording, question.calibration, question.window, question.every)
 
 
 def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
@@ -109,7 +118,7 @@ def _check(question: Question) -> None:
 
 
 @contextmanager
-def _table(question: Question, replay: Replay, columns: tuple[Column, ...]) -> Iterator[Add]:
+def _table(question: Question, replay: Replay | PlanarReplay, columns: tuple[Column, ...]) -> Iterator[Add]:
     if question.output is None:
         yield _text_table(question.form, sys.stdout.write, columns)
         return
@@ -128,7 +137,7 @@ def _text_table(form: Format, write: Write, columns: tuple[Column, ...]) -> Add:
     return lambda document: write(line_of(document) + "\n")
 
 
-def _about(question: Question, replay: Replay) -> dict[str, Any]:
+def _about(question: Question, replay: Replay | PlanarReplay) -> dict[str, Any]:
     """The origin of the numbers, for a reader of the table in ten years."""
     header, calibration = replay.recording.header, replay.calibration
     start = None if header.start is None else utc_text(header.start)
@@ -154,7 +163,7 @@ def _about(question: Question, replay: Replay) -> dict[str, Any]:
     }
 
 
-def _drawn(replay: Replay) -> dict[str, Drawn]:
+def _drawn(replay: Replay | PlanarReplay) -> dict[str, Drawn]:
     """The quantities to draw, by their keys in a measurement's object: of a scan the errors of x and y."""
     drawn = {}
     for quantity in replay.quantities.main:
@@ -165,7 +174,7 @@ def _drawn(replay: Replay) -> dict[str, Drawn]:
     return drawn
 
 
-def _draw(place: Path, history: History, replay: Replay) -> None:
+def _draw(place: Path, history: History, replay: Replay | PlanarReplay) -> None:
     from altd.answers.plot import svg
 
     header = replay.recording.header

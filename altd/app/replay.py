@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from altd.measuring.chain import MeasuringChain, Place, Provenance, View
 from altd.recording.frames_table import Row
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording, open_recording
-from altd.records import Measurement, Origin, Quantities, counted, origin_faults
+from altd.records import Measurement, Origin, Quantities, counted, origin_faults, utc_of
 from altd.status.measurement_json import as_object, as_scan_object
 
 MAX_WINDOW = 1000
@@ -229,7 +228,7 @@ class Replay:
             self._instrument,
             Provenance(
                 origins=lambda: origin_faults(origins),
-                utc=lambda t_ns: _utc(header.start, t_ns),
+                utc=lambda t_ns: utc_of(header.start, t_ns),
                 place=positions.place if positions is not None else lambda sequence: None,
             ),
         )
@@ -248,8 +247,14 @@ def open_replay(
 
     Raises BadInputError when recording and calibration cannot be read or do not belong together.
     """
-    recording = open_recording(recording_path)
-    header = recording.header
+    return replay_of(open_recording(recording_path), calibration_path, window, every)
+
+
+def replay_of(
+    recording: Recording, calibration_path: Path, window: int | None = None, every: int | None = None
+) -> Replay:
+    """The same of a recording that is open."""
+    recording_path, header = recording.path, recording.header
     calibration = load_calibration(calibration_path, header.unit.serial)
     if len(calibration.targets) < BeamInstrument.min_targets:
         only = calibration.target_names[0]
@@ -273,7 +278,3 @@ def open_replay(
         positions = ScanPositions(recording, {view.camera for view in views}, averaged)
     measuring = Measuring(window=window or Measuring().window, every=every or 1).model_copy(update=settings)
     return Replay(recording, calibration, views, measuring, positions)
-
-
-def _utc(start: datetime | None, t_ns: int) -> datetime | None:
-    return None if start is None else start + timedelta(microseconds=t_ns / 1000)

@@ -21,13 +21,17 @@ if TYPE_CHECKING:
 _BESIDE = Path()
 """The value of ``--report`` without a folder."""
 
-SUMMARY = "make a calibration file from scans or LED plates; print the residuals"
+SUMMARY = "make a calibration file from scans, LED plates or known poses; print the residuals"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     parser.add_argument(
-        "recordings", type=Path, nargs="+", metavar="RECORDING", help="folder of a scan or plate"
+        "recordings",
+        type=Path,
+        nargs="+",
+        metavar="RECORDING",
+        help="folder of a scan, plate or planar recording",
     )
     add_output(parser, "FILE", "calibration file to write")
     parser.add_argument(
@@ -82,6 +86,8 @@ def run(options: argparse.Namespace) -> int:
     if folder is not None:
         check_report(folder, report_names(options.output, facts is not None))
     recordings = [open_recording(path) for path in options.recordings]
+    if any(recording.header.kind == "planar" for recording in recordings):
+        return _run_planar(options, recordings)
     for path, recording in zip(options.recordings, recordings, strict=True):
         for target in recording.header.shown_targets:
             if why := why_unusable(target.name):
@@ -97,6 +103,30 @@ def run(options: argparse.Namespace) -> int:
     _print_result(result)
     if report:
         say(f"report: {', '.join(str(folder / name) for name in report)}")
+    return 0
+
+
+def _run_planar(options: argparse.Namespace, recordings: Sequence[Recording]) -> int:
+    """The same for the instrument ``planar``."""
+    from altd.calibration.planar import calibrate_planar
+    from altd.calibration.planar_file import save_planar_calibration
+    from altd.recording.reader import gap_lines
+
+    if len(recordings) > 1:
+        raise BadInputError(options.recordings[1], "a recording of kind 'planar' is calibrated alone")
+    for option in ("flat", "report", "certificate"):
+        if getattr(options, option) is not None:
+            raise BadInputError(f"--{option}", "is not made of a recording of kind 'planar'")
+    for line in gap_lines(recordings[0]):
+        complain(f"altd calibrate: {line}")
+    result = calibrate_planar(recordings[0], progress_on("frames"))
+    save_planar_calibration(result.calibration, options.output)
+    for line in result.refused:
+        complain(f"altd calibrate: left out: {line}")
+    for line in result.doubts:
+        complain(f"altd calibrate: doubtful: {line}")
+    for line in result.lines():
+        say(line)
     return 0
 
 

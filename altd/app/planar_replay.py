@@ -1,0 +1,81 @@
+"""A recording of kind ``planar``, measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from altd.calibration.planar_file import check_planar_recording, load_planar_calibration
+from altd.config import Measuring
+from altd.instruments.planar.chain import PlanarChain
+from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration, PlanarInstrument
+from altd.reasons import Reason
+from altd.recording.reader import Recording
+from altd.records import Fault, Measurement, Origin, counted, origin_faults, utc_of
+from altd.status.measurement_json import as_object
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarReplay:
+    """A recording and the calibration that it is measured with; like ``app.replay.Replay``."""
+
+    recording: Recording
+    calibration: PlanarCalibration
+    window: int
+    every: int
+    quantities = QUANTITIES
+    positions = None
+    knows_places = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether any frame that the measurements rest on was simulated."""
+        cameras = self.recording.header.cameras.values()
+        return self.calibration.simulated or any(camera.origin is Origin.SIMULATED for camera in cameras)
+
+    @property
+    def window_text(self) -> str:
+        """The window of the averages."""
+        return f"means of up to {counted(self.window, 'exposure')} of one pose, every {self.every}"
+
+    def measurements(
+        self, progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> Iterator[Measurement]:
+        """One measurement after the other; a frame that cannot be decoded raises BadInputError."""
+        header = self.recording.header
+        chain = PlanarChain(
+            PlanarInstrument(self.calibration),
+            self.calibration.frame_noise_px,
+            self.window,
+            self.every,
+            self._origins(),
+            lambda t_ns: utc_of(header.start, t_ns),
+        )
+        total = len(self.recording.rows)
+        for done, row in enumerate(self.recording.rows, start=1):
+            measurement = chain.add(self.recording.frame(row), row.pose)
+            if measurement is not None:
+                yield measurement
+            progress(done, total)
+
+    def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
+        """A measurement as plain JSON types."""
+        return as_object(measurement)
+
+    def _origins(self) -> tuple[Fault, ...]:
+        origins = {name: camera.origin for name, camera in self.recording.header.cameras.items()}
+        if of_frames := origin_faults(origins):
+            return of_frames
+        detail = "the calibration was made from simulated frames"
+        return (Fault(Reason.SIMULATED, detail=detail),) if self.calibration.simulated else ()
+
+
+def planar_replay_of(
+    recording: Recording, calibration_path: Path, window: int | None, every: int | None
+) -> PlanarReplay:
+    """Check that calibration and recording belong together; raises BadInputError where they do not."""
+    calibration = load_planar_calibration(calibration_path, recording.header.unit.serial)
+    check_planar_recording(calibration, calibration_path, recording.header)
+    return PlanarReplay(recording, calibration, window or Measuring().window, every or 1)
