@@ -90,7 +90,7 @@ def _print_row(name: str, of_leds: Sequence[tuple[FloatArray, FloatArray]]) -> N
 
 
 def print_false_lights(calibrations: Mapping[int, PlanarCalibration], poses: int) -> None:
-    """What becomes of LEDs among other lights: right, wrong by more than six sigma, or refused."""
+    """Counts poses from LEDs among other lights: right, wrong by more than six sigma, or refused."""
     print("LEDs  other lights    right  wrong  refused")
     for lit, others in [(7, 1), (4, 1), (3, 1), (2, 1), (1, 1), (0, 2), (5, 3), (3, 2), (2, 4), (2, 0)]:
         tally: Counter[str] = Counter()

@@ -15,7 +15,7 @@ from altd.errors import BadInputError
 from altd.instruments.planar.cross_validation import leave_one_out
 from altd.instruments.planar.fitting import MIN_POSES_FOR_SPREAD, Sighting, fit_plane, radius_mm, scaled
 from altd.instruments.planar.homography import apply_homography, fit_homography
-from altd.instruments.planar.instrument import PlanarCalibration
+from altd.instruments.planar.instrument import MIN_LEDS, PlanarCalibration
 from altd.instruments.planar.layout import (
     Pairs,
     Pose,
@@ -37,13 +37,17 @@ from altd.vision.led_discs import Disc, disc_centres_px
 
 _MAX_FRAMES = 100
 """Of one pose; more are not needed."""
+_MAX_TRIED = 5
+"""Poses that may define the first homography."""
 _NEAR_SHARE = 0.25
 """An LED is sought within this share of the layout's least distance from where the known pose puts it."""
 _DIAMETER_RATIO_LIMITS = 0.75, 1.33
 _OUTLIER_SIGMAS, _MIN_OUTLIER_PX = 8.0, 0.3
 _MIN_LASTING_SHARE = 0.3
-_MIN_WRONG_MM, _WRONG_RATIO = 0.5, 8.0
-"""A known pose is wrong if it is so far from what the others say, and so many times farther than usual."""
+_UNSEEN_FACTOR = 3.0
+"""Of sigma where too few poses show what a lens does outside of them."""
+_MIN_WRONG_MM, _WRONG_SIGMAS = 0.5, 10.0
+"""A known pose is wrong if it is so far from what the others say, which agree so much better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,12 +114,17 @@ def calibrate_planar(recording: Recording, progress: Progress = lambda done, tot
     size = camera.width, camera.height
     homography = _first_homography(recording, stays, leds_mm)
     matched = [_matched(stay, leds_mm, homography) for stay in stays]
-    refused = [
-        f"{recording.rows.place(stay.row)}: fewer than two LEDs are where the pose puts them"
-        for stay, pairs in zip(stays, matched, strict=True)
-        if len(pairs) < 2
-    ]
-    kept = [(stay, pairs) for stay, pairs in zip(stays, matched, strict=True) if len(pairs) >= 2]
+    refused = []
+    for stay, pairs in zip(stays, matched, strict=True):
+        if len(pairs) < min(MIN_LEDS, len(stay.discs)):
+            raise BadInputError(
+                recording.rows.place(stay.row),
+                f"a_mm, b_mm, phi_deg are wrong: {len(pairs)} of {len(stay.discs)} lights are where an LED "
+                f"would be",
+            )
+        if len(pairs) < MIN_LEDS:
+            refused.append(f"{recording.rows.place(stay.row)}: {counted(len(stay.discs), 'LED')} seen")
+    kept = [(stay, pairs) for stay, pairs in zip(stays, matched, strict=True) if len(pairs) >= MIN_LEDS]
     stays = [stay for stay, _ in kept]
     sightings = [_sighting(*each) for each in kept]
     seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in sightings])
@@ -202,17 +211,23 @@ def _stay(row: Row, pose: Pose, frames: Sequence[Frame]) -> _Stay:
 
 
 def _first_homography(recording: Recording, stays: Sequence[_Stay], leds_mm: FloatArray) -> FloatArray:
-    """Px → mm of the fixed frame, by the first known pose whose lights fit the layout."""
-    why = ""
-    for stay in sorted(stays, key=lambda stay: abs(len(stay.discs) - len(leds_mm))):
+    """Takes px to mm of the fixed frame, by the known pose that agrees with most others of those tried."""
+    why, best, most = "", None, -1
+    in_order = sorted(stays, key=lambda stay: abs(len(stay.discs) - len(leds_mm)))
+    for stay in in_order[:_MAX_TRIED]:
         try:
             pairs = projective_match(leds_mm, stay.centres_px)
         except ValueError as error:
             why = why or f"{recording.rows.place(stay.row)}: {error}"
             continue
         led, light = (list(column) for column in zip(*pairs, strict=True))
-        return fit_homography(stay.centres_px[light], placed_mm(leds_mm[led], stay.pose))
-    raise BadInputError(recording.path, f"shows the plate at no known pose; {why}")
+        homography = fit_homography(stay.centres_px[light], placed_mm(leds_mm[led], stay.pose))
+        fitting = sum(len(_matched(other, leds_mm, homography)) for other in stays)
+        if fitting > most:
+            best, most = homography, fitting
+    if best is None:
+        raise BadInputError(recording.path, f"shows the plate at no known pose; {why}")
+    return best
 
 
 def _matched(stay: _Stay, leds_mm: FloatArray, homography: FloatArray) -> Pairs:
@@ -279,7 +294,7 @@ def _chosen(
     (camera,) = recording.header.cameras.values()
     size = camera.width, camera.height
     if len(sightings) < MIN_POSES_FOR_SPREAD:
-        return "homography", {}, 1.0
+        return "homography", {}, _UNSEEN_FACTOR
     rms: dict[Model, tuple[float, float]] = {}
     cost: dict[Model, float] = {}
     ratio: dict[Model, float] = {}
@@ -294,8 +309,9 @@ def _chosen(
         excess = math.sqrt(float(np.mean((off / sigma) ** 2)))
         ratio[model] = excess if excess > 1.0 + 2.0 / math.sqrt(2.0 * off.size) else 1.0
         if model == MODELS[-1]:
-            worst = int(length.argmax())
-            if length[worst] > max(_MIN_WRONG_MM, _WRONG_RATIO * float(np.median(length))):
+            significance = np.abs(off / sigma).max(axis=1)
+            worst = int(significance.argmax())
+            if length[worst] > _MIN_WRONG_MM and significance[worst] > _WRONG_SIGMAS:
                 raise BadInputError(
                     recording.rows.place(stays[worst].row),
                     f"a_mm, b_mm, phi_deg are {length[worst]:.2f} mm from what the other poses say",

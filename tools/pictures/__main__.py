@@ -1,4 +1,4 @@
-"""Record the demo and its page, and draw the report: demo.svg, page.png, report.png."""
+"""Record the demo and its page, and draw the report: demo.svg, page.png, report.png, planar.png."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from tools.pictures.animation import Still, animated_svg
 from tools.pictures.browser import screenshot
+from tools.pictures.planar import draw_planar
 from tools.pictures.terminal import Terminal, terminal
 
 _COLUMNS, _ROWS = 84, 14
@@ -28,6 +29,7 @@ _TITLE = (
 
 def main() -> int:
     """Make all pictures; raises CalledProcessError and TimeoutError when a program does not do its part."""
+    draw_planar(_FOLDER / "planar.png")
     with (
         tempfile.TemporaryDirectory(prefix="altd-pictures-") as folder,
         terminal(f"{sys.executable} -m hw_sim demo", _COLUMNS, 32) as demo,

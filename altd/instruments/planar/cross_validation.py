@@ -1,4 +1,4 @@
-"""How well a model measures known poses that it was not fitted to."""
+"""Leave-one-out errors of a model at known poses."""
 
 from __future__ import annotations
 

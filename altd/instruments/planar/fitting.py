@@ -16,7 +16,7 @@ from altd.mapping.light_centre import light_centre_shift_px
 from altd.records import FloatArray
 
 MIN_POSES_FOR_SPREAD = 3
-"""From fewer known poses it cannot be told whether a pose, an LED's place or a centre is wrong."""
+"""From fewer known poses errors of poses, of LEDs' places and of centres cannot be separated."""
 
 _ITERATIONS = 12
 _MIN_NOISE_PX = 1e-3
@@ -74,7 +74,7 @@ def fit_plane(
 
 
 def radius_mm(leds_mm: FloatArray) -> float:
-    """Of the layout, at which a turn is told as a length: the LEDs' rms distance from the plate's origin."""
+    """The layout's radius, at which a turn is stated as a length: rms distance from the plate's origin."""
     return float(np.sqrt(np.mean(np.sum(leds_mm**2, axis=1))))
 
 
@@ -169,5 +169,5 @@ class _Design:
 
 
 def scaled(fit: PlaneFit, factor: float) -> PlaneFit:
-    """The same, uncertain by ``factor`` as much: what its model cannot say of itself."""
+    """The same, its covariance and noise scaled by ``factor`` in sigma."""
     return replace(fit, covariance=fit.covariance * factor**2, noise_px=fit.noise_px * factor)

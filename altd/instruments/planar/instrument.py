@@ -35,7 +35,7 @@ _TOLERANCE_SIGMAS = 6.0
 _MIN_TOLERANCE_MM = 0.02
 _AREA_RATIO_LIMITS = 0.7, 1.4
 """Of a disc's area to that of the calibrated LEDs; a light beyond them is none."""
-_MAX_OUTSIDE_SHARE = 0.25
+_MAX_OUTSIDE_SHARE = 0.5
 """An LED may lie so far outside the hull of the calibrated places, as a share of the hull's diameter."""
 _MAX_STEP_MM = 1.5
 """An LED that moved less since the frame before is the same one."""
@@ -163,7 +163,7 @@ class PlanarInstrument:
         ]
 
     def _tolerance_mm(self, points_mm: FloatArray) -> FloatArray:
-        """How far a light may be from its LED, (n,)."""
+        """The largest distance of each light from its LED, (n,)."""
         fit, per_mm = self._fit, self._fit.camera.px_per_mm(points_mm)
         slopes = fit.camera.jacobian(points_mm)
         parameters = len(fit.camera.parameters)

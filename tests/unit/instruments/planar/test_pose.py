@@ -156,7 +156,7 @@ REFUSED = {
         np.vstack([placed((-30, 690, 0))[:4], placed((40, 720, 20))[3:]]),
         Reason.LEDS_MISFIT,
     ),
-    "a plate far outside": (placed((150, 700, 0)), Reason.OUT_OF_RANGE),
+    "a plate far outside": (placed((250, 700, 0)), Reason.OUT_OF_RANGE),
     "a plate of another size": (placed((0, 700, 0), 1.05 * LEDS), Reason.LEDS_MISFIT),
     "a plate seen mirrored": (placed((0, 700, 0), LEDS * (-1, 1)), Reason.LEDS_MISFIT),
 }
