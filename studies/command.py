@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from studies.result import Progress, Result
 
 STUDIES = {
+    "table-2.1": "table_2_1",
     "table-3.1": "table_3_1",
     "table-3.2": "table_3_2",
     "table-3.3": "table_3_3",
