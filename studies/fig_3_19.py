@@ -110,7 +110,7 @@ def _outer(grid: tuple[int, int], degree: int) -> FloatArray:
 def node_covariance(grid: tuple[int, int], degree: int) -> FloatArray:
     """Covariance (nodes, nodes) of the fitted nodes of a grid (rows, columns) for σ = 1 (Eq. 3.53)."""
     basis = _outer(grid, degree)
-    return np.asarray(basis @ basis.T, float)
+    return np.asarray(basis @ basis.T, dtype=np.float64)
 
 
 def _drawn_variance(grid: tuple[int, int], degree: int) -> FloatArray:
