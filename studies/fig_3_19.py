@@ -104,13 +104,13 @@ distortion.
 def _outer(grid: tuple[int, int], degree: int) -> FloatArray:
     """B of all nodes, stacked column by column: (nodes, (degree + 1)²)."""
     across, along = (gram_basis(-1 + (2 * np.arange(1, n + 1) - 1) / n, n, degree) for n in grid[::-1])
-    return np.kron(across, along)
+    return np.asarray(np.kron(across, along), dtype=np.float64)
 
 
 def node_covariance(grid: tuple[int, int], degree: int) -> FloatArray:
     """Covariance (nodes, nodes) of the fitted nodes of a grid (rows, columns) for σ = 1 (Eq. 3.53)."""
     basis = _outer(grid, degree)
-    return np.asarray(basis @ basis.T, dtype=np.float64)
+    return basis @ basis.T
 
 
 def _drawn_variance(grid: tuple[int, int], degree: int) -> FloatArray:
