@@ -30,7 +30,7 @@ class JammedError(Exception):
 class MachineFlaws:
     """Errors of a machine, one sigma each: places and directions of rails and edges, screws, lost steps.
 
-    A lost step is lost for good: the counter goes on. ``lost_share`` is the share of all steps.
+    A lost step is lost for good: the counter continues. ``lost_share`` is the share of all steps.
     """
 
     place_mm: float = 0.0
@@ -103,7 +103,7 @@ class DoubleTriangle:
         return turn @ at + (a, b), turn @ along
 
     def _crossings(self) -> Array:
-        """Where the edges cross the rails at the pose: travels (3,)."""
+        """Travels (3,) at which the edges cross the rails in the pose."""
         travels = []
         for k, (start, along) in enumerate(self._rails):
             at, edge = self._placed(k)
