@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
 from altd.errors import BadInputError
+from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 from studies.bench import rms
-from studies.homography import apply_homography, fit_homography
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -110,7 +110,7 @@ one map, mm → px. Each corner is left out in turn, each model is fitted to the
 compared with the corner found: {7 * 35} errors a model. At the {int(RIM.sum())} corners on the rim this
 extrapolates; *inner corners* are the others.
 
-*homography*: `studies.homography` through the other 34 corners. *Tensor polynomial 3 × 3*: the thesis' map.
+*homography*: Eq. 2.44–2.58 through the other 34 corners. *Tensor polynomial 3 × 3*: the thesis' map.
 *altd's map*: chosen by cross-validation. *OpenCV camera, this photograph*: `cv2.calibrateCamera` on the
 same 34 corners (without k3). *OpenCV camera, other photographs*: camera and distortion from all corners of
 the six others, and the board's pose from these 34 (`cv2.solvePnP`).

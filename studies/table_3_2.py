@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
+from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
@@ -20,7 +21,6 @@ from altd.vision.led_grid import match_grid
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.plate import COLUMNS, LED_DIAMETER_MM, ROWS, WIDE_PITCH_MM, Plate, with_plate
 from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
-from studies.homography import apply_homography, fit_homography
 from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -120,9 +120,9 @@ A map through few points follows their noise, which errors at the LEDs hide. The
 therefore means over {ACROSS} × {ACROSS} places between the LEDs. For the last one, altd's map is fitted to
 the true pixels of the LEDs with a noise of {NOISE_PX:g} px.
 
-*homography*: px → mm by `studies.homography` (Eq. 2.44–2.58). *tensor 3 × 3*: the thesis' map. *altd's
-map*: chosen by cross-validation, with the discs' centres corrected for tilt and distortion. The thesis used
-other lenses: its 12 mm lens was a good one. Here all lenses distort alike for the same angle of view.
+*homography*: px → mm by Eq. 2.44–2.58. *tensor 3 × 3*: the thesis' map. *altd's map*: chosen by
+cross-validation, with the discs' centres corrected for tilt and distortion. The thesis used other lenses: its
+12 mm lens was a good one. Here all lenses distort alike for the same angle of view.
 """,
         figure=_figure(errors_by_lens),
         caption="Mean error by focal length: at the LEDs with the thesis' values, and between them",
