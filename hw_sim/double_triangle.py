@@ -7,6 +7,7 @@ so it stays in its assembly mode and jams where the closure has no further solut
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,15 @@ _STRIDE_MM = 2.0
 _CLOSED_MM = 1e-10
 _MIN_SINE = 1e-3
 _MAX_NEWTON_STEPS = 20
+
+
+BASE_MM = 500.0
+"""Short side of both triangles; the source states the ratio 6 : 5 alone."""
+REST = (0.0, 700.0)
+"""Place of the plate's origin in the fixed frame with the machine in the middle, as in Eq. 2.64."""
+MAX_TRAVEL_MM = 60.0
+"""Of each joint from the middle, for random poses: the plate stays in the picture."""
+_MAX_DRAWS = 10_000
 
 
 class JammedError(Exception):
@@ -71,20 +81,19 @@ class DoubleTriangle:
         self._close()
 
     def move(self, joints_mm: Array) -> None:
-        """Drive the joints (3,) to the nearest steps. Raises JammedError on the way, and stays there."""
+        """Drive the joints (3,) to the nearest steps; raises JammedError, unmoved, where it would jam."""
         wanted = STEP_MM * np.round(np.asarray(joints_mm, float) / STEP_MM)
         steps = np.round((wanted - self.joints_mm) / STEP_MM).astype(int)
         lost = self._rng.binomial(np.abs(steps), self.flaws.lost_share) * np.sign(steps)
-        start, end = self._travel_mm.copy(), self._travel_mm + STEP_MM * (steps - lost)
+        before, start, end = self.pose, self._travel_mm, self._travel_mm + STEP_MM * (steps - lost)
         strides = max(1, math.ceil(float(np.max(np.abs(end - start))) / _STRIDE_MM))
-        for k in range(1, strides + 1):
-            before, at = self.pose.copy(), self._travel_mm.copy()
-            self._travel_mm = start + (end - start) * k / strides
-            try:
+        try:
+            for k in range(1, strides + 1):
+                self._travel_mm = start + (end - start) * k / strides
                 self._close()
-            except JammedError:
-                self.pose, self._travel_mm = before, at
-                raise
+        except JammedError:
+            self.pose, self._travel_mm = before, start
+            raise
         self.joints_mm = wanted
 
     def _side(self, vertices: Array, k: int) -> tuple[Array, Array]:
@@ -104,7 +113,7 @@ class DoubleTriangle:
 
     def _crossings(self) -> Array:
         """Travels (3,) at which the edges cross the rails in the pose."""
-        travels = []
+        travels = list[float]()
         for k, (start, along) in enumerate(self._rails):
             at, edge = self._placed(k)
             system = np.column_stack([along, -edge])
@@ -136,3 +145,38 @@ class DoubleTriangle:
                 return
         joints = ", ".join(f"{value:.3f}" for value in self._travel_mm)
         raise JammedError(f"the moving triangle cannot follow the joints at {joints} mm")
+
+
+def source_machine(flaws: MachineFlaws | None = None, seed: int = 0) -> DoubleTriangle:
+    """The source's machine in the middle of its workspace; the plate's frame is that of its moving triangle.
+
+    At φ = 0 the moving edges are parallel to the right leg, the left leg and the base of the fixed triangle:
+    of all assignments only this one moves as Eq. 2.64.
+    """
+    height = math.sqrt((1.2 * BASE_MM) ** 2 - (BASE_MM / 2) ** 2)
+    fixed = np.array([(0.0, 0.0), (BASE_MM, 0.0), (BASE_MM / 2, height)])
+    moving = np.array([(0.0, 0.0), (BASE_MM / 2, -height), (BASE_MM, 0.0)])
+    plate = moving.mean(axis=0)
+    vertex = np.array([0.12 * BASE_MM, 0.5 * BASE_MM])  # of the moving triangle, in the fixed one
+    shift = np.array(REST) - (vertex + plate)
+    return DoubleTriangle(
+        fixed + shift, moving - plate, np.array([*REST, 0.0]), flaws or MachineFlaws(), seed
+    )
+
+
+def random_motion(machine: DoubleTriangle, half_range: tuple[float, float, float]) -> Iterator[Array]:
+    """Drive to random joints without end; the true poses (a mm, b mm, φ °) within ``half_range`` of the rest.
+
+    Joints at which the machine would jam are passed over.
+    """
+    middle = machine.joints_mm
+    rng = np.random.default_rng([machine.seed, 25])
+    for _ in range(_MAX_DRAWS):
+        try:
+            machine.move(middle + rng.uniform(-MAX_TRAVEL_MM, MAX_TRAVEL_MM, 3))
+        except JammedError:
+            continue
+        pose = np.array([*machine.pose[:2], math.degrees(machine.pose[2])])
+        if (np.abs(pose - (*REST, 0.0)) <= half_range).all():
+            yield pose
+    raise JammedError("no pose in the picture is reached")

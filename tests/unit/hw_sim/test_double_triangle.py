@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from altd.instruments.planar.geometry_fit import fit_geometry
 from altd.instruments.planar.kinematics import double_triangle, poses_of
 from altd.instruments.planar.singularities import concurrent_line
-from hw_sim.double_triangle import STEP_MM, DoubleTriangle, JammedError, MachineFlaws
+from hw_sim.double_triangle import STEP_MM, DoubleTriangle, JammedError, MachineFlaws, source_machine
 
 HEIGHT_MM = math.sqrt(600.0**2 - 250.0**2)
 FIXED = np.array([(0.0, 0.0), (500.0, 0.0), (250.0, HEIGHT_MM)])
@@ -44,12 +45,25 @@ def test_joints_stop_at_whole_steps() -> None:
 
 def test_it_jams_at_a_type_2_pose() -> None:
     """Driven on from there, the triangle has no place to go: the modes have met."""
-    simulated = machine((0.0, 170.0, math.radians(30.0)))
-    with pytest.raises(JammedError, match="cannot follow"):
-        simulated.move(simulated.joints_mm + np.array([0.0, 60.0, 60.0]))
+    simulated, reached = machine((0.0, 170.0, math.radians(30.0))), 0
+    for step_mm in (8.0, 1.0, 0.1):
+        while not _jams(simulated, step_mm):
+            reached += 1
+    assert reached > 5
     at = degrees_of(simulated.pose)
     line = concurrent_line(double_triangle(), at[2])
-    assert abs(line.normal @ at[:2] - line.offset_mm) < 20.0  # one stride before it
+    assert abs(line.normal @ at[:2] - line.offset_mm) < 5.0
+
+
+def _jams(simulated: DoubleTriangle, step_mm: float) -> bool:
+    """Drive two joints on by a step; where that jams, the machine has not moved."""
+    before, wanted = simulated.pose, simulated.joints_mm + np.array([0.0, step_mm, step_mm])
+    try:
+        simulated.move(wanted)
+    except JammedError:
+        assert simulated.pose is before
+        return True
+    return False
 
 
 def test_lost_steps_displace_it_for_good() -> None:
@@ -66,13 +80,10 @@ def test_its_geometry_is_found_from_its_poses() -> None:
     simulated, rng = machine(place_mm=1.0, direction_deg=0.2, screw_ppm=500.0), np.random.default_rng(5)
     poses, joints = [], []
     while len(poses) < 60:
-        try:
+        with contextlib.suppress(JammedError):
             simulated.move(rng.uniform((40.0, 0.0, 150.0), (330.0, 250.0, 560.0)))
-        except JammedError:
-            simulated = machine(place_mm=1.0, direction_deg=0.2, screw_ppm=500.0)
-            continue
-        poses.append(degrees_of(simulated.pose))
-        joints.append(simulated.joints_mm)
+            poses.append(degrees_of(simulated.pose))
+            joints.append(simulated.joints_mm)
     sigmas = np.array([0.03, 0.03, 0.02])
     measured = np.array(poses) + rng.normal(0.0, sigmas, (len(poses), 3))
     fitted = fit_geometry(double_triangle(), measured[:40], joints[:40], np.diag(sigmas**2), 1e-3)
@@ -82,3 +93,12 @@ def test_its_geometry_is_found_from_its_poses() -> None:
         error = np.abs(reached - np.array(poses[40:])[:, None])[..., :2].max(axis=2).min(axis=1)
         assert np.sqrt(np.mean(error**2)) < limit_mm
     assert np.sqrt(np.mean(error**2)) > 0.5  # by its design, without the fit
+
+
+def test_the_source_s_machine_moves_as_the_source_says() -> None:
+    """Eq. 2.64, from (0, 700, 0), to the nearest step of each joint."""
+    simulated = source_machine()
+    start = degrees_of(simulated.pose)
+    assert start == pytest.approx([0.0, 700.0, 0.0], abs=0.03)
+    simulated.move(simulated.joints_mm + np.array([0.0, -45.0, 45.0]))
+    assert degrees_of(simulated.pose) - start == pytest.approx([18.75, -40.91, 0.0], abs=0.005)
