@@ -153,8 +153,8 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras
     if sequence != int(sequence) or sequence < 0:
         raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
     t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
-    opaque = (record.get(OPAQUE) or "").strip()
-    return Row(number, int(sequence), t_s, text["camera"], text["file"], text["leds"] == "on", position, opaque)
+    leds_on, opaque = text["leds"] == "on", (record.get(OPAQUE) or "").strip()
+    return Row(number, int(sequence), t_s, text["camera"], text["file"], leds_on, position, opaque)
 
 
 def _number(place: str, column: str, text: str, limit: float) -> float:
