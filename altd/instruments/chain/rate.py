@@ -38,18 +38,16 @@ class Trend:
 
     def __init__(self) -> None:
         self._points: list[FloatArray] = []
-        """Rows t (days), x, y, their random variances."""
-        self._lasting_mm = np.zeros(2)
+        """Rows t (days), x, y, their random variances, their lasting ones."""
 
     def add(self, displacement: Displacement) -> Rate | None:
         """Take one; the rate, or None: there are too few yet."""
         day = displacement.t_ns / DAY_NS
-        variances = np.diag(displacement.random_mm2)
+        variances = np.diag(displacement.random_mm2), np.diag(displacement.lasting_mm2)
         self._points = [point for point in self._points if day - point[0] <= 1.0]
-        self._points.append(np.array([day, *displacement.mm, *variances]))
+        self._points.append(np.concatenate([[day], displacement.mm, *variances]))
         if len(self._points) > _MAX_POINTS:
             self._points = _merged(self._points)
-        self._lasting_mm = np.sqrt(np.diag(displacement.lasting_mm2))
         return self._rate()
 
     def _rate(self) -> Rate | None:
@@ -63,7 +61,8 @@ class Trend:
         square = (weights * lever**2).sum(axis=0)
         rate = (weights * lever * mm).sum(axis=0) / square
         length = day[-1] - day[0]
-        sigma = np.hypot(1.0 / np.sqrt(square), _LASTING_LEVER * self._lasting_mm / length)
+        lasting_mm = np.sqrt(points[:, 5:7].mean(axis=0))
+        sigma = np.hypot(1.0 / np.sqrt(square), _LASTING_LEVER * lasting_mm / length)
         return Rate(rate, sigma)
 
 

@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 import pytest
 from support.chain import Monitored, Monitoring, drifting, monitored, stepping
+from support.cli import altd_here, refusal
 
 from altd.config import ChainSettings
 from hw_sim.beam import BeamPose
-from hw_sim.chain.row import RowConfig
+from hw_sim.chain.record import record_rounds, record_scans
+from hw_sim.chain.row import Row, RowConfig
 
 ROUND_S = 5 * (0.5 + 4 / 20.0)
 FINAL_SEEDS = (501, 502, 503, 504, 505)
@@ -37,7 +39,9 @@ def stepped(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Monitored]:
         beam=drifting(ROUNDS * ROUND_S), places={"t3": stepping(in_round(STEP_ROUND), STEP_MM)}
     )
     return {
-        seed: Monitoring(replace(config, seed=seed), ROUNDS).run(tmp_path_factory.mktemp("stepped"))
+        seed: Monitoring(replace(config, seed=seed), ROUNDS, recorded={"own_only": True}).run(
+            tmp_path_factory.mktemp("stepped")
+        )
         for seed in FINAL_SEEDS
     }
 
@@ -261,3 +265,74 @@ def test_what_one_stable_target_cannot_tell_is_in_sigma(tmp_path: Path) -> None:
 def test_a_stable_target_that_is_lost_leaves_what_the_other_tells(tmp_path: Path) -> None:
     rounds = monitored(tmp_path, rounds=8, lost_behind="t4", fault_s=in_round(5))
     assert "beam_angle_unknown" in rounds.lines[7]["status"]
+
+
+def test_a_day_of_creep_is_found_and_sized(tmp_path: Path) -> None:
+    """24 h at the level of frames, a round each half hour: t3 creeps by 0.05 mm a day.
+
+    The beam follows the day's temperature by ±0.25 mm and ±0.01 mrad.
+    """
+    day_s, rounds = 86_400.0, 48
+
+    def beam(t_s: float) -> BeamPose:
+        swing = np.sin(2.0 * np.pi * t_s / day_s)
+        return BeamPose(0.25 * swing, -0.15 * swing, 1e-5 * swing, 0.5e-5 * swing)
+
+    def creep(t_s: float) -> tuple[float, float]:
+        return 0.05 * t_s / day_s, 0.0
+
+    settings = ChainSettings(stable=("t1", "t5"), exposures=2, alarm_mm_per_day=0.03)
+    recorded = {"exposures": 2, "own_only": True, "pause_s": day_s / rounds - 5 * 0.6}
+    day = Monitoring(RowConfig(seed=506, beam=beam, places={"t3": creep}), rounds, settings, recorded).run(
+        tmp_path
+    )
+    last = day.target(-1, "t3")
+    sigma = last["sigma"]["dx_mm_per_day"]
+    print(f"creep {last['dx_mm_per_day']:.4f} ± {sigma:.4f} mm a day")
+    assert sigma < 0.012
+    assert abs(last["dx_mm_per_day"] - 0.05) < min(3.0 * sigma, 0.02)
+    assert "alarm_rate" in last["status"]
+    for name in ("t2", "t4"):
+        assert not any("alarm_rate" in line["targets"][name]["status"] for line in day.lines)
+
+
+def test_replay_and_check_config_on_the_command_line(tmp_path: Path) -> None:
+    row = Row(RowConfig(seed=1, places={"t3": stepping(in_round(4), STEP_MM)}))
+    scans = record_scans(tmp_path, row)
+    record_rounds(tmp_path / "rounds", row, 7)
+    calibration = tmp_path / "chain.json"
+    assert altd_here("calibrate", *scans, "-o", calibration).status == 0
+    config = tmp_path / "altd.toml"
+    chain = 'stable = ["t1", "t5"]\nbaseline_rounds = 3\nalarm_mm = 0.3'
+    config.write_text(chain_toml(row.config, calibration, chain))
+    replayed = altd_here("replay", tmp_path / "rounds", "--calibration", calibration, "--config", config)
+    assert (replayed.status, len(replayed.objects)) == (0, 7)
+    before, after = replayed.objects[3], replayed.objects[5]
+    assert replayed.objects[2]["targets"]["t3"]["dx_mm"] is None
+    assert abs(before["targets"]["t3"]["dx_mm"]) < 0.05
+    assert "t3_alarm_displacement" in after["status"]
+    assert "t3_alarm_displacement" not in before["status"]
+    checked = altd_here("check-config", config)
+    assert checked.status == 0
+    assert "t5: 0.2840 mW, 0.73^4 of 1 mW" in checked.out
+    config.write_text(chain_toml(row.config, calibration, "laser_mw = 0.05"))
+    checked = altd_here("check-config", config)
+    assert checked.status == 2
+    assert "t4, t5: less than chain.min_mw, 0.02 mW" in checked.err
+    assert "is measured from recordings: altd replay" in refusal(altd_here("run", "--config", config))
+    contradicting = tmp_path / "rounds"
+    edit_rows(contradicting, lambda rows: [rows[0], rows[1] | {"opaque": "t2"}, *rows[2:]])
+    refused = altd_here("replay", contradicting, "--calibration", calibration)
+    assert refused.status == 2
+    assert "row 3: opaque 't2' is not that of the same exposure in row 2, 't1'" in refused.err
+    for form in (("--format", "csv"), ("--plot", tmp_path / "plot.svg")):
+        assert altd_here("replay", contradicting, "--calibration", calibration, *form).status == 2
+
+
+def chain_toml(config: RowConfig, calibration: Path, chain: str) -> str:
+    text = f'[unit]\nserial = "{config.serial}"\ncalibration = "{calibration}"\n'
+    text += f'instrument = "chain"\n[chain]\n{chain}\n'
+    for name, z_mm in zip(config.names, config.z_mm, strict=True):
+        text += f'[[targets]]\nname = "{name}"\nz_mm = {z_mm}\ncamera = "{name}"\n'
+        text += f'[cameras.{name}]\ndriver = "recording"\npath = "rounds"\n'
+    return text
