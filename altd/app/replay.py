@@ -229,7 +229,7 @@ class Replay:
             self._instrument,
             Provenance(
                 origins=lambda: origin_faults(origins),
-                utc=lambda t_ns: _utc(header.start, t_ns),
+                utc=lambda t_ns: utc_of(header.start, t_ns),
                 place=positions.place if positions is not None else lambda sequence: None,
             ),
         )
@@ -275,5 +275,6 @@ def open_replay(
     return Replay(recording, calibration, views, measuring, positions)
 
 
-def _utc(start: datetime | None, t_ns: int) -> datetime | None:
+def utc_of(start: datetime | None, t_ns: int) -> datetime | None:
+    """UTC of an instant of a recording that starts at ``start``; None: not known."""
     return None if start is None else start + timedelta(microseconds=t_ns / 1000)
