@@ -28,6 +28,7 @@ STUDIES = {
     "beam": "beam",
     "chessboard": "chessboard",
     "budget": "budget",
+    "chain": "chain",
 }
 """Names and modules, imported when they are run: not all need the same libraries."""
 
