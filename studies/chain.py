@@ -84,9 +84,8 @@ def run(progress: Progress) -> Result:
         rows=tuple(lines),
         headline=(
             f"With two stable targets and the beam at rest the error is {still[1]:.3f} mm (5 targets) and "
-            f"{still[2]:.3f} mm (10); "
-            f"while the beam drifts by 2 mm and 0.1 mrad, with 0, 1, 2, 3 stable targets of 5, "
-            f"{', '.join(f'{error:.3f}' for error in drifts)} mm."
+            f"{still[2]:.3f} mm (10). While the beam drifts by 2 mm and 0.1 mrad, with 0, 1, 2, 3 stable "
+            f"targets of 5, it is {', '.join(f'{error:.3f}' for error in drifts)} mm."
         ),
         text=f"""
 Simulated rows of seed {SEED}, targets at equal distances over {LENGTH_MM / 1000:g} m, each calibrated by its
@@ -94,7 +93,8 @@ own scan; {ROUNDS} rounds of {EXPOSURES} exposures a target, {BASELINE} of them 
 the targets that are not stable, of all rounds after the baseline. No place moves.
 
 Sigma holds the scatter of the exposures, the texture of the glass, the map, the baseline and the stable
-targets. A round takes {SETTLE_S:g} s of settling and {EXPOSURES} exposures at {FPS:g} a second for each target.
+targets. A round takes {SETTLE_S:g} s of settling and {EXPOSURES} exposures at {FPS:g} a second for each
+target.
 
 With less than two stable targets the beam's angle is not known. Sigma then holds the movement that all
 targets have in common, and the displacements are not significant. A third stable target shows that one of the

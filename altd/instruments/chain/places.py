@@ -21,7 +21,7 @@ _UNKNOWN_RADIUS_MM = 2.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where the beam met a target at ``t_ns``, (2,) mm.
+    """Intersection of the beam with a target at ``t_ns``, (2,) mm.
 
     ``random_mm2`` (2, 2) is what scatters from visit to visit, ``covariance_mm2`` all of it.
     ``excess_mm2`` is the variance by light that one spot does not explain. ``spot_sigma_mm`` is the standard
