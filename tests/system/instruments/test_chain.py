@@ -156,7 +156,7 @@ def test_a_dim_laser_is_no_fault_of_the_glasses_and_a_dead_switch_is(tmp_path: P
 
 @pytest.mark.parametrize("name", ["t4", "t5"])
 def test_a_lamp_that_looks_like_the_spot_gives_no_place(tmp_path: Path, name: str) -> None:
-    """The camera sees a spot of the beam's size and light all the time, whatever is opaque."""
+    """The camera sees a spot of the beam's size and light in every exposure."""
     row = Row(RowConfig(seed=1))
 
     def lamp(path: Path) -> None:
