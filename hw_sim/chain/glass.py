@@ -34,7 +34,7 @@ class GlassConfig:
 
 
 class Glass:
-    """A glass whose state follows its switch; times only go on."""
+    """A glass whose state follows its switch; times never decrease."""
 
     def __init__(self, config: GlassConfig) -> None:
         self.config = config

@@ -23,7 +23,7 @@ SETTLE_S = 0.5
 
 
 class _Recorder:
-    """Writes rows and frames; time goes on by itself."""
+    """Writes rows and frames, and keeps the time."""
 
     def __init__(self, folder: Path, row: Row, kind: str, targets: Sequence[str], note: str) -> None:
         if folder.exists() and any(folder.iterdir()):

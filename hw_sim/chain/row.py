@@ -43,8 +43,8 @@ class RowConfig:
 
     ``places`` move targets by name, ``beam`` is the laser's pose at a time in seconds. ``stuck`` and ``slow``
     are faults of glasses, see ``GlassConfig``; ``lost_behind`` names the target behind which the beam is
-    blocked, ``swapped`` two targets whose cameras' cables are exchanged. Glasses stick, and the beam is lost,
-    from ``fault_s`` on.
+    blocked, ``swapped`` two targets whose cameras' cables are exchanged. Glasses stick, the beam is lost
+    and the laser has ``laser_share`` of its power from ``fault_s`` on.
     """
 
     seed: int = 1
@@ -55,6 +55,7 @@ class RowConfig:
     slow: Mapping[str, float] = field(default_factory=dict)
     lost_behind: str = ""
     swapped: tuple[str, str] | None = None
+    laser_share: float = 1.0
     fault_s: float = 0.0
 
     @property
@@ -120,7 +121,7 @@ class Row:
 
     def power(self, name: str, t_s: float) -> float:
         """Power that reaches a target, as a share of what reaches it through clear glasses."""
-        share = 1.0
+        share = self.config.laser_share if t_s >= self.config.fault_s else 1.0
         for before in self.config.names[: self.config.names.index(name)]:
             glass = self.glasses[before]
             share *= glass.transmission(t_s) / glass.config.transmission

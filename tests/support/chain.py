@@ -76,7 +76,7 @@ def stepping(at_s: float, mm: tuple[float, float]) -> Callable[[float], tuple[fl
 
 @dataclass
 class Monitoring:
-    """How a row is recorded and measured."""
+    """Recording and measurement of a row."""
 
     config: RowConfig = field(default_factory=RowConfig)
     rounds: int = 8

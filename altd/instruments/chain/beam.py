@@ -84,9 +84,9 @@ def gain_at(z_mm: Sequence[float], covariances_mm2: Sequence[FloatArray], at_mm:
 def moved_stable(
     z_mm: Mapping[str, float], moved_mm: Mapping[str, FloatArray], covariances_mm2: Mapping[str, FloatArray]
 ) -> tuple[str, ...] | None:
-    """Which of S stable targets do not fit one beam: none, one, or None where it cannot be told which.
+    """Which of S stable targets do not fit one beam: none, one, or None where it is not known which.
 
-    Two targets fit any beam. Of three, one that moved shows, and cannot be told from the others; from four on
+    Two targets fit any beam. Of three, one that moved is detected but not identified; from four on
     it is the one without which the others agree.
     """
     names = list(moved_mm)

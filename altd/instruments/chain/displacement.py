@@ -40,8 +40,8 @@ class Displacement:
 class Displaced:
     """The displacements of a round, by target; a target without is absent.
 
-    ``moved`` are stable targets that do not fit the others; ``disagree``: some do not fit, and it cannot be
-    told which. ``beam`` says what of the beam's movement is known: ``line``, ``offset`` or ``nothing``.
+    ``moved`` are stable targets that do not fit the others; ``disagree``: some do not fit, and it is not
+    known which. ``beam`` says what of the beam's movement is known: ``line``, ``offset`` or ``nothing``.
     """
 
     places: Mapping[str, Displacement] = field(default_factory=dict)
@@ -85,7 +85,7 @@ class Baseline:
 
     @property
     def is_complete(self) -> bool:
-        """Whether displacements can be told."""
+        """Whether displacements are known."""
         return bool(self._epochs)
 
     def has(self, target: str) -> bool:
@@ -175,7 +175,7 @@ class Baseline:
         return self._since(name, [each.place for each in self._of(name)], epoch.place)
 
     def _movement(self, name: str, stable: str, epoch: _Epoch) -> _Movement:
-        """A stable target's movement from the instants of ``name`` in the baseline to that of now."""
+        """A stable target's movement from the instants of ``name`` in the baseline to the current one."""
         return self._since(stable, [each.stable[stable] for each in self._of(name)], epoch.stable[stable])
 
     def _since(self, name: str, before: Sequence[Place], now: Place) -> _Movement:

@@ -126,6 +126,20 @@ class _Seen:
         own = self.own(target) or 0.0
         return own > 0.0 and own >= MIN_BRIGHT_SHARE * self._usual.get(target, own)
 
+    def is_unchanged(self, target: str) -> bool:
+        """Whether it shows as much light while another is opaque."""
+        own = self.own(target) or 0.0
+        return any(
+            (self.light(target, other) or 0.0) > MIN_BRIGHT_SHARE * own for other in self._others(target)
+        )
+
+    def is_seen_opaque_alone(self, target: str) -> bool:
+        """Whether no frame shows it while another is opaque."""
+        return all(self.light(target, other) is None for other in self._others(target))
+
+    def _others(self, target: str) -> tuple[str, ...]:
+        return self.before(target) + self.behind(target)
+
     def has_reference(self, target: str) -> bool:
         """Whether its usual light is known."""
         return target in self._usual
@@ -182,8 +196,8 @@ def _find_stuck(seen: _Seen, diagnosis: Diagnosis, target: str) -> None:
     elif passes:
         passed = any(seen.light(other, target) for other in seen.behind(target))
         diagnosis.add(target, GlassFault.STUCK_CLEAR if own or passed else GlassFault.NOT_CONFIRMED)
-    elif own > 0.0:  # dim, and nothing behind it tells
-        diagnosis.add(target, GlassFault.STUCK_CLEAR)
+    elif own > 0.0 and (any(map(seen.is_bright, seen.targets)) or seen.is_unchanged(target)):
+        diagnosis.add(target, GlassFault.STUCK_CLEAR)  # else all are dim, and switch: it is the laser
 
 
 def _find_unswitched(seen: _Seen, diagnosis: Diagnosis, target: str, passes: bool) -> None:
@@ -192,10 +206,9 @@ def _find_unswitched(seen: _Seen, diagnosis: Diagnosis, target: str, passes: boo
     stray = any((seen.light(target, other) or 0.0) > MIN_BRIGHT_SHARE * own for other in seen.before(target))
     if stray and all(seen.is_bright(other) for other in seen.before(target)):
         diagnosis.add(target, GlassFault.NOT_CONFIRMED)
-    if not clear:
-        if seen.behind(target):
-            diagnosis.add(target, GlassFault.SWITCH_UNSEEN)
-    elif min(clear) > MIN_BRIGHT_SHARE * own:
+    if seen.is_seen_opaque_alone(target):
+        diagnosis.add(target, GlassFault.SWITCH_UNSEEN)
+    elif clear and min(clear) > MIN_BRIGHT_SHARE * own:
         if passes and not seen.has_reference(target):
             diagnosis.add(target, GlassFault.STUCK_CLEAR)
         elif not diagnosis.has(target, GlassFault.SLOW):

@@ -21,7 +21,7 @@ _UNKNOWN_RADIUS_MM = 2.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where the beam met a target at ``t_ns``, (2,) mm.
+    """Intersection of the beam with a target at ``t_ns``, (2,) mm.
 
     ``random_mm2`` (2, 2) is what scatters from visit to visit, ``covariance_mm2`` all of it.
     ``excess_mm2`` is the variance by light that one spot does not explain. ``spot_sigma_mm`` is the standard
@@ -103,7 +103,7 @@ def systematic_mm2(calibration: TargetCalibration, limits: Limits, now: Place, b
     texture = (spot.pattern_px or math.inf) / max(spot.noise_px, 1e-9)
     differs = min(texture**2, 1.0) * (np.eye(2) - correlation)
     of_map = calibration.inverse.difference_mm2(now.mm, before.mm, now.mm_per_px, differs)
-    changed = abs(now.excess_mm2 - before.excess_mm2)
+    changed = (math.sqrt(now.excess_mm2) - math.sqrt(before.excess_mm2)) ** 2
     changed += (now.excess_mm2 + before.excess_mm2) * (1.0 - shared)
     covariance: FloatArray = of_map + changed * np.eye(2) + np.diag(stage_variances_mm2(limits, moved))
     return covariance

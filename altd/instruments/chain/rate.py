@@ -1,4 +1,4 @@
-"""How fast a place moves: a straight line through its displacements of the last day; alarms."""
+"""Speed of a place, by a straight line through its displacements of the last day; alarms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MIN_ALARM_SIGMAS = 4.0
 _MAX_POINTS = 512
 _MIN_POINTS = 10
 _LASTING_LEVER = 1.5
-"""An error that comes in one step in the middle turns a line by 1.5 of itself over the line's length."""
+"""An error that comes in one step in the middle turns a line by 1.5 times its size over the line's length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

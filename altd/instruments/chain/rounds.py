@@ -47,7 +47,7 @@ class Visit:
         return set(list(self.sequences)[-exposures:])
 
     def brightness(self, target: str, exposures: int) -> list[float] | None:
-        """The light that a target's camera saw, exposure by exposure; None: it cannot be told.
+        """The light that a target's camera saw, exposure by exposure; None: not known.
 
         Counts · px², that of a Gaussian but for a factor; 0 where nothing was seen.
         """

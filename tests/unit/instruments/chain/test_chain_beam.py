@@ -38,7 +38,7 @@ def test_a_parabola_in_time_is_met_exactly_between_visits() -> None:
 
 
 def test_a_jump_between_two_visits_is_in_sigma() -> None:
-    """Jumps of 0.5 mm at a moment that nobody knows: the errors' rms is that of the stated sigma."""
+    """Jumps of 0.5 mm at an unknown moment: the errors' rms is that of the stated sigma."""
     rng = np.random.default_rng(1)
     ratios = []
     for _ in range(2000):
