@@ -17,7 +17,7 @@ COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 OPAQUE = "opaque"
 """A further column, of targets that are switched; a table may lack it."""
 POSE_COLUMNS = ("a_mm", "b_mm", "phi_deg")
-"""Where they apply: the known pose of a plate."""
+"""Further columns, of the known pose of a plate."""
 
 MAX_T_S = 1e9
 """Thirty years: the times of a recording count from its start."""
