@@ -144,26 +144,37 @@ def _lamps(view: View, lit_mm: Sequence[tuple[float, float]], rng: np.random.Gen
     lit = np.zeros_like(view.x_mm)
     for x_mm, y_mm in lit_mm:
         off_x, off_y = rng.normal(0.0, LED_PLACE_SIGMA_MM, size=2)
-        _add_disc(lit, view, (x_mm + off_x, y_mm + off_y), float(rng.uniform(MIN_BRIGHTNESS, 1.0)))
+        place_mm, brightness = (x_mm + off_x, y_mm + off_y), float(rng.uniform(MIN_BRIGHTNESS, 1.0))
+        add_disc(lit, view.lens, (view.x_mm, view.y_mm), place_mm, LED_DIAMETER_MM / 2.0, brightness)
     columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
     falloff = view.lens.relative_illumination(*view.lens.unproject(columns, rows)).astype(np.float32)
     blurred = cv2.GaussianBlur(lit, (0, 0), PSF_SIGMA_PX).astype(np.float32)
     return np.asarray(blurred * falloff * np.float32(LED_LEVEL_E_PER_MS))
 
 
-def _add_disc(lit: Image, view: View, place_mm: tuple[float, float], brightness: float) -> None:
-    """Add the share of each pixel's area that one LED covers."""
-    radius = LED_DIAMETER_MM / 2.0
+def add_disc(
+    lit: Image,
+    lens: Lens,
+    plane_mm: tuple[Image, Image],
+    place_mm: tuple[float, float],
+    radius: float,
+    brightness: float,
+) -> None:
+    """Add to ``lit`` the share of each pixel's area that a disc covers.
+
+    ``plane_mm`` are the maps (x, y) of the point of the plane that each pixel shows.
+    """
     around = np.linspace(0.0, 2.0 * math.pi, 32)
-    u, v = view.lens.project(
+    u, v = lens.project(
         place_mm[0] + 1.2 * radius * np.cos(around), place_mm[1] + 1.2 * radius * np.sin(around)
     )
-    left, right = (int(np.clip(edge, 0, WIDTH_PX)) for edge in (u.min() - 2, u.max() + 3))
-    top, bottom = (int(np.clip(edge, 0, HEIGHT_PX)) for edge in (v.min() - 2, v.max() + 3))
+    height, width = lit.shape
+    left, right = (int(np.clip(edge, 0, width)) for edge in (u.min() - 2, u.max() + 3))
+    top, bottom = (int(np.clip(edge, 0, height)) for edge in (v.min() - 2, v.max() + 3))
     if right - left < 2 or bottom - top < 2:
         return
     here = slice(top, bottom), slice(left, right)
-    x_mm, y_mm = view.x_mm[here], view.y_mm[here]
+    x_mm, y_mm = plane_mm[0][here], plane_mm[1][here]
     (x_by_v, x_by_u), (y_by_v, y_by_u) = np.gradient(x_mm), np.gradient(y_mm)
     cell_mm = float(np.median(np.hypot(x_by_u, y_by_u))) / SUBSAMPLES
     offsets = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5

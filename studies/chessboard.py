@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
 from altd.errors import BadInputError
+from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 from studies.bench import rms
-from studies.homography import apply_homography, fit_homography
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -110,7 +110,7 @@ one map, mm → px. Each corner is left out in turn, each model is fitted to the
 compared with the corner found: {7 * 35} errors a model. At the {int(RIM.sum())} corners on the rim this
 extrapolates; *inner corners* are the others.
 
-*homography*: `studies.homography` through the other 34 corners. *Tensor polynomial 3 × 3*: the thesis' map.
+*homography*: Eq. 2.44–2.58 through the other 34 corners. *Tensor polynomial 3 × 3*: the thesis' map.
 *altd's map*: chosen by cross-validation. *OpenCV camera, this photograph*: `cv2.calibrateCamera` on the
 same 34 corners (without k3). *OpenCV camera, other photographs*: camera and distortion from all corners of
 the six others, and the board's pose from these 34 (`cv2.solvePnP`).
@@ -135,7 +135,7 @@ def _predictions(photo: _Photo, corner: int, camera_of_others: tuple[Any, Any]) 
     predictions = (
         apply_homography(fit_homography(kept_mm, kept_px), at_mm)[0],
         fit_tensor_map(kept_mm, kept_px, hull_mm, (3, 3)).map.to_px(at_mm)[0],
-        fit_nodes(Nodes.ordinary(kept_mm, kept_px), photo.size, None, 0).fit.map.to_px(at_mm)[0],
+        fit_nodes(Nodes.ordinary(kept_mm, kept_px), photo.size, 0).fit.map.to_px(at_mm)[0],
         _projected_px(alone, kept_mm, kept_px, at_mm),
         _projected_px(camera_of_others, kept_mm, kept_px, at_mm),
     )

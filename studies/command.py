@@ -20,6 +20,7 @@ STUDIES = {
     "table-3.4": "table_3_4",
     "fig-3.5": "fig_3_5",
     "fig-3.17": "fig_3_17",
+    "fig-3.19": "fig_3_19",
     "averaging": "averaging",
     "sigma-now": "sigma_now",
     "output-now": "output_now",
@@ -29,6 +30,7 @@ STUDIES = {
     "chessboard": "chessboard",
     "budget": "budget",
     "chain": "chain",
+    "kinematics": "kinematics",
 }
 """Names and modules, imported when they are run: not all need the same libraries."""
 

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
+from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
@@ -20,7 +21,6 @@ from altd.vision.led_grid import match_grid
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.plate import COLUMNS, LED_DIAMETER_MM, ROWS, WIDE_PITCH_MM, Plate, with_plate
 from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
-from studies.homography import apply_homography, fit_homography
 from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -75,7 +75,7 @@ def run(progress: Progress) -> Result:
         errors_by_lens[lenses.name] = [
             _errors(leds_mm, leds_px, lens, np.random.default_rng([seed, 32]))
             for seed in SEEDS
-            for leds_mm, leds_px, lens in _simulated_plates(seed, lenses)
+            for leds_mm, leds_px, lens in simulated_plates(seed, lenses)
         ]
 
     rows = []
@@ -120,16 +120,16 @@ A map through few points follows their noise, which errors at the LEDs hide. The
 therefore means over {ACROSS} × {ACROSS} places between the LEDs. For the last one, altd's map is fitted to
 the true pixels of the LEDs with a noise of {NOISE_PX:g} px.
 
-*homography*: px → mm by `studies.homography` (Eq. 2.44–2.58). *tensor 3 × 3*: the thesis' map. *altd's
-map*: chosen by cross-validation, with the discs' centres corrected for tilt and distortion. The thesis used
-other lenses: its 12 mm lens was a good one. Here all lenses distort alike for the same angle of view.
+*homography*: px → mm by Eq. 2.44–2.58. *tensor 3 × 3*: the thesis' map. *altd's map*: chosen by
+cross-validation, with the discs' centres corrected for tilt and distortion. The thesis used other lenses: its
+12 mm lens was a good one. Here all lenses distort alike for the same angle of view.
 """,
         figure=_figure(errors_by_lens),
         caption="Mean error by focal length: at the LEDs with the thesis' values, and between them",
     )
 
 
-def _simulated_plates(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, FloatArray, Lens]]:
+def simulated_plates(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, FloatArray, Lens]]:
     """The LEDs' places (n, 2) mm, their discs' centres (n, 2) px, and the true lens, for both cameras."""
     plate = Plate(WIDE_PITCH_MM, tilt_deg=TILT_DEG, fisheye=lenses.fisheye)
     focal_mm = (lenses.focal_mm, lenses.focal_mm)
@@ -155,11 +155,11 @@ def _errors(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens, rng: np.random
     places_px = np.stack(lens.project(*places_mm.T), axis=-1)
     hull_mm = convex_hull_mm(leds_mm)
     tensor = fit_tensor_map(leds_mm, leds_px, hull_mm, (3, 3)).map
-    first = fit_nodes(Nodes.ordinary(leds_mm, leds_px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+    first = fit_nodes(Nodes.ordinary(leds_mm, leds_px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
     shift_px = light_centre_shift_px(first.to_px, leds_mm, -disc_moment_mm2(LED_DIAMETER_MM))
-    ours = fit_nodes(Nodes.ordinary(leds_mm, leds_px + shift_px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+    ours = fit_nodes(Nodes.ordinary(leds_mm, leds_px + shift_px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
     noisy_px = np.stack(lens.project(*leds_mm.T), axis=-1) + rng.normal(0.0, NOISE_PX, size=leds_mm.shape)
-    noisy = fit_nodes(Nodes.ordinary(leds_mm, noisy_px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+    noisy = fit_nodes(Nodes.ordinary(leds_mm, noisy_px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
     homography = fit_homography(leds_px, leds_mm)
     mapped = {
         "homography": (apply_homography(homography, leds_px), apply_homography(homography, places_px)),

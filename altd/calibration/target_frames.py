@@ -129,9 +129,10 @@ class TargetFrames:
     def plate(self) -> PlateHeader:
         """The plate at its place; raises BadInputError where the recording does not give it."""
         part = self.parts[0]
-        if part.recording.header.plate is None:
+        plate = part.recording.header.plate
+        if not isinstance(plate, PlateHeader):
             raise BadInputError(part.header_file, "plate: Field required in a recording of a plate")
-        return part.recording.header.plate
+        return plate
 
     @property
     def is_mirrored(self) -> bool:

@@ -16,12 +16,15 @@ from altd.files.reading import UnchangedFile
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 OPAQUE = "opaque"
 """A further column, of targets that are switched; a table may lack it."""
+POSE_COLUMNS = ("a_mm", "b_mm", "phi_deg")
+"""Where they apply: the known pose of a plate."""
 
 MAX_T_S = 1e9
 """Thirty years: the times of a recording count from its start."""
 MAX_SEQUENCE = 2**53
 """Whole numbers up to here are exact as floats, thus in every JSON reader."""
 MAX_POSITION_MM = 10_000.0
+_MAX_TURN_DEG = 360.0
 
 _MAX_BYTES = 1 << 28
 """A day of two cameras at 20 a second takes 210 MB."""
@@ -32,6 +35,7 @@ class Row:
     """One line of ``frames.csv``; ``position_mm`` is where a stage put the beam, if known.
 
     ``opaque`` names the target that was switched to show the spot; empty: none.
+    ``pose`` is that of a plate, (a mm, b mm, φ °), where it is known.
     """
 
     number: int
@@ -42,6 +46,7 @@ class Row:
     leds_on: bool
     position_mm: tuple[float, float] | None
     opaque: str = ""
+    pose: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +106,8 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
     try:
         reader = csv.DictReader(table.lines(), strict=True)
         columns = list(reader.fieldnames or ())
-        for column in COLUMNS:
+        of_pose = POSE_COLUMNS if set(POSE_COLUMNS) & set(columns) else ()
+        for column in (*COLUMNS, *of_pose):
             if columns.count(column) != 1:
                 what = "is repeated" if column in columns else "is missing"
                 what += "; columns are separated by commas" if len(columns) == 1 else ""
@@ -154,7 +160,30 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras
         raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
     t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
     leds_on, opaque = text["leds"] == "on", (record.get(OPAQUE) or "").strip()
-    return Row(number, int(sequence), t_s, text["camera"], text["file"], leds_on, position, opaque)
+    return Row(
+        number,
+        int(sequence),
+        t_s,
+        text["camera"],
+        text["file"],
+        leds_on,
+        position,
+        opaque,
+        _pose(place, record),
+    )
+
+
+def _pose(place: str, record: Mapping[str, str | None]) -> tuple[float, float, float] | None:
+    """The known pose of a plate; None where the row does not give it."""
+    text = [(record.get(column) or "").strip() for column in POSE_COLUMNS]
+    if not any(text):
+        return None
+    if not all(text):
+        raise BadInputError(place, "a_mm, b_mm and phi_deg must all be given or all be empty")
+    a_mm, b_mm = (
+        _number(place, *each, MAX_POSITION_MM) for each in zip(POSE_COLUMNS[:2], text, strict=False)
+    )
+    return a_mm, b_mm, _number(place, POSE_COLUMNS[2], text[2], _MAX_TURN_DEG)
 
 
 def _number(place: str, column: str, text: str, limit: float) -> float:

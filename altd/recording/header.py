@@ -6,9 +6,18 @@ import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
 from altd import __version__
 from altd.config import Target
@@ -23,7 +32,7 @@ from altd.records import GLASS_INDEX, CameraIdentity, Frame, Glass, Limits, Orig
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
 
-Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
+Kind = Literal["scan", "plate", "flat", "measurement", "self-check", "planar"]
 """The subject of a recording."""
 
 MAX_HEADER_BYTES = 1 << 20
@@ -162,6 +171,33 @@ class PlateHeader(_Header):
     beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
 
 
+class LedPlateHeader(_Header):
+    """A plate whose lit LEDs are at ``leds_mm`` in its own frame, x right and y up as the camera sees it.
+
+    ``disc_mm`` is the diameter of an LED's even disc; None: the pictures show it.
+    """
+
+    leds_mm: Annotated[tuple[tuple[Position, Position], ...], Field(min_length=4, max_length=64)]
+    disc_mm: Length | None = None
+
+    @model_validator(mode="after")
+    def _check_leds(self) -> Self:
+        for number, place in enumerate(self.leds_mm):
+            if place in self.leds_mm[:number]:
+                first = self.leds_mm.index(place)
+                raise ValueError(f"leds_mm.{number}: {list(place)} is the place of leds_mm.{first} too")
+        return self
+
+
+def _plate_tag(plate: object) -> str:
+    is_of_leds = "leds_mm" in plate if isinstance(plate, dict) else isinstance(plate, LedPlateHeader)
+    return _LEDS if is_of_leds else _GRID
+
+
+_LEDS, _GRID = "with leds_mm", "with a grid"
+"""The two kinds of plate; pydantic puts them into an error's place."""
+
+
 class SelfCheckHeader(_Header):
     """The result of the self-check before a scan."""
 
@@ -184,8 +220,14 @@ class RecordingHeader(_Header):
     """The program that wrote it, with its version."""
     start: Annotated[datetime, AfterValidator(_checked_year)] | None = None
     """UTC of t_s = 0, where it is known."""
-    plate: PlateHeader | None = None
-    """In a recording of kind ``plate``."""
+    plate: (
+        Annotated[
+            Annotated[PlateHeader, Tag(_GRID)] | Annotated[LedPlateHeader, Tag(_LEDS)],
+            Discriminator(_plate_tag),
+        ]
+        | None
+    ) = None
+    """In a recording of kind ``plate`` a grid, of kind ``planar`` the LEDs' places."""
     self_check: SelfCheckHeader | None = None
     """In a recording of kind ``scan``, where there was a calibration to check the unit against."""
     turned_deg: Annotated[float, AfterValidator(_checked_turn)] = 0.0
@@ -195,10 +237,23 @@ class RecordingHeader(_Header):
     targets: Annotated[tuple[TargetHeader, ...], Field(min_length=1)] | None = None
     """Which targets it shows, in beam order; None: those that ``shown_targets`` tells."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _check_planar(cls, content: Any) -> Any:
+        """Of kind ``planar`` the plate's LEDs must be there, and one camera."""
+        if not isinstance(content, dict) or content.get("kind") != "planar":
+            return content
+        plate, cameras = content.get("plate"), content.get("cameras")
+        if not isinstance(plate, dict) or "leds_mm" not in plate:
+            raise ValueError("plate.leds_mm: Field required in a recording of kind 'planar'")
+        if isinstance(cameras, dict) and len(cameras) > 1:
+            raise ValueError(f"cameras: a recording of kind 'planar' has one, not {len(cameras)}")
+        return content
+
     @model_validator(mode="after")
     def _check_targets(self) -> Self:
         if self.targets is None:
-            if self.unit.target_distance_mm is None:
+            if self.unit.target_distance_mm is None and self.kind != "planar":
                 raise ValueError("unit.target_distance_mm: Field required where there are no targets")
             return self
         for key in ("name", "camera"):
@@ -246,7 +301,7 @@ def read_header(path: Path) -> RecordingHeader:
         return RecordingHeader.model_validate(parse_json(content))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
+        place = ".".join(str(part) for part in first["loc"] if part not in (_LEDS, _GRID))
         message = first["msg"].removeprefix("Value error, ")
         if first["loc"] == ("kind",) and isinstance(first["input"], str):
             message = f"{first['input']!r} is not possible; possible: {', '.join(get_args(Kind))}"

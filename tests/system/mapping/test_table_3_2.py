@@ -13,12 +13,12 @@ import pytest
 from support.lenses import SIZE, TABLE_3_2, LensKind, Projection, grid, make_lens, seen
 
 from altd.calibration.fitting import fit_nodes
+from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
-from studies.homography import apply_homography, fit_homography
 
 UNITS = 8
 METHODS = ("homography", "tensor", "lens", "chosen")
@@ -55,7 +55,7 @@ def measure(kind: LensKind, columns: int, seed: int) -> dict[str, np.ndarray]:
     maps = {
         "tensor": fit_tensor_map(nodes, px, hull).map,
         "lens": fit_lens_map(Nodes.ordinary(nodes, px), hull, SIZE, optics).map,
-        "chosen": fit_nodes(Nodes.ordinary(nodes, px), SIZE, None, 0).fit.map,
+        "chosen": fit_nodes(Nodes.ordinary(nodes, px), SIZE, 0).fit.map,
     }
     return {"homography": np.linalg.norm(flat - points, axis=1)} | {
         name: errors_mm(forward, lens, points) for name, forward in maps.items()

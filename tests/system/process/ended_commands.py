@@ -121,6 +121,9 @@ COMMANDS = {
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),
     "hw_sim flat": Command("flat -o kept --exposures 4", EXPOSE, module=HW_SIM),
     "hw_sim plate": Command("plate -o kept", EXPOSE, module=HW_SIM),
+    "hw_sim planar-recording": Command(
+        "planar-recording -o kept --known 2", "hw_sim.planar:PlanarScene.expose 5", module=HW_SIM
+    ),
     "hw_sim measure": Command("measure -o kept --truth truth.json --poses 2", EXPOSE, module=HW_SIM),
     "studies": Command("averaging", EXPOSE, module="studies"),
     "hw_sim demo": Command(

@@ -68,6 +68,7 @@ DONE = {
     "doctor": (0, "", set()),
     "hw_sim flat": (0, "", {"kept"}),
     "hw_sim plate": (0, "", {"kept"}),
+    "hw_sim planar-recording": (0, "", {"kept"}),
     "hw_sim measure": (0, "", {"kept", "truth.json"}),
 }
 """The ends of commands without a signal: status, standard error, contents of the working folder."""
@@ -85,6 +86,7 @@ FULL_DISK = {
     "hw_sim scan": (1000, "kept"),
     "hw_sim flat": (1000, "kept"),
     "hw_sim plate": (1000, "kept"),
+    "hw_sim planar-recording": (300, "kept"),
     "hw_sim measure": (1000, "kept"),
 }
 """Room on the disk, kB, and what does not find any there."""

@@ -1,9 +1,8 @@
-"""The homography of a plane, by its vanishing line and Gauss-Newton: what Table 3.2 compares the maps with.
-
-It knows no distortion: the unit does not measure by it.
-"""
+"""The homography of a plane, by its vanishing line and Gauss-Newton (Eq. 2.44–2.58), without distortion."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -30,7 +29,7 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     h = h / h[2, 2]
     before = np.inf
     for _ in range(_MAX_ITERATIONS):
-        mapped, slopes = _with_slopes(h, here)
+        mapped, slopes = with_slopes(h, here)
         miss = (mapped - there).ravel()
         squares = float(miss @ miss)
         if not squares < before * (1 - _CONVERGED):
@@ -38,6 +37,35 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
         before, best = squares, h
         step = np.append(-np.linalg.lstsq(slopes, miss, rcond=None)[0], 0.0)  # Eq. 2.58; h9 stays 1
         h = h + step.reshape(3, 3)
+    h = np.linalg.inv(to_unit_there) @ best @ to_unit
+    return np.asarray(h / h[2, 2])
+
+
+def fit_rims(h: FloatArray, rims: Sequence[FloatArray], middles: FloatArray, radius: float) -> FloatArray:
+    """The homography whose mapped rim points lie best on circles about ``middles`` (m, 2).
+
+    ``rims`` holds the rim points (n, 2) of each circle in the source plane, ``h`` is the initial homography.
+    Gauss and Newton's method on the distances of Eq. 2.54, whose sum of squares does not grow. The blur of a
+    picture moves all rims alike, so the radius, which the source takes as known, is fitted too.
+    """
+    (to_unit, here), (to_unit_there, there) = _normalised(np.concatenate(rims)), _normalised(middles)
+    of_circle = np.repeat(np.arange(len(rims)), [len(rim) for rim in rims])
+    h = to_unit_there @ h @ np.linalg.inv(to_unit)
+    best, r, before = h / h[2, 2], radius * to_unit_there[0, 0], np.inf
+    at, at_radius = best, r
+    for _ in range(_MAX_ITERATIONS):
+        mapped, slopes = with_slopes(at, here)
+        off = mapped - there[of_circle]
+        distance = np.maximum(np.linalg.norm(off, axis=1), _DEGENERATE_BELOW)
+        miss = distance - at_radius  # Eq. 2.54
+        squares = float(miss @ miss)
+        if not squares < before * (1 - _CONVERGED):
+            break
+        before, best = squares, at
+        along = np.einsum("nc,ncp->np", off / distance[:, None], slopes.reshape(-1, 2, 8))
+        step = -np.linalg.lstsq(np.column_stack([along, -np.ones(len(miss))]), miss, rcond=None)[0]
+        at = at + np.append(step[:8], 0.0).reshape(3, 3)  # Eq. 2.58; h9 stays 1
+        at_radius += float(step[8])
     h = np.linalg.inv(to_unit_there) @ best @ to_unit
     return np.asarray(h / h[2, 2])
 
@@ -69,7 +97,7 @@ def apply_homography(homography: FloatArray, points: FloatArray) -> FloatArray:
     return mapped[:, :2] / mapped[:, 2:]
 
 
-def _with_slopes(h: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def with_slopes(h: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The mapped points and their derivatives by h1 … h8, as (2 n, 8)."""
     plane = np.column_stack([points, np.ones(len(points))])
     mapped = plane @ h.T

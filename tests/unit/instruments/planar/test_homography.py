@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from studies.homography import apply_homography, fit_homography, vanishing_line_homography
+from altd.instruments.planar.homography import apply_homography, fit_homography, vanishing_line_homography
 
 TRUTH = np.array([[4.1, 0.2, 370.0], [-0.15, -3.9, 241.0], [4e-4, -7e-4, 1.0]])
 

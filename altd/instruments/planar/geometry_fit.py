@@ -1,0 +1,120 @@
+"""The geometry of the planar 3-PRP machine from measured poses and joints (Eq. 2.60–2.63)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from altd.instruments.planar.kinematics import Machine, constraint_jacobian
+from altd.records import FloatArray
+
+PARAMETERS = ("rail_start_x_mm", "rail_start_y_mm", "rail_deg", "joint_scale", "edge_deg", "edge_offset_mm")
+"""Of each leg, in the order of the rows of ``FittedGeometry.covariance``: those of leg 0 first."""
+_MAX_ITERATIONS = 30
+_MAX_CONDITION = 1e7
+"""Of the scaled normal equations; beyond it, parameters are as uncertain as kilometres."""
+
+
+class NotIdentifiableError(ValueError):
+    """The poses do not determine the geometry; the message names the parameters that may change together."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedGeometry:
+    """A machine with the covariance (18, 18) of its parameters, in the units of ``PARAMETERS``.
+
+    ``condition`` is that of the design, each parameter scaled by its effect; ``rms`` that of the residuals
+    over their standard deviation, 1 where the stated uncertainties are right.
+    """
+
+    machine: Machine
+    covariance: FloatArray
+    condition: float
+    rms: float
+
+
+def fit_geometry(
+    machine: Machine,
+    poses: ArrayLike,
+    joints_mm: ArrayLike,
+    pose_covariance: ArrayLike,
+    sigma_joint_mm: float,
+) -> FittedGeometry:
+    """Fit all eighteen parameters to N poses (N, 3) and the joints (N, 3) at which they were measured.
+
+    ``machine`` is the design, the initial estimate; ``pose_covariance`` (3, 3) or (N, 3, 3) is in mm² and
+    °². The implicit model n·P(q) − n·(a, b) − offset = 0 (Eq. 2.62) is weighted by what the uncertainty of
+    pose and joints makes of it, which equals Eq. 2.61 to first order and stays finite at singular poses.
+    Raises NotIdentifiableError where the poses do not determine it, or the iteration does not converge.
+    """
+    pose, joints = np.asarray(poses, float), np.asarray(joints_mm, float)
+    per_pose = np.array([1.0, 1.0, np.pi / 180.0])
+    covariance = np.asarray(pose_covariance, float) * np.outer(per_pose, per_pose)
+    for _ in range(_MAX_ITERATIONS):
+        residual, design = _linearised(machine, pose, joints)
+        moved = constraint_jacobian(machine, pose, joints)
+        slack = moved @ covariance @ np.swapaxes(moved, 1, 2)
+        travel = machine.crossing_sines(pose[:, 2]) * machine.joint_scale * sigma_joint_mm
+        slack[:, range(3), range(3)] += travel**2
+        whitener = np.linalg.inv(np.linalg.cholesky(slack))
+        white = np.einsum("nij,njk->nik", whitener, design).reshape(-1, design.shape[-1])
+        errors = np.einsum("nij,nj->ni", whitener, residual).ravel()
+        scale = np.linalg.norm(white, axis=0)
+        left, singular, right = np.linalg.svd(white / scale, full_matrices=False)
+        condition = float(singular[0] / max(singular[-1], np.finfo(float).tiny))
+        if len(errors) < len(scale) or condition > _MAX_CONDITION:
+            raise NotIdentifiableError(f"the poses do not determine {_names(right[-1])}")
+        step = -(right.T @ ((left.T @ errors) / singular)) / scale
+        machine = _changed(machine, step)
+        if np.max(np.abs(step * scale)) < 1e-6:
+            break
+    else:
+        raise NotIdentifiableError(f"the fit has not converged in {_MAX_ITERATIONS} iterations")
+    inverse = (right.T / singular**2) @ right / np.outer(scale, scale)
+    freedom = max(len(errors) - len(scale), 1)
+    return FittedGeometry(machine, inverse, condition, float(np.sqrt(errors @ errors / freedom)))
+
+
+def _linearised(machine: Machine, poses: FloatArray, joints_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Residuals (N, 3) in mm, and their derivatives (N, 3, 18) by the parameters."""
+    edge, rail = np.radians(machine.edge_deg + poses[:, 2, None]), np.radians(machine.rail_deg)
+    normal = np.stack([-np.sin(edge), np.cos(edge)], axis=-1)
+    along = np.stack([np.cos(edge), np.sin(edge)], axis=-1)
+    direction = np.stack([np.cos(rail), np.sin(rail)], axis=-1)
+    turned = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    lever = machine.rail_points_mm(joints_mm) - poses[:, None, :2]
+    residual = np.einsum("nij,nij->ni", normal, lever) - machine.edge_offset_mm
+    of_leg = np.stack(
+        [
+            normal[..., 0],
+            normal[..., 1],
+            np.radians(1.0) * joints_mm * machine.joint_scale * np.einsum("nij,ij->ni", normal, turned),
+            joints_mm * np.einsum("nij,ij->ni", normal, direction),
+            -np.radians(1.0) * np.einsum("nij,nij->ni", along, lever),
+            -np.ones_like(residual),
+        ],
+        axis=-1,
+    )
+    design = np.zeros((len(poses), 3, 3, len(PARAMETERS)))
+    design[:, range(3), range(3)] = of_leg
+    return residual, design.reshape(len(poses), 3, -1)
+
+
+def _changed(machine: Machine, step: FloatArray) -> Machine:
+    x, y, rail, scale, edge, offset = step.reshape(3, len(PARAMETERS)).T
+    return replace(
+        machine,
+        rail_start_mm=machine.rail_start_mm + np.stack([x, y], axis=1),
+        rail_deg=machine.rail_deg + rail,
+        joint_scale=machine.joint_scale + scale,
+        edge_deg=machine.edge_deg + edge,
+        edge_offset_mm=machine.edge_offset_mm + offset,
+    )
+
+
+def _names(direction: FloatArray) -> str:
+    """The parameters with a large part in a direction (18,) of the scaled design."""
+    large = np.flatnonzero(np.abs(direction) > 0.3 * np.max(np.abs(direction)))
+    return ", ".join(f"{PARAMETERS[k % len(PARAMETERS)]} of leg {k // len(PARAMETERS) + 1}" for k in large)

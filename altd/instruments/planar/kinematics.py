@@ -1,0 +1,206 @@
+"""Kinematics of a planar 3-PRP machine: three driven points, each on an edge of the moving triangle (§2.3).
+
+A joint moves a point along a fixed rail; an edge of the moving triangle (the end effector, EE) slides and
+turns on that point. Poses are arrays (..., 3) of a_mm, b_mm, phi_deg: the displacement of the EE frame in
+the fixed frame (Eq. 2.8). Joints are arrays (..., 3) in mm along each rail from its start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from altd.records import FloatArray
+
+_PARALLEL = 1e-12
+"""|sin| of the angle between rail and edge below which a joint is undetermined."""
+
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """The geometry: a rail and an edge for each of three legs; every array has one row or entry a leg.
+
+    ``rail_start_mm`` (3, 2) and ``rail_deg`` (3,) are in the fixed frame, ``edge_deg`` (3,) and
+    ``edge_offset_mm`` (3,) in the frame of the EE. An edge holds the points x with n·x = offset, its normal n
+    is its direction turned by +90°. ``limits_mm`` (3, 2) are the first and the last place of each joint,
+    ``joint_scale`` (3,) its true travel per stated travel.
+    """
+
+    rail_start_mm: FloatArray
+    rail_deg: FloatArray
+    edge_deg: FloatArray
+    edge_offset_mm: FloatArray
+    limits_mm: FloatArray
+    joint_scale: FloatArray = field(default_factory=lambda: np.ones(3))
+
+    @classmethod
+    def of_triangles(cls, fixed_mm: ArrayLike, moving_mm: ArrayLike) -> Machine:
+        """Two triangles by their vertices, (3, 2) each (Fig. 2.9, Eq. 2.18–2.21): leg i is on side i of both.
+
+        Side i connects the vertices i and i + 1; the joints may use whole rails.
+        """
+        fixed, moving = np.asarray(fixed_mm, float), np.asarray(moving_mm, float)
+        rails = np.roll(fixed, -1, axis=0) - fixed
+        edges = np.roll(moving, -1, axis=0) - moving
+        edge_deg = np.degrees(np.arctan2(edges[:, 1], edges[:, 0]))
+        offset = np.einsum("ij,ij->i", _normal(np.radians(edge_deg)), moving)
+        lengths = np.hypot(*rails.T)
+        limits = np.stack([np.zeros(3), lengths], axis=1)
+        return cls(fixed, np.degrees(np.arctan2(rails[:, 1], rails[:, 0])), edge_deg, offset, limits)
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights w (3,) with Σ w n = 0 for the normals of the edges; it is in proportion to the sides."""
+        second, third = np.roll(self.edge_deg, -1), np.roll(self.edge_deg, -2)
+        weights: FloatArray = np.sin(np.radians(third - second))
+        return weights
+
+    def rail_points_mm(self, joints_mm: ArrayLike) -> FloatArray:
+        """The driven points (..., 3, 2) in the fixed frame."""
+        joints = np.asarray(joints_mm, float)
+        travel = joints * self.joint_scale
+        points: FloatArray = self.rail_start_mm + travel[..., None] * _direction(np.radians(self.rail_deg))
+        return points
+
+    def crossing_sines(self, phi_deg: ArrayLike) -> FloatArray:
+        """Sine (..., 3) of the angle from each edge to its rail; a leg is singular where it is 0 (type 1)."""
+        sines: FloatArray = np.sin(
+            np.radians(self.rail_deg - self.edge_deg - np.asarray(phi_deg, float)[..., None])
+        )
+        return sines
+
+
+def double_triangle(base_mm: float = 500.0) -> Machine:
+    """The source's machine: two equal isosceles triangles, long to short side 6 : 5 (§2.3.2).
+
+    The source does not print its dimensions. The rails are base, right and left leg of the fixed triangle,
+    O at the origin and the base along x. Of all assignments of edges to rails only one gives Eq. 2.64: at φ
+    = 0 the edges are parallel to the right leg, the left leg and the base.
+    """
+    leg_mm = 1.2 * base_mm
+    half, height = base_mm / 2, (leg_mm**2 - base_mm**2 / 4) ** 0.5
+    fixed = [(0.0, 0.0), (base_mm, 0.0), (half, height)]
+    moving = [(0.0, 0.0), (half, -height), (base_mm, 0.0)]
+    return Machine.of_triangles(fixed, moving)
+
+
+def joints_of(machine: Machine, poses: ArrayLike) -> FloatArray:
+    """Inverse kinematics: the joints (..., 3) in mm of poses (..., 3).
+
+    A joint is NaN where its rail and its edge are parallel. Limits are not applied.
+    """
+    pose = np.asarray(poses, float)
+    sines = machine.crossing_sines(pose[..., 2])
+    safe = np.where(np.abs(sines) < _PARALLEL, np.nan, sines)
+    joints: FloatArray = distances_mm(machine, pose) / (safe * machine.joint_scale)
+    return joints
+
+
+def distances_mm(machine: Machine, poses: ArrayLike) -> FloatArray:
+    """Distance (..., 3) of each edge from the start of its rail, along the normal, in poses (..., 3)."""
+    pose = np.asarray(poses, float)
+    normals = _normal(np.radians(machine.edge_deg + pose[..., 2, None]))
+    to_start = machine.rail_start_mm - pose[..., None, :2]
+    distances: FloatArray = machine.edge_offset_mm - np.einsum("...ij,...ij->...i", normals, to_start)
+    return distances
+
+
+def poses_of(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
+    """Forward kinematics: the poses (..., 2, 3) of both assembly modes, NaN where the machine cannot close.
+
+    The weighted sum of the three constraints n·P − n·(a, b) = offset has no (a, b) left, since Σ w n = 0.
+    It is A cos φ + B sin φ = C, so φ = atan2(B, A) ± acos(C / √(A² + B²)): mode 0 has the plus sign. φ is
+    in (−180°, 180°].
+    """
+    points = machine.rail_points_mm(joints_mm)
+    weights, normals = machine.weights, _normal(np.radians(machine.edge_deg))
+    cosine = np.einsum("i,ij,...ij->...", weights, normals, points)
+    turned = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    sine = np.einsum("i,ij,...ij->...", weights, turned, points)
+    wanted = float(weights @ machine.edge_offset_mm)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = wanted / np.hypot(cosine, sine)
+        closes = np.abs(ratio) <= 1.0 + _ROUNDING  # in a pose of type 2 it is 1
+        half = np.arccos(np.where(closes, np.clip(ratio, -1.0, 1.0), np.nan))
+    middle = np.arctan2(sine, cosine)
+    phi = np.stack([middle + half, middle - half], axis=-1)
+    rotation = _rotation(phi)
+    in_ee = np.einsum("...kji,...pj->...kpi", rotation, points)  # R(−φ) P, for each mode
+    distances = np.einsum("pi,...kpi->...kp", normals, in_ee) - machine.edge_offset_mm
+    origin = np.einsum("ip,...kp->...ki", np.linalg.pinv(normals), distances)
+    place = np.einsum("...kij,...kj->...ki", rotation, origin)
+    phi_deg = 180.0 - np.mod(180.0 - np.degrees(phi), 360.0)
+    return np.concatenate([place, phi_deg[..., None]], axis=-1)
+
+
+def constraint_jacobian(machine: Machine, poses: ArrayLike, joints_mm: ArrayLike) -> FloatArray:
+    """K (..., 3, 3): how far (mm) each edge leaves its driven point per mm in a and b and radian in φ.
+
+    K d(a, b, φ) = sines · joint_scale · d(joints). It has no inverse where the normals of the edges in the
+    driven points meet in one point (type 2).
+    """
+    pose = np.asarray(poses, float)
+    edge_rad = np.radians(machine.edge_deg + pose[..., 2, None])
+    lever = machine.rail_points_mm(joints_mm) - pose[..., None, :2]
+    along = np.einsum("...ij,...ij->...i", _direction(edge_rad), lever)
+    return np.concatenate([_normal(edge_rad), along[..., None]], axis=-1)
+
+
+def image_points(poses: ArrayLike) -> FloatArray:
+    """X0 … X3 (..., 4) of poses in the kinematic image space (Eq. 2.9)."""
+    pose = np.asarray(poses, float)
+    a, b, half = pose[..., 0], pose[..., 1], np.radians(pose[..., 2]) / 2
+    cosine, sine = np.cos(half), np.sin(half)
+    return np.stack([2 * cosine, a * sine - b * cosine, a * cosine + b * sine, 2 * sine], axis=-1)
+
+
+def poses_of_image(points: ArrayLike) -> FloatArray:
+    """The poses (..., 3) of points (..., 4) in the kinematic image space (Eq. 2.10–2.12)."""
+    x0, x1, x2, x3 = np.moveaxis(np.asarray(points, float), -1, 0)
+    norm = x0**2 + x3**2
+    a, b = 2 * (x1 * x3 + x0 * x2) / norm, 2 * (x2 * x3 - x0 * x1) / norm
+    phi_deg = 180.0 - np.mod(180.0 - 2 * np.degrees(np.arctan2(x3, x0)), 360.0)
+    return np.stack([a, b, phi_deg], axis=-1)
+
+
+def quadrics(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
+    """Q (..., 3, 4, 4), symmetric: X′QX = 0 holds for the poses in which leg i closes (Eq. 2.22–2.24).
+
+    X′QX = P′A*l with the line l of the edge, the driven point P and A* of Eq. 2.17; the sign of s₁ in the
+    printed Eq. 2.22 and 2.28 does not fit Eq. 2.9 and 2.17.
+    """
+    normals = _normal(np.radians(machine.edge_deg))
+    line0, (line1, line2) = -machine.edge_offset_mm, normals.T
+    x, y = np.moveaxis(machine.rail_points_mm(joints_mm), -1, 0)
+    shape = x.shape
+    form = np.zeros((*shape, 4, 4))
+    straight, crossed = line1 * x + line2 * y, line1 * y - line2 * x
+    form[..., 0, 0] = line0 + straight
+    form[..., 3, 3] = line0 - straight
+    for row, column, value in (
+        (0, 3, 2 * crossed),
+        (0, 1, 2 * line2),
+        (0, 2, -2 * line1),
+        (1, 3, 2 * line1),
+        (2, 3, 2 * line2),
+    ):
+        form[..., row, column] = form[..., column, row] = value / 2
+    return form
+
+
+def _direction(angle_rad: FloatArray) -> FloatArray:
+    return np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
+
+
+def _normal(angle_rad: FloatArray) -> FloatArray:
+    return np.stack([-np.sin(angle_rad), np.cos(angle_rad)], axis=-1)
+
+
+def _rotation(angle_rad: FloatArray) -> FloatArray:
+    """(..., 2, 2)."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)

@@ -1,0 +1,279 @@
+"""``python -m hw_sim planar-recording``: a plate with seven LEDs that moves in its plane (Sec. 2.4)."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import os
+import shutil
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from altd.errors import BadInputError
+from altd.files.writing import check_replaceable, write_file
+from altd.records import FloatArray, PixelArray
+from hw_sim.arguments import at_least_one, natural, terminal_progress
+from hw_sim.double_triangle import MachineFlaws, random_motion, source_machine
+from hw_sim.image import Image
+from hw_sim.lens import Lens, rotation
+from hw_sim.plate import LED_DIAMETER_MM, MIN_BRIGHTNESS, add_disc
+from hw_sim.recording import COLUMNS, Progress
+from hw_sim.sensor import FULL_WELL_E, Sensor
+from hw_sim.view import PSF_SIGMA_PX
+
+WIDTH_PX, HEIGHT_PX = 1024, 768
+"""The picture of Sec. 2.4.4."""
+LEDS_MM = (
+    (-41.0, -40.0),
+    (-7.0, -39.0),
+    (31.0, -32.0),
+    (44.0, 16.0),
+    (11.0, 3.0),
+    (-38.0, 23.0),
+    (2.0, 39.0),
+)
+"""A layout that no rotation takes into itself, and whose 21 distances differ by 1.4 mm at least."""
+LED_PLACE_SIGMA_MM = 0.005
+"""Standard deviation of the holes' places from the drawing, per axis: a jig borer's."""
+KNOWN_SIGMA_MM, KNOWN_SIGMA_DEG = 0.005, 0.003
+"""Standard deviations of the true poses from those that the recording states: of gauge blocks."""
+MIDDLE_MM = (0.0, 700.0)
+"""The pose in the middle of the workspace, as the source's machine has it."""
+HALF_RANGE = (45.0, 32.0, 40.0)
+"""Of a, b (mm) and φ (°) about it."""
+FOCAL_MM = (7.5, 9.0)
+MAX_TILT_DEG = 15.0
+K1 = (-0.12, -0.04)
+"""Light barrel distortion: 2 to 6 px in the corners of the picture."""
+LED_SHARE, AMBIENT_SHARE = 0.55, 0.03
+"""Of the full well: a lit LED and the matte plate in the light of the room."""
+FPS = 20.0
+MAX_DRAWS = 10_000
+MACHINE_FLAWS = MachineFlaws(place_mm=0.5, direction_deg=0.1, screw_ppm=200.0)
+
+Pose = tuple[float, float, float]
+"""(a mm, b mm, φ °) of Eq. 2.59: the place of the plate's origin in the fixed frame, and its turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """A disc of light that is no LED of the plate, in the fixed frame: a reflection or a lamp."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float = LED_DIAMETER_MM / 2.0
+    brightness: float = 0.9
+
+
+@dataclass(slots=True)
+class PlanarScene:
+    """A plate in front of a camera; ``seed`` selects lens, tilt, holes and brightness."""
+
+    seed: int
+    leds_mm: FloatArray = field(default_factory=lambda: np.array(LEDS_MM))
+    lens: Lens = field(init=False)
+    _plane_mm: tuple[Image, Image] = field(init=False)
+    _fall_off: Image = field(init=False)
+    _true_leds_mm: FloatArray = field(init=False)
+    _brightness: FloatArray = field(init=False)
+    _rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        rng = np.random.default_rng([self.seed, 24])
+        tilt, towards = math.radians(rng.uniform(3.0, MAX_TILT_DEG)), rng.uniform(0.0, 2.0 * math.pi)
+        turned = rotation(
+            tilt * math.cos(towards), tilt * math.sin(towards), math.radians(rng.uniform(-4, 4))
+        )
+        focal_mm = float(rng.uniform(*FOCAL_MM))
+        middle = turned[:, :2] @ np.array([MIDDLE_MM[0], -MIDDLE_MM[1]])
+        k1, k2 = float(rng.uniform(*K1)), float(rng.uniform(-0.01, 0.01))
+        p1, p2 = (float(p) for p in rng.uniform(-3e-4, 3e-4, size=2))
+        self.lens = Lens(
+            focal_mm,
+            (
+                (WIDTH_PX - 1) / 2.0 + float(rng.uniform(-12, 12)),
+                (HEIGHT_PX - 1) / 2.0 + float(rng.uniform(-12, 12)),
+            ),
+            (k1, k2, p1, p2, 0.0),
+            turned,
+            np.array([0.0, 0.0, 58.0 * focal_mm]) - middle,
+            mirrored=False,
+        )
+        u, v = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
+        x_mm, y_mm = self.lens.unproject(u, v)
+        self._plane_mm = x_mm.astype(np.float32), y_mm.astype(np.float32)
+        self._fall_off = self.lens.relative_illumination(x_mm, y_mm).astype(np.float32)
+        self._true_leds_mm = self.leds_mm + rng.normal(0.0, LED_PLACE_SIGMA_MM, size=self.leds_mm.shape)
+        self._brightness = rng.uniform(MIN_BRIGHTNESS, 1.0, size=len(self.leds_mm))
+        self._rng = rng
+
+    def poses(self, count: int) -> list[Pose]:
+        """Poses at random whose LEDs are all well inside the picture; raises ValueError without any."""
+        poses: list[Pose] = []
+        for _ in range(MAX_DRAWS):
+            if len(poses) == count:
+                return poses
+            a, b, phi = (float(x) for x in self._rng.uniform(-1.0, 1.0, size=3) * HALF_RANGE)
+            pose = (MIDDLE_MM[0] + a, MIDDLE_MM[1] + b, phi)
+            u, v = self.lens.project(*places_mm(self.leds_mm, pose).T)
+            if min(u.min(), v.min(), WIDTH_PX - 1 - u.max(), HEIGHT_PX - 1 - v.max()) > 20.0:
+                poses.append(pose)
+        raise ValueError("the picture does not hold the plate")
+
+    def shuffled_leds(self) -> list[int]:
+        """The LEDs, counted from 0, in an order at random."""
+        return [int(led) for led in self._rng.permutation(len(self.leds_mm))]
+
+    def near(self, pose: Pose) -> Pose:
+        """The true pose of a plate that was set to ``pose``."""
+        sigmas = (KNOWN_SIGMA_MM, KNOWN_SIGMA_MM, KNOWN_SIGMA_DEG)
+        a, b, phi = (float(x) for x in np.array(pose) + self._rng.normal(0.0, sigmas))
+        return a, b, phi
+
+    def mean_electrons(self, pose: Pose, lit: Collection[int], lights: Sequence[Light] = ()) -> Image:
+        """Electrons of each pixel without noise; ``lit`` are the LEDs that shine, counted from 0."""
+        covered = np.zeros((HEIGHT_PX, WIDTH_PX), np.float32)
+        radius_mm = LED_DIAMETER_MM / 2.0
+        for led, (x_mm, y_mm) in enumerate(places_mm(self._true_leds_mm, pose).tolist()):
+            if led in lit:
+                brightness = float(self._brightness[led])
+                add_disc(covered, self.lens, self._plane_mm, (x_mm, y_mm), radius_mm, brightness)
+        for light in lights:
+            at = light.x_mm, light.y_mm
+            add_disc(covered, self.lens, self._plane_mm, at, light.radius_mm, light.brightness)
+        blurred = cv2.GaussianBlur(covered, (0, 0), PSF_SIGMA_PX)
+        slope = np.linspace(0.8, 1.2, WIDTH_PX, dtype=np.float32)
+        share = np.float32(LED_SHARE) * blurred + np.float32(AMBIENT_SHARE) * slope
+        return np.asarray(share * self._fall_off * np.float32(FULL_WELL_E))
+
+    def expose(self, mean_electrons: Image) -> PixelArray:
+        """One frame of 8 bits with shot noise and read noise."""
+        return Sensor().expose(mean_electrons, 1.0, self._rng)
+
+
+def places_mm(leds_mm: FloatArray, pose: Pose) -> FloatArray:
+    """Points (n, 2) of the plate in the fixed frame, Eq. 2.59."""
+    a, b, phi_deg = pose
+    cosine, sine = math.cos(math.radians(phi_deg)), math.sin(math.radians(phi_deg))
+    return np.asarray(leds_mm @ np.array([[cosine, sine], [-sine, cosine]]) + (a, b))
+
+
+@dataclass(frozen=True, slots=True)
+class Stay:
+    """A pose of the plate with the LEDs that shine there; ``stated`` is what the recording says of it."""
+
+    pose: Pose
+    lit: tuple[int, ...]
+    stated: Pose | None = None
+    lights: tuple[Light, ...] = ()
+
+
+def record(
+    folder: Path, scene: PlanarScene, stays: Sequence[Stay], exposures: int, progress: Progress
+) -> None:
+    """Write ``exposures`` frames of each stay into a new ``folder``, or nothing; raises BadInputError."""
+    folder = folder.resolve()
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise BadInputError(folder, "exists and is not an empty folder")
+    draft = folder.with_name(f".{folder.name}.{os.getpid()}.draft")
+    header = {
+        "format": "altd-recording/1",
+        "kind": "planar",
+        "fps": FPS,
+        "cameras": {"plate": {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": 8, "origin": "simulated"}},
+        "unit": {"serial": f"SIM-PLANAR-{scene.seed}"},
+        "note": f"hw_sim, seed {scene.seed}, planar",
+        "plate": {"leds_mm": scene.leds_mm.tolist(), "disc_mm": LED_DIAMETER_MM},
+    }
+    try:
+        (draft / "plate").mkdir(parents=True)
+        with (draft / "frames.csv").open("w", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow((*COLUMNS, "a_mm", "b_mm", "phi_deg"))
+            sequence = 0
+            for stay in stays:
+                mean = scene.mean_electrons(stay.pose, stay.lit, stay.lights)
+                stated = ("", "", "") if stay.stated is None else tuple(f"{x:.4f}" for x in stay.stated)
+                for _ in range(exposures):
+                    name = f"plate/{sequence:06d}.png"
+                    (draft / name).write_bytes(cv2.imencode(".png", scene.expose(mean))[1].tobytes())
+                    table.writerow((sequence, f"{sequence / FPS:.6f}", "plate", name, "on", "", "", *stated))
+                    sequence += 1
+                    progress(sequence, len(stays) * exposures)
+        (draft / "recording.json").write_text(json.dumps(header, indent=1) + "\n")
+        draft.replace(folder)
+    except OSError as error:
+        raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def known_and_unknown(
+    scene: PlanarScene, known: Sequence[Pose], unknown: Sequence[Pose], lit: int | None
+) -> list[Stay]:
+    """Stays at known poses with all LEDs, then at poses to be measured.
+
+    ``lit`` LEDs shine at the latter; None: each pose is shown with 7, 6 … 2 of them, lost at random.
+    """
+    everything = tuple(range(len(scene.leds_mm)))
+    stays = [Stay(scene.near(pose), everything, pose) for pose in known]
+    for pose in unknown:
+        order = scene.shuffled_leds()
+        counts = range(len(everything), 1, -1) if lit is None else (lit,)
+        stays += [Stay(pose, tuple(sorted(order[:count]))) for count in counts]
+    return stays
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the recording on the command line."""
+    output = "new or empty folder for the recording"
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=output)
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="JSON file for the true poses")
+    parser.add_argument("--seed", type=natural, default=1, help="selects camera and plate (default: 1)")
+    parser.add_argument("--known", type=natural, default=12, help="poses that it states (default: 12)")
+    parser.add_argument("--unknown", type=natural, default=0, help="poses to be measured (default: 0)")
+    parser.add_argument("--lit", type=at_least_one, help="LEDs lit at those (default: lost from 7 to 2)")
+    parser.add_argument("--exposures", type=at_least_one, default=4, help="frames per pose (default: 4)")
+    machine = "let the 3-PRP machine move the plate to the unknown poses, with --lit 7; joints in the truth"
+    parser.add_argument("--machine", action="store_true", help=machine)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record the plate; raises BadInputError."""
+    if arguments.known + arguments.unknown == 0:
+        raise BadInputError("--known", "and --unknown are both 0: there is no pose to record")
+    if arguments.truth is not None:
+        check_replaceable(arguments.truth)
+    scene = PlanarScene(arguments.seed)
+    known, lit = scene.poses(arguments.known), arguments.lit
+    if arguments.machine:
+        unknown, joints = _driven(arguments.seed, arguments.unknown)
+        lit = lit or len(scene.leds_mm)
+    else:
+        unknown, joints = scene.poses(arguments.unknown), []
+    stays = known_and_unknown(scene, known, unknown, lit)
+    record(arguments.output, scene, stays, arguments.exposures, terminal_progress("planar-recording"))
+    if arguments.truth is not None:
+        keys = ("a_mm", "b_mm", "phi_deg")
+        poses = [dict(zip(keys, stay.pose, strict=True)) | {"lit": list(stay.lit)} for stay in stays]
+        truth = {"window": arguments.exposures, "poses": poses, "joints_mm": joints}
+        write_file(arguments.truth, (json.dumps(truth, indent=1) + "\n").encode())
+    return 0
+
+
+def _driven(seed: int, count: int) -> tuple[list[Pose], list[list[float]]]:
+    """Poses of a machine with errors, driven to random joints, and these joints in mm."""
+    machine = source_machine(MACHINE_FLAWS, seed)
+    poses: list[Pose] = []
+    joints: list[list[float]] = []
+    for a_mm, b_mm, phi_deg in islice(random_motion(machine, HALF_RANGE), count):
+        poses.append((float(a_mm), float(b_mm), float(phi_deg)))
+        joints.append(machine.joints_mm.tolist())
+    return poses, joints
