@@ -51,7 +51,8 @@ _Errors = dict[int, list[tuple[FloatArray, FloatArray]]]
 def simulated(seed: int, errors: _Errors) -> PlanarCalibration:
     """Record, calibrate and measure one camera and plate; adds to ``errors``."""
     scene = PlanarScene(seed)
-    stays = known_and_unknown(scene, KNOWN, UNKNOWN, None)
+    stays = known_and_unknown(scene, scene.poses(KNOWN), [], None)
+    stays += known_and_unknown(scene, [], scene.poses(UNKNOWN), None)
     with tempfile.TemporaryDirectory() as folder:
         record(Path(folder) / "plate", scene, stays, EXPOSURES, lambda done, planned: None)
         recording = open_recording(Path(folder) / "plate")

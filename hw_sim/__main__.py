@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from altd.cli.arguments import Parser
 from altd.process.endings import run_to_end
 from hw_sim import demo, flat, measure, planar, plate, scan
+from hw_sim.chain import command as chain
 from hw_sim.gige import command as gige
 
 COMMANDS = {
@@ -18,6 +19,7 @@ COMMANDS = {
     "gige": (gige, "serve the cameras of a simulated unit by GigE Vision"),
     "measure": (measure, "record poses of the beam, and write their truth"),
     "planar-recording": (planar, "record a plate with LEDs that moves in its plane"),
+    "chain": (chain, "record a row of switched glass targets: scans, rounds, settings"),
 }
 """Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 

@@ -10,6 +10,7 @@ import os
 import shutil
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, write_file
 from altd.records import FloatArray, PixelArray
 from hw_sim.arguments import at_least_one, natural, terminal_progress
+from hw_sim.double_triangle import MachineFlaws, random_motion, source_machine
 from hw_sim.image import Image
 from hw_sim.lens import Lens, rotation
 from hw_sim.plate import LED_DIAMETER_MM, MIN_BRIGHTNESS, add_disc
@@ -54,6 +56,7 @@ LED_SHARE, AMBIENT_SHARE = 0.55, 0.03
 """Of the full well: a lit LED and the matte plate in the light of the room."""
 FPS = 20.0
 MAX_DRAWS = 10_000
+MACHINE_FLAWS = MachineFlaws(place_mm=0.5, direction_deg=0.1, screw_ppm=200.0)
 
 Pose = tuple[float, float, float]
 """(a mm, b mm, φ °) of Eq. 2.59: the place of the plate's origin in the fixed frame, and its turn."""
@@ -212,14 +215,16 @@ def record(
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def known_and_unknown(scene: PlanarScene, known: int, unknown: int, lit: int | None) -> list[Stay]:
+def known_and_unknown(
+    scene: PlanarScene, known: Sequence[Pose], unknown: Sequence[Pose], lit: int | None
+) -> list[Stay]:
     """Stays at known poses with all LEDs, then at poses to be measured.
 
     ``lit`` LEDs shine at the latter; None: each pose is shown with 7, 6 … 2 of them, lost at random.
     """
     everything = tuple(range(len(scene.leds_mm)))
-    stays = [Stay(scene.near(pose), everything, pose) for pose in scene.poses(known)]
-    for pose in scene.poses(unknown):
+    stays = [Stay(scene.near(pose), everything, pose) for pose in known]
+    for pose in unknown:
         order = scene.shuffled_leds()
         counts = range(len(everything), 1, -1) if lit is None else (lit,)
         stays += [Stay(pose, tuple(sorted(order[:count]))) for count in counts]
@@ -236,6 +241,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unknown", type=natural, default=0, help="poses to be measured (default: 0)")
     parser.add_argument("--lit", type=at_least_one, help="LEDs lit at those (default: lost from 7 to 2)")
     parser.add_argument("--exposures", type=at_least_one, default=4, help="frames per pose (default: 4)")
+    machine = "let the 3-PRP machine move the plate to the unknown poses, with --lit 7; joints in the truth"
+    parser.add_argument("--machine", action="store_true", help=machine)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -245,11 +252,28 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.truth is not None:
         check_replaceable(arguments.truth)
     scene = PlanarScene(arguments.seed)
-    stays = known_and_unknown(scene, arguments.known, arguments.unknown, arguments.lit)
+    known, lit = scene.poses(arguments.known), arguments.lit
+    if arguments.machine:
+        unknown, joints = _driven(arguments.seed, arguments.unknown)
+        lit = lit or len(scene.leds_mm)
+    else:
+        unknown, joints = scene.poses(arguments.unknown), []
+    stays = known_and_unknown(scene, known, unknown, lit)
     record(arguments.output, scene, stays, arguments.exposures, terminal_progress("planar-recording"))
     if arguments.truth is not None:
         keys = ("a_mm", "b_mm", "phi_deg")
         poses = [dict(zip(keys, stay.pose, strict=True)) | {"lit": list(stay.lit)} for stay in stays]
-        truth = {"window": arguments.exposures, "poses": poses}
+        truth = {"window": arguments.exposures, "poses": poses, "joints_mm": joints}
         write_file(arguments.truth, (json.dumps(truth, indent=1) + "\n").encode())
     return 0
+
+
+def _driven(seed: int, count: int) -> tuple[list[Pose], list[list[float]]]:
+    """Poses of a machine with errors, driven to random joints, and these joints in mm."""
+    machine = source_machine(MACHINE_FLAWS, seed)
+    poses: list[Pose] = []
+    joints: list[list[float]] = []
+    for a_mm, b_mm, phi_deg in islice(random_motion(machine, HALF_RANGE), count):
+        poses.append((float(a_mm), float(b_mm), float(phi_deg)))
+        joints.append(machine.joints_mm.tolist())
+    return poses, joints

@@ -135,7 +135,7 @@ def _predictions(photo: _Photo, corner: int, camera_of_others: tuple[Any, Any]) 
     predictions = (
         apply_homography(fit_homography(kept_mm, kept_px), at_mm)[0],
         fit_tensor_map(kept_mm, kept_px, hull_mm, (3, 3)).map.to_px(at_mm)[0],
-        fit_nodes(Nodes.ordinary(kept_mm, kept_px), photo.size, None, 0).fit.map.to_px(at_mm)[0],
+        fit_nodes(Nodes.ordinary(kept_mm, kept_px), photo.size, 0).fit.map.to_px(at_mm)[0],
         _projected_px(alone, kept_mm, kept_px, at_mm),
         _projected_px(camera_of_others, kept_mm, kept_px, at_mm),
     )

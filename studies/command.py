@@ -31,6 +31,7 @@ STUDIES = {
     "chessboard": "chessboard",
     "budget": "budget",
     "kinematics": "kinematics",
+    "chain": "chain",
 }
 """Names and modules, imported when they are run: not all need the same libraries."""
 

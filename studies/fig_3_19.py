@@ -104,13 +104,13 @@ distortion.
 def _outer(grid: tuple[int, int], degree: int) -> FloatArray:
     """B of all nodes, stacked column by column: (nodes, (degree + 1)²)."""
     across, along = (gram_basis(-1 + (2 * np.arange(1, n + 1) - 1) / n, n, degree) for n in grid[::-1])
-    return np.kron(across, along)
+    return np.asarray(np.kron(across, along), dtype=np.float64)
 
 
 def node_covariance(grid: tuple[int, int], degree: int) -> FloatArray:
     """Covariance (nodes, nodes) of the fitted nodes of a grid (rows, columns) for σ = 1 (Eq. 3.53)."""
     basis = _outer(grid, degree)
-    return np.asarray(basis @ basis.T, float)
+    return basis @ basis.T
 
 
 def _drawn_variance(grid: tuple[int, int], degree: int) -> FloatArray:
@@ -138,7 +138,7 @@ def _errors_mm(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens) -> FloatArr
     places_mm = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     places_px = np.stack(lens.project(*places_mm.T), axis=-1)
     size = (WIDTH_PX, HEIGHT_PX)
-    first = fit_nodes(Nodes.ordinary(leds_mm, leds_px), size, None, 0).fit.map
+    first = fit_nodes(Nodes.ordinary(leds_mm, leds_px), size, 0).fit.map
     centres_px = leds_px + light_centre_shift_px(first.to_px, leds_mm, -disc_moment_mm2(LED_DIAMETER_MM))
     found = [_polynomial(centres_px, leds_mm, places_px, degree) for degree in TOTAL_DEGREES]
     middle, half = centres_px.mean(axis=0), np.ptp(centres_px, axis=0) / 2
@@ -146,7 +146,7 @@ def _errors_mm(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens) -> FloatArr
     design = _total(centres_px, 4)
     normal = np.linalg.solve(design.T @ design, design.T @ leds_mm)
     found.append(np.asarray(_total(places_px, 4) @ normal))
-    ours = fit_nodes(Nodes.ordinary(leds_mm, centres_px), size, None, 0).fit.map
+    ours = fit_nodes(Nodes.ordinary(leds_mm, centres_px), size, 0).fit.map
     found.append(InverseMap.of(ours).to_mm(places_px)[0])
     return np.array([np.linalg.norm(at - places_mm, axis=1).mean() for at in found])
 

@@ -155,11 +155,11 @@ def _errors(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens, rng: np.random
     places_px = np.stack(lens.project(*places_mm.T), axis=-1)
     hull_mm = convex_hull_mm(leds_mm)
     tensor = fit_tensor_map(leds_mm, leds_px, hull_mm, (3, 3)).map
-    first = fit_nodes(Nodes.ordinary(leds_mm, leds_px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+    first = fit_nodes(Nodes.ordinary(leds_mm, leds_px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
     shift_px = light_centre_shift_px(first.to_px, leds_mm, -disc_moment_mm2(LED_DIAMETER_MM))
-    ours = fit_nodes(Nodes.ordinary(leds_mm, leds_px + shift_px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+    ours = fit_nodes(Nodes.ordinary(leds_mm, leds_px + shift_px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
     noisy_px = np.stack(lens.project(*leds_mm.T), axis=-1) + rng.normal(0.0, NOISE_PX, size=leds_mm.shape)
-    noisy = fit_nodes(Nodes.ordinary(leds_mm, noisy_px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+    noisy = fit_nodes(Nodes.ordinary(leds_mm, noisy_px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
     homography = fit_homography(leds_px, leds_mm)
     mapped = {
         "homography": (apply_homography(homography, leds_px), apply_homography(homography, places_px)),

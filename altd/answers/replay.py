@@ -14,8 +14,10 @@ from typing import Any, Literal
 
 from altd import __version__
 from altd.answers.history import Drawn, History
+from altd.app.chain_replay import ChainReplay, open_chain_replay
 from altd.app.planar_replay import PlanarReplay, planar_replay_of
 from altd.app.replay import Replay, replay_of
+from altd.app.settings import load_settings
 from altd.errors import BadInputError
 from altd.files.documents import line_of
 from altd.files.writing import check_replaceable, replacing
@@ -33,7 +35,10 @@ Add = Callable[[Mapping[str, Any]], object]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Options of ``altd replay``; ``output`` None: standard output."""
+    """Options of ``altd replay``; ``output`` None: standard output.
+
+    ``config`` says of a row of switched targets which are stable.
+    """
 
     recording: Path
     calibration: Path
@@ -42,6 +47,7 @@ class Question:
     form: Format
     output: Path | None
     plot: Path | None
+    config: Path | None = None
 
 
 def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
@@ -54,6 +60,12 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     replay = _open(question)
     for line in gap_lines(replay.recording):
         warn(line)
+    config = None if question.config is None else load_settings(question.config)
+    is_chain = replay.recording.rows.has_opaque if config is None else config.unit.instrument == "chain"
+    if is_chain:
+        rounds = open_chain_replay(replay.recording, question.calibration, config, question.config)
+        _write_rounds(question, rounds, progress)
+        return
     columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
     history = History(_drawn(replay))
     count, differences_mm = 0, list[tuple[float, float]]()
@@ -78,6 +90,24 @@ def _open(question: Question) -> Replay | PlanarReplay:
     if recording.header.kind == "planar":
         return planar_replay_of(recording, question.calibration, question.window, question.every)
     return replay_of(recording, question.calibration, question.window, question.every)
+
+
+def _write_rounds(question: Question, replay: ChainReplay, progress: Callable[[int, int], None]) -> None:
+    """A line a round of a row of switched targets."""
+    if question.form != "jsonl" or question.plot is not None:
+        raise BadInputError("--format, --plot", "rounds of a chain are written as jsonl alone")
+    with _text_output(question.output) as write:
+        for document in replay.objects(progress):
+            write(line_of(document) + "\n")
+
+
+@contextmanager
+def _text_output(path: Path | None) -> Iterator[Write]:
+    if path is None:
+        yield sys.stdout.write
+        return
+    with replacing(path) as file:
+        yield lambda text: file.write(text.encode())
 
 
 def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
@@ -119,15 +149,15 @@ def _check(question: Question) -> None:
 
 @contextmanager
 def _table(question: Question, replay: Replay | PlanarReplay, columns: tuple[Column, ...]) -> Iterator[Add]:
-    if question.output is None:
-        yield _text_table(question.form, sys.stdout.write, columns)
-        return
-    with replacing(question.output) as file:
-        if question.form == "parquet":
-            with ParquetTable(file, columns, _about(question, replay)) as table:
-                yield lambda document: table.add(flat_row(document))
-        else:
-            yield _text_table(question.form, lambda text: file.write(text.encode()), columns)
+    if question.form == "parquet" and question.output is not None:
+        with (
+            replacing(question.output) as file,
+            ParquetTable(file, columns, _about(question, replay)) as table,
+        ):
+            yield lambda document: table.add(flat_row(document))
+    else:
+        with _text_output(question.output) as write:
+            yield _text_table(question.form, write, columns)
 
 
 def _text_table(form: Format, write: Write, columns: tuple[Column, ...]) -> Add:

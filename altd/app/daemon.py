@@ -269,6 +269,9 @@ class Daemon:
 
 def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
+    if config.unit.instrument != "beam":
+        why = f'unit.instrument: "{config.unit.instrument}" is measured from recordings: altd replay'
+        raise BadInputError(place, why)
     if missing := missing_files(config):
         raise BadInputError(place, *map(str, missing))
     cameras = cameras_of(config, place)

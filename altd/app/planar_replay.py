@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from altd.app.replay import utc_of
 from altd.calibration.planar_file import check_planar_recording, load_planar_calibration
 from altd.config import Measuring
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration, PlanarInstrument
 from altd.reasons import Reason
 from altd.recording.reader import Recording
-from altd.records import Fault, Measurement, Origin, counted, origin_faults, utc_of
+from altd.records import Fault, Measurement, Origin, counted, origin_faults
 from altd.status.measurement_json import as_object
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from altd.measuring.chain import MeasuringChain, Place, Provenance, View
 from altd.recording.frames_table import Row
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording, open_recording
-from altd.records import Measurement, Origin, Quantities, counted, origin_faults, utc_of
+from altd.records import Measurement, Origin, Quantities, counted, origin_faults
 from altd.status.measurement_json import as_object, as_scan_object
 
 MAX_WINDOW = 1000
@@ -278,3 +279,8 @@ def replay_of(
         positions = ScanPositions(recording, {view.camera for view in views}, averaged)
     measuring = Measuring(window=window or Measuring().window, every=every or 1).model_copy(update=settings)
     return Replay(recording, calibration, views, measuring, positions)
+
+
+def utc_of(start: datetime | None, t_ns: int) -> datetime | None:
+    """UTC of an instant of a recording that starts at ``start``; None: not known."""
+    return None if start is None else start + timedelta(microseconds=t_ns / 1000)

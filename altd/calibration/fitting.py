@@ -128,7 +128,6 @@ class _Families:
 def fit_nodes(
     nodes: Nodes,
     image_size: tuple[int, int],
-    degree: tuple[int, int] | None,
     max_dropped: int,
     fiducials: Fiducials | None = None,
 ) -> TargetFit:
@@ -140,7 +139,7 @@ def fit_nodes(
     """
 
     def fit(rows: npt.NDArray[np.intp]) -> _Families:
-        return _fit_families(nodes.select(rows), image_size, degree, fiducials)
+        return _fit_families(nodes.select(rows), image_size, fiducials)
 
     kept = np.arange(len(nodes))
     families = fit(kept)
@@ -162,7 +161,7 @@ def fit_nodes(
     try:
         outer = outer_rows(used.mm)
         inner = [used.without(row.rows) for row in outer]
-        tensors = [_tensor_again(others, degree) for others in inner]
+        tensors = [_tensor_again(others) for others in inner]
         lenses = [_lens_again(lens, others, image_size, fiducials) for others in inner]
         tensor = with_margin(tensor, used.mm, used.px, outer, tensors)
         lens = with_margin(lens, used.mm, used.px, outer, lenses)
@@ -191,21 +190,16 @@ def _suspects(families: _Families) -> dict[int, float]:
     return suspects
 
 
-def _fit_families(
-    nodes: Nodes, image_size: tuple[int, int], degree: tuple[int, int] | None, fiducials: Fiducials | None
-) -> _Families:
+def _fit_families(nodes: Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> _Families:
     hull_mm = convex_hull_mm(nodes.mm)
-    if degree is None:
-        tensors = fit_tensor_maps(nodes.mm, nodes.px, hull_mm, nodes.relative_sigma)
-    else:
-        tensors = [fit_tensor_map(nodes.mm, nodes.px, hull_mm, degree, nodes.relative_sigma)]
+    tensors = fit_tensor_maps(nodes.mm, nodes.px, hull_mm, nodes.relative_sigma)
     lenses = fit_lens_maps(nodes, hull_mm, image_size, fiducials)
     return _Families(_unfolded(tensors), _unfolded(lenses))
 
 
-def _tensor_again(nodes: Nodes, degree: tuple[int, int] | None) -> Fit:
+def _tensor_again(nodes: Nodes) -> Fit:
     """The tensor polynomial through other nodes; its degree is chosen again."""
-    return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), degree, nodes.relative_sigma)
+    return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), None, nodes.relative_sigma)
 
 
 def _lens_again(fit: Fit, nodes: Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> Fit:

@@ -211,7 +211,7 @@ def _fit(
     for _ in range(_ITERATIONS):
         nodes_px = centres_px + shift_px
         fitted = fit_nodes(
-            Nodes.ordinary(nodes_mm[kept], nodes_px[kept]), image_size, None, max_dropped - len(complaints)
+            Nodes.ordinary(nodes_mm[kept], nodes_px[kept]), image_size, max_dropped - len(complaints)
         )
         fit = fitted.fit
         for row in (kept[at] for at in fitted.dropped):
@@ -231,7 +231,7 @@ def _fit(
         disc_mm = _disc_mm(plate, usual_mm2)
         moment = spot_moment - disc_moment_mm2(disc_mm)
         shift_px = light_centre_shift_px(fit.map.to_px, nodes_mm, moment)
-    fitted = fit_nodes(Nodes.ordinary(nodes_mm[kept], (centres_px + shift_px)[kept]), image_size, None, 0)
+    fitted = fit_nodes(Nodes.ordinary(nodes_mm[kept], (centres_px + shift_px)[kept]), image_size, 0)
     return fitted, kept, complaints
 
 

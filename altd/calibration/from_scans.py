@@ -207,7 +207,6 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
         fitted = fit_nodes(
             Nodes(_positions_mm(nodes), _spots_px(nodes), relative_sigmas(nodes, job.frames.image_size)),
             job.frames.image_size,
-            None,
             grid.block.most_missing - grid.block.missing,
             fiducials,
         )

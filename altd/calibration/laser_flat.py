@@ -120,7 +120,7 @@ def _first_map(scan: TargetFrames, progress: Progress) -> tuple[TensorMap, float
         positions_mm = np.array([node.position_mm for node in nodes])
         spots_px = np.array([node.spot_px for node in nodes])
         sigmas = relative_sigmas(nodes, scan.image_size)
-        fitted = fit_nodes(Nodes(positions_mm, spots_px, sigmas), scan.image_size, None, 0).fit.map
+        fitted = fit_nodes(Nodes(positions_mm, spots_px, sigmas), scan.image_size, 0).fit.map
     except ValueError as error:
         raise BadInputError(scan.place, f"{scan.name}: {error}") from error
     diameters_mm = []

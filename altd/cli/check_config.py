@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from altd.cli.options import add_config
 from altd.process.standard_streams import complain, say
+
+if TYPE_CHECKING:
+    from altd.config import Config
 
 SUMMARY = "check settings and the files that they name"
 
@@ -32,6 +36,8 @@ def run(options: argparse.Namespace) -> int:
         complain(f"altd check-config: {error}")
     if errors:
         return 2
+    if config.unit.instrument == "chain" and not _powers_suffice(config):
+        return 2
     simulated = calibration is not None and calibration.simulated
     origin = ", calibrated from SIMULATED frames" if simulated else ""
     say(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{origin}")
@@ -40,3 +46,20 @@ def run(options: argparse.Namespace) -> int:
     for missing in missing_files(config):
         say(f"{options.config}: {missing}")
     return 0
+
+
+def _powers_suffice(config: Config) -> bool:
+    """Show the power on each target of a row of glass targets; whether it suffices for all."""
+    from altd.config import ChainSettings
+    from altd.instruments.chain.budget import powers_mw
+
+    chain = config.chain or ChainSettings()
+    powers = powers_mw(chain, len(config.targets))
+    for number, (target, power_mw) in enumerate(zip(config.targets, powers, strict=True)):
+        say(f"{target.name}: {power_mw:.4f} mW, {chain.transmission:g}^{number} of {chain.laser_mw:g} mW")
+    weak = [target.name for target, mw in zip(config.targets, powers, strict=True) if mw < chain.min_mw]
+    if weak:
+        complain(
+            f"altd check-config: {', '.join(weak)}: less than chain.min_mw, {chain.min_mw:g} mW: too dim"
+        )
+    return not weak

@@ -19,6 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the recorded unit"
     )
     parser.add_argument(
+        "--config",
+        type=Path,
+        default=argparse.SUPPRESS,
+        metavar="FILE",
+        help="settings of a row of switched targets: which are stable",
+    )
+    parser.add_argument(
         "--window",
         type=_count,
         metavar="N",
@@ -51,6 +58,7 @@ def run(options: argparse.Namespace) -> int:
         options.format,
         options.output,
         options.plot,
+        getattr(options, "config", None),
     )
     into_file = options.output is not None
     progress = progress_on("frames") if into_file else lambda done, total: None

@@ -21,16 +21,21 @@ from altd.config.interfaces import (
 )
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
-from altd.config.unit import Target
+from altd.config.unit import ChainSettings, Target, Unit
 from altd.config.whole import Config
 
-_TABLES = ("measuring", "modbus_tcp", "http", "mqtt", "opcua", "lamps", "indicators", "inclinometer", "stage")
+_TABLES = (
+    *("unit", "chain", "measuring", "modbus_tcp", "http", "mqtt", "opcua", "lamps", "indicators"),
+    *("inclinometer", "stage"),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
     """The tables of a config that rules look at. None: not there, or faulty."""
 
+    unit: Unit | None
+    chain: ChainSettings | None
     targets: tuple[Target | None, ...]
     cameras: Mapping[str, AnyCameraSettings | None]
     measuring: Measuring | None

@@ -293,7 +293,32 @@ def _celsius(settings: HwmonThermometerSettings | AravisCameraSettings, table: K
         yield Fault((*table, "max_celsius"), text, about=((*table, "min_celsius"),))
 
 
+_MAX_CHAIN_TARGETS = 16
+
+
+def _chain(draft: Draft) -> Iterator[Fault]:
+    """A chain has up to sixteen targets, and its stable ones are among them."""
+    is_chain = draft.unit is not None and draft.unit.instrument == "chain"
+    kind: Keys = ("unit", "instrument")
+    if draft.chain is not None and draft.unit is not None and not is_chain:
+        text = 'is for instrument = "chain"; possible: with it, or no table'
+        yield Fault(("chain",), text, "key", about=(kind,))
+    if is_chain and len(draft.targets) > _MAX_CHAIN_TARGETS:
+        text = f"{len(draft.targets)} targets are too many for a chain; possible: up to {_MAX_CHAIN_TARGETS}"
+        yield Fault(("targets", _MAX_CHAIN_TARGETS), text, "key", about=(kind,))
+    names = [target.name for target in draft.targets if target is not None]
+    stable = () if draft.chain is None else draft.chain.stable
+    for number, name in enumerate(stable):
+        keys: Keys = ("chain", "stable", number)
+        if name in stable[:number]:
+            yield Fault(keys, f"{shown(name)} is in the list twice; possible: each target once")
+        elif name not in names and None not in draft.targets:
+            text = f"there is no target {shown(name)}{did_you_mean(name, names)}"
+            yield Fault(keys, f"{text}; possible: {', '.join(map(shown, names))}", about=(("targets",),))
+
+
 RULES: tuple[Rule, ...] = (
+    _chain,
     _targets,
     _cameras,
     _cameras_of_one_kind,

@@ -25,6 +25,29 @@ class Unit(Table):
     """Serial number, printable; the calibration has the same."""
     calibration: Path
     """The calibration file."""
+    instrument: Literal["beam", "chain"] = "beam"
+    """`beam`: the Active Laser Target; `chain`: a row of switched glass targets (`chain.md`)."""
+
+
+class ChainSettings(Table):
+    """A row of switched glass targets on one beam, with `instrument = "chain"`."""
+
+    stable: Annotated[tuple[Name, ...], Field(max_length=16)] = ()
+    """Targets whose place does not move: they show the movement of the beam. Two or more, far apart."""
+    baseline_rounds: Annotated[int, Field(ge=1, le=1000)] = 5
+    """Rounds that make the baseline."""
+    exposures: Annotated[int, Field(ge=1, le=100)] = 4
+    """Exposures of each target in a round."""
+    alarm_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Displacement from which on a place has an alarm; none: no alarm."""
+    alarm_mm_per_day: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """The same for the speed of the last day."""
+    transmission: Annotated[float, Field(gt=0, le=1)] = 0.73
+    """Share of the beam behind a clear glass."""
+    laser_mw: Annotated[float, Field(gt=0, le=1000)] = 1.0
+    """Power of the laser on the first target."""
+    min_mw: Annotated[float, Field(gt=0, le=1000)] = 0.02
+    """Power that a target needs."""
 
 
 class Target(Table):

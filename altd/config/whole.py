@@ -25,7 +25,7 @@ from altd.config.interfaces import (
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Name, Table
-from altd.config.unit import Installation, Target, Unit
+from altd.config.unit import ChainSettings, Installation, Target, Unit
 
 
 class Config(Table):
@@ -36,6 +36,7 @@ class Config(Table):
     cameras: dict[Name, AnyCameraSettings] = Field(default={})
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
+    chain: ChainSettings | None = None
     modbus_tcp: ModbusTcpSettings | None = None
     http: HttpSettings | None = None
     mqtt: MqttSettings | None = None

@@ -135,17 +135,40 @@ class InverseMap:
         """The distance of a place from the nodes' hull, across its farthest edge; negative inside."""
         return max(nx * x_mm + ny * y_mm - offset for nx, ny, offset in self._edges)
 
+    def difference_mm2(
+        self, now_mm: FloatArray, before_mm: FloatArray, mm_per_px: FloatArray, changed: FloatArray
+    ) -> FloatArray:
+        """Covariance (2, 2) mm² that this map leaves in the difference of two places (2,) mm near each other.
+
+        The map's own uncertainty cancels as far as it is alike at both. ``changed`` (2, 2) is the share of
+        the map's noise by which the pattern differs between them: 0 at the same place, I far away.
+        """
+        of_map = self._row(*now_mm.tolist()) - self._row(*before_mm.tolist())
+        of_u, of_v = of_map @ self._spread_px
+        uu, uv, vv = self._pattern_px2
+        pattern = mm_per_px @ np.array([[uu, uv], [uv, vv]]) @ mm_per_px.T
+        differs = changed @ pattern
+        spread = mm_per_px @ np.stack([of_u, of_v])
+        outside_mm = [max(self.outside_mm(*place.tolist()), 0.0) for place in (now_mm, before_mm)]
+        farther_mm = outside_mm[0] - outside_mm[1]
+        beyond = (self.forward.beyond_px_per_mm * farther_mm) ** 2 * mm_per_px @ mm_per_px.T
+        covariance: FloatArray = differs + differs.T + spread @ spread.T + beyond
+        return covariance
+
     def _variance_px2(self, x: float, y: float) -> tuple[float, float, float]:
         """Variances of u and v and their covariance: the place's own pattern and the map's spread."""
+        of_u, of_v = self._row(x, y) @ self._spread_px
+        uu, uv, vv = self._pattern_px2
+        return uu + float(of_u @ of_u), uv + float(of_u @ of_v), vv + float(of_v @ of_v)
+
+    def _row(self, x: float, y: float) -> FloatArray:
+        """The powers y^i x^j of a place, in the axes' units."""
         x_axis, y_axis = self.forward.x_axis, self.forward.y_axis
         q = (x - (x_axis.first_mm + x_axis.last_mm) / 2) * x_axis.unit_per_mm
         r = (y - (y_axis.first_mm + y_axis.last_mm) / 2) * y_axis.unit_per_mm
         degree_x, degree_y = self.forward.degree
         along_x, along_y = [q**j for j in range(degree_x + 1)], [r**i for i in range(degree_y + 1)]
-        row = np.array([in_y * in_x for in_y in along_y for in_x in along_x])
-        of_u, of_v = row @ self._spread_px
-        uu, uv, vv = self._pattern_px2
-        return uu + float(of_u @ of_u), uv + float(of_u @ of_v), vv + float(of_v @ of_v)
+        return np.array([in_y * in_x for in_y in along_y for in_x in along_x])
 
 
 def _triangle(start: FloatArray) -> FloatArray:

@@ -14,8 +14,10 @@ from altd.errors import BadInputError
 from altd.files.reading import UnchangedFile
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
+OPAQUE = "opaque"
+"""A further column, of targets that are switched; a table may lack it."""
 POSE_COLUMNS = ("a_mm", "b_mm", "phi_deg")
-"""Where they apply: the known pose of a plate."""
+"""Further columns, of the known pose of a plate."""
 
 MAX_T_S = 1e9
 """Thirty years: the times of a recording count from its start."""
@@ -32,6 +34,7 @@ _MAX_BYTES = 1 << 28
 class Row:
     """One line of ``frames.csv``; ``position_mm`` is where a stage put the beam, if known.
 
+    ``opaque`` names the target that was switched to show the spot; empty: none.
     ``pose`` is that of a plate, (a mm, b mm, φ °), where it is known.
     """
 
@@ -42,6 +45,7 @@ class Row:
     file: str
     leds_on: bool
     position_mm: tuple[float, float] | None
+    opaque: str = ""
     pose: tuple[float, float, float] | None = None
 
 
@@ -61,13 +65,15 @@ class Rows:
     largest_sequence: int
     has_positions: bool
     """Whether any row says where the stage put the beam."""
+    has_opaque: bool = False
+    """Whether any row names a target that was switched to show the spot."""
 
     @classmethod
     def checked(cls, path: Path, cameras: Collection[str], check: Callable[[Row], None]) -> Self:
         """Read all rows of the cameras and ``check`` each, which may raise BadInputError like this."""
         table = UnchangedFile(path, _MAX_BYTES)
         count = Counter(dict.fromkeys(cameras, 0))
-        largest_sequence, has_positions = 0, False
+        largest_sequence, has_positions, has_opaque = 0, False, False
         first = last = None
         for row in _read_rows(table, cameras):
             check(row)
@@ -75,9 +81,10 @@ class Rows:
             count[row.camera] += 1
             largest_sequence = max(largest_sequence, row.sequence)
             has_positions |= row.position_mm is not None
+            has_opaque |= bool(row.opaque)
         if first is None or last is None:
             raise BadInputError(path, "has no frames")
-        return cls(table, count, first, last, largest_sequence, has_positions)
+        return cls(table, count, first, last, largest_sequence, has_positions, has_opaque)
 
     def __len__(self) -> int:
         return sum(self.count.values())
@@ -105,6 +112,8 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
                 what = "is repeated" if column in columns else "is missing"
                 what += "; columns are separated by commas" if len(columns) == 1 else ""
                 raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
+        if columns.count(OPAQUE) > 1:
+            raise BadInputError(f"{path}: row 1", f"column {OPAQUE!r} is repeated")
         last: dict[str, Row] = {}
         for record in reader:
             place = f"{path}: row {reader.line_num}"
@@ -131,7 +140,7 @@ def _check_order(place: str, above: Row, row: Row) -> None:
 
 
 def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras: Collection[str]) -> Row:
-    if any(record[column] is None for column in COLUMNS):
+    if any(record[column] is None for column in COLUMNS) or record.get(OPAQUE, "") is None:
         raise BadInputError(place, f"is torn: {sum(v is not None for v in record.values())} fields")
     text = {column: str(record[column]).strip() for column in COLUMNS}
     if text["camera"] not in cameras:
@@ -150,8 +159,18 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras
     if sequence != int(sequence) or sequence < 0:
         raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
     t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
-    leds_on, pose = text["leds"] == "on", _pose(place, record)
-    return Row(number, int(sequence), t_s, text["camera"], text["file"], leds_on, position, pose)
+    leds_on, opaque = text["leds"] == "on", (record.get(OPAQUE) or "").strip()
+    return Row(
+        number,
+        int(sequence),
+        t_s,
+        text["camera"],
+        text["file"],
+        leds_on,
+        position,
+        opaque,
+        _pose(place, record),
+    )
 
 
 def _pose(place: str, record: Mapping[str, str | None]) -> tuple[float, float, float] | None:

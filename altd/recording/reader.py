@@ -15,7 +15,7 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
-from altd.errors import BadInputError
+from altd.errors import BadInputError, did_you_mean
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
 from altd.recording.frames_table import Row, Rows
@@ -45,7 +45,7 @@ class Recording:
             raise BadInputError(self.rows.place(row), f"{row.file}: {error.message}") from error
         pixels.flags.writeable = False
         t_ns = round(row.t_s * 1e9)
-        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on)
+        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on, opaque=row.opaque)
 
     def sha256(self) -> str:
         """Hash over header, rows and all frame files, in the rows' order."""
@@ -67,7 +67,16 @@ def open_recording(path: Path) -> Recording:
         raise BadInputError(path, f"is no recording: {lacks}")
     header = read_header(path / HEADER_FILE)
     table = path / FRAMES_FILE
-    return Recording(path, header, Rows.checked(table, header.cameras, partial(_check_png, path, header)))
+    return Recording(path, header, Rows.checked(table, header.cameras, partial(_check_row, path, header)))
+
+
+def _check_row(path: Path, header: RecordingHeader, row: Row) -> None:
+    """The name of a switched target, and the frame's file."""
+    names = [target.name for target in header.shown_targets]
+    if row.opaque and row.opaque not in names:
+        known = f"is no target of recording.json{did_you_mean(row.opaque, names)}"
+        raise BadInputError(f"{path / FRAMES_FILE}: row {row.number}", f"opaque {row.opaque!r} {known}")
+    _check_png(path, header, row)
 
 
 def _check_png(path: Path, header: RecordingHeader, row: Row) -> None:

@@ -60,6 +60,7 @@ class Frame:
     to, else None.
     ``changing``: exposure or gain was being set; which value this frame has is unknown.
     ``playthrough`` counts how often a recording was played before: its pictures come again by intent.
+    ``opaque`` names the target that was switched to show the spot; empty: none.
     """
 
     camera: str
@@ -72,6 +73,7 @@ class Frame:
     gain_db: float | None = None
     changing: bool = False
     playthrough: int = 0
+    opaque: str = ""
 
     @property
     def full_scale(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 from altd.reasons import Reason
 from altd.records.faults import Fault
@@ -192,8 +192,3 @@ class Measurement:
 def utc_text(time: datetime) -> str:
     """ISO 8601 in UTC with milliseconds and ``Z``."""
     return time.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def utc_of(start: datetime | None, t_ns: int) -> datetime | None:
-    """The time of day of ``t_ns`` in a recording that began at ``start``; None where that is not known."""
-    return None if start is None else start + timedelta(microseconds=t_ns / 1000)

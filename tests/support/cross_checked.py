@@ -14,7 +14,7 @@ NODES = grid()
 
 def fitted_unit(kind: LensKind, seed: int) -> tuple[TargetFit, np.random.Generator]:
     rng = np.random.default_rng([seed, round(kind.focal_mm * 10)])
-    return fit_nodes(Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, None, 0), rng
+    return fit_nodes(Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, 0), rng
 
 
 def difference_px(fitted: TargetFit, wrong: TensorMap, points_mm: np.ndarray) -> np.ndarray:

@@ -60,8 +60,8 @@ DEFECTS = (
     Defect(
         "frames under the frame LEDs are taken for frames without",
         "altd/recording/frames_table.py",
-        'text["leds"] == "on", position',
-        'text["leds"] == "lit", position',
+        'leds_on, opaque = text["leds"] == "on"',
+        'leds_on, opaque = text["leds"] == "lit"',
     ),
     Defect(
         "a limit of the config may be zero",

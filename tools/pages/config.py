@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
+    ChainSettings,
     Config,
     ConsolePortSettings,
     ExposureSettings,
@@ -72,6 +73,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ("[measuring]", Measuring, ""),
     ("[installation]", Installation, "Default: the beam in the unit frame."),
+    ("[chain]", ChainSettings, 'With `instrument = "chain"` alone: `chain.md`.'),
     (
         "[modbus_tcp]",
         ModbusTcpSettings,

@@ -1,7 +1,8 @@
 """A certificate as XML in the structure of the Digital Calibration Certificate, version 3.3.0.
 
 The elements are those of the namespaces https://ptb.de/dcc and https://ptb.de/si, in the order of their
-sequences. The file is not validated against the schema that the PTB publishes.
+sequences. A complete unit's file is valid by the PTB's schemas of the certificate 3.3.0 and of D-SI 2.2.0,
+which are not part of this repository.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ twice there is no failure, so they are read again every few readings, too.
 
 from __future__ import annotations
 
+import os
 import termios
 import time
 from collections.abc import Iterable
@@ -26,7 +27,6 @@ from altd.records.sensors import within_half_turn
 from altd.serial_port.opening import LineSettings, close_serial, open_serial
 
 _READ_TIMEOUT_S = 0.01
-_WRITE_TIMEOUT_S = 0.3
 _ANSWER_TIMEOUT_S = 0.2
 """From the end of the request to the first byte of the answer; the sensors state cycles of 20 to 180 ms."""
 _GAP_TIMEOUT_S = 0.03
@@ -49,7 +49,6 @@ class Line:
                 settings.device,
                 LineSettings(baud, settings.parity, settings.stop_bits),
                 read_timeout_s=_READ_TIMEOUT_S,
-                write_timeout_s=_WRITE_TIMEOUT_S,
             )
         except OSError as error:
             raise InclinometerNotFoundError(f"{settings.device}: {error.strerror}") from error
@@ -69,7 +68,7 @@ class Line:
         frame = question.frame
         try:
             self._port.reset_input_buffer()
-            self._port.write(frame)
+            self._send(frame)
             begun = time.monotonic()
             deadline = begun + self._seconds(len(frame)) + _ANSWER_TIMEOUT_S
             limit = begun + self._seconds(len(frame) + _MAX_BYTES) + _ANSWER_TIMEOUT_S
@@ -84,9 +83,16 @@ class Line:
                 elif is_late:
                     break
             heard += self._port.read(min(self._port.in_waiting, _MAX_BYTES))  # came while the process slept
+        except BlockingIOError as error:
+            raise InclinometerNotFoundError(f"{self._device}: the port takes no request") from error
         except (OSError, termios.error, TypeError) as error:  # pyserial's errors; TypeError: it is gone
             raise InclinometerNotFoundError(f"{self._device}: the port is gone: unplugged?") from error
         return heard
+
+    def _send(self, frame: bytes) -> None:
+        """Write a request as a whole; pyserial's write times out where the process sleeps after it."""
+        if os.write(self._port.fileno(), frame) < len(frame):
+            raise BlockingIOError
 
     def _seconds(self, length: int) -> float:
         return length * _BITS_PER_CHARACTER / self._baud

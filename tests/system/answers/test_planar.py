@@ -26,7 +26,7 @@ def scene() -> PlanarScene:
 @pytest.fixture(scope="module")
 def known(scene: PlanarScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("planar") / "known"
-    record(folder, scene, known_and_unknown(scene, 6, 0, None), 2, lambda done, planned: None)
+    record(folder, scene, known_and_unknown(scene, scene.poses(6), [], None), 2, lambda done, planned: None)
     return folder
 
 

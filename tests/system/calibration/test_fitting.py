@@ -26,7 +26,7 @@ def test_a_node_displaced_by_2_mm_is_found_beside_dark_ones(node: int, kind: Len
     reached[node] += 2 * np.array([np.cos(direction), np.sin(direction)])
     px = seen(lens, reached, rng)
     rows = np.delete(np.arange(30), dark)
-    fitted = fit_nodes(Nodes.ordinary(NODES[rows], px[rows]), SIZE, None, 3)
+    fitted = fit_nodes(Nodes.ordinary(NODES[rows], px[rows]), SIZE, 3)
     assert rows[fitted.dropped].tolist() == [node]
     points = fitted.fit.map.dense_mm()
     assert np.abs(fitted.fit.map.to_px(points) - lens(points)).max() < 0.2
@@ -38,7 +38,7 @@ def test_two_displaced_nodes_are_found() -> None:
     reached = NODES.copy()
     reached[7] += (2.0, 0.0)
     reached[24] += (0.0, 1.5)
-    fitted = fit_nodes(Nodes.ordinary(NODES, seen(lens, reached, rng)), SIZE, None, MOST_DROPPED)
+    fitted = fit_nodes(Nodes.ordinary(NODES, seen(lens, reached, rng)), SIZE, MOST_DROPPED)
     assert fitted.dropped == [7, 24]
 
 
@@ -48,7 +48,7 @@ def test_ordinary_nodes_are_all_kept_however_the_noise_falls() -> None:
         kind = TABLE_3_2[seed % 4]
         assert (
             fit_nodes(
-                Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, None, MOST_DROPPED
+                Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, MOST_DROPPED
             ).dropped
             == []
         )

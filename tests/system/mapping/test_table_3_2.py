@@ -55,7 +55,7 @@ def measure(kind: LensKind, columns: int, seed: int) -> dict[str, np.ndarray]:
     maps = {
         "tensor": fit_tensor_map(nodes, px, hull).map,
         "lens": fit_lens_map(Nodes.ordinary(nodes, px), hull, SIZE, optics).map,
-        "chosen": fit_nodes(Nodes.ordinary(nodes, px), SIZE, None, 0).fit.map,
+        "chosen": fit_nodes(Nodes.ordinary(nodes, px), SIZE, 0).fit.map,
     }
     return {"homography": np.linalg.norm(flat - points, axis=1)} | {
         name: errors_mm(forward, lens, points) for name, forward in maps.items()

@@ -29,9 +29,7 @@ def wrong_window(p: np.ndarray) -> np.ndarray:
 def test_a_lens_gets_a_lens_model_and_a_tensor_polynomial_that_checks_it() -> None:
     for kind in TABLE_3_2:
         rng = np.random.default_rng(1)
-        fitted = fit_nodes(
-            Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, None, MOST_DROPPED
-        )
+        fitted = fit_nodes(Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, MOST_DROPPED)
         assert fitted.fit.map.model in ("lens", "fisheye")
         assert fitted.cross_check.map.model == "tensor"
         assert fitted.dropped == []
@@ -39,7 +37,7 @@ def test_a_lens_gets_a_lens_model_and_a_tensor_polynomial_that_checks_it() -> No
 
 def test_what_is_no_lens_gets_a_tensor_polynomial_and_a_lens_model_that_checks_it() -> None:
     px = bent(NODES) + np.random.default_rng(2).normal(0, 0.05, NODES.shape)
-    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, None, MOST_DROPPED)
+    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, MOST_DROPPED)
     assert fitted.fit.map.model == "tensor"
     assert fitted.cross_check.map.model != "tensor"
 
@@ -48,7 +46,7 @@ def test_a_lens_that_departs_from_its_model_gets_a_polynomial_on_top() -> None:
     rng = np.random.default_rng(3)
     lens = make_lens(TABLE_3_2[3], rng)  # of which a tensor polynomial misses much
     px = seen(lens, NODES, rng) + wrong_window(NODES)
-    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, None, MOST_DROPPED)
+    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, MOST_DROPPED)
     assert fitted.fit.map.model.endswith("+tensor")
     points = rng.uniform((-60, -48), (60, 48), (100, 2))
     truth = lens(points) + wrong_window(points)
@@ -63,7 +61,7 @@ def test_a_lens_that_departs_from_its_model_gets_a_polynomial_on_top() -> None:
 def test_every_model_that_was_tried_is_told_with_its_figures() -> None:
     rng = np.random.default_rng(4)
     fitted = fit_nodes(
-        Nodes.ordinary(NODES, seen(make_lens(TABLE_3_2[1], rng), NODES, rng)), SIZE, None, MOST_DROPPED
+        Nodes.ordinary(NODES, seen(make_lens(TABLE_3_2[1], rng), NODES, rng)), SIZE, MOST_DROPPED
     )
     tensors = {c.degree: c for c in fitted.candidates if c.model == "tensor"}
     assert set(tensors) == {(x, y) for x in range(1, 5) for y in range(1, 4)}  # nodes less two
@@ -79,19 +77,11 @@ def test_every_model_that_was_tried_is_told_with_its_figures() -> None:
     )
 
 
-def test_a_degree_that_is_asked_for_is_the_only_one() -> None:
-    rng = np.random.default_rng(5)
-    fitted = fit_nodes(
-        Nodes.ordinary(NODES, seen(make_lens(TABLE_3_2[1], rng), NODES, rng)), SIZE, (3, 2), MOST_DROPPED
-    )
-    assert [c.degree for c in fitted.candidates if c.model == "tensor"] == [(3, 2)]
-
-
 def test_without_its_corner_the_map_does_not_reach_there() -> None:
     rng = np.random.default_rng(9)
     px = seen(make_lens(TABLE_3_2[1], rng), NODES, rng)
     px[0] += 10.0
-    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, None, 3)
+    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, 3)
     assert fitted.dropped == [0]
     assert contains(fitted.fit.map.hull_mm, NODES).tolist() == [False, *[True] * 29]
 
@@ -100,7 +90,7 @@ def test_positions_need_not_be_those_that_were_meant() -> None:
     rng = np.random.default_rng(7)
     lens = make_lens(TABLE_3_2[1], rng)
     reached = NODES + rng.normal(0, 0.3, NODES.shape)  # and the stage reports them
-    fitted = fit_nodes(Nodes.ordinary(reached, seen(lens, reached, rng)), SIZE, None, MOST_DROPPED)
+    fitted = fit_nodes(Nodes.ordinary(reached, seen(lens, reached, rng)), SIZE, MOST_DROPPED)
     points = rng.uniform((-60, -48), (60, 48), (100, 2))
     assert fitted.dropped == []
     assert fitted.fit.map.to_px(points) == pytest.approx(lens(points), abs=0.1)
@@ -109,7 +99,7 @@ def test_positions_need_not_be_those_that_were_meant() -> None:
 def test_a_map_never_folds_over_on_itself() -> None:
     folded = np.column_stack([400 - 0.05 * (NODES[:, 0] - 20) ** 2, 240 - 4 * NODES[:, 1]])
     px = folded + np.random.default_rng(8).normal(0, 0.01, NODES.shape)
-    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, None, 0)
+    fitted = fit_nodes(Nodes.ordinary(NODES, px), SIZE, 0)
     assert fit_tensor_map(NODES, px, convex_hull_mm(NODES)).map.folds
     assert not fitted.fit.map.folds
     assert not fitted.cross_check.map.folds

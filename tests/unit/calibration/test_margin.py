@@ -28,7 +28,7 @@ def rippled(px: FloatArray, places_mm: FloatArray) -> FloatArray:
 
 def fitted(px: FloatArray, sigma: FloatArray | None = None) -> TargetFit:
     nodes = Nodes.ordinary(NODES, px) if sigma is None else Nodes(NODES, px, sigma)
-    return fit_nodes(nodes, (WIDTH_PX, HEIGHT_PX), None, 0)
+    return fit_nodes(nodes, (WIDTH_PX, HEIGHT_PX), 0)
 
 
 def around(rng: np.random.Generator, count: int) -> FloatArray:

@@ -26,11 +26,20 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         'serial = "TEST-1"',
         '«serail = "TEST-1"',
         "unit.serail",
-        "no such key; possible: calibration, serial; did you",
+        "no such key; possible: calibration, instrument, serial; did you",
     ),
     ('[unit]\nserial = "TEST-1"', "«[unit]", "unit.serial", "this key is missing"),
     ('calibration = "cal.json"', "calibration = «3", "unit.calibration", "3 is not a path"),
     ("[unit]", "«[uint]", "uint", "no such table; "),
+    ('serial = "TEST-1"', 'serial = "TEST-1"\ninstrument = «"row"', "unit.instrument", "possible: "),
+    # [chain]
+    ("[measuring]", "«[chain]\n\n[measuring]", "chain", 'is for instrument = "chain"'),
+    (
+        'calibration = "cal.json"',
+        'calibration = "cal.json"\ninstrument = "chain"\n\n[chain]\nstable = [«"raer"]',
+        "chain.stable.0",
+        'there is no target "raer"; did you mean `rear`?; possible: "front", "rear"',
+    ),
     # [[targets]]
     ('name = "front"', 'name = «"Front"', "targets.0.name", "has characters that are not allowed"),
     ('name = "rear"', 'name = «"front"', "targets.1.name", '"front" is the name of targets.0 too'),

@@ -69,7 +69,7 @@ def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
         (
             'serial = "TEST-1"',
             'serial = "TEST-1"\ncolour = 3',
-            "unit.colour: there is no such key; possible: calibration, serial",
+            "unit.colour: there is no such key; possible: calibration, instrument, serial",
         ),
         (
             "z_mm = 280.0",

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from itertools import count
+from pathlib import Path
 
 import pytest
+import serial
 from support.inclinometer import answering, settings
 from support.modbus_rtu_wire import frame
 from support.wire import Wire
@@ -14,7 +17,7 @@ from altd.acquisition.inclination.judging import InclinationJudge
 from altd.devices.inclinometer import driver
 from altd.devices.inclinometer.driver import Line, ModbusInclinometer
 from altd.devices.inclinometer.registers import BALLUFF
-from altd.ports import InclinometerDisturbedError
+from altd.ports import InclinometerDisturbedError, InclinometerNotFoundError
 from hw_sim.inclinometer import Inclinometer
 
 
@@ -55,15 +58,36 @@ def test_an_answer_that_waits_while_the_machine_is_busy_is_read_to_its_end(
         def reset_input_buffer(self) -> None:
             pass
 
-        def write(self, request: bytes) -> None:
-            pass
+        def fileno(self) -> int:
+            return sink.fileno()
 
         def read(self, size: int) -> bytes:
             return rest.pop(0) if rest else b""
 
     monkeypatch.setattr(driver, "open_serial", lambda *_, **__: Port())
     monkeypatch.setattr(driver.time, "monotonic", lambda: next(times_s))
-    assert Line(settings("/dev/any"), 19200, 1).ask(4, 0, 1) == [300]
+    with Path(os.devnull).open("wb") as sink:
+        assert Line(settings("/dev/any"), 19200, 1).ask(4, 0, 1) == [300]
+
+
+def test_a_process_that_sleeps_while_it_asks_has_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyserial's own clock jumps by a second at each look: its write would call the port gone."""
+    times_s = count(0.0, 1.0)
+    with answering(lambda request: frame(b"\x04\x02\x01\x2c", 1)) as wire:
+        line = Line(settings(wire.device), 19200, 1)
+        monkeypatch.setattr(serial.serialutil.Timeout, "TIME", lambda *_: next(times_s))
+        assert line.ask(4, 0, 1) == [300]
+
+
+def test_a_line_that_takes_nothing_is_reported_at_once() -> None:
+    wire = Wire.laid()
+    line = Line(settings(wire.device), 19200, 1)
+    with wire.device.open("wb", buffering=0) as other_end:
+        os.set_blocking(other_end.fileno(), False)
+        while other_end.write(bytes(4096)):
+            pass
+        with pytest.raises(InclinometerNotFoundError, match="takes no request"):
+            line.ask(4, 0, 1)
 
 
 def test_a_line_that_is_an_answer_behind_gives_no_roll_that_is_believed() -> None:

@@ -219,3 +219,35 @@ def test_the_hash_changes_with_a_frame(recording: Path) -> None:
     before = open_recording(recording).sha256()
     cv2.imwrite(str(recording / "rear0001.png"), np.zeros((480, 752), np.uint8))
     assert open_recording(recording).sha256() != before
+
+
+def add_opaque(path: Path, *names: str) -> None:
+    """Give frames.csv a column ``opaque`` with these names, row by row."""
+    lines = (path / "frames.csv").read_text().splitlines()
+    cells = ("opaque", *names)
+    (path / "frames.csv").write_text(
+        "".join(f"{line},{cell}\n" for line, cell in zip(lines, cells, strict=True))
+    )
+
+
+def test_a_row_names_the_target_that_is_switched_to_show_the_spot(recording: Path) -> None:
+    assert not open_recording(recording).rows.has_opaque
+    add_opaque(recording, "front", "front", "", " rear ")
+    opened = open_recording(recording)
+    assert opened.rows.has_opaque
+    assert [row.opaque for row in opened.rows] == ["front", "front", "", "rear"]
+    assert [opened.frame(row).opaque for row in opened.rows] == ["front", "front", "", "rear"]
+
+
+def test_an_unknown_opaque_target_a_torn_row_and_a_repeated_column_are_refused(recording: Path) -> None:
+    add_opaque(recording, "front", "front", "raer", "rear")
+    table = recording / "frames.csv"
+    assert complaint(recording) == (
+        f"{table}: row 4: opaque 'raer' is no target of recording.json; did you mean `rear`?"
+    )
+    edit(recording, 4, "raer", "rear")
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([*lines[:-1], lines[-1].rsplit(",", 1)[0]]) + "\n")
+    assert ": row 5: is torn: " in complaint(recording)
+    add_opaque(recording, *["front"] * 4)
+    assert complaint(recording) == f"{table}: row 1: column 'opaque' is repeated"

@@ -1,0 +1,210 @@
+"""Displacements of the places: −(the spot's movement − the beam's movement there) since the baseline."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from altd.instruments.chain.beam import at_instant, gain_at, moved_stable
+from altd.instruments.chain.places import Place, systematic_mm2
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.records import FloatArray
+
+_MIN_BASELINE_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displacement:
+    """The displacement (dx, dy) of a place with its covariance (2, 2), mm.
+
+    ``random_mm2`` is the part that scatters from round to round, ``lasting_mm2`` what texture and map
+    leave and a longer mean does not remove; the rest is the baseline's.
+    """
+
+    t_ns: int
+    mm: FloatArray
+    covariance_mm2: FloatArray
+    random_mm2: FloatArray
+    lasting_mm2: FloatArray
+
+    @property
+    def significance(self) -> float:
+        """√(dᵀ C⁻¹ d): its length in standard deviations; without movement above 3.0 in 1 % of the rounds."""
+        return math.sqrt(float(self.mm @ np.linalg.solve(self.covariance_mm2, self.mm)))
+
+
+@dataclass(frozen=True, slots=True)
+class Displaced:
+    """The displacements of a round, by target; a target without is absent.
+
+    ``moved`` are stable targets that do not fit the others; ``disagree``: some do not fit, and it is not
+    known which. ``beam`` says what of the beam's movement is known: ``line``, ``offset`` or ``nothing``.
+    """
+
+    places: Mapping[str, Displacement] = field(default_factory=dict)
+    moved: tuple[str, ...] = ()
+    disagree: bool = False
+    beam: str = "line"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Epoch:
+    """A target's spot in a round, and those of the stable targets at that instant."""
+
+    place: Place
+    stable: Mapping[str, Place]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Movement:
+    """A spot's movement since the baseline, (2,) mm, and the parts of its covariance (2, 2)."""
+
+    mm: FloatArray
+    random_mm2: FloatArray
+    baseline_mm2: FloatArray
+    lasting_mm2: FloatArray
+
+    @property
+    def covariance_mm2(self) -> FloatArray:
+        return self.random_mm2 + self.baseline_mm2 + self.lasting_mm2
+
+
+class Baseline:
+    """The first rounds in which all stable targets were measured, and movements since then."""
+
+    def __init__(self, calibration: Calibration, stable: Sequence[str], rounds: int) -> None:
+        self._targets: dict[str, TargetCalibration] = {of.name: of for of in calibration.targets}
+        self._limits = calibration.limits
+        self._stable = tuple(stable)
+        self._rounds = rounds
+        self._taken: list[Mapping[str, Place]] = []
+        self._epochs: list[dict[str, _Epoch]] = []
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether displacements are known."""
+        return bool(self._epochs)
+
+    def has(self, target: str) -> bool:
+        """Whether a target was measured in at least half of the baseline's rounds."""
+        return len(self._of(target)) >= _MIN_BASELINE_SHARE * self._rounds
+
+    def take(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> None:
+        """A round of the baseline; one in which a stable target was not measured counts for nothing."""
+        if places and all(name in places for name in self._stable):
+            self._taken.append(places)
+        if len(self._taken) == self._rounds:
+            self._epochs = [self._epochs_of(of_round, history) for of_round in self._taken]
+            self._taken = []
+
+    def displaced(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> Displaced:
+        """The displacements of a round; ``history`` holds each target's visits, before and after it too."""
+        epochs = {name: epoch for name, epoch in self._epochs_of(places, history).items() if self.has(name)}
+        stable = [name for name in self._stable if name in epochs]
+        moved = self._moved_stable(stable, epochs)
+        if moved is None:
+            return Displaced(disagree=True)
+        stable = [name for name in stable if name not in moved]
+        own = {name: self._own_movement(name, epoch) for name, epoch in epochs.items()}
+        unknown_mm2 = _unknown_beam_mm2(own, {name: self._targets[name].z_mm for name in own}, stable)
+        found = {}
+        for name, epoch in epochs.items():
+            reference = [other for other in stable if other != name] if len(stable) > 2 else stable
+            found[name] = self._displacement(name, epoch, own[name], reference, unknown_mm2[name])
+        return Displaced(found, moved, beam=("nothing", "offset", "line")[min(len(stable), 2)])
+
+    def _moved_stable(self, stable: Sequence[str], epochs: Mapping[str, _Epoch]) -> tuple[str, ...] | None:
+        """See ``moved_stable``; all at the instant of one of them, for the beam drifts within a round."""
+        if len(stable) < 3:  # two fit any beam
+            return ()
+        at = stable[len(stable) // 2]
+        movements = {name: self._movement(at, name, epochs[at]) for name in stable}
+        return moved_stable(
+            {name: self._targets[name].z_mm for name in stable},
+            {name: of.mm for name, of in movements.items()},
+            {name: of.covariance_mm2 for name, of in movements.items()},
+        )
+
+    def _displacement(
+        self, name: str, epoch: _Epoch, own: _Movement, reference: Sequence[str], unknown_mm2: FloatArray
+    ) -> Displacement:
+        """Of one place, against the stable targets ``reference``.
+
+        One of two stable targets or fewer is itself what holds the beam: by definition it does not move, and
+        its sigma is that of its own movement.
+        """
+        movements = [self._movement(name, other, epoch) for other in reference]
+        zeros = np.zeros((2, 2))
+        random, baseline, lasting = own.random_mm2, own.baseline_mm2, own.lasting_mm2 + unknown_mm2
+        mm = np.zeros(2)
+        if name not in reference:
+            mm = -own.mm
+            if reference:
+                gain = gain_at(
+                    [self._targets[other].z_mm for other in reference],
+                    [of.covariance_mm2 for of in movements],
+                    self._targets[name].z_mm,
+                )
+                mm = mm + gain @ np.concatenate([of.mm for of in movements])
+                parts = [zeros, zeros, zeros]
+                for index, of in enumerate(movements):
+                    each = gain[:, 2 * index : 2 * index + 2]
+                    of_parts = (of.random_mm2, of.baseline_mm2, of.lasting_mm2)
+                    parts = [
+                        total + each @ part @ each.T for total, part in zip(parts, of_parts, strict=True)
+                    ]
+                random, baseline, lasting = random + parts[0], baseline + parts[1], lasting + parts[2]
+        return Displacement(epoch.place.t_ns, mm, random + baseline + lasting, random, lasting)
+
+    def _epochs_of(
+        self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]
+    ) -> dict[str, _Epoch]:
+        epochs = {}
+        for name, place in places.items():
+            instants = {other: at_instant(history.get(other, ()), place.t_ns) for other in self._stable}
+            epochs[name] = _Epoch(place, {k: v for k, v in instants.items() if v is not None})
+        return epochs
+
+    def _of(self, target: str) -> list[_Epoch]:
+        return [epochs[target] for epochs in self._epochs if target in epochs]
+
+    def _own_movement(self, name: str, epoch: _Epoch) -> _Movement:
+        return self._since(name, [each.place for each in self._of(name)], epoch.place)
+
+    def _movement(self, name: str, stable: str, epoch: _Epoch) -> _Movement:
+        """A stable target's movement from the instants of ``name`` in the baseline to the current one."""
+        return self._since(stable, [each.stable[stable] for each in self._of(name)], epoch.stable[stable])
+
+    def _since(self, name: str, before: Sequence[Place], now: Place) -> _Movement:
+        mean = replace(
+            before[0],
+            mm=np.mean([each.mm for each in before], axis=0),
+            excess_mm2=float(np.mean([each.excess_mm2 for each in before])),
+        )
+        baseline = np.sum([each.random_mm2 for each in before], axis=0) / len(before) ** 2
+        lasting = systematic_mm2(self._targets[name], self._limits, now, mean)
+        return _Movement(now.mm - mean.mm, now.random_mm2, baseline, lasting)
+
+
+def _unknown_beam_mm2(
+    own: Mapping[str, _Movement], z_mm: Mapping[str, float], stable: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Variance (2, 2) by what the stable targets do not tell of the beam, at each target.
+
+    Without two of them the movement that all targets have in common is taken as what the beam may have done,
+    one sigma: of one stable target the angle about it, without any the offset too.
+    """
+    if len(stable) > 1 or not own:
+        return {name: np.zeros((2, 2)) for name in own}
+    z = np.array([z_mm[name] for name in own])
+    moved = np.array([movement.mm for movement in own.values()])
+    anchor_mm, held = (
+        (z_mm[stable[0]], own[stable[0]].mm) if stable else (float(z.mean()), moved.mean(axis=0))
+    )
+    lever = z - anchor_mm
+    slope = lever @ (moved - held) / max(float(lever @ lever), 1e-9)
+    offset = np.zeros(2) if stable else held
+    return {name: np.diag((offset + slope * (z_mm[name] - anchor_mm)) ** 2) for name in own}

@@ -1,0 +1,157 @@
+"""The beam's movement: interpolation in time, the weighted line, stable targets that moved; the rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from altd.config import ChainSettings
+from altd.instruments.chain.beam import at_instant, gain_at, moved_stable
+from altd.instruments.chain.budget import powers_mw
+from altd.instruments.chain.displacement import Displacement
+from altd.instruments.chain.places import Place
+from altd.instruments.chain.rate import DAY_NS, Trend, alarms
+from altd.instruments.chain.rounds import RoundWindow, Sight
+from altd.reasons import Reason
+from altd.records import NoSpot, Spot
+
+SIGMA_MM = 0.01
+
+
+def place(t_s: float, x_mm: float, y_mm: float = 0.0) -> Place:
+    random = SIGMA_MM**2 * np.eye(2)
+    return Place(round(t_s * 1e9), 4, np.array([x_mm, y_mm]), random, random, 0.0, 2.5, np.eye(2) * 0.3)
+
+
+def test_a_parabola_in_time_is_met_exactly_between_visits() -> None:
+    def beam(t_s: float) -> tuple[float, float]:
+        return 0.3 + 0.02 * t_s - 0.003 * t_s**2, 1.0 - 0.01 * t_s
+
+    visits = [place(t_s, *beam(t_s)) for t_s in (0.0, 10.0, 21.0, 30.0)]
+    for t_s in (2.0, 12.5, 25.0):
+        found = at_instant(visits, round(t_s * 1e9))
+        assert found is not None
+        assert found.mm == pytest.approx(beam(t_s), abs=1e-9)
+    exact = at_instant(visits, 21 * 10**9)
+    assert exact is not None
+    assert exact.random_mm2[0, 0] == SIGMA_MM**2
+
+
+def test_a_jump_between_two_visits_is_in_sigma() -> None:
+    """Jumps of 0.5 mm at an unknown moment: the errors' rms is that of the stated sigma."""
+    rng = np.random.default_rng(1)
+    ratios = []
+    for _ in range(2000):
+        jump_s, at_s = rng.uniform(20.0, 30.0), rng.uniform(20.0, 30.0)
+        times = (0.0, 10.0, 20.0, 30.0)
+        visits = [place(t, 0.5 * (t > jump_s) + rng.normal(0.0, SIGMA_MM)) for t in times]
+        found = at_instant(visits, round(at_s * 1e9))
+        assert found is not None
+        ratios.append((found.mm[0] - 0.5 * (at_s > jump_s)) / np.sqrt(found.random_mm2[0, 0]))
+    assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.25
+
+
+def test_the_gain_is_that_of_a_weighted_line() -> None:
+    """Of two targets at 0 and 60 m a place at 15 m has 3/4 and 1/4 of their movements; of one, its own."""
+    same = [np.eye(2) * 1e-4] * 2
+    assert gain_at([0.0, 60e3], same, 15e3) == pytest.approx(
+        np.array([[0.75, 0.0, 0.25, 0.0], [0.0, 0.75, 0.0, 0.25]])
+    )
+    assert np.array_equal(gain_at([20e3], same[:1], 55e3), np.eye(2))
+    variances = [1e-4, 4e-4, 1e-4]
+    z = np.array([0.0, 30e3, 60e3])
+    gain = gain_at(z.tolist(), [np.eye(2) * each for each in variances], 10e3)
+    weights = 1.0 / np.array(variances)
+    slope = np.polynomial.polynomial.polyfit((z - 10e3) / 1e3, np.eye(3), 1, w=np.sqrt(weights))
+    assert gain[0, 0::2] == pytest.approx(slope[0])
+
+
+def test_of_three_stable_targets_it_cannot_be_told_which_moved_of_four_it_can() -> None:
+    z_mm = {"a": 0.0, "b": 20e3, "c": 40e3, "d": 60e3}
+    covariances = {name: np.eye(2) * SIGMA_MM**2 for name in z_mm}
+
+    def movements(moved: str, by_mm: float) -> dict[str, np.ndarray]:
+        beam = {name: np.array([0.5 + 1e-5 * z, -0.2 + 2e-5 * z]) for name, z in z_mm.items()}
+        return {name: mm + np.array([by_mm * (name == moved), 0.0]) for name, mm in beam.items()}
+
+    assert moved_stable(z_mm, movements("b", 0.0), covariances) == ()
+    assert moved_stable(z_mm, movements("b", 0.2), covariances) == ("b",)
+    three = {name: mm for name, mm in movements("b", 0.2).items() if name != "d"}
+    assert moved_stable(z_mm, three, covariances) is None
+    two = {name: three[name] for name in ("a", "b")}
+    assert moved_stable(z_mm, two, covariances) == ()
+
+
+def displacement(day: float, x_mm: float, lasting_mm: float = 0.0) -> Displacement:
+    random, lasting = SIGMA_MM**2 * np.eye(2), lasting_mm**2 * np.eye(2)
+    return Displacement(round(day * DAY_NS), np.array([x_mm, 0.0]), random + lasting, random, lasting)
+
+
+def test_the_rate_is_that_of_the_last_day_with_its_sigma() -> None:
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(60):
+        trend = Trend()
+        for day in np.arange(0.0, 1.5, 0.002):
+            rate = trend.add(displacement(day, 0.05 * day + rng.normal(0.0, SIGMA_MM)))
+        assert rate is not None
+        errors.append((rate.mm_per_day[0] - 0.05) / rate.sigma[0])
+    assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
+    assert rate.sigma[0] < 0.002
+
+
+def test_alarms_need_the_limit_and_significance() -> None:
+    assert alarms(displacement(0.0, 0.5), None, 0.4, None) == ("alarm_displacement",)
+    assert alarms(displacement(0.0, 0.3), None, 0.4, None) == ()
+    assert alarms(displacement(0.0, 0.5, lasting_mm=0.3), None, 0.4, None) == ()
+    assert alarms(displacement(0.0, 0.5), None, None, 0.1) == ()
+    trend = Trend()
+    for day in np.arange(0.0, 1.0, 0.01):
+        rate = trend.add(displacement(day, 0.2 * day))
+    assert alarms(displacement(1.0, 0.2), rate, None, 0.1) == ("alarm_rate",)
+    assert alarms(displacement(1.0, 0.2), rate, None, 0.3) == ()
+
+
+def test_powers_are_those_of_transmission_to_the_n() -> None:
+    assert powers_mw(ChainSettings(laser_mw=2.0), 3) == pytest.approx((2.0, 1.46, 1.0658))
+
+
+def sights(order: str, start: int = 0) -> list[Sight]:
+    spot = Spot(100.0, 100.0, 0.01, 35.0, 150.0)
+    return [Sight(name, name, start + n, (start + n) * 10**8, spot) for n, name in enumerate(order)]
+
+
+@pytest.mark.parametrize(
+    ("order", "rounds"),
+    [
+        ("abcabc", ["abc", "abc"]),
+        ("bcabca", ["abc", "abc"]),  # begins anywhere
+        ("aabbccaabbcc", ["abc", "abc"]),
+        ("cabcab", ["abc", "abc"]),
+        ("abcacabc", ["abc", "ac", "abc"]),  # b is not visited once
+        ("acacabc", ["ac", "abc"]),  # the first, partial one is none
+        ("abcab", ["abc"]),  # nor is the last
+    ],
+)
+def test_a_round_is_one_visit_of_all_targets(order: str, rounds: list[str]) -> None:
+    window = RoundWindow(("a", "b", "c"))
+    found = [window.add(sight) for sight in sights(order)]
+    ended = [round_ for round_ in [*found, window.flush()] if round_ is not None]
+    assert ["".join(sorted(round_.visits)) for round_ in ended] == rounds
+
+
+def test_a_visits_last_exposures_count_and_unbelievable_light_is_not_known() -> None:
+    window = RoundWindow(("a", "b"))
+    for sight in sights("aaaaaaabbb"):
+        window.add(sight)
+    visit = window.flush()
+    assert visit is not None
+    assert [sight.sequence for sight in visit.visits["a"].own(4)] == [3, 4, 5, 6]
+    assert visit.visits["a"].brightness("a", 4) == [150.0 * 35.0**2] * 4
+    assert visit.visits["a"].brightness("b", 4) is None
+    for reason, light in ((Reason.SPOT_MISSING, [0.0]), (Reason.SATURATED, None)):
+        one = RoundWindow(("a",))
+        one.add(Sight("a", "a", 0, 0, NoSpot(reason)))
+        only = one.flush()
+        assert only is not None
+        assert only.visits["a"].brightness("a", 4) == light
