@@ -99,7 +99,7 @@ def print_false_lights(calibrations: Mapping[int, PlanarCalibration], poses: int
             rng = np.random.default_rng([seed, lit, others])
             scene, instrument = PlanarScene(seed), PlanarInstrument(calibration)
             for pose in scene.poses(poses):
-                leds_mm = places_mm(scene.leds_mm, pose)[rng.permutation(len(scene.leds_mm))[:lit]]
+                leds_mm = places_mm(scene.true_leds_mm, pose)[rng.permutation(len(scene.leds_mm))[:lit]]
                 lights_mm = rng.uniform((-90.0, -70.0), (90.0, 70.0), size=(others, 2)) + MIDDLE_MM
                 seen = np.vstack([leds_mm, lights_mm])
                 tally[_outcome(instrument, _discs(scene, seen, rng), pose)] += 1

@@ -81,7 +81,7 @@ class PlanarScene:
     lens: Lens = field(init=False)
     _plane_mm: tuple[Image, Image] = field(init=False)
     _fall_off: Image = field(init=False)
-    _true_leds_mm: FloatArray = field(init=False)
+    true_leds_mm: FloatArray = field(init=False)
     _brightness: FloatArray = field(init=False)
     _rng: np.random.Generator = field(init=False)
 
@@ -110,7 +110,7 @@ class PlanarScene:
         x_mm, y_mm = self.lens.unproject(u, v)
         self._plane_mm = x_mm.astype(np.float32), y_mm.astype(np.float32)
         self._fall_off = self.lens.relative_illumination(x_mm, y_mm).astype(np.float32)
-        self._true_leds_mm = self.leds_mm + rng.normal(0.0, LED_PLACE_SIGMA_MM, size=self.leds_mm.shape)
+        self.true_leds_mm = self.leds_mm + rng.normal(0.0, LED_PLACE_SIGMA_MM, size=self.leds_mm.shape)
         self._brightness = rng.uniform(MIN_BRIGHTNESS, 1.0, size=len(self.leds_mm))
         self._rng = rng
 
@@ -141,7 +141,7 @@ class PlanarScene:
         """Electrons of each pixel without noise; ``lit`` are the LEDs that shine, counted from 0."""
         covered = np.zeros((HEIGHT_PX, WIDTH_PX), np.float32)
         radius_mm = LED_DIAMETER_MM / 2.0
-        for led, (x_mm, y_mm) in enumerate(places_mm(self._true_leds_mm, pose).tolist()):
+        for led, (x_mm, y_mm) in enumerate(places_mm(self.true_leds_mm, pose).tolist()):
             if led in lit:
                 brightness = float(self._brightness[led])
                 add_disc(covered, self.lens, self._plane_mm, (x_mm, y_mm), radius_mm, brightness)

@@ -90,7 +90,7 @@ class PlanarResult:
             *errors,
             f"model: {of.fit.camera.model}; {counted(len(of.known_phi_deg), 'known pose')}; sigma of a "
             f"centre {of.fit.noise_px:.4f} px, in one frame {of.frame_noise_px:.4f} px, of an LED's place "
-            f"{of.fit.sigma_led_mm:.4f} mm, of a known pose {of.fit.sigma_pose_mm:.4f} mm",
+            f"{of.fit.sigma_led_mm:.4f} mm, of a known a or b {of.fit.sigma_pose_mm[0]:.4f} mm",
         )
 
 

@@ -67,7 +67,7 @@ class _Content(_Table):
     covariance: list[list[float]]
     noise_px: Sigma
     sigma_led_mm: Sigma
-    sigma_pose_mm: Sigma
+    sigma_pose_mm: tuple[Sigma, Sigma, Sigma]
     frame_noise_px: Sigma
     hull_mm: Annotated[list[_Place], Field(min_length=3)]
     known_phi_deg: Annotated[list[float], Field(min_length=1)]
@@ -98,7 +98,7 @@ def save_planar_calibration(calibration: PlanarCalibration, path: Path) -> None:
         "covariance": fit.covariance.tolist(),
         "noise_px": fit.noise_px,
         "sigma_led_mm": fit.sigma_led_mm,
-        "sigma_pose_mm": fit.sigma_pose_mm,
+        "sigma_pose_mm": list(fit.sigma_pose_mm),
         "frame_noise_px": calibration.frame_noise_px,
         "hull_mm": calibration.hull_mm.tolist(),
         "known_phi_deg": list(calibration.known_phi_deg),

@@ -29,5 +29,5 @@ def leave_one_out(
         a, b, phi = np.array(solved.pose) - seen.pose
         per_unit = np.array([1.0, 1.0, math.radians(1.0) * radius])
         off.append(np.array([a, b, wrapped_deg(float(phi))]) * per_unit)
-        sigma.append(np.sqrt(np.diag(solved.covariance) * per_unit**2 + fit.sigma_pose_mm**2))
+        sigma.append(np.sqrt(np.diag(solved.covariance) * per_unit**2 + np.square(fit.sigma_pose_mm)))
     return np.array(off), np.array(sigma)

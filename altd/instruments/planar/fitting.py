@@ -41,7 +41,7 @@ class PlaneFit:
 
     ``covariance`` is that of the camera's parameters and then of x, y of each LED. ``noise_px`` is the
     standard deviation of a centre that averaging does not reduce, ``sigma_led_mm`` that of an LED from its
-    stated place, ``sigma_pose_mm`` that of a known pose: of a, b, and of φ at the layout's radius.
+    stated place, ``sigma_pose_mm`` (3,) those of a known pose: of a, of b, and of φ at the layout's radius.
     """
 
     camera: PlaneCamera
@@ -49,7 +49,7 @@ class PlaneFit:
     covariance: FloatArray
     noise_px: float
     sigma_led_mm: float
-    sigma_pose_mm: float
+    sigma_pose_mm: tuple[float, float, float]
 
 
 def fit_plane(
@@ -93,9 +93,8 @@ def _with_spread(
     )
     poses = slice(leds.stop, leds.stop + 3 * len(sightings))
     can_tell = len(sightings) >= MIN_POSES_FOR_SPREAD
-    noise, sigma_led, sigma_pose = _INITIAL_NOISE_PX, _INITIAL_SIGMA_MM, _INITIAL_SIGMA_MM
-    if not can_tell:
-        sigma_led = sigma_pose = _MIN_SIGMA_MM
+    noise, sigma_led = _INITIAL_NOISE_PX, _INITIAL_SIGMA_MM if can_tell else _MIN_SIGMA_MM
+    sigma_pose = np.full(3, sigma_led)
     errors = np.zeros(poses.stop - cameras)
     for _ in range(_ITERATIONS):
         jacobian, miss = design.linearised(camera, errors)
@@ -103,7 +102,7 @@ def _with_spread(
             [
                 camera.precision,
                 np.full(leds_mm.size, sigma_led**-2),
-                np.full(3 * len(sightings), sigma_pose**-2),
+                np.tile(sigma_pose**-2, len(sightings)),
             ]
         )
         known = np.concatenate([camera.parameters, errors]) * precision
@@ -119,14 +118,16 @@ def _with_spread(
         noise = max(math.sqrt(float(residual @ residual) / degrees), _MIN_NOISE_PX)
         if can_tell:
             sigma_led = _sigma(errors[: leds_mm.size], of_data[leds])
-            sigma_pose = _sigma(errors[leds_mm.size :], of_data[poses])
+            of_poses, known_of = errors[leds_mm.size :].reshape(-1, 3), of_data[poses].reshape(-1, 3)
+            place = _sigma(of_poses[:, :2].ravel(), known_of[:, :2].ravel())
+            sigma_pose = np.array([place, place, _sigma(of_poses[:, 2], known_of[:, 2])])
     return PlaneFit(
         camera,
         leds_mm + errors[: leds_mm.size].reshape(-1, 2),
         np.asarray(covariance[: leds.stop, : leds.stop], dtype=np.float64),
         noise,
         sigma_led,
-        sigma_pose,
+        (float(sigma_pose[0]), float(sigma_pose[1]), float(sigma_pose[2])),
     )
 
 

@@ -107,7 +107,7 @@ def test_the_lens_is_found_where_no_led_was(calibration: PlanarCalibration) -> N
     points = np.stack(np.meshgrid(np.linspace(-60, 60, 7), np.linspace(650, 750, 7)), axis=-1).reshape(-1, 2)
     assert np.abs(calibration.fit.camera.to_px(points) - seen(points)).max() < 0.05
     assert np.abs(calibration.fit.camera.to_mm(seen(points)) - points).max() < 0.02
-    assert max(calibration.fit.sigma_led_mm, calibration.fit.sigma_pose_mm) < 0.003
+    assert max(calibration.fit.sigma_led_mm, *calibration.fit.sigma_pose_mm) < 0.003
 
 
 @pytest.mark.parametrize("leds", [7, 4, 3, 2])
