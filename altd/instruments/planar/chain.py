@@ -12,6 +12,7 @@ import numpy as np
 
 from altd.instruments.planar.instrument import Leds, PlanarInstrument
 from altd.instruments.planar.leds import find_leds, led_image
+from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.gate import Gate
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, Frame, Measurement, Value
@@ -53,6 +54,7 @@ class PlanarChain:
         """The LEDs of the exposures at this pose, the newest last."""
         self._known_pose: tuple[float, float, float] | None = None
         self._since = 0
+        self._freshness = FreshnessCheck()
         self._gate = Gate()
 
     def add(self, frame: Frame, known_pose: tuple[float, float, float] | None = None) -> Measurement | None:
@@ -60,7 +62,11 @@ class PlanarChain:
         before = self._still[-1] if self._still else None
         if self._exposures and frame.sequence != self._exposures[-1].sequence + 1:
             before = None
-        leds = self._instrument.identify(find_leds(led_image(frame.pixels)), before)
+        leds: Leds | Fault
+        if repeated := self._freshness.repeated(frame):
+            leds = Fault(Reason.FRAME_REPEATED, detail=repeated)
+        else:
+            leds = self._instrument.identify(find_leds(led_image(frame.pixels)), before)
         has_moved = known_pose != self._known_pose
         if isinstance(leds, Leds):
             has_moved = has_moved or self._has_moved(leds)

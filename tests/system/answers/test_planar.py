@@ -66,6 +66,17 @@ def test_leds_lost_one_by_one_and_windows_of_one_pose(
             assert abs(line[key] - truth) < min(limit, 5 * line["sigma"][key])
 
 
+def test_a_frozen_camera_gives_no_pose(scene: PlanarScene, calibration: Path, tmp_path: Path) -> None:
+    a, b, phi = scene.poses(1)[0]
+    stays = [Stay((a, b, phi), ALL), Stay((a + 5.0, b, phi), ALL)]
+    record(tmp_path / "rec", scene, stays, 3, lambda done, planned: None)
+    for number in (3, 4, 5):  # the plate moves, and the camera repeats what it saw
+        shutil.copy(tmp_path / "rec/plate/000002.png", tmp_path / f"rec/plate/{number:06d}.png")
+    measured = lines(tmp_path / "rec", calibration, "--window", "2")
+    assert [line["valid"] for line in measured] == [True] * 3 + [False] * 3
+    assert {line["status"][0] for line in measured[3:]} == {"frame_repeated"}
+
+
 def test_a_move_of_a_motor_step_begins_a_window(
     scene: PlanarScene, calibration: Path, tmp_path: Path
 ) -> None:
