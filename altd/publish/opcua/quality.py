@@ -61,6 +61,8 @@ OF_REASON: Mapping[Reason, Status] = {
     Reason.WRONG_SHAPE: Status.BAD,
     Reason.DISTORTED: Status.BAD,
     Reason.UNSTEADY: Status.BAD,
+    Reason.LEDS_MISSING: Status.BAD,
+    Reason.LEDS_MISFIT: Status.BAD,
     Reason.REHEARSAL: Status.UNCERTAIN_SIMULATED_VALUE,
     Reason.PLAYBACK: Status.UNCERTAIN_SIMULATED_VALUE,
     Reason.SIMULATED: Status.UNCERTAIN_SIMULATED_VALUE,
