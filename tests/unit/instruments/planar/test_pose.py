@@ -70,8 +70,8 @@ def calibrated(model: str = "lens", known: int = 10) -> PlanarCalibration:
         fit = replace(fit, noise_px=1e-3)  # the noise of a frame is all that there is
     hull = convex_hull_mm(np.concatenate([placed(of.pose) for of in sightings]))
     turns = tuple(of.pose[2] for of in sightings)
-    now, nobody = datetime(2026, 1, 1, tzinfo=UTC), CameraIdentity()
-    return PlanarCalibration("P", now, "", "", nobody, Origin.CAMERA, DISC_MM, fit, NOISE_PX, hull, turns)
+    now, unknown = datetime(2026, 1, 1, tzinfo=UTC), CameraIdentity()
+    return PlanarCalibration("P", now, "", "", unknown, Origin.CAMERA, DISC_MM, fit, NOISE_PX, hull, turns)
 
 
 @pytest.fixture(scope="module")
