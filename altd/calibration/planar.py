@@ -131,8 +131,9 @@ def calibrate_planar(recording: Recording, progress: Progress = lambda done, tot
     areas_px = [stay.discs[light].area_px for stay, pairs in kept for _, light in pairs]
     per_mm = homography_camera(homography, seen_mm, size).px_per_mm(seen_mm)
     disc_mm = _disc_mm(place, plate, float(np.median(areas_px / np.abs(np.linalg.det(per_mm)))))
-    sightings, outliers = _without_outliers(sightings, leds_mm, disc_mm, size)
+    numbered, outliers = _without_outliers(sightings, leds_mm, disc_mm, size)
     refused += [f"{recording.rows.place(stays[at].row)}: {why}" for at, why in outliers]
+    stays, sightings = [stays[at] for at, _ in numbered], [seen for _, seen in numbered]
     chosen, rms, factor = _chosen(recording, stays, sightings, leds_mm, disc_mm)
     fit = fit_plane(chosen, leds_mm, sightings, disc_mm, size)
     frame_noise, lasting = _noise_px(stays, fit.noise_px)
@@ -260,8 +261,8 @@ def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
 
 def _without_outliers(
     sightings: Sequence[Sighting], leds_mm: FloatArray, disc_mm: float, size: tuple[int, int]
-) -> tuple[list[Sighting], list[tuple[int, str]]]:
-    """The sightings without LEDs that are not where all others put them, and which those were."""
+) -> tuple[list[tuple[int, Sighting]], list[tuple[int, str]]]:
+    """The sightings, by number, without LEDs that are not where all others put them, and which those were."""
     model: Model = "lens" if len(sightings) >= MIN_POSES_FOR_SPREAD else "homography"
     fit = fit_plane(model, leds_mm, sightings, disc_mm, size)
     kept, outliers = [], []
@@ -279,7 +280,7 @@ def _without_outliers(
         ]
         rims = tuple(rim for rim, is_good in zip(seen.rims_px, good.tolist(), strict=True) if is_good)
         if good.sum() >= 2:
-            kept.append(Sighting(seen.pose, seen.leds[good], seen.centres_px[good], rims))
+            kept.append((at, Sighting(seen.pose, seen.leds[good], seen.centres_px[good], rims)))
     return kept, outliers
 
 
