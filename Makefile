@@ -73,6 +73,7 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	export ALTD_MADE_ONCE=$$(mktemp -d) # calibrated units, for all parts
 	trap 'rm -rf "$$ALTD_MADE_ONCE"' EXIT
 	failed=
+	rm -f .pytest_cache/v/cache/lastfailed
 	part() { # NAME COMMAND...
 	    printf '\n== %s\n' "$$1"
 	    "$${@:2}" || failed+=" $$1"
@@ -86,7 +87,7 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	part system $(pytest) $(side_by_side) -m 'not real_time and not alone' $(addprefix --ignore=,$(core_system)) tests/system
 	part real-time timed 'real_time and not alone' --numprocesses $(cores) --dist loadfile
 	part alone timed alone
-	[[ -z $$failed ]] || { echo "altd: tests failed:$$failed" >&2; exit 1; }
+	[[ -z $$failed ]] || { cat .pytest_cache/v/cache/lastfailed; echo "altd: tests failed:$$failed" >&2; exit 1; }
 
 test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
 	@exec $(pytest) $(side_by_side) tests/workshop

@@ -13,7 +13,14 @@ import numpy as np
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
 from altd.instruments.planar.cross_validation import leave_one_out
-from altd.instruments.planar.fitting import MIN_POSES_FOR_SPREAD, Sighting, fit_plane, radius_mm, scaled
+from altd.instruments.planar.fitting import (
+    MIN_POSES_FOR_SPREAD,
+    PlaneFit,
+    Sighting,
+    fit_plane,
+    radius_mm,
+    scaled,
+)
 from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.instruments.planar.instrument import MIN_LEDS, PlanarCalibration
 from altd.instruments.planar.layout import (
@@ -43,6 +50,8 @@ _NEAR_SHARE = 0.25
 """An LED is sought within this share of the layout's least distance from where the known pose puts it."""
 _DIAMETER_RATIO_LIMITS = 0.75, 1.33
 _OUTLIER_SIGMAS, _MIN_OUTLIER_PX = 8.0, 0.3
+_MEDIAN_OF_RAYLEIGH = 1.1774
+"""Median length of an error whose components have a standard deviation of 1."""
 _MIN_LASTING_SHARE = 0.3
 _UNSEEN_FACTOR = 3.0
 """Of sigma where too few poses show what a lens does outside of them."""
@@ -262,26 +271,41 @@ def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
 def _without_outliers(
     sightings: Sequence[Sighting], leds_mm: FloatArray, disc_mm: float, size: tuple[int, int]
 ) -> tuple[list[tuple[int, Sighting]], list[tuple[int, str]]]:
-    """The sightings, by number, without LEDs that are not where all others put them, and which those were."""
-    model: Model = "lens" if len(sightings) >= MIN_POSES_FOR_SPREAD else "homography"
-    fit = fit_plane(model, leds_mm, sightings, disc_mm, size)
-    kept, outliers = [], []
-    limit_px = max(_OUTLIER_SIGMAS * fit.noise_px, _MIN_OUTLIER_PX)
-    for at, seen in enumerate(sightings):
-        noise = np.full(len(seen.leds), fit.noise_px)
-        pose = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, noise).pose
-        off_px = np.linalg.norm(
-            fit.camera.to_px(placed_mm(fit.leds_mm[seen.leds], pose)) - seen.centres_px, axis=1
-        )
-        good = (off_px < limit_px) | (len(seen.leds) < 4)
-        outliers += [
-            (at, f"the light taken for LED {led} is {off:.1f} px from its place")
-            for led, off in zip(seen.leds[~good].tolist(), off_px[~good].tolist(), strict=True)
-        ]
-        rims = tuple(rim for rim, is_good in zip(seen.rims_px, good.tolist(), strict=True) if is_good)
-        if good.sum() >= 2:
-            kept.append((at, Sighting(seen.pose, seen.leds[good], seen.centres_px[good], rims)))
-    return kept, outliers
+    """The sightings without LEDs that are not where all others put them, and those LEDs.
+
+    Each comes with the index of its pose. The limit rests on the median, so that one pose whose lights are no
+    LEDs does not hide itself by the noise that it adds to the fit.
+    """
+    kept = list(enumerate(sightings))
+    outliers: list[tuple[int, str]] = []
+    while True:
+        seen = [of for _, of in kept]
+        model: Model = "lens" if len(seen) >= MIN_POSES_FOR_SPREAD else "homography"
+        fit = fit_plane(model, leds_mm, seen, disc_mm, size)
+        off_px = [_off_px(fit, of, disc_mm) for of in seen]
+        typical_px = float(np.median(np.concatenate(off_px))) / _MEDIAN_OF_RAYLEIGH
+        limit_px = max(_OUTLIER_SIGMAS * typical_px, _MIN_OUTLIER_PX)
+        better, found = [], []
+        for (at, of), off in zip(kept, off_px, strict=True):
+            good = (off < limit_px) | (len(of.leds) < 4)
+            found += [
+                (at, f"the light taken for LED {led} is {px:.1f} px from its place")
+                for led, px in zip(of.leds[~good].tolist(), off[~good].tolist(), strict=True)
+            ]
+            rims = tuple(rim for rim, is_good in zip(of.rims_px, good.tolist(), strict=True) if is_good)
+            if good.sum() >= MIN_LEDS:
+                better.append((at, Sighting(of.pose, of.leds[good], of.centres_px[good], rims)))
+        if not found:
+            return kept, outliers
+        kept, outliers = better, outliers + found
+
+
+def _off_px(fit: PlaneFit, seen: Sighting, disc_mm: float) -> FloatArray:
+    """How far each LED of a pose is from where the pose that fits them best puts it."""
+    noise = np.full(len(seen.leds), fit.noise_px)
+    pose = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, noise).pose
+    placed = fit.camera.to_px(placed_mm(fit.leds_mm[seen.leds], pose))
+    return np.asarray(np.linalg.norm(placed - seen.centres_px, axis=1))
 
 
 def _chosen(

@@ -19,6 +19,8 @@ MIN_POSES_FOR_SPREAD = 3
 """From fewer known poses errors of poses, of LEDs' places and of centres cannot be separated."""
 
 _ITERATIONS = 12
+_MAX_HALVINGS = 10
+"""Of a step that makes the fit worse."""
 _MIN_NOISE_PX = 1e-3
 _MIN_SIGMA_MM = 1e-4
 _INITIAL_NOISE_PX = 0.02
@@ -96,8 +98,8 @@ def _with_spread(
     noise, sigma_led = _INITIAL_NOISE_PX, _INITIAL_SIGMA_MM if can_tell else _MIN_SIGMA_MM
     sigma_pose = np.full(3, sigma_led)
     errors = np.zeros(poses.stop - cameras)
+    jacobian, miss = design.linearised(camera, errors)
     for _ in range(_ITERATIONS):
-        jacobian, miss = design.linearised(camera, errors)
         precision = np.concatenate(
             [
                 camera.precision,
@@ -105,17 +107,27 @@ def _with_spread(
                 np.tile(sigma_pose**-2, len(sightings)),
             ]
         )
-        known = np.concatenate([camera.parameters, errors]) * precision
+        known = np.concatenate([camera.parameters, errors])
         free = slice(0 if is_free else cameras, None)
         normal = jacobian.T @ jacobian / noise**2 + np.diag(precision)
-        step = np.linalg.solve(normal[free, free], (jacobian.T @ miss / noise**2 - known)[free])
-        camera = camera.moved_by(step[:cameras]) if is_free else camera
-        errors = errors + step[-len(errors) :]
+        step = np.zeros(len(known))
+        step[free] = np.linalg.solve(
+            normal[free, free], (jacobian.T @ miss / noise**2 - known * precision)[free]
+        )
+        cost = float(miss @ miss) / noise**2 + float(known**2 @ precision)
+        for _ in range(_MAX_HALVINGS):
+            moved = camera.moved_by(step[:cameras]), errors + step[cameras:]
+            with np.errstate(all="ignore"):  # a step too far
+                of_moved = design.linearised(*moved)
+                penalty = float((known + step) ** 2 @ precision)
+                if float(of_moved[1] @ of_moved[1]) / noise**2 + penalty <= cost:
+                    (camera, errors), (jacobian, miss) = moved, of_moved
+                    break
+            step /= 2
         covariance = np.linalg.inv(normal)
         of_data = 1.0 - np.diag(covariance) * precision
-        residual = design.linearised(camera, errors)[1]
-        degrees = max(len(residual) - float(of_data.sum()), 1.0)
-        noise = max(math.sqrt(float(residual @ residual) / degrees), _MIN_NOISE_PX)
+        degrees = max(len(miss) - float(of_data.sum()), 1.0)
+        noise = max(math.sqrt(float(miss @ miss) / degrees), _MIN_NOISE_PX)
         if can_tell:
             sigma_led = _sigma(errors[: leds_mm.size], of_data[leds])
             of_poses, known_of = errors[leds_mm.size :].reshape(-1, 3), of_data[poses].reshape(-1, 3)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support.cli import altd_here, refusal
 
@@ -125,6 +127,24 @@ def test_a_known_pose_that_contradicts_the_others_is_named(
     said = refusal(altd_here("calibrate", folder, "-o", tmp_path / "cal.json"))
     assert f"{folder / 'frames.csv'}: row 2: a_mm, b_mm, phi_deg are " in said
     assert not (tmp_path / "cal.json").exists()
+
+
+def test_a_pose_that_is_named_is_the_right_one_where_one_before_it_was_left_out(
+    scene: PlanarScene, tmp_path: Path
+) -> None:
+    """At the second pose all lights are 3 mm from the LEDs, each elsewhere; the fifth is stated wrong."""
+    stays = known_and_unknown(scene, scene.poses(8), [], None)
+    turns = np.radians([0, 130, 250, 40, 170, 290, 80])
+    scattered = places_mm(scene.leds_mm, stays[1].pose) + 3.0 * np.stack([np.cos(turns), np.sin(turns)], 1)
+    stays[1] = replace(stays[1], lit=(), lights=tuple(Light(x, y) for x, y in scattered.tolist()))
+    record(tmp_path / "rec", scene, stays, 1, lambda done, planned: None)
+    right = altd_here("calibrate", tmp_path / "rec", "-o", tmp_path / "cal.json")
+    assert (right.status, "model: lens; 7 known poses" in right.out) == (0, True), right
+    a_mm, b_mm, phi_deg = stays[4].stated or stays[4].pose
+    stays[4] = replace(stays[4], stated=(a_mm, b_mm + 1.0, phi_deg))
+    record(tmp_path / "wrong", scene, stays, 1, lambda done, planned: None)
+    said = refusal(altd_here("calibrate", tmp_path / "wrong", "-o", tmp_path / "wrong.json"))
+    assert f"{tmp_path / 'wrong' / 'frames.csv'}: row 6: a_mm, b_mm, phi_deg are " in said
 
 
 def test_wrong_files_are_refused(known: Path, calibration: Path, tmp_path: Path) -> None:
