@@ -301,7 +301,7 @@ def _without_outliers(
 
 
 def _off_px(fit: PlaneFit, seen: Sighting, disc_mm: float) -> FloatArray:
-    """How far each LED of a pose is from where the pose that fits them best puts it."""
+    """Distance (n,) px of each LED of a pose from where the pose that fits them best puts it."""
     noise = np.full(len(seen.leds), fit.noise_px)
     pose = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, noise).pose
     placed = fit.camera.to_px(placed_mm(fit.leds_mm[seen.leds], pose))

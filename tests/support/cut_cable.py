@@ -5,16 +5,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 
+from support.tcp_server import TcpServer
 
-class Cable:
+
+class Cable(TcpServer):
     """``async with``: from ``port`` to the unit's port."""
 
     def __init__(self, unit_port: int) -> None:
+        super().__init__(self._connected)
         self._unit_port = unit_port
         self._whole = asyncio.Event()
         self._whole.set()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self.port = 0
 
     def cut(self) -> None:
         self._whole.clear()
@@ -22,27 +23,8 @@ class Cable:
     def mend(self) -> None:
         self._whole.set()
 
-    async def __aenter__(self) -> Cable:
-        self._server = await asyncio.start_server(self._connected, "127.0.0.1", 0)
-        self.port = self._server.sockets[0].getsockname()[1]
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._server.close()
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        try:
-            unit_reader, unit_writer = await asyncio.open_connection("127.0.0.1", self._unit_port)
-        except OSError:
-            writer.close()
-            return
+        unit_reader, unit_writer = await asyncio.open_connection("127.0.0.1", self._unit_port)
         try:
             async with asyncio.TaskGroup() as both:
                 both.create_task(self._forward(reader, unit_writer))
@@ -50,7 +32,6 @@ class Cable:
         except* (OSError, EOFError):
             pass
         finally:
-            writer.close()
             unit_writer.close()
 
     async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -28,6 +28,7 @@ from altd.status.proof import Identity
 from altd.status.state import UnitState
 from support.foreign import need_program
 from support.ports import free_port
+from support.tcp_server import TcpServer
 from tools.pages.example import MEASURED, SERIAL
 
 CONNECTED = bytes.fromhex("20 03 00 00 00")
@@ -63,19 +64,15 @@ class ChosenBroker:
     ends: asyncio.Queue[int] = field(default_factory=asyncio.Queue)
     """The last packet of each connection that has ended, by its type."""
     answers_pings: bool = True
-    _open: set[asyncio.Task[None]] = field(default_factory=set)
     _writer: asyncio.StreamWriter | None = None
 
     async def __aenter__(self) -> Self:
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
-        self.port = self._server.sockets[0].getsockname()[1]
+        self._server = await TcpServer(self._serve, self.port).__aenter__()
+        self.port = self._server.port
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        self._server.close()
-        for task in self._open:
-            task.cancel()
-        await asyncio.gather(*self._open, return_exceptions=True)
+        await self._server.__aexit__()
 
     async def until(self, topic: str) -> Published:
         """The next message on a topic that ends so."""
@@ -89,9 +86,6 @@ class ChosenBroker:
         self._writer.write(data)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._open.add(task)
         self.begins.put_nowait(None)
         kind = 0
         try:
@@ -109,12 +103,8 @@ class ChosenBroker:
                     writer.write(b"\x90\x04" + body[:2] + bytes([0, self.granted]))
                 elif kind == PINGREQ and self.answers_pings:
                     writer.write(b"\xd0\x00")
-        except (asyncio.CancelledError, asyncio.IncompleteReadError, ConnectionError):
-            pass
         finally:
-            self._open.discard(task)
             self.ends.put_nowait(kind)
-            writer.close()
 
 
 async def packet_of(reader: asyncio.StreamReader) -> tuple[int, int, bytes]:
@@ -284,47 +274,24 @@ async def subscribed(port: int, *arguments: str, topic: str = "altd/#") -> Async
         await process.communicate()
 
 
-class Valve:
+class Valve(TcpServer):
     """A way to a broker that can stop reading what the unit sends.
 
     ``sent`` has what each connection has sent to the broker.
     """
 
     def __init__(self, port: int) -> None:
-        self.port, self._to = 0, port
+        super().__init__(self._join, limit=1024)
+        self._to = port
         self.sent: list[bytearray] = []
         self.open = asyncio.Event()
         self.open.set()
-        self._flows: set[asyncio.Task[None]] = set()
-
-    async def __aenter__(self) -> Self:
-        self._server = await asyncio.start_server(self._join, "127.0.0.1", 0, limit=1024)
-        self.port = self._server.sockets[0].getsockname()[1]
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._server.close()
-        self.cut()
-        await asyncio.gather(*self._flows, return_exceptions=True)
 
     async def _join(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._flows.add(task)
-        try:
-            back, forth = await asyncio.open_connection("127.0.0.1", self._to)
-            self.sent.append(bytearray())
-            with contextlib.closing(forth):
-                await asyncio.gather(self._flow(reader, forth, self.sent[-1]), self._flow(back, writer))
-        except (OSError, asyncio.CancelledError):
-            pass
-        finally:
-            writer.close()
-
-    def cut(self) -> None:
-        """End all connections."""
-        for flow in self._flows:
-            flow.cancel()
+        back, forth = await asyncio.open_connection("127.0.0.1", self._to)
+        self.sent.append(bytearray())
+        with contextlib.closing(forth):
+            await asyncio.gather(self._flow(reader, forth, self.sent[-1]), self._flow(back, writer))
 
     async def _flow(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, kept: bytearray | None = None

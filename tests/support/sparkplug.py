@@ -201,7 +201,7 @@ async def record(folder: Path) -> Recorded:
                 await host.until(DATA)
                 await host.command(encoded(rebirth()))
                 await host.until(BIRTH)
-                valve.cut()
+                valve.hang_up()
                 await host.until(DEATH)
                 await host.until(BIRTH)
                 unit.measure(MEASUREMENTS + 1, time=_captured())

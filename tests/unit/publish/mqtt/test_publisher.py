@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
+import socket
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -261,3 +263,17 @@ def test_files_that_cannot_be_used_are_named_at_the_start(tmp_path: Path) -> Non
             PublishingUnit.made(1, credentials=login)
     with pytest.raises(BadInputError, match=r"ca\.pem: No such file"):
         PublishingUnit.made(1, ca=tmp_path / "ca.pem")
+
+
+@pytest.mark.parametrize("turns", range(6))
+def test_a_server_of_a_test_leaves_no_connection_behind_that_it_is_accepting(turns: int) -> None:
+    """Its warnings would come with any later garbage collection, and fail the test that runs then."""
+
+    async def connected() -> None:
+        async with ChosenBroker() as broker:
+            with socket.create_connection(("127.0.0.1", broker.port)):
+                for _ in range(turns):
+                    await asyncio.sleep(0)
+
+    asyncio.run(connected())
+    gc.collect()
