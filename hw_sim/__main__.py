@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from altd.cli.arguments import Parser
 from altd.process.endings import run_to_end
-from hw_sim import demo, flat, measure, planar, plate, scan
+from hw_sim import demo, flat, measure, planar, planar_demo, plate, scan
 from hw_sim.chain import command as chain
 from hw_sim.gige import command as gige
 
@@ -18,6 +18,7 @@ COMMANDS = {
     "demo": (demo, "run the daemon on a simulated unit; show values and truth"),
     "gige": (gige, "serve the cameras of a simulated unit by GigE Vision"),
     "measure": (measure, "record poses of the beam, and write their truth"),
+    "planar": (planar_demo, "run the daemon on a plate that a machine moves; show values and truth"),
     "planar-recording": (planar, "record a plate with LEDs that moves in its plane"),
     "chain": (chain, "record a row of switched glass targets: scans, rounds, settings"),
 }

@@ -46,6 +46,14 @@ def _whole(text: str, minimum: int) -> int:
     return value
 
 
+def port(text: str) -> int:
+    """A TCP port; 0: any that is free."""
+    number = int(text) if text.isdecimal() and len(text) < 9 else -1
+    if not 0 <= number <= 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
+    return number
+
+
 def seconds(text: str) -> float:
     """A length of time above 0."""
     try:

@@ -12,6 +12,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Coroutine
+from functools import partial
 from pathlib import Path
 
 from altd.app.daemon import Daemon
@@ -29,7 +30,7 @@ from altd.config import (
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, unwrap_group
 from altd.ports import Camera, Lamps
-from hw_sim.arguments import natural, seconds
+from hw_sim.arguments import natural, port, seconds
 from hw_sim.camera import RealTimeLamps, make_cameras
 from hw_sim.demo_figures import Figures
 from hw_sim.demo_folder import demo_folder
@@ -66,11 +67,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
     parser.add_argument(
-        "--http-port", type=_port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
+        "--http-port", type=port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
     )
     parser.add_argument(
         "--modbus-port",
-        type=_port,
+        type=port,
         default=0,
         metavar="PORT",
         help="port of Modbus TCP (default: a free one)",
@@ -88,10 +89,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Show the demo until its time is over, ``q`` or a signal; raises BadInputError."""
+    return run_until_stopped(partial(_demo, arguments))
+
+
+def run_until_stopped(demo: Callable[[Callable[[], None]], Coroutine[None, None, None]]) -> int:
+    """Run a demo, which is called with what ends it, until that or a signal; raises what it fails with."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # for a terminal without ±
     try:
-        asyncio.run(_until_stopped(arguments))
+        asyncio.run(_until_stopped(demo))
     except KeyboardInterrupt:  # before or after the loop, which handles it
         return 0
     except BrokenPipeError:  # the reader of our output has closed it
@@ -103,13 +109,13 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-async def _until_stopped(arguments: argparse.Namespace) -> None:
+async def _until_stopped(made: Callable[[Callable[[], None]], Coroutine[None, None, None]]) -> None:
     """The demo, cancelled once, however often its end is requested; raises what it fails with."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     for number in _ENDING:
         loop.add_signal_handler(number, stop.set)
-    demo = asyncio.create_task(_demo(arguments, stop.set), name="demo")
+    demo = asyncio.create_task(made(stop.set), name="demo")
     stopped = asyncio.create_task(stop.wait(), name="stop")
     await asyncio.wait({demo, stopped}, return_when=asyncio.FIRST_COMPLETED)
     for task in (demo, stopped):
@@ -158,7 +164,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
         if arguments.seconds is not None:
             asyncio.get_running_loop().call_later(arguments.seconds, stop)
         try:
-            await _together(
+            await together(
                 daemon.run(),
                 figures.follow(),
                 telegram.forward(),
@@ -172,7 +178,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
                 print("The demo has ended.", *figures.summary(), sep="\n", flush=True)
 
 
-async def _together(*work: Coroutine[None, None, None]) -> None:
+async def together(*work: Coroutine[None, None, None]) -> None:
     """Until cancelled or until one fails; a failure that has a line of its own comes out bare."""
     try:
         async with asyncio.TaskGroup() as tasks:
@@ -222,12 +228,12 @@ async def _calibrate(seed: int, calibration: Path) -> None:
         print(
             f"Recording a calibration scan of simulated unit {seed} (python -m hw_sim scan) ...", flush=True
         )
-        await _command("hw_sim", "scan", "--seed", str(seed), "-o", scan)
+        await command("hw_sim", "scan", "--seed", str(seed), "-o", scan)
         print("Fitting the unit's maps to it (altd calibrate) ...", flush=True)
-        await _command("altd.cli", "calibrate", scan, "-o", str(calibration))
+        await command("altd.cli", "calibrate", scan, "-o", str(calibration))
 
 
-async def _command(module: str, *arguments: str) -> None:
+async def command(module: str, *arguments: str) -> None:
     """Run a command to its end; raises BadInputError when it fails, having said why on standard error."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
@@ -273,16 +279,9 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
     )
 
 
-def _port(text: str) -> int:
-    port = int(text) if text.isdecimal() and len(text) < 9 else -1
-    if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
-    return port
-
-
 def _broker(text: str) -> MqttSettings:
-    host, colon, port = text.rpartition(":")
+    host, colon, number = text.rpartition(":")
     try:
-        return MqttSettings(host=host or text, port=_port(port) if colon else None)
+        return MqttSettings(host=host or text, port=port(number) if colon else None)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is no broker; possible: HOST or HOST:PORT") from error

@@ -8,11 +8,11 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from queue import SimpleQueue
+from typing import Any, Protocol
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.frame_pairs import FramePairs, steps
 from altd.measuring.pairing import Pair
-from altd.measuring.spot_locator import Located, SpotLocator
 from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
@@ -29,6 +29,41 @@ _MIN_PIXELS_BESIDE = 1_000_000
 13 % more CPU and comes 0.9 ms later. Of 12 Mpx, one after the other is too slow for 20 pairs a second."""
 
 
+class Seen(Protocol):
+    """The content of a frame: the spot of a beam (``Located``), or the lights of a plate."""
+
+    @property
+    def camera(self) -> str:
+        """The config's name of its camera."""
+
+    @property
+    def sequence(self) -> int:
+        """The number of its exposure."""
+
+    @property
+    def t_ns(self) -> int:
+        """The middle of its exposure."""
+
+    @property
+    def leds_on(self) -> bool:
+        """The frame LEDs were lit, or being switched."""
+
+    @property
+    def spot(self) -> Spot | NoSpot | str:
+        """The finding, for people."""
+
+    @property
+    def found(self) -> Spot | NoSpot | None:
+        """The finding for the control of exposure; None: it learns nothing."""
+
+
+class Locator(Protocol):
+    """One camera's part of an instrument's chain; one thread calls it."""
+
+    def locate(self, frame: Frame) -> Seen:
+        """The content of a frame."""
+
+
 class LocatingStalledError(Exception):
     """A frame that is never done: a defect, which a new process may not have."""
 
@@ -40,11 +75,11 @@ class LocatedPairs:
         self.frames = frames
         self._loop = asyncio.get_running_loop()
         self._ready = asyncio.Event()
-        self._pairs: deque[Pair[Located]] = deque()
+        self._pairs: deque[Pair[Any]] = deque()
         self._taken = threading.Condition()
         self._is_closed = False
 
-    def put(self, pair: Pair[Located]) -> None:
+    def put(self, pair: Pair[Any]) -> None:
         """Hand over a frame set, from the thread; waits for a loop that has not taken those before."""
         with self._taken:
             while len(self._pairs) >= MAX_WAITING_PAIRS and not self._is_closed:
@@ -55,7 +90,7 @@ class LocatedPairs:
         except RuntimeError:
             return  # the loop is closed: the process is going down
 
-    async def take(self) -> list[Pair[Located]]:
+    async def take(self) -> list[Pair[Any]]:
         """All frame sets that wait, oldest first; may be none."""
         await self._ready.wait()
         self._ready.clear()
@@ -86,9 +121,9 @@ class Locating:
 
     def __init__(
         self,
-        locators: Mapping[str, SpotLocator],
+        locators: Mapping[str, Locator],
         exposures: Mapping[str, ExposureControl],
-        show: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
+        show: Callable[[Frame, Spot | NoSpot | str], None] = lambda frame, spot: None,
     ) -> None:
         self._locators = locators
         self._exposures = exposures
@@ -144,7 +179,7 @@ class Locating:
             for helper in helpers.values():
                 helper.end()
 
-    def _locate_pair(self, pair: Pair[Frame], helpers: Mapping[str, _Helper]) -> Pair[Located]:
+    def _locate_pair(self, pair: Pair[Frame], helpers: Mapping[str, _Helper]) -> Pair[Any]:
         """Begin with the large frames that have helpers, locate the others, and wait for those begun."""
         beside = {
             frame.camera
@@ -157,7 +192,7 @@ class Locating:
         own = iter([self._locate(frame) for frame in pair.all_items if frame.camera not in beside])
         return pair.of(lambda frame: helpers[frame.camera].located() if frame.camera in beside else next(own))
 
-    def _locate(self, frame: Frame) -> Located:
+    def _locate(self, frame: Frame) -> Seen:
         self._in_hand[frame.camera], began_ns = frame, time.perf_counter_ns()
         located = locate_frame(frame, self._locators[frame.camera], self._exposures.get(frame.camera))
         self._in_hand[frame.camera] = None
@@ -172,17 +207,17 @@ class Locating:
 class _Helper:
     """Locates the frames of one camera in a thread of its own."""
 
-    def __init__(self, locate: Callable[[Frame], Located]) -> None:
+    def __init__(self, locate: Callable[[Frame], Seen]) -> None:
         self._locate = locate
         self._frames: SimpleQueue[Frame | None] = SimpleQueue()
-        self._located: SimpleQueue[Located | BaseException] = SimpleQueue()
+        self._located: SimpleQueue[Seen | BaseException] = SimpleQueue()
         threading.Thread(target=self._run, name="locate beside", daemon=True).start()
 
     def begin(self, frame: Frame) -> None:
         """Locate the spot of a frame from now on."""
         self._frames.put(frame)
 
-    def located(self) -> Located:
+    def located(self) -> Seen:
         """The result of the frame that was begun, once it is known; raises what the locator raises."""
         located = self._located.get()
         if isinstance(located, BaseException):
@@ -201,7 +236,7 @@ class _Helper:
                 self._located.put(error)
 
 
-def locate_frame(frame: Frame, locator: SpotLocator, exposure: ExposureControl | None = None) -> Located:
+def locate_frame(frame: Frame, locator: Locator, exposure: ExposureControl | None = None) -> Seen:
     """The spot of one frame; ``exposure`` receives it."""
     located = locator.locate(frame)
     if exposure is not None and located.found is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from altd.measuring.calibration import TargetCalibration
 from altd.ports import Clock
-from altd.records import Frame, NoSpot, Spot, SpotShape
+from altd.records import FloatArray, Frame, NoSpot, Spot, SpotShape
 from altd.runtime.threads import DeviceThread
 from altd.status.services import NoPictureError, Picture, Points, SpotContour, TargetView
 
@@ -38,16 +38,16 @@ _SHADES = np.round(255 * np.sqrt(np.arange(256) / 255)).astype(np.uint8)
 class _Seen:
     number: int
     frame: Frame
-    spot: Spot | NoSpot
+    spot: Spot | NoSpot | str
 
 
 class Pictures:
-    """Shows each camera's frames. ``targets`` has its target's calibration for each, in beam order."""
+    """Shows each camera's frames. ``views`` has what its target's calibration knows, in beam order."""
 
-    def __init__(self, targets: Mapping[str, TargetCalibration], clock: Clock) -> None:
+    def __init__(self, views: Sequence[TargetView], clock: Clock) -> None:
         self._clock = clock
-        self._targets = {camera: target.name for camera, target in targets.items()}
-        self._views = tuple(_view(camera, target) for camera, target in targets.items())
+        self._targets = {view.camera: view.target for view in views}
+        self._views = tuple(views)
         self._newest: dict[str, _Seen] = {}
         self._made: dict[str, asyncio.Task[Picture]] = {}
         """The last picture of each camera, made or being made."""
@@ -64,7 +64,7 @@ class Pictures:
         """The targets, in beam order."""
         return self._views
 
-    def put(self, frame: Frame, spot: Spot | NoSpot) -> None:
+    def put(self, frame: Frame, spot: Spot | NoSpot | str) -> None:
         """Take a frame and what was found in it, from the thread that located it."""
         last = self._newest.get(frame.camera)
         self._newest[frame.camera] = _Seen(last.number + 1 if last else 1, frame, spot)
@@ -146,10 +146,17 @@ def _picture_of(target: str, seen: _Seen) -> Picture:
         image.shape[1],
         image.shape[0],
         contour_of(found) if isinstance(found, Spot) else None,
-        str(found.fault(target)) if isinstance(found, NoSpot) else "",
+        _words(target, found),
         frame.leds_on,
         data.tobytes(),
     )
+
+
+def _words(target: str, found: Spot | NoSpot | str) -> str:
+    """The finding where it is no spot."""
+    if isinstance(found, str):
+        return found
+    return str(found.fault(target)) if isinstance(found, NoSpot) else ""
 
 
 def _image(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -178,29 +185,41 @@ def _axes(shape: SpotShape) -> tuple[float, float, float]:
     return math.sqrt(twice_q / (mean - half)), math.sqrt(twice_q / (mean + half)), turn_deg
 
 
-def _view(camera: str, target: TargetCalibration) -> TargetView:
-    hull_mm = target.map.hull_mm
+def view_of(camera: str, target: TargetCalibration) -> TargetView:
+    """The view of a target's camera, by its calibration."""
+    size = target.width, target.height
+    return outlined(target.name, camera, size, target.map.hull_mm, target.map.to_px, target.leds_px)
+
+
+def outlined(
+    target: str,
+    camera: str,
+    size: tuple[int, int],
+    hull_mm: FloatArray,
+    to_px: Callable[[FloatArray], FloatArray],
+    leds_px: FloatArray,
+) -> TargetView:
+    """A view with the picture of an area (n, 2) mm and of the axes."""
     share = (np.arange(_POINTS_PER_EDGE) / _POINTS_PER_EDGE)[:, None]
     edges = [
         here + share * (there - here)
         for here, there in zip(hull_mm, np.roll(hull_mm, -1, axis=0), strict=True)
     ]
-    outline = target.map.to_px(np.concatenate(edges))
+    outline = to_px(np.concatenate(edges))
     about_mm = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    middle, right, up = target.map.to_px(about_mm)
+    middle, right, up = to_px(about_mm)
     (middle_px,), (x_axis, y_axis) = _points(middle[None]), _points(np.array([right, up]) - middle)
     return TargetView(
-        target.name,
+        target,
         camera,
-        target.width,
-        target.height,
+        *size,
         _points(outline),
-        _points(target.leds_px),
+        _points(leds_px),
         middle_px,
         x_axis,
         y_axis,
     )
 
 
-def _points(points_px: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Points:
+def _points(points_px: FloatArray) -> Points:
     return tuple((round(float(u_px), 2), round(float(v_px), 2)) for u_px, v_px in points_px)

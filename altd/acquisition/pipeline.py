@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 from altd.acquisition.frame_pairs import steps
-from altd.acquisition.locating import LocatedPairs
+from altd.acquisition.locating import LocatedPairs, Locator
 from altd.acquisition.self_check.service import SelfChecks
-from altd.measuring.chain import MeasuringChain
-from altd.measuring.pairing import Pair
+from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located
-from altd.records import Measurement
+from altd.records import Frame, Measurement
 from altd.runtime.service_manager import status_line
 from altd.status.board import Board
 from altd.status.health import Component, State
@@ -21,6 +21,33 @@ from altd.status.maintenance import SpotTrends
 
 _HEARTBEAT_S = 4.0
 """The pipeline is woken at least every ``silent_after_s``, which is 2 s at most."""
+
+
+class Chain(Protocol):
+    """The chain of an instrument: ``pairer``, ``locators`` and ``add`` run in threads of their own."""
+
+    pairer: Pairer[Frame]
+    frame_sets: int
+
+    @property
+    def locators(self) -> Mapping[str, Locator]:
+        """By camera."""
+
+    @property
+    def silent_after_s(self) -> float:
+        """A camera from which nothing came for so long is silent."""
+
+    def add(self, pair: Pair[Any]) -> Measurement | None:
+        """Take the content of a frame set; returns the measurement that it completes."""
+
+    def silence(self, t_ns: int) -> Measurement:
+        """The measurement of a moment at which no camera delivers."""
+
+    def seen(self) -> str:
+        """The last finding of each camera, in words."""
+
+    def figures(self) -> Mapping[str, float | str | None]:
+        """For health; None: not known."""
 
 
 @dataclass(eq=False)
@@ -35,7 +62,7 @@ class Pipeline:
     """
 
     located: LocatedPairs
-    chain: MeasuringChain
+    chain: Chain
     board: Board
     component: Component
     progress: Callable[[], None] = lambda: None
@@ -73,7 +100,7 @@ class Pipeline:
         self._heard_ns = max(self._heard_ns, self.located.frames.delivered_ns)
         return (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
 
-    def _measure(self, pairs: list[Pair[Located]]) -> None:
+    def _measure(self, pairs: list[Pair[Any]]) -> None:
         self.component.is_alive()
         is_silent = self._silent_for_s() >= self._silent_after_s
         if not pairs and not is_silent:
@@ -81,10 +108,8 @@ class Pipeline:
         before = self.chain.frame_sets, self.board.published
         for pair in pairs:
             for located in pair.all_items:
-                if self.checks is not None:
-                    self.checks.look(located)
-                if self.trends is not None:
-                    self.trends.add(located)
+                if isinstance(located, Located):
+                    self._look(located)
             measurement = self.chain.add(pair)
             if measurement is None:
                 why = "its LEDs were lit" if any(one.leds_on for one in pair.all_items) else "no mean is due"
@@ -95,12 +120,18 @@ class Pipeline:
             self._heard_ns = self._clock.monotonic_ns()
             self._publish(self.chain.silence(self._heard_ns))
         not_told = dict.fromkeys(self.component.figures)
-        self.component.observe(not_told | self.chain.step() | self.chain.spots() | self.chain.views())
+        self.component.observe(not_told | dict(self.chain.figures()))
         self.component.counters["late_frames"] = self.chain.pairer.late
         for camera, dropped in self.located.frames.dropped.items():
             self.component.counters[f"dropped_{camera}"] = dropped
         if (self.chain.frame_sets, self.board.published) != before:
             self.progress()
+
+    def _look(self, located: Located) -> None:
+        if self.checks is not None:
+            self.checks.look(located)
+        if self.trends is not None:
+            self.trends.add(located)
 
     def _publish(self, measurement: Measurement) -> None:
         if self.checks is not None:

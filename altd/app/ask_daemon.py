@@ -9,7 +9,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +18,8 @@ from altd.app.settings import socket_to_ask
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
-from altd.instruments.beam.instrument import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
+from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.local_socket import MAX_ANSWER_BYTES, NoAnswerError, ask
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.self_check import WAIT_S
@@ -34,6 +35,9 @@ from altd.terminal.knowledge import Knowledge
 
 Document = TypeVar("Document")
 
+_QUANTITIES = replace(OF_BEAM, of_unit=OF_BEAM.of_unit + OF_PLATE.of_unit)
+"""Of any instrument: a measurement has those of its own."""
+
 _GOOD = (http.client.OK, http.client.SERVICE_UNAVAILABLE)
 """503 is how a measurement is answered while there is none; any other answer with 503 has other keys."""
 
@@ -47,7 +51,7 @@ class RunningDaemon:
 
     def reading(self) -> tuple[Reading | None, object]:
         """The latest measurement and its document; None: nothing was measured so far."""
-        return self._asked("/api/v1/measurement", lambda document: reading_of(document, QUANTITIES))
+        return self._asked("/api/v1/measurement", lambda document: reading_of(document, _QUANTITIES))
 
     def status(self) -> tuple[StatusDocument, object]:
         """The unit's state, causes, availability and components."""

@@ -13,6 +13,8 @@ from altd.calibration.report.prediction import EXPOSURES, predict
 from altd.config import Config
 from altd.errors import one_line
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.instruments.planar.instrument import QUANTITIES as PLANAR_QUANTITIES
+from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import utc_text
 from altd.status.measurement_json import reserved_names
@@ -54,6 +56,24 @@ _SIGMA_DIGITS = 7
 def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> dict[str, Any]:
     """The calibration of these targets, out of the file ``name``."""
     chosen = [target for each in targets if (target := calibration.target(each)) is not None]
+    of_targets = [_target(target) for target in chosen]
+    return {
+        **_of_file(calibration, name),
+        "expected_sigma": _expected_sigma(calibration),
+        "targets": of_targets,
+    }
+
+
+def planar_summary_of(calibration: PlanarCalibration, name: str) -> dict[str, Any]:
+    """The calibration of a plate, out of the file ``name``; the sigma is that of the known poses."""
+    of_place_mm, of_phi_deg = calibration.rms.get(calibration.fit.camera.model, (math.nan, math.nan))
+    keys = (quantity.key for quantity in PLANAR_QUANTITIES.of_unit)
+    sigmas = zip(keys, (of_place_mm, of_place_mm, of_phi_deg), strict=True)
+    expected = {key: _rounded(sigma, _SIGMA_DIGITS) for key, sigma in sigmas}
+    return {**_of_file(calibration, name), "expected_sigma": expected, "targets": []}
+
+
+def _of_file(calibration: Calibration | PlanarCalibration, name: str) -> dict[str, Any]:
     file = calibration.file
     return {
         "unit": _shown(calibration.unit_serial),
@@ -69,8 +89,6 @@ def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> d
             "checksum": None if file is None else file.checksum,
         },
         "exposures": EXPOSURES,
-        "expected_sigma": _expected_sigma(calibration),
-        "targets": [_target(target) for target in chosen],
     }
 
 

@@ -42,7 +42,7 @@ class ChainReplay:
         chain = Chain(self.calibration, self.settings)
         locators = {camera: self._locator(camera, target) for camera, target in self.targets.items()}
         origins = {target: header.cameras[camera].origin for camera, target in self.targets.items()}
-        faults = {fault.reason: fault for fault in calibration_faults(self.calibration)}
+        faults = {fault.reason: fault for fault in calibration_faults(self.calibration.simulated)}
         faults |= {fault.reason: fault for fault in origin_faults(origins)}
         write = partial(self._object, tuple(faults.values()))
         total, last = len(self.recording.rows), None

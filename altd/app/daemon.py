@@ -25,25 +25,31 @@ from altd.acquisition.self_check.exposing import CheckExposer
 from altd.acquisition.self_check.frames import MarkedFrames
 from altd.acquisition.self_check.service import SelfChecks
 from altd.app.calibration_files import ReadCalibrationFiles
-from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.diagnostics import diagnostic_parts
+from altd.app.instruments import live_instrument, views_of
 from altd.app.interfaces import interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.maintenance import MaintenanceWatches
-from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of, missing_files
+from altd.app.parts import (
+    AnyCalibration,
+    calibration_of_instrument,
+    cameras_of,
+    inclinometer_of,
+    indicators_of,
+    lamps_of,
+    missing_files,
+)
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
 from altd.config import (
-    AnyCameraSettings,
     CameraLampsSettings,
     Config,
     LiveCameraSettings,
 )
 from altd.errors import BadInputError, one_line, unwrap_group
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.instruments.planar.instrument import PlanarCalibration
+from altd.measuring.chain import MeasuringChain, Provenance
 from altd.ports import Camera, Clock, Indicators, Lamps
-from altd.records import CameraIdentity, Fault, Quantities, origin_faults
+from altd.records import Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.supervision import keep_running
@@ -67,7 +73,7 @@ class Daemon:
     def __init__(  # noqa: PLR0913  the parts of a unit
         self,
         config: Config,
-        calibration: Calibration,
+        calibration: AnyCalibration,
         cameras: Mapping[str, Camera],
         clock: Clock | None = None,
         lamps: Lamps | None = None,
@@ -76,7 +82,7 @@ class Daemon:
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
-        instrument = BeamInstrument(calibration, config.measuring, config.installation)
+        instrument = live_instrument(config, calibration)
         identity = Identity.drawn(config.unit.serial)
         self.health = Health(self.clock)
         self.health.facts |= {
@@ -86,12 +92,10 @@ class Daemon:
             "spot_fit": kernel.description,
             "calibration": _about(calibration),
         }
-        self.health.targets = target_areas_of(config, calibration)
+        self.health.targets = instrument.areas
         self._calibrated = calibration.created.date()
         self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
-        names = [target.name for target in config.targets]
-        summary = summary_of(calibration, names, config.unit.calibration.name)
-        self.health.calibration.open(summary, self._calibration_files)
+        self.health.calibration.open(instrument.summary, self._calibration_files)
         self.health.diagnostics = diagnostic_parts(config)
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None
@@ -112,36 +116,34 @@ class Daemon:
         if indicators is not None:
             component = self.health.component("indicators")
             self._indicators = IndicatorPanel(indicators, self.board, self.health, component, self.clock)
-        for known in calibration.targets:
-            _ = known.inverse  # made now, for the first measurement would hold the loop with it
-        views = [View(of.name, of.camera, _expected(config.cameras.get(of.camera))) for of in config.targets]
-        self._cameras = {view.camera: cameras[view.camera] for view in views}
-        by_name = {target.name: target for target in calibration.targets}
-        self._calibrations = {view.camera: by_name[view.target] for view in views}
-        self.chain = MeasuringChain(
-            views,
-            calibration,
-            config.measuring,
-            instrument,
+        self._views = instrument.views
+        self._cameras = {view.camera: cameras[view.camera] for view in self._views}
+        self.chain = instrument.chain(
             Provenance(
                 origins=self._origin_faults,
                 identity=lambda camera: self._cameras[camera].identity,
                 utc=self.clock.utc,
-            ),
+            )
         )
-        self.checks: SelfChecks | None = None
-        if why := why_unchecked(calibration, self._cameras, lamps is not None):
-            self.health.self_check.unavailable = why
-        else:
-            parts = check_parts_of(config, calibration, views, self.chain, self.clock)
-            targets = {view.camera: view.target for view in views}
-            component = self.health.component("self-check")
-            self.checks = SelfChecks(parts, targets, self.health.self_check, component, self.clock)
+        self.checks = self._self_checks(calibration)
         self._exposure = {
             name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
             for name, settings in config.cameras.items()
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
+
+    def _self_checks(self, calibration: AnyCalibration) -> SelfChecks | None:
+        """The checks by the frame LEDs of a beam's targets, where the unit can make them."""
+        if isinstance(calibration, PlanarCalibration) or not isinstance(self.chain, MeasuringChain):
+            self.health.self_check.unavailable = "a plate has no frame LEDs"
+            return None
+        if why := why_unchecked(calibration, self._cameras, self.lamps is not None):
+            self.health.self_check.unavailable = why
+            return None
+        parts = check_parts_of(self.config, calibration, views_of(self.config), self.chain, self.clock)
+        targets = {view.camera: view.target for view in self._views}
+        component = self.health.component("self-check")
+        return SelfChecks(parts, targets, self.health.self_check, component, self.clock)
 
     def _board(self, quantities: Quantities, identity: Identity, rehearsal: bool) -> Board:
         monitor, stale_after_s = self._inclination, self.config.measuring.stale_after_s
@@ -199,7 +201,7 @@ class Daemon:
 
     def _measure(self, tasks: asyncio.TaskGroup, manager: ServiceManager) -> None:
         """A thread acquires the frames of a camera, one more locates the spots of the newest frame set."""
-        pictures = Pictures(self._calibrations, self.clock)
+        pictures = Pictures(self._views, self.clock)
         self.health.pictures.open(pictures)
         tasks.create_task(pictures.run(), name="pictures")
         locating = Locating(self.chain.locators, self._exposure, pictures.put)
@@ -227,6 +229,9 @@ class Daemon:
     def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
         """The keeper of the last seconds of frames, where the config allows it."""
         recordings, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
+        if self.config.unit.instrument == "planar":
+            recordings.unavailable = "frames of a plate are not kept"
+            return None
         if not self.config.kept_frames.memory_mb:
             recordings.unavailable = "kept_frames.memory_mb is 0"
             return None
@@ -269,13 +274,13 @@ class Daemon:
 
 def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
-    if config.unit.instrument != "beam":
-        why = f'unit.instrument: "{config.unit.instrument}" is measured from recordings: altd replay'
+    if config.unit.instrument == "chain":
+        why = 'unit.instrument: "chain" is measured from recordings: altd replay'
         raise BadInputError(place, why)
     if missing := missing_files(config):
         raise BadInputError(place, *map(str, missing))
     cameras = cameras_of(config, place)
-    calibration = calibration_of(config, cameras)
+    calibration = calibration_of_instrument(config, cameras)
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
     daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators, rehearsal=rehearsal)
     for component in (MEASURING, *(f"camera {name}" for name in cameras)):
@@ -292,12 +297,7 @@ def _end_of(pairs: FramePairs, camera: str, _: object) -> None:
     pairs.end(camera)
 
 
-def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:
-    """The camera's own settings in the config; None: none."""
-    return CameraIdentity(serial=camera.serial) if isinstance(camera, LiveCameraSettings) else None
-
-
-def _about(calibration: Calibration) -> str:
+def _about(calibration: AnyCalibration) -> str:
     made, note = f"{calibration.created:%Y-%m-%d}", one_line(calibration.recording_note)
     return ", ".join(filter(None, (made, note, "from SIMULATED frames" if calibration.simulated else "")))
 

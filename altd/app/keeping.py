@@ -15,6 +15,7 @@ from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.kept_frames.store import RecordingStore
+from altd.app.parts import AnyCalibration
 from altd.config import Config
 from altd.errors import one_line
 from altd.history.batch import About
@@ -24,7 +25,6 @@ from altd.history.reader import Reader
 from altd.history.recorder import HistoryRecorder
 from altd.history.running import before_start
 from altd.history.store import Store
-from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Clock
 from altd.publish.serial.parts_text import Past
 from altd.recording.header import target_headers, unit_header
@@ -153,7 +153,7 @@ def history_to_read(config: Config) -> Path:
     return config.history.file or (state_folder() or _SERVICE_FOLDER) / FILE_NAME
 
 
-def history_about(config: Config, calibration: Calibration, quantities: Quantities) -> About:
+def history_about(config: Config, calibration: AnyCalibration, quantities: Quantities) -> About:
     """The unit and calibration of a history."""
     return About(
         columns_of(quantities, [target.name for target in config.targets]),
@@ -186,7 +186,7 @@ class DaemonHistory:
         self._observer = StateEvents(self.events, state.read, health.self_check, clock)
         self._recorder: HistoryRecorder | None = None
 
-    def keep_as(self, config: Config, calibration: Calibration) -> None:
+    def keep_as(self, config: Config, calibration: AnyCalibration) -> None:
         """Keep the history that a config asks for, or say why there is none. Before ``recorded``."""
         path, why = history_place(config)
         if path is None:

@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Mapping
 
 from altd.acquisition.temperatures import CameraThermometer, watch_temperature
+from altd.app.parts import AnyCalibration
 from altd.config import AravisCameraSettings, Config
 from altd.devices.hwmon import HwmonThermometer
-from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Clock, TemperatureCamera, Thermometer
 from altd.status.health import Health
 from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimits, Temperatures
@@ -21,7 +21,7 @@ class MaintenanceWatches:
     def __init__(
         self,
         config: Config,
-        calibration: Calibration,
+        calibration: AnyCalibration,
         cameras: Mapping[str, Camera],
         health: Health,
         clock: Clock,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration, target_of
+from altd.calibration.planar_file import check_planar_camera, load_planar_calibration
 from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
@@ -21,10 +22,14 @@ from altd.config import (
 )
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
+from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, SwitchingCamera
 from altd.recording.reader import open_recording
+from altd.records import CameraIdentity
 from altd.runtime.clock import SystemClock
+
+AnyCalibration = Calibration | PlanarCalibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +56,7 @@ def missing_files(config: Config) -> list[MissingFile]:
     return [file for file in named if not os.path.lexists(file.path)]
 
 
-def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]]:
+def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputError]]:
     """The calibration, and what is wrong with those files of a config that are there."""
     missing = {file.path for file in missing_files(config)}
     cameras: dict[str, Camera] = {}
@@ -66,7 +71,7 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
     calibration = None
     if config.unit.calibration not in missing:
         try:
-            calibration = calibration_of(config, cameras)
+            calibration = calibration_of_instrument(config, cameras)
         except BadInputError as error:
             errors.setdefault(str(error), error)
     for check in _checks_of_interfaces(config):
@@ -105,7 +110,7 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
         raise BadInputError(place, "cameras: no [cameras.…] table")
     playbacks = _Playbacks()
     cameras: dict[str, Camera] = {}
-    for name in (target.camera for target in config.targets):
+    for name in config.measuring_cameras:
         settings = config.cameras[name]
         if isinstance(settings, RecordingCameraSettings):
             cameras[name] = playbacks.camera(name, settings)
@@ -156,6 +161,22 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
             check_camera(calibration, path, target.name, camera.identity)
         elif isinstance(settings, LiveCameraSettings):
             check_image_size(calibration, path, target.name, settings.width, settings.height)
+    return calibration
+
+
+def calibration_of_instrument(config: Config, cameras: Mapping[str, Camera]) -> AnyCalibration:
+    """The config's calibration, checked against its unit and cameras; raises BadInputError."""
+    if config.unit.instrument != "planar":
+        return calibration_of(config, cameras)
+    path = config.unit.calibration
+    calibration = load_planar_calibration(path, config.unit.serial)
+    for name, settings in config.cameras.items():
+        camera = cameras.get(name)
+        if isinstance(camera, PlaybackCamera):
+            check_planar_camera(calibration, path, name, (camera.width, camera.height), camera.identity)
+        elif isinstance(settings, LiveCameraSettings):
+            size = settings.width, settings.height
+            check_planar_camera(calibration, path, name, size, CameraIdentity())
     return calibration
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from altd.app.replay import utc_of
+from altd.app.replay import SILENT_AFTER_FRAME_SETS, utc_of
 from altd.calibration.planar_file import check_planar_recording, load_planar_calibration
 from altd.config import Measuring
 from altd.instruments.planar.chain import PlanarChain
-from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration, PlanarInstrument
-from altd.reasons import Reason
+from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
+from altd.measuring.chain import Place, Provenance
 from altd.recording.reader import Recording
-from altd.records import Fault, Measurement, Origin, counted, origin_faults
+from altd.records import Measurement, Origin, counted, origin_faults
 from altd.status.measurement_json import as_object
 
 
@@ -45,18 +45,25 @@ class PlanarReplay:
         self, progress: Callable[[int, int], None] = lambda done, total: None
     ) -> Iterator[Measurement]:
         """One measurement after the other; a frame that cannot be decoded raises BadInputError."""
-        header = self.recording.header
+        header, stay = self.recording.header, 0
+        (camera,) = header.cameras
+        measuring = Measuring(window=self.window, every=self.every)
+        silent_after_s = max(measuring.silent_after_s, SILENT_AFTER_FRAME_SETS / header.fps)
         chain = PlanarChain(
-            PlanarInstrument(self.calibration),
-            self.calibration.frame_noise_px,
-            self.window,
-            self.every,
-            self._origins(),
-            lambda t_ns: utc_of(header.start, t_ns),
+            camera,
+            self.calibration,
+            measuring.model_copy(update={"silent_after_s": silent_after_s}),
+            Provenance(
+                origins=lambda: origin_faults({camera: header.cameras[camera].origin}),
+                identity=lambda name: header.cameras[name].identity,
+                utc=lambda t_ns: utc_of(header.start, t_ns),
+                place=lambda sequence: Place(stay),
+            ),
         )
-        total = len(self.recording.rows)
+        total, pose = len(self.recording.rows), None
         for done, row in enumerate(self.recording.rows, start=1):
-            measurement = chain.add(self.recording.frame(row), row.pose)
+            stay, pose = stay + (row.pose != pose), row.pose
+            measurement = chain.push(self.recording.frame(row))
             if measurement is not None:
                 yield measurement
             progress(done, total)
@@ -64,13 +71,6 @@ class PlanarReplay:
     def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
         """A measurement as plain JSON types."""
         return as_object(measurement)
-
-    def _origins(self) -> tuple[Fault, ...]:
-        origins = {name: camera.origin for name, camera in self.recording.header.cameras.items()}
-        if of_frames := origin_faults(origins):
-            return of_frames
-        detail = "the calibration was made from simulated frames"
-        return (Fault(Reason.SIMULATED, detail=detail),) if self.calibration.simulated else ()
 
 
 def planar_replay_of(

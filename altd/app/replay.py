@@ -153,7 +153,7 @@ def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
     return lengths
 
 
-_SILENT_AFTER_FRAME_SETS = 8
+SILENT_AFTER_FRAME_SETS = 8
 
 Progress = Callable[[int, int], None]
 """Told after each row how many of how many are done."""
@@ -272,7 +272,7 @@ def replay_of(
     if missing:
         raise BadInputError(recording_path, f"has no camera that looks at target {missing[0]!r}")
     views = tuple(View(name, cameras[name]) for name in calibration.target_names)
-    settings: dict[str, float] = {"silent_after_s": max(0.4, _SILENT_AFTER_FRAME_SETS / header.fps)}
+    settings: dict[str, float] = {"silent_after_s": max(0.4, SILENT_AFTER_FRAME_SETS / header.fps)}
     positions = None
     if header.kind == "scan" or (header.kind == "measurement" and recording.rows.has_positions):
         averaged = window if every is None else window or Measuring().window

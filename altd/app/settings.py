@@ -11,6 +11,7 @@ from altd.config import Config, LocalSettings, TelegramPortSettings, load_config
 from altd.config.draft import Draft
 from altd.config.table import shown
 from altd.config.wording import Fault
+from altd.errors import BadInputError
 from altd.publish.serial.telegram import longest_bytes
 from altd.runtime.service_manager import runtime_folder
 from altd.serial_port.port import seconds_on_line
@@ -39,6 +40,14 @@ def socket_to_ask(config: Config) -> Path:
 def load_settings(path: Path) -> Config:
     """Read and check a config file; raises BadInputError that names the file and each fault's place."""
     return load_config(path, (telegrams_fit_their_lines, targets_can_be_told))
+
+
+def load_beam_settings(path: Path) -> Config:
+    """The same for a command that only a unit with targets has."""
+    config = load_settings(path)
+    if not config.targets:
+        raise BadInputError(path, f'unit.instrument: "{config.unit.instrument}" has no targets')
+    return config
 
 
 def targets_can_be_told(draft: Draft) -> Iterator[Fault]:

@@ -121,11 +121,18 @@ def load_planar_calibration(path: Path, unit_serial: str | None = None) -> Plana
 def check_planar_recording(calibration: PlanarCalibration, path: Path, header: RecordingHeader) -> None:
     """Refuse a recording of another image size, camera or plate than the calibration's."""
     ((name, camera),) = header.cameras.items()
+    check_planar_camera(calibration, path, name, (camera.width, camera.height), camera.identity)
+
+
+def check_planar_camera(
+    calibration: PlanarCalibration, path: Path, name: str, size: tuple[int, int], camera: CameraIdentity
+) -> None:
+    """Refuse a camera of another image size or identity than the calibrated one."""
     known = calibration.fit.camera
-    if (known.width, known.height) != (camera.width, camera.height):
-        size = f"{known.width} × {known.height}, not {camera.width} × {camera.height}"
-        raise BadInputError(path, f"camera {name!r} was calibrated at {size}")
-    if difference := camera.identity.difference_from(calibration.camera):
+    if (known.width, known.height) != size:
+        sizes = f"{known.width} × {known.height}, not {size[0]} × {size[1]}"
+        raise BadInputError(path, f"camera {name!r} was calibrated at {sizes}")
+    if difference := camera.difference_from(calibration.camera):
         raise BadInputError(path, f"another camera was calibrated: {difference}")
 
 

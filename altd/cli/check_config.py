@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.parts import check_files, missing_files
     from altd.app.settings import load_settings
     from altd.config import RecordingCameraSettings
+    from altd.records import counted
 
     config = load_settings(Path(options.config))
     calibration, errors = check_files(config)
@@ -40,7 +41,8 @@ def run(options: argparse.Namespace) -> int:
         return 2
     simulated = calibration is not None and calibration.simulated
     origin = ", calibrated from SIMULATED frames" if simulated else ""
-    say(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{origin}")
+    has = f"{len(config.targets)} targets" if config.targets else counted(len(config.cameras), "camera")
+    say(f"{options.config}: good: unit {config.unit.serial}, {has}{origin}")
     if simulated or any(isinstance(camera, RecordingCameraSettings) for camera in config.cameras.values()):
         say(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
     for missing in missing_files(config):

@@ -32,11 +32,11 @@ def run(options: argparse.Namespace) -> int:
     """Show what was asked for; 1 when the lamps cannot be had."""
     from altd.app.lamps_by_hand import LampsByHand
     from altd.app.parts import cameras_of, indicators_of, lamps_of
-    from altd.app.settings import load_settings
+    from altd.app.settings import load_beam_settings
     from altd.config import CameraLampsSettings
     from altd.ports import Indicator, LampsError
 
-    config, place = load_settings(options.config), options.config
+    config, place = load_beam_settings(options.config), options.config
     stopped = options.look == "stopped"
     if stopped and isinstance(config.lamps, CameraLampsSettings):
         config = config.model_copy(

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Record; interrupted, say what is kept."""
     from altd.app.record import record_of
-    from altd.app.settings import load_settings
+    from altd.app.settings import load_beam_settings
     from altd.ports import CameraError, LampsError
     from altd.records import counted
 
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
             if options.plate is None
             else "goes with `--kind plate` only",
         )
-    config = load_settings(options.config)
+    config = load_beam_settings(options.config)
     show, kept = progress_on("exposures"), 0
 
     def progress(done: int, planned: int) -> None:

@@ -34,12 +34,12 @@ def run(options: argparse.Namespace) -> int:
     """Scan with the config's stage and cameras."""
     from altd.acquisition.scan.plan import Raster
     from altd.app.record import scanner_of
-    from altd.app.settings import load_settings
+    from altd.app.settings import load_beam_settings
     from altd.cli.scan_screen import ScanScreen
 
     screen = ScanScreen()
     with logging_to_stderr(logging.ERROR):
-        config = load_settings(options.config)
+        config = load_beam_settings(options.config)
         if options.flat:
             config = config.model_copy(update={"scan": Raster.over(config.scan)})
         scanner = scanner_of(config, options.config, options.output, screen)

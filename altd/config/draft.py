@@ -21,11 +21,22 @@ from altd.config.interfaces import (
 )
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
-from altd.config.unit import ChainSettings, Target, Unit
+from altd.config.unit import ChainSettings, Installation, Target, Unit
 from altd.config.whole import Config
 
 _TABLES = (
-    *("unit", "chain", "measuring", "modbus_tcp", "http", "mqtt", "opcua", "lamps", "indicators"),
+    *(
+        "unit",
+        "chain",
+        "measuring",
+        "installation",
+        "modbus_tcp",
+        "http",
+        "mqtt",
+        "opcua",
+        "lamps",
+        "indicators",
+    ),
     *("inclinometer", "stage"),
 )
 
@@ -39,6 +50,7 @@ class Draft:
     targets: tuple[Target | None, ...]
     cameras: Mapping[str, AnyCameraSettings | None]
     measuring: Measuring | None
+    installation: Installation | None
     modbus_tcp: ModbusTcpSettings | None
     http: HttpSettings | None
     mqtt: MqttSettings | None
@@ -50,9 +62,15 @@ class Draft:
     thermometers: tuple[HwmonThermometerSettings | None, ...]
     stage: GrblStageSettings | None
 
+    @property
+    def is_planar(self) -> bool:
+        """Whether one camera looks at a plate, and there are no targets."""
+        return self.unit is not None and self.unit.instrument == "planar"
+
     def live(self) -> dict[str, LiveCameraSettings]:
-        """The cameras that are no recordings and that a target names."""
+        """The cameras that are no recordings and that are opened."""
         named = {target.camera for target in self.targets if target is not None}
+        named |= set(self.cameras) if self.is_planar else set()
         cameras = self.cameras.items()
         return {
             name: camera

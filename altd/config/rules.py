@@ -18,9 +18,12 @@ from altd.config.draft import Draft
 from altd.config.measuring import HwmonThermometerSettings
 from altd.config.places import Keys
 from altd.config.table import shown
+from altd.config.unit import Installation
 from altd.config.wording import Fault
 from altd.errors import did_you_mean
+from altd.records import counted
 
+_MIN_TARGETS = 2
 _MIN_READINGS = 3
 """Readings of the inclinometer in the time for which a value is shown, and before it is called frozen."""
 _ROUNDING_S = 1e-9
@@ -29,7 +32,10 @@ Rule = Callable[[Draft], Iterator[Fault]]
 
 
 def _targets(draft: Draft) -> Iterator[Fault]:
-    """Each target has its own name, camera and place, in beam order."""
+    """A beam has two targets or more, each with its own name, camera and place, in beam order."""
+    if len(draft.targets) < _MIN_TARGETS and not draft.is_planar:
+        text = f"{counted(len(draft.targets), 'table')} [[targets]]; possible: {_MIN_TARGETS} or more"
+        yield Fault(("targets",), text, "table")
     there = [(number, target) for number, target in enumerate(draft.targets) if target is not None]
     for key in ("name", "camera"):
         first: dict[str, int] = {}
@@ -59,7 +65,7 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
             possible = ", ".join(map(shown, draft.cameras))
             text = f"there is no table [cameras.{target.camera}]; possible: {possible}{suggestion}"
             yield Fault(("targets", number, "camera"), text, about=(("cameras",),))
-    if len(named) == len(draft.targets) and named <= draft.cameras.keys():
+    if len(named) == len(draft.targets) and named <= draft.cameras.keys() and not draft.is_planar:
         for name in draft.cameras.keys() - named:
             text = "no target has this camera: it is never opened; possible: a target for it, or no table"
             yield Fault(("cameras", name), text, "key", about=(("targets",),))
@@ -317,8 +323,40 @@ def _chain(draft: Draft) -> Iterator[Fault]:
             yield Fault(keys, f"{text}; possible: {', '.join(map(shown, names))}", about=(("targets",),))
 
 
+def _planar(draft: Draft) -> Iterator[Fault]:
+    """A plate has one camera of fixed exposure, no targets, and no part of a beam."""
+    if not draft.is_planar:
+        return
+    faults: list[tuple[Keys, str]] = []
+    if draft.targets:
+        faults.append((("targets",), "a plate has no targets; possible: no table"))
+    if len(draft.cameras) > 1:
+        names = ", ".join(map(shown, draft.cameras))
+        faults.append((("cameras",), f"{names} are too many for a plate; possible: one"))
+    faults += [
+        (("cameras", name, "exposure", "control"), '"auto" follows a spot; possible: "fixed", "camera"')
+        for name, camera in draft.live().items()
+        if camera.exposure.control == "auto"
+    ]
+    if draft.measuring is not None and draft.measuring.output == "now":
+        faults.append((("measuring", "output"), '"now" is for a beam; possible: "mean"'))
+    faults += [
+        ((key,), "is for a beam; possible: no table")
+        for key in ("installation", "lamps", "inclinometer", "stage", "modbus_tcp", "opcua")
+        if getattr(draft, key) not in (None, Installation())
+    ]
+    faults += [
+        (("serial", number, "speaks"), f'{shown(port.speaks)} is for a beam; possible: "console"')
+        for number, port in enumerate(draft.serial)
+        if port is not None and port.speaks != "console"
+    ]
+    for keys, text in faults:
+        yield Fault(keys, text, "key" if len(keys) == 1 else "value", about=(("unit", "instrument"),))
+
+
 RULES: tuple[Rule, ...] = (
     _chain,
+    _planar,
     _targets,
     _cameras,
     _cameras_of_one_kind,

@@ -25,8 +25,9 @@ class Unit(Table):
     """Serial number, printable; the calibration has the same."""
     calibration: Path
     """The calibration file."""
-    instrument: Literal["beam", "chain"] = "beam"
-    """`beam`: the Active Laser Target; `chain`: a row of switched glass targets (`chain.md`)."""
+    instrument: Literal["beam", "chain", "planar"] = "beam"
+    """`beam`: the Active Laser Target; `chain`: a row of switched glass targets (`chain.md`); `planar`: one
+    camera before a plate with LEDs (`planar.md`)."""
 
 
 class ChainSettings(Table):

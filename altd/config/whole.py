@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field
 
 from altd.config.cameras import AnyCameraSettings
@@ -32,7 +30,7 @@ class Config(Table):
     """The whole of ``altd.toml``."""
 
     unit: Unit
-    targets: Annotated[tuple[Target, ...], Field(min_length=2)]
+    targets: tuple[Target, ...] = ()
     cameras: dict[Name, AnyCameraSettings] = Field(default={})
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
@@ -53,3 +51,8 @@ class Config(Table):
     history: HistorySettings = HistorySettings()
     stage: GrblStageSettings | None = None
     scan: Scan = Scan()
+
+    @property
+    def measuring_cameras(self) -> tuple[str, ...]:
+        """The cameras of the targets, in beam order; without targets the one of the plate."""
+        return tuple(target.camera for target in self.targets) or tuple(self.cameras)

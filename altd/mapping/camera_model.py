@@ -19,10 +19,17 @@ ToPx = Callable[[FloatArray], FloatArray]
 
 def jacobian_px_per_mm(to_px: ToPx, points_mm: FloatArray, step_mm: float) -> FloatArray:
     """d(u, v)/d(x, y) of a map at points (n, 2), as (n, 2, 2), from places ``step_mm`` to either side."""
-    along = [
-        (to_px(points_mm + step) - to_px(points_mm - step)) / (2 * step_mm) for step in step_mm * np.eye(2)
-    ]
-    return np.stack(along, axis=-1)
+    ahead_x, behind_x, ahead_y, behind_y = to_px_about(to_px, points_mm, step_mm * _SIDES)
+    return np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * step_mm)
+
+
+_SIDES = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+
+
+def to_px_about(to_px: ToPx, points_mm: FloatArray, offsets_mm: FloatArray) -> FloatArray:
+    """The map of points (n, 2) moved by each of ``offsets_mm`` (k, 2), as (k, n, 2), in one call."""
+    moved = points_mm[None] + offsets_mm[:, None]
+    return to_px(moved.reshape(-1, 2)).reshape(moved.shape)
 
 
 Optics = Literal["brown", "fisheye"]

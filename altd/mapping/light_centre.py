@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from altd.mapping.camera_model import ToPx, jacobian_px_per_mm
+from altd.mapping.camera_model import ToPx, jacobian_px_per_mm, to_px_about
 from altd.records import FloatArray
 
 _DELTA_MM = 0.5
 """The step of all derivatives: second ones need one so long, and first ones use it too."""
+_STEPS = np.arange(-2.0, 3.0)
 
 
 def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
@@ -31,14 +32,14 @@ def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
 
 def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float) -> FloatArray:
     """The shift, (n, 2) px, of the centre of light of patches about points (n, 2) mm: centre − P(c)."""
-    here = to_px(points_mm)
-    laplacian = np.zeros_like(here)
-    log_gradient = np.zeros_like(here)
-    for axis, step in enumerate(_DELTA_MM * np.eye(2)):
-        ahead, behind = points_mm + step, points_mm - step
-        laplacian += (to_px(ahead) + to_px(behind) - 2 * here) / _DELTA_MM**2
-        log_gradient[:, axis] = (_log_area(to_px, ahead) - _log_area(to_px, behind)) / (2 * _DELTA_MM)
-    tilt = np.einsum("nij,nj->ni", jacobian_px_per_mm(to_px, points_mm, _DELTA_MM), log_gradient)
+    # [i, j]: the map (n, 2) at i, j steps along x, y
+    grid = np.stack(np.meshgrid(_STEPS, _STEPS, indexing="ij"), axis=-1).reshape(-1, 2)
+    px = to_px_about(to_px, points_mm, _DELTA_MM * grid).reshape(5, 5, -1, 2)
+    slopes = np.stack([px[2:, 1:-1] - px[:-2, 1:-1], px[1:-1, 2:] - px[1:-1, :-2]], axis=-1) / (2 * _DELTA_MM)
+    log_area = np.log(np.abs(np.linalg.det(slopes)))  # [i, j], one step to either side
+    laplacian = (px[3, 2] + px[1, 2] + px[2, 3] + px[2, 1] - 4 * px[2, 2]) / _DELTA_MM**2
+    log_gradient = np.stack([log_area[2, 1] - log_area[0, 1], log_area[1, 2] - log_area[1, 0]], axis=-1)
+    tilt = np.einsum("nij,nj->ni", slopes[1, 1], log_gradient / (2 * _DELTA_MM))
     return np.asarray(moment_mm2 * (laplacian / 2 + tilt))
 
 
@@ -56,7 +57,3 @@ def spot_moment_mm2(diameter_mm: float, threshold: float, power: float) -> float
     s = (np.arange(steps) + 0.5) / steps * np.log(1 / max(threshold, 1e-3))  # in units of D²/8
     weight = np.maximum(np.exp(-s) - threshold, 0) ** power
     return float(diameter_mm**2 / 16 * (s @ weight) / weight.sum())
-
-
-def _log_area(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
-    return np.asarray(np.log(px2_per_mm2(to_px, points_mm)))

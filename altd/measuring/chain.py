@@ -108,7 +108,7 @@ class MeasuringChain:
         )
         self._window = FrameSetWindow(self._targets, measuring.window, measuring.every)
         self._provenance = provenance
-        self._calibration_origin = calibration_faults(calibration)
+        self._calibration_origin = calibration_faults(calibration.simulated)
         self._last_place: Place | None = None
         self.locators: Mapping[str, SpotLocator] = {
             view.camera: SpotLocator(
@@ -145,6 +145,10 @@ class MeasuringChain:
         """The last finding of each camera, in words: for the technician who aims the beam."""
         seen = self._last_spots
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
+
+    def figures(self) -> dict[str, float | str | None]:
+        """Synchronism, spots and views, for health."""
+        return self.step() | self.spots() | self.views()
 
     def step(self) -> dict[str, float | None]:
         """The cameras' synchronism: skew of the last exposure, and the lag that was subtracted, ms.
@@ -331,8 +335,8 @@ class MeasuringChain:
         return tuple(faults[reason] for reason in sorted(faults))
 
 
-def calibration_faults(calibration: Calibration) -> tuple[Fault, ...]:
-    """The faults that a calibration of simulated frames adds to each measurement."""
-    if not calibration.simulated:
+def calibration_faults(is_simulated: bool) -> tuple[Fault, ...]:
+    """The faults that a calibration adds to each measurement; ``is_simulated``: of simulated frames."""
+    if not is_simulated:
         return ()
     return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)

@@ -42,14 +42,8 @@ class Chain:
     def seen(self) -> str:
         return f"front: {self.spot}"
 
-    def step(self) -> dict[str, float]:
-        return {"skew_ms": 0.25}
-
-    def spots(self) -> dict[str, float | None]:
-        return {}
-
-    def views(self) -> dict[str, float | str]:
-        return self.shift
+    def figures(self) -> dict[str, float | str | None]:
+        return {"skew_ms": 0.25, **self.shift}
 
 
 class Bench:

@@ -1,4 +1,4 @@
-"""Record the demo and its page, and draw the report: demo.svg, page.png, report.png, planar.png."""
+"""Pictures of the demos, their pages and the report: demo.svg, page.png, report.png, planar(-page).png."""
 
 from __future__ import annotations
 
@@ -30,6 +30,10 @@ _TITLE = (
 def main() -> int:
     """Make all pictures; raises CalledProcessError and TimeoutError when a program does not do its part."""
     draw_planar(_FOLDER / "planar.png")
+    with terminal(f"{sys.executable} -m hw_sim planar", _COLUMNS, _ROWS) as demo:
+        demo.await_text("exposures", timeout_s=60.0)
+        (address,) = re.findall(r"http://127\.0\.0\.1:\d+", demo.text())
+        screenshot(address, _FOLDER / "planar-page.png", 640, 900, after_s=6.0)
     with (
         tempfile.TemporaryDirectory(prefix="altd-pictures-") as folder,
         terminal(f"{sys.executable} -m hw_sim demo", _COLUMNS, 32) as demo,

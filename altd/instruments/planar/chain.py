@@ -4,22 +4,71 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from functools import partial
 
 import numpy as np
 
-from altd.instruments.planar.instrument import Leds, PlanarInstrument
+from altd.config import Measuring
+from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.instruments.planar.leds import find_leds, led_image
+from altd.measuring.chain import Place, Provenance, calibration_faults
 from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.gate import Gate
+from altd.measuring.pairing import Pair, Pairer
 from altd.reasons import Reason
-from altd.records import Fault, FloatArray, Frame, Measurement, Value
+from altd.records import CameraIdentity, Fault, FloatArray, Frame, Measurement, Value, counted
+from altd.vision.led_discs import Disc
 
 _MAX_STILL_CHI2_SIGMAS = 6.0
 """LEDs that are farther from their mean than this are those of a plate that moved."""
 _MAX_UNUSABLE_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PlateFrame:
+    """The content of a frame: its lights, or why they are not to be measured. ``spot`` says it to people."""
+
+    camera: str
+    sequence: int
+    t_ns: int
+    lights: tuple[Disc, ...] | Fault
+    leds_on = False
+    """The LEDs of the plate are no frame LEDs, and each frame is measured."""
+    found = None
+    """No exposure is controlled by them."""
+
+    @property
+    def spot(self) -> str:
+        """The finding, in words."""
+        return str(self.lights) if isinstance(self.lights, Fault) else counted(len(self.lights), "light")
+
+
+class PlateLocator:
+    """Finds the lights in each frame of the camera; one thread calls ``locate``, frame after frame.
+
+    ``identity`` tells which camera delivers, ``expected`` which ones should.
+    """
+
+    def __init__(
+        self, expected: Sequence[CameraIdentity], identity: Callable[[], CameraIdentity | None]
+    ) -> None:
+        self._expected, self._identity = expected, identity
+        self._freshness = FreshnessCheck()
+
+    def locate(self, frame: Frame) -> PlateFrame:
+        """The lights of a frame that is new, evenly exposed, and of the camera that was calibrated."""
+        fault = None
+        if repeated := self._freshness.repeated(frame):
+            fault = Fault(Reason.FRAME_REPEATED, detail=repeated)
+        elif frame.changing:
+            fault = Fault(Reason.EXPOSURE_CHANGING)
+        elif (camera := self._identity()) is not None:
+            different = filter(None, (camera.difference_from(expected) for expected in self._expected))
+            fault = next((Fault(Reason.WRONG_CAMERA, detail=said) for said in different), None)
+        lights = fault or find_leds(led_image(frame.pixels))
+        return PlateFrame(frame.camera, frame.sequence, frame.t_ns, lights)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,60 +79,103 @@ class _Exposure:
 
 
 class PlanarChain:
-    """Finds LEDs, averages the frames of one pose and solves it; pure but for its memory of the window.
+    """Averages the frames of one pose and solves it; pure but for its memory of the window.
 
-    ``window`` is the number of exposures that are averaged, ``every`` that from one measurement to the next,
+    ``measuring`` has the number of exposures that are averaged, and that from one measurement to the next,
     counted from the first exposure. No window mixes two poses: it begins again with a frame whose LEDs moved,
-    or whose known pose is another one. ``origins`` are the faults that each measurement carries.
+    after a gap, and at another ``place`` of ``provenance``. ``expected`` is the camera that the config names,
+    beside the one that was calibrated.
+
+    ``push`` does all of it. A daemon uses ``pairer``, ``locators`` and ``add`` on threads of their own.
     """
 
     def __init__(
         self,
-        instrument: PlanarInstrument,
-        frame_noise_px: float,
-        window: int,
-        every: int,
-        origins: tuple[Fault, ...] = (),
-        utc: Callable[[int], datetime | None] = lambda t_ns: None,
+        camera: str,
+        calibration: PlanarCalibration,
+        measuring: Measuring,
+        provenance: Provenance,
+        expected: CameraIdentity | None = None,
     ) -> None:
-        self._instrument, self._noise_px = instrument, frame_noise_px
-        self._window, self._every = window, every
-        self._origins, self._utc = origins, utc
+        self._instrument, self._noise_px = PlanarInstrument(calibration), calibration.frame_noise_px
+        self._measuring, self._provenance = measuring, provenance
+        self._calibration_origin = calibration_faults(calibration.simulated)
+        self._camera = camera
+        self.pairer: Pairer[Frame] = Pairer(
+            (camera,), measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
+        )
+        cameras = (calibration.camera, expected or CameraIdentity())
+        self._locator = PlateLocator(cameras, partial(provenance.identity, camera))
+        self.locators: Mapping[str, PlateLocator] = {camera: self._locator}
+        self.frame_sets = 0
+        """Frames that moved on."""
         self._exposures: deque[_Exposure] = deque()
         self._still: list[Leds] = []
         """The LEDs of the exposures at this pose, the newest last."""
-        self._known_pose: tuple[float, float, float] | None = None
+        self._place: Place | None = None
+        self._last: PlateFrame | None = None
         self._since = 0
-        self._freshness = FreshnessCheck()
         self._gate = Gate()
 
-    def add(self, frame: Frame, known_pose: tuple[float, float, float] | None = None) -> Measurement | None:
-        """Take one frame; returns the measurement that it completes. ``known_pose`` only ends a window."""
-        before = self._still[-1] if self._still else None
-        if self._exposures and frame.sequence != self._exposures[-1].sequence + 1:
-            before = None
-        leds: Leds | Fault
-        if repeated := self._freshness.repeated(frame):
-            leds = Fault(Reason.FRAME_REPEATED, detail=repeated)
-        else:
-            leds = self._instrument.identify(find_leds(led_image(frame.pixels)), before)
-        has_moved = known_pose != self._known_pose
+    @property
+    def silent_after_s(self) -> float:
+        """A camera from which nothing came for so long is silent."""
+        return self._measuring.silent_after_s
+
+    def seen(self) -> str:
+        """The last finding, in words."""
+        return "" if self._last is None else f"{self._camera}: {self._last.spot}"
+
+    def figures(self) -> dict[str, float | str | None]:
+        """The number of LEDs in the newest frame, for health."""
+        newest = self._exposures[-1].leds if self._exposures else None
+        return {"leds": len(newest.numbers) if isinstance(newest, Leds) else 0}
+
+    def push(self, frame: Frame) -> Measurement | None:
+        """Take one frame; returns the measurement that it completes."""
+        return self._take(self._locator.locate(frame))
+
+    def add(self, pair: Pair[PlateFrame]) -> Measurement | None:
+        """Take the content of a frame; one that came too late is not measured."""
+        seen = pair.items.get(self._camera)
+        return None if seen is None else self._take(seen)
+
+    def silence(self, t_ns: int) -> Measurement:
+        """The measurement of a moment at which the camera does not deliver."""
+        self._forget()
+        self._last = None
+        silent = Fault(Reason.CAMERA_SILENT, detail="no frame comes")
+        return self._as_measurement(_Exposure(0, t_ns, silent), t_ns, 0, {}, (silent,))
+
+    def _take(self, seen: PlateFrame) -> Measurement | None:
+        last, self._last = self._last, seen
+        place, self._place = self._place, self._provenance.place(seen.sequence)
+        self.frame_sets += 1
+        gap_s = 0.0 if last is None else (seen.t_ns - last.t_ns) * 1e-9
+        if self._place != place or not 0.0 <= gap_s <= self.silent_after_s:
+            self._forget()
+        is_next = self._exposures and seen.sequence == self._exposures[-1].sequence + 1
+        before = self._still[-1] if self._still and is_next else None
+        leds = (
+            seen.lights if isinstance(seen.lights, Fault) else self._instrument.identify(seen.lights, before)
+        )
+        if isinstance(leds, Leds) and self._has_moved(leds):
+            self._forget()
         if isinstance(leds, Leds):
-            has_moved = has_moved or self._has_moved(leds)
-        if has_moved:
-            self._exposures.clear()
-            self._still.clear()
-        self._known_pose = known_pose
-        if isinstance(leds, Leds):
-            self._still = [*self._still, leds][-self._window :]
-        while self._exposures and frame.sequence - self._exposures[0].sequence >= self._window:
+            self._still = [*self._still, leds][-self._measuring.window :]
+        while self._exposures and seen.sequence - self._exposures[0].sequence >= self._measuring.window:
             self._exposures.popleft()
-        self._exposures.append(_Exposure(frame.sequence, frame.t_ns, leds))
+        self._exposures.append(_Exposure(seen.sequence, seen.t_ns, leds))
         self._since += 1
-        if self._since < self._every:
+        if self._since < self._measuring.every:
             return None
         self._since = 0
         return self._gate.admit(self._measurement())
+
+    def _forget(self) -> None:
+        """No window reaches back from here."""
+        self._exposures.clear()
+        self._still.clear()
 
     def _has_moved(self, leds: Leds) -> bool:
         """Whether the LEDs are elsewhere than in the frames before, beyond their noise."""
@@ -118,15 +210,26 @@ class PlanarChain:
                 values = solved
                 faults = (Fault(Reason.EXPOSURES_LOST, detail=f"{lost} in this window"),) if lost else ()
         t_ns = round(sum(each.t_ns for each in usable) / len(usable)) if values else newest.t_ns
+        return self._as_measurement(newest, t_ns, len(usable) if values else 0, values, faults)
+
+    def _as_measurement(
+        self,
+        newest: _Exposure,
+        t_ns: int,
+        frames: int,
+        values: Mapping[str, Value],
+        faults: tuple[Fault, ...],
+    ) -> Measurement:
+        origins = {fault.reason: fault for fault in (*self._calibration_origin, *self._provenance.origins())}
         return Measurement(
             sequence=newest.sequence,
             t_ns=t_ns,
-            time=self._utc(t_ns),
-            frames=len(usable) if values else 0,
+            time=self._provenance.utc(t_ns),
+            frames=frames,
             quantities=self._instrument.quantities,
             values=values,
             targets={},
-            status=faults + self._origins,
+            status=faults + tuple(origins[reason] for reason in sorted(origins)),
             last_exposure_ns=newest.t_ns,
         )
 

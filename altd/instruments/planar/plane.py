@@ -19,6 +19,7 @@ MODELS: tuple[Model, ...] = get_args(Model)
 STEP_MM = 0.5
 """Of derivatives by places on the plane."""
 _NEWTON_STEPS = 12
+_NEGLIGIBLE_MM = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +76,10 @@ class PlaneCamera:
                 miss = points_px - self.to_px(points_mm)
                 determinant = np.linalg.det(slopes := self.px_per_mm(points_mm))
                 slopes[~(np.abs(determinant) > 1e-9)] = np.nan
-                points_mm = points_mm + np.linalg.solve(slopes, miss[:, :, None])[:, :, 0]
+                step = np.linalg.solve(slopes, miss[:, :, None])[:, :, 0]
+                points_mm = points_mm + step
+                if not np.any(np.abs(step) > _NEGLIGIBLE_MM):
+                    break
             off_px = np.linalg.norm(points_px - self.to_px(points_mm), axis=1)
         return np.where((off_px < 1e-3)[:, None], points_mm, np.nan)
 

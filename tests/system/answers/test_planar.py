@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 from support.cli import altd_here, refusal
+from support.played_unit import PlayingDaemon
+from support.ports import free_port
 
+from altd.calibration.planar_file import load_planar_calibration
+from altd.config import Measuring
+from altd.instruments.planar.chain import PlanarChain
+from altd.measuring.chain import Provenance
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Frame
 from hw_sim.planar import Light, PlanarScene, Stay, known_and_unknown, places_mm, record
 
 SEED = 31
@@ -170,3 +183,140 @@ def test_wrong_files_are_refused(known: Path, calibration: Path, tmp_path: Path)
     assert "is for unit 'SIM-PLANAR-31'" in refusal(
         altd_here("replay", unknown, "--calibration", calibration)
     )
+
+
+PLAYED = """
+[unit]
+serial = "SIM-PLANAR-31"
+calibration = "cal.json"
+instrument = "planar"
+[measuring]
+window = 4
+[cameras.plate]
+driver = "recording"
+path = "moved"
+repeat = true
+"""
+
+
+def test_the_daemon_measures_and_publishes_the_pose(
+    scene: PlanarScene, calibration: Path, tmp_path: Path
+) -> None:
+    shutil.copy(calibration, tmp_path / "cal.json")
+    a, b, phi = scene.poses(1)[0]
+    stays = [Stay((a + step, b, phi), ALL) for step in (0.0, 3.0)]
+    record(tmp_path / "moved", scene, stays, 20, lambda done, planned: None)
+    port = free_port()
+    config = tmp_path / "altd.toml"
+    config.write_text(f'{PLAYED}[http]\nhost = "127.0.0.1"\nport = {port}\n')
+    checked = altd_here("check-config", config)
+    assert (checked.status, "unit SIM-PLANAR-31, 1 camera" in checked.out) == (0, True), checked
+    command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
+    with subprocess.Popen(command, env={**os.environ, "PYTHONWARNINGS": "error"}) as process:
+        daemon = PlayingDaemon(process, port, 0)
+        try:
+            for at in (a, a + 3.0):
+
+                def is_there(now: dict[str, Any], at: float = at) -> bool:
+                    return now["valid"] and now["frames"] == 4 and abs(now["a_mm"] - at) < 1.0
+
+                measured = daemon.wait_until(is_there)
+                for key, truth in zip(KEYS, (at, b, phi), strict=True):
+                    assert abs(measured[key] - truth) < 5 * measured["sigma"][key]
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/v1/calibration") as answer:
+                assert set(json.load(answer)["expected_sigma"]) == set(KEYS)
+        finally:
+            process.terminate()
+            assert process.wait(20) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[measuring]", "[modbus_tcp]\n[measuring]", "modbus_tcp: is for a beam; possible: no table"),
+        ("window = 4", 'output = "now"', 'measuring.output: "now" is for a beam'),
+        (
+            "[cameras.plate]",
+            "[cameras.other]\ndriver = 'recording'\npath = 'moved'\nrepeat = true\n[cameras.plate]",
+            '"other", "plate" are too many',
+        ),
+        ("[measuring]", "[[targets]]\nname = 'a'\nz_mm = 0\ncamera = 'plate'\n[measuring]", "has no targets"),
+        (
+            "[measuring]",
+            "[[serial]]\ndevice = '/dev/ttyS9'\nspeaks = 'telegram'\n[measuring]",
+            "serial.0.speaks",
+        ),
+        ("[measuring]", "[installation]\nsign_x = -1\n[measuring]", "installation: is for a beam"),
+        ('"planar"', '"beam"', "targets: 0 tables [[targets]]; possible: 2 or more"),
+    ],
+)
+def test_a_config_for_another_instrument_is_refused(
+    calibration: Path, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    config = tmp_path / "altd.toml"
+    config.write_text(PLAYED.replace(old, new))
+    refused = altd_here("check-config", config)
+    assert (refused.status, said in refused.err) == (2, True), refused.err
+
+
+class TestLive:
+    """The chain as the daemon drives it, with the frames that a camera may deliver."""
+
+    @pytest.fixture
+    def chain(self, calibration: Path) -> PlanarChain:
+        of = Provenance(identity=lambda camera: self.camera)
+        return PlanarChain("plate", load_planar_calibration(calibration), Measuring(window=4), of)
+
+    camera = CameraIdentity("1", "cam", "aravis")
+
+    def frames(self, scene: PlanarScene, *lit: tuple[int, ...]) -> Iterator[Frame]:
+        pose = scene.poses(1)[0]
+        for number, leds in enumerate(lit):
+            pixels = scene.expose(scene.mean_electrons(pose, leds))
+            yield Frame("plate", number, number * 50_000_000, pixels)
+
+    def test_after_a_pause_no_earlier_frame_counts(self, scene: PlanarScene, chain: PlanarChain) -> None:
+        one, two, three = self.frames(scene, ALL, ALL, (0, 3))
+        chain.push(one)
+        (paused, later) = (replace(two, t_ns=two.t_ns + 10**9), replace(three, t_ns=three.t_ns + 10**9))
+        assert [chain.push(frame).frames for frame in (paused, later)] == [1, 2]  # type: ignore[union-attr]
+        silent = chain.silence(3 * 10**9)
+        assert silent.status[0].reason is Reason.CAMERA_SILENT
+
+    def test_two_leds_are_not_followed_across_a_pause(self, chain: PlanarChain) -> None:
+        """The plate may have turned by half a turn meanwhile; its two LEDs look the same then."""
+        scene = PlanarScene(SEED)
+        a, b, phi = scene.poses(1)[0]
+        turned = scene.mean_electrons((a, b, phi + 180.0), ALL)
+        (first, second) = (
+            scene.expose(scene.mean_electrons((a, b, phi + 180.0), of)) for of in (ALL, (0, 3))
+        )
+        assert turned is not None
+        measured = chain.push(Frame("plate", 0, 0, first))
+        assert measured is not None
+        assert measured.valid
+        followed = chain.push(Frame("plate", 1, 50_000_000, second))
+        assert followed is not None
+        assert followed.valid
+        again = scene.expose(scene.mean_electrons((a, b, phi + 180.0), (0, 3)))
+        after = chain.push(Frame("plate", 2, 10**9, again))
+        assert after is not None
+        assert not after.valid or abs(after.values["phi_deg"].value - measured.values["phi_deg"].value) > 90.0
+
+    def test_another_camera_and_a_changing_exposure_give_no_pose(
+        self, scene: PlanarScene, calibration: Path
+    ) -> None:
+        known = replace(load_planar_calibration(calibration), camera=CameraIdentity("1", "cam", "aravis"))
+        of = Provenance(identity=lambda camera: self.camera)
+        chain = PlanarChain("plate", known, Measuring(), of)
+        same, other, changing = self.frames(scene, ALL, ALL, ALL)
+        seen = [chain.push(same)]
+        self.camera = CameraIdentity("2", "cam", "aravis")
+        seen.append(chain.push(other))
+        self.camera = CameraIdentity("1", "cam", "aravis")
+        seen.append(chain.push(replace(changing, changing=True)))
+        assert [(one.valid, str(one.status[0].reason)) for one in seen if one is not None] == [
+            (True, "simulated"),
+            (False, "wrong_camera"),
+            (False, "exposure_changing"),
+        ]

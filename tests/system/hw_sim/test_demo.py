@@ -226,6 +226,26 @@ def demo_at_a_terminal(
         os.close(terminal)
 
 
+def test_a_plate_is_measured_at_rest_and_on_its_way_with_the_errors_that_sigma_states(
+    temporary: dict[str, str],
+) -> None:
+    command = [sys.executable, "-m", "hw_sim", "planar", "--seed", "4"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, env=temporary)
+    with ended(process):
+        assert process.stdout is not None
+        output = Output(process.stdout.fileno())
+        said = output.until(lambda data: data.count(b"exposure") >= 8, timeout_s=120.0).decode()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+    lines = [line for line in said.splitlines() if "exposure" in line]
+    for line in lines[:8]:
+        sigmas, errors = re.findall(rf"± *{NUMBER}", line), re.findall(r" ([+-]\d\.\d{4})", line)
+        assert len(sigmas) == len(errors[-3:]) == 3
+        for sigma, error in zip(sigmas, errors[-3:], strict=True):
+            assert abs(float(error)) < 5 * float(sigma)
+    assert any("1 exposure" in line and "exposures" not in line for line in lines), "it never moved"
+
+
 def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None:
     with demo_at_a_terminal([*DEMO, "--calibration", str(unit_3 / "cal.json")], unit_3) as (terminal, demo):
         output = Output(terminal)

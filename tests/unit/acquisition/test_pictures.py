@@ -14,7 +14,7 @@ import pytest
 from support.clock import FakeClock, stop
 from support.evidence import calibration, nodes_mm, straight_px
 
-from altd.acquisition.pictures import MAX_RATE_HZ, MAX_WIDTH_PX, Pictures, contour_of
+from altd.acquisition.pictures import MAX_RATE_HZ, MAX_WIDTH_PX, Pictures, contour_of, view_of
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot, SpotShape
 from altd.status.services import NoPictureError, Picture
@@ -37,7 +37,9 @@ class Shown:
 
     def __init__(self) -> None:
         self.clock = FakeClock(SECOND_NS)
-        self.pictures = Pictures({target.name: target for target in calibration().targets}, self.clock)
+        self.pictures = Pictures(
+            [view_of(target.name, target) for target in calibration().targets], self.clock
+        )
         self.sequence = 0
 
     def put(self, camera: str = "front", spot: Spot | NoSpot = SPOT, **about: object) -> Frame:

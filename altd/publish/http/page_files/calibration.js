@@ -52,7 +52,7 @@ export function Calibration({ mayLook }) {
   return html`<section aria-labelledby="calibration-title" class="wide"><h2 id="calibration-title">Calibration</h2>
     ${!isThere && html`<p>${calibration?.error ?? "waiting for the unit…"}</p>`}
     ${isThere && html`${calibration.simulated && html`<p class="warned">Made from SIMULATED frames: not for a real unit.</p>`}
-      <${Facts} calibration=${calibration} /><${Targets} targets=${calibration.targets} />
+      <${Facts} calibration=${calibration} />${calibration.targets.length > 0 && html`<${Targets} targets=${calibration.targets} />`}
       <p class="links">${mayLook && html`<a href="/api/v1/calibration/file" download>Download the file</a>
         ${calibration.report.available && html` <a href="/api/v1/calibration/report" target="_blank" rel="noopener">Report</a>`}`}
         ${mayLook === false && html`<span>To download the file, <a href="#unit">log in</a> first.</span>`}

@@ -25,7 +25,7 @@ export function Numbers({ measurement, isFar }) {
     return html`<${Row} key=${quantity.key} quantity=${other || quantity} measurement=${measurement} decimals=${isFar ? FAR_DECIMALS : undefined} />`;
   });
   return html`<section aria-labelledby="numbers-title" class="numbers" data-sequence=${measurement?.sequence ?? ""}>
-    <h2 id="numbers-title">Beam position</h2>
+    <h2 id="numbers-title">Measurement</h2>
     <table>
       <thead class="unseen"><tr><th scope="col">quantity</th><th scope="col">value</th><th scope="col">unit</th>
         <th scope="col">uncertainty (1 sigma)</th></tr></thead>

@@ -1,0 +1,80 @@
+"""The instruments as the daemon runs them: all that differs between one kind of unit and another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from altd.acquisition.pictures import outlined, view_of
+from altd.acquisition.pipeline import Chain
+from altd.app.calibration_summary import planar_summary_of, summary_of, target_areas_of
+from altd.app.parts import AnyCalibration
+from altd.config import AnyCameraSettings, Config, LiveCameraSettings
+from altd.instruments.beam.instrument import BeamInstrument
+from altd.instruments.planar.chain import PlanarChain
+from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
+from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.records import CameraIdentity, Quantities
+from altd.status.services import TargetView
+from altd.status.target_area import TargetArea
+
+_PLATE = "plate"
+"""The name of a plate's picture, and of its camera where the caller of the daemon chose it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveInstrument:
+    """An instrument with its calibration. ``views`` and ``areas`` are in the order of its cameras."""
+
+    quantities: Quantities
+    chain: Callable[[Provenance], Chain]
+    summary: Mapping[str, Any]
+    views: tuple[TargetView, ...]
+    areas: tuple[TargetArea, ...] = ()
+
+
+def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrument:
+    """The instrument of a config, whose calibration was checked against it."""
+    if isinstance(calibration, PlanarCalibration):
+        return _planar(config, calibration)
+    instrument = BeamInstrument(calibration, config.measuring, config.installation)
+    for target in calibration.targets:
+        _ = target.inverse  # made now, for the first measurement would hold the loop with it
+    by_name = {target.name: target for target in calibration.targets}
+    return LiveInstrument(
+        instrument.quantities,
+        lambda provenance: MeasuringChain(
+            views_of(config), calibration, config.measuring, instrument, provenance
+        ),
+        summary_of(calibration, [target.name for target in config.targets], config.unit.calibration.name),
+        tuple(view_of(of.camera, by_name[of.name]) for of in config.targets),
+        target_areas_of(config, calibration),
+    )
+
+
+def views_of(config: Config) -> list[View]:
+    """The targets of a beam with their cameras."""
+    return [View(of.name, of.camera, _expected(config.cameras.get(of.camera))) for of in config.targets]
+
+
+def _planar(config: Config, calibration: PlanarCalibration) -> LiveInstrument:
+    (camera,) = config.measuring_cameras or (_PLATE,)
+    of_camera = calibration.fit.camera
+    size = of_camera.width, of_camera.height
+    view = outlined(_PLATE, camera, size, calibration.hull_mm, of_camera.to_px, np.empty((0, 2)))
+    return LiveInstrument(
+        QUANTITIES,
+        lambda provenance: PlanarChain(
+            camera, calibration, config.measuring, provenance, _expected(config.cameras.get(camera))
+        ),
+        planar_summary_of(calibration, config.unit.calibration.name),
+        (view,),
+    )
+
+
+def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:
+    """The camera's own settings in the config; None: none."""
+    return CameraIdentity(serial=camera.serial) if isinstance(camera, LiveCameraSettings) else None
