@@ -56,7 +56,7 @@ def simulated(seed: int, errors: _Errors) -> PlanarCalibration:
     with tempfile.TemporaryDirectory() as folder:
         record(Path(folder) / "plate", scene, stays, EXPOSURES, lambda done, planned: None)
         recording = open_recording(Path(folder) / "plate")
-        calibration = calibrate_planar(recording).calibration
+        calibration = calibrate_planar([recording]).calibration
         measured = list(PlanarReplay(recording, calibration, EXPOSURES, EXPOSURES).measurements())
     for stay, measurement in zip(stays[KNOWN:], measured[KNOWN:], strict=True):
         values = [measurement.values.get(key, Value(math.nan, math.nan)) for key in KEYS]

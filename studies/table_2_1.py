@@ -102,7 +102,7 @@ def _errors(seed: int, way: str) -> dict[str, list[FloatArray]]:
     with tempfile.TemporaryDirectory() as folder:
         record(Path(folder) / "plate", scene, stays, EXPOSURES, lambda done, planned: None)
         recording = open_recording(Path(folder) / "plate")
-        calibration = calibrate_planar(recording).calibration
+        calibration = calibrate_planar([recording]).calibration
         measured = list(PlanarReplay(recording, calibration, EXPOSURES, EXPOSURES).measurements())
     errors: dict[str, list[FloatArray]] = {name: [] for name in POSES}
     for (name, pose), measurement in zip(asked, measured[len(known) :], strict=True):

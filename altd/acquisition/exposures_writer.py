@@ -14,6 +14,7 @@ from altd.recording.header import (
     MADE_BY,
     CameraHeader,
     Kind,
+    LedPlateHeader,
     PlateHeader,
     RecordingHeader,
     TargetHeader,
@@ -38,8 +39,10 @@ class RecordingPlan:
     kind: Kind = "measurement"
     by: str = "altd record"
     """The command, in the recording's note."""
-    plate: PlateHeader | None = None
-    """The plates at the targets' places in a recording of kind ``plate``."""
+    plate: PlateHeader | LedPlateHeader | None = None
+    """The plates at the targets' places in a recording of kind ``plate``, the plate of kind ``planar``."""
+    pose: tuple[float, float, float] | None = None
+    """The known pose of the latter, (a mm, b mm, φ °)."""
 
 
 class ExposuresWriter:
@@ -80,7 +83,7 @@ class ExposuresWriter:
             self._headers = {
                 name: camera_header(frame, self._cameras[name]) for name, frame in pair.items.items()
             }
-            self._writer = RecordingWriter(self._path, self._header())
+            self._writer = RecordingWriter(self._path, self._header(), pose=self._plan.pose)
         self._check_cameras()
         t_s = (pair.t_ns - self._first_ns) * 1e-9
         last_sequence, last_s = self._last

@@ -18,10 +18,13 @@ from altd.config import Config, LiveCameraSettings
 from altd.errors import BadInputError
 from altd.measuring.chain import View
 from altd.ports import Camera, Lamps
-from altd.recording.header import Kind, PlateHeader, target_headers, unit_header
+from altd.recording.header import Kind, LedPlateHeader, PlateHeader, target_headers, unit_header
 from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health
+
+KnownPose = tuple[float, float, float]
+"""Of a plate: a mm, b mm, φ °."""
 
 
 async def record_of(
@@ -29,18 +32,18 @@ async def record_of(
     place: Path,
     folder: Path,
     seconds: float,
-    shows: Kind | PlateHeader,
+    shows: Kind | PlateHeader | KnownPose,
     progress: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
     """Record from the config's cameras into ``folder``; returns the number of exposures.
 
     ``progress`` receives after each of them the count and the total. For a self-check the frame LEDs
     are switched off and on in turn; BadInputError where live cameras have none. Raises LampsError and
-    CameraError when they fail meanwhile. ``shows`` is the kind, of a plate the plate itself.
+    CameraError when they fail meanwhile. ``shows`` is the kind, of a plate the plate itself, of the config's
+    plate with LEDs its known pose.
     """
-    plate = shows if isinstance(shows, PlateHeader) else None
-    kind: Kind = "plate" if isinstance(shows, PlateHeader) else shows
     refuse_used_folder(folder)
+    plate, kind, pose = _shown(config, place, shows)
     cameras = cameras_of(config, place)
     lamps = lamps_of(config, cameras, place) if kind == "self-check" else None
     is_live = any(isinstance(camera, LiveCameraSettings) for camera in config.cameras.values())
@@ -49,8 +52,24 @@ async def record_of(
     exposure = exposure_controls_of(config)
     sets = FrameSets(list(cameras.values()), config.measuring, Health(SystemClock()), exposure)
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
-    plan = RecordingPlan(seconds, unit, targets, kind, plate=plate)
+    plan = RecordingPlan(seconds, unit, targets or None, kind, plate=plate, pose=pose)
     return await record(sets, folder, plan, progress, lamps)
+
+
+def _shown(
+    config: Config, place: Path, shows: Kind | PlateHeader | KnownPose
+) -> tuple[PlateHeader | LedPlateHeader | None, Kind, KnownPose | None]:
+    """The plate, the kind of the recording, and the known pose."""
+    if config.unit.instrument != "planar":
+        if isinstance(shows, tuple):
+            raise BadInputError(place, '--pose goes with instrument = "planar"')
+        return (shows, "plate", None) if isinstance(shows, PlateHeader) else (None, shows, None)
+    if isinstance(shows, PlateHeader) or shows in ("flat", "self-check"):
+        raise BadInputError(place, 'instrument = "planar" is recorded with --pose alone, or without a kind')
+    if config.plate is None:
+        raise BadInputError(place, "no [plate] table: the places of the plate's LEDs are part of a recording")
+    plate = LedPlateHeader(leds_mm=config.plate.leds_mm, disc_mm=config.plate.disc_mm)
+    return plate, "planar", shows if isinstance(shows, tuple) else None
 
 
 def scanner_of(

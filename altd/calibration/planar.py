@@ -7,9 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
+from altd.calibration.calibrating import sha256_of_all
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
 from altd.instruments.planar.cross_validation import leave_one_out
@@ -36,7 +38,6 @@ from altd.instruments.planar.leds import find_leds, led_image, rim_points_px
 from altd.instruments.planar.plane import MODELS, Model, homography_camera
 from altd.instruments.planar.pose import solve_pose
 from altd.mapping.grid import convex_hull_mm
-from altd.recording.frames_table import Row
 from altd.recording.header import HEADER_FILE, LedPlateHeader
 from altd.recording.reader import Recording
 from altd.records import FloatArray, Frame, counted
@@ -61,9 +62,9 @@ _MIN_WRONG_MM, _WRONG_SIGMAS = 0.5, 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stay:
-    """The plate at one known pose, first seen in ``row``: the discs of its mean frame, and their rims."""
+    """The plate at one known pose, first seen at ``place``: the discs of its mean frame, and their rims."""
 
-    row: Row
+    place: str
     pose: Pose
     discs: tuple[Disc, ...]
     rims_px: tuple[FloatArray, ...]
@@ -103,36 +104,38 @@ class PlanarResult:
         )
 
 
-def calibrate_planar(recording: Recording, progress: Progress = lambda done, total: None) -> PlanarResult:
+def calibrate_planar(
+    recordings: Sequence[Recording], progress: Progress = lambda done, total: None
+) -> PlanarResult:
     """Fit the models to the known poses and keep the one that measures a pose best that it was not shown.
 
     Rows without a pose are left out. Raises BadInputError when no row has one, when the LEDs cannot be found
-    or do not fit the layout, and where a known pose contradicts the others.
+    or do not fit the layout, where a known pose contradicts the others, and for recordings of several plates
+    or cameras.
     """
+    plate = _plate_of_all(recordings)
+    recording = recordings[0]
     place = recording.path / HEADER_FILE
-    plate = recording.header.plate
-    if recording.header.kind != "planar" or not isinstance(plate, LedPlateHeader):
-        raise BadInputError(recording.path, f"is of kind {recording.header.kind!r}, not 'planar'")
     leds_mm = np.array(plate.leds_mm)
     try:
         check_layout(leds_mm)
     except ValueError as error:
         raise BadInputError(place, f"plate.leds_mm: {error}") from error
-    stays = _stays(recording, progress)
+    stays = _stays(recordings, progress)
     (camera,) = recording.header.cameras.values()
     size = camera.width, camera.height
-    homography = _first_homography(recording, stays, leds_mm)
+    homography = _first_homography(recording.path, stays, leds_mm)
     matched = [_matched(stay, leds_mm, homography) for stay in stays]
     refused = []
     for stay, pairs in zip(stays, matched, strict=True):
         if len(pairs) < min(MIN_LEDS, len(stay.discs)):
             raise BadInputError(
-                recording.rows.place(stay.row),
+                stay.place,
                 f"a_mm, b_mm, phi_deg are wrong: {len(pairs)} of {len(stay.discs)} lights are where an LED "
                 f"would be",
             )
         if len(pairs) < MIN_LEDS:
-            refused.append(f"{recording.rows.place(stay.row)}: {counted(len(stay.discs), 'LED')} seen")
+            refused.append(f"{stay.place}: {counted(len(stay.discs), 'LED')} seen")
     kept = [(stay, pairs) for stay, pairs in zip(stays, matched, strict=True) if len(pairs) >= MIN_LEDS]
     stays = [stay for stay, _ in kept]
     sightings = [_sighting(*each) for each in kept]
@@ -141,9 +144,9 @@ def calibrate_planar(recording: Recording, progress: Progress = lambda done, tot
     per_mm = homography_camera(homography, seen_mm, size).px_per_mm(seen_mm)
     disc_mm = _disc_mm(place, plate, float(np.median(areas_px / np.abs(np.linalg.det(per_mm)))))
     numbered, outliers = _without_outliers(sightings, leds_mm, disc_mm, size)
-    refused += [f"{recording.rows.place(stays[at].row)}: {why}" for at, why in outliers]
+    refused += [f"{stays[at].place}: {why}" for at, why in outliers]
     stays, sightings = [stays[at] for at, _ in numbered], [seen for _, seen in numbered]
-    chosen, rms, factor = _chosen(recording, stays, sightings, leds_mm, disc_mm)
+    chosen, rms, factor = _chosen(size, stays, sightings, leds_mm, disc_mm)
     fit = fit_plane(chosen, leds_mm, sightings, disc_mm, size)
     frame_noise, lasting = _noise_px(stays, fit.noise_px)
     fit = scaled(replace(fit, noise_px=lasting), factor)
@@ -151,7 +154,7 @@ def calibrate_planar(recording: Recording, progress: Progress = lambda done, tot
         unit_serial=recording.header.unit.serial,
         created=datetime.now(UTC),
         recording_note=recording.header.note,
-        recording_sha256=recording.sha256(),
+        recording_sha256=sha256_of_all([each.sha256() for each in recordings]),
         camera=camera.identity,
         origin=camera.origin,
         disc_mm=disc_mm,
@@ -189,26 +192,43 @@ def _noise_px(stays: Sequence[_Stay], of_fit_px: float) -> tuple[float, float]:
     return math.sqrt(of_frame), math.sqrt(lasting)
 
 
-def _stays(recording: Recording, progress: Progress) -> list[_Stay]:
+def _plate_of_all(recordings: Sequence[Recording]) -> LedPlateHeader:
+    """The plate that all recordings show, with one camera of one unit."""
+    first = recordings[0].header
+    for recording in recordings:
+        header = recording.header
+        if header.kind != "planar" or not isinstance(header.plate, LedPlateHeader):
+            raise BadInputError(recording.path, f"is of kind {header.kind!r}, not 'planar'")
+        for key in ("unit", "cameras", "plate"):
+            if getattr(header, key) != getattr(first, key):
+                said = f"{key}: is not that of {recordings[0].path}"
+                raise BadInputError(recording.path / HEADER_FILE, said)
+    assert isinstance(first.plate, LedPlateHeader)  # noqa: S101  of the first, too
+    return first.plate
+
+
+def _stays(recordings: Sequence[Recording], progress: Progress) -> list[_Stay]:
     """The known poses in the order of the rows; each is seen in frames that follow one another."""
-    rows = [row for row in recording.rows if row.pose is not None]
-    if not rows:
+    of_all = [[row for row in recording.rows if row.pose is not None] for recording in recordings]
+    total = sum(map(len, of_all))
+    if not total:
         raise BadInputError(
-            recording.rows.table.path, "no row has a known pose: a_mm, b_mm, phi_deg are empty or missing"
+            recordings[0].rows.table.path, "no row has a known pose: a_mm, b_mm, phi_deg are empty or missing"
         )
     stays, done = [], 0
-    for pose, group in itertools.groupby(rows, key=lambda row: row.pose):
-        if pose is None:
-            continue
-        of_pose = list(group)
-        frames = [recording.frame(row) for row in of_pose[:_MAX_FRAMES]]
-        done += len(of_pose)
-        progress(done, len(rows))
-        stays.append(_stay(of_pose[0], pose, frames))
+    for recording, rows in zip(recordings, of_all, strict=True):
+        for pose, group in itertools.groupby(rows, key=lambda row: row.pose):
+            if pose is None:
+                continue
+            of_pose = list(group)
+            frames = [recording.frame(row) for row in of_pose[:_MAX_FRAMES]]
+            done += len(of_pose)
+            progress(done, total)
+            stays.append(_stay(recording.rows.place(of_pose[0]), pose, frames))
     return stays
 
 
-def _stay(row: Row, pose: Pose, frames: Sequence[Frame]) -> _Stay:
+def _stay(place: str, pose: Pose, frames: Sequence[Frame]) -> _Stay:
     image = led_image(np.asarray(np.mean([frame.pixels for frame in frames], axis=0, dtype=np.float32)))
     discs = find_leds(image)
     variance = math.nan
@@ -217,10 +237,10 @@ def _stay(row: Row, pose: Pose, frames: Sequence[Frame]) -> _Stay:
         variances = centres[:, np.isfinite(centres).all(axis=(0, 2))].var(axis=0, ddof=1)
         variance = float(variances.mean()) if variances.size else math.nan
     rims = tuple(rim_points_px(image, disc) for disc in discs)
-    return _Stay(row, pose, discs, rims, variance, len(frames))
+    return _Stay(place, pose, discs, rims, variance, len(frames))
 
 
-def _first_homography(recording: Recording, stays: Sequence[_Stay], leds_mm: FloatArray) -> FloatArray:
+def _first_homography(path: Path, stays: Sequence[_Stay], leds_mm: FloatArray) -> FloatArray:
     """Takes px to mm of the fixed frame, by the known pose that agrees with most others of those tried."""
     why, best, most = "", None, -1
     in_order = sorted(stays, key=lambda stay: abs(len(stay.discs) - len(leds_mm)))
@@ -228,7 +248,7 @@ def _first_homography(recording: Recording, stays: Sequence[_Stay], leds_mm: Flo
         try:
             pairs = projective_match(leds_mm, stay.centres_px)
         except ValueError as error:
-            why = why or f"{recording.rows.place(stay.row)}: {error}"
+            why = why or f"{stay.place}: {error}"
             continue
         led, light = (list(column) for column in zip(*pairs, strict=True))
         homography = fit_homography(stay.centres_px[light], placed_mm(leds_mm[led], stay.pose))
@@ -236,7 +256,7 @@ def _first_homography(recording: Recording, stays: Sequence[_Stay], leds_mm: Flo
         if fitting > most:
             best, most = homography, fitting
     if best is None:
-        raise BadInputError(recording.path, f"shows the plate at no known pose; {why}")
+        raise BadInputError(path, f"shows the plate at no known pose; {why}")
     return best
 
 
@@ -309,15 +329,13 @@ def _off_px(fit: PlaneFit, seen: Sighting, disc_mm: float) -> FloatArray:
 
 
 def _chosen(
-    recording: Recording,
+    size: tuple[int, int],
     stays: Sequence[_Stay],
     sightings: Sequence[Sighting],
     leds_mm: FloatArray,
     disc_mm: float,
 ) -> tuple[Model, Mapping[Model, tuple[float, float]], float]:
     """The model with the least leave-one-out errors, the errors of each, and their ratio to sigma."""
-    (camera,) = recording.header.cameras.values()
-    size = camera.width, camera.height
     if len(sightings) < MIN_POSES_FOR_SPREAD:
         return "homography", {}, _UNSEEN_FACTOR
     rms: dict[Model, tuple[float, float]] = {}
@@ -338,7 +356,7 @@ def _chosen(
             worst = int(significance.argmax())
             if length[worst] > _MIN_WRONG_MM and significance[worst] > _WRONG_SIGMAS:
                 raise BadInputError(
-                    recording.rows.place(stays[worst].row),
+                    stays[worst].place,
                     f"a_mm, b_mm, phi_deg are {length[worst]:.2f} mm from what the other poses say",
                 )
     best = min(MODELS, key=lambda model: cost[model])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import shlex
 from collections.abc import Sequence
@@ -112,14 +113,12 @@ def _run_planar(options: argparse.Namespace, recordings: Sequence[Recording]) ->
     from altd.calibration.planar_file import save_planar_calibration
     from altd.recording.reader import gap_lines
 
-    if len(recordings) > 1:
-        raise BadInputError(options.recordings[1], "a recording of kind 'planar' is calibrated alone")
     for option in ("flat", "report", "certificate"):
         if getattr(options, option) is not None:
             raise BadInputError(f"--{option}", "is not made of a recording of kind 'planar'")
-    for line in gap_lines(recordings[0]):
+    for line in itertools.chain.from_iterable(map(gap_lines, recordings)):
         complain(f"altd calibrate: {line}")
-    result = calibrate_planar(recordings[0], progress_on("frames"))
+    result = calibrate_planar(recordings, progress_on("frames"))
     save_planar_calibration(result.calibration, options.output)
     for line in result.refused:
         complain(f"altd calibrate: left out: {line}")

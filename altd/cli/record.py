@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+import math
 from typing import TYPE_CHECKING
 
 from altd.cli.options import add_config, add_output, progress_on
@@ -36,12 +37,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="C,R,MM",
         help="columns, rows and pitch of the plate's LEDs; needed with `--kind plate`",
     )
+    parser.add_argument(
+        "--pose",
+        type=_pose,
+        metavar="A,B,PHI",
+        help="known pose of the plate of `planar`, mm and degrees; write it as --pose=A,B,PHI",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Record; interrupted, say what is kept."""
     from altd.app.record import record_of
-    from altd.app.settings import load_beam_settings
+    from altd.app.settings import load_settings
     from altd.ports import CameraError, LampsError
     from altd.records import counted
 
@@ -52,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             if options.plate is None
             else "goes with `--kind plate` only",
         )
-    config = load_beam_settings(options.config)
+    config = load_settings(options.config)
     show, kept = progress_on("exposures"), 0
 
     def progress(done: int, planned: int) -> None:
@@ -61,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         show(done, planned)
 
     with logging_to_stderr(logging.WARNING):
-        shows = options.plate or options.kind
+        shows = options.pose or options.plate or options.kind
         work = record_of(config, options.config, options.output, options.seconds, shows, progress)
         try:
             exposures = asyncio.run(until_signal(work))
@@ -87,6 +94,16 @@ def _seconds(text: str) -> float:
     if not 0 < value <= 86_400:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds up to one day")
     return value
+
+
+def _pose(text: str) -> tuple[float, float, float]:
+    try:
+        a_mm, b_mm, phi_deg = map(float, text.split(","))
+    except ValueError:
+        a_mm = b_mm = phi_deg = math.nan
+    if not (abs(a_mm) <= 10_000 and abs(b_mm) <= 10_000 and abs(phi_deg) <= 360):
+        raise argparse.ArgumentTypeError(f"{text!r} is no pose; possible: A,B,PHI such as 0,700,-15")
+    return a_mm, b_mm, phi_deg
 
 
 def _plate(text: str) -> PlateHeader:

@@ -40,7 +40,7 @@ from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.loading import load_config
 from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Table
-from altd.config.unit import ChainSettings, Installation, Target, Unit
+from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
 from altd.config.whole import Config
 
 __all__ = [
@@ -70,6 +70,7 @@ __all__ = [
     "ModbusTcpSettings",
     "MqttSettings",
     "OpcUaSettings",
+    "Plate",
     "RecordingCameraSettings",
     "Rs485Settings",
     "Scan",

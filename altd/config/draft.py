@@ -21,23 +21,12 @@ from altd.config.interfaces import (
 )
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
-from altd.config.unit import ChainSettings, Installation, Target, Unit
+from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
 from altd.config.whole import Config
 
 _TABLES = (
-    *(
-        "unit",
-        "chain",
-        "measuring",
-        "installation",
-        "modbus_tcp",
-        "http",
-        "mqtt",
-        "opcua",
-        "lamps",
-        "indicators",
-    ),
-    *("inclinometer", "stage"),
+    *("unit", "chain", "plate", "measuring", "installation", "modbus_tcp", "http", "mqtt", "opcua"),
+    *("lamps", "indicators", "inclinometer", "stage"),
 )
 
 
@@ -47,6 +36,7 @@ class Draft:
 
     unit: Unit | None
     chain: ChainSettings | None
+    plate: Plate | None
     targets: tuple[Target | None, ...]
     cameras: Mapping[str, AnyCameraSettings | None]
     measuring: Measuring | None

@@ -326,6 +326,9 @@ def _chain(draft: Draft) -> Iterator[Fault]:
 def _planar(draft: Draft) -> Iterator[Fault]:
     """A plate has one camera of fixed exposure, no targets, and no part of a beam."""
     if not draft.is_planar:
+        if draft.plate is not None and draft.unit is not None:
+            text = 'is for instrument = "planar"; possible: with it, or no table'
+            yield Fault(("plate",), text, "key", about=(("unit", "instrument"),))
         return
     faults: list[tuple[Keys, str]] = []
     if draft.targets:

@@ -51,6 +51,15 @@ class ChainSettings(Table):
     """Power that a target needs."""
 
 
+class Plate(Table):
+    """The plate before the camera, for `altd record`."""
+
+    leds_mm: Annotated[tuple[tuple[Millimetres, Millimetres], ...], Field(min_length=5, max_length=64)]
+    """Places of its LEDs in its own frame, x to the right and y up as the camera sees it."""
+    disc_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """Diameter of an LED; none: the pictures show it."""
+
+
 class Target(Table):
     """One target that the beam meets, in beam order."""
 

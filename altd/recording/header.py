@@ -152,7 +152,7 @@ def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
 
 def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:
     """The unit of a config; readers that know no ``targets`` want the distance from the first to the last."""
-    distance_mm = targets[-1].z_mm - targets[0].z_mm
+    distance_mm = targets[-1].z_mm - targets[0].z_mm if targets else 0.0
     return UnitHeader(serial=serial, target_distance_mm=distance_mm or None)
 
 
@@ -244,7 +244,7 @@ class RecordingHeader(_Header):
         if not isinstance(content, dict) or content.get("kind") != "planar":
             return content
         plate, cameras = content.get("plate"), content.get("cameras")
-        if not isinstance(plate, dict) or "leds_mm" not in plate:
+        if plate is None or _plate_tag(plate) != _LEDS:
             raise ValueError("plate.leds_mm: Field required in a recording of kind 'planar'")
         if isinstance(cameras, dict) and len(cameras) > 1:
             raise ValueError(f"cameras: a recording of kind 'planar' has one, not {len(cameras)}")

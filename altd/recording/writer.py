@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from altd.errors import BadInputError
-from altd.recording.frames_table import COLUMNS
+from altd.recording.frames_table import COLUMNS, POSE_COLUMNS
 from altd.recording.header import (
     FRAMES_FILE,
     HEADER_FILE,
@@ -46,11 +46,19 @@ class RecordingWriter:
 
     Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it continues in a folder
     that another writer left, after that many bytes of its table; the header there stays, and must have the
-    same cameras and unit.
+    same cameras and unit. ``pose`` is the known one of a plate, (a mm, b mm, φ °).
     """
 
-    def __init__(self, path: Path, header: RecordingHeader, resume_at: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: RecordingHeader,
+        resume_at: int | None = None,
+        pose: tuple[float, float, float] | None = None,
+    ) -> None:
         self._path = path
+        is_planar = header.kind == "planar"
+        self._pose: tuple[object, ...] = (pose or ("", "", "")) if is_planar else ()
         if resume_at is not None:
             self._resume(header, resume_at)
             return
@@ -67,7 +75,7 @@ class RecordingWriter:
                 document["start"] = utc_text(header.start)
             (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
             self._file = (path / FRAMES_FILE).open("ab", buffering=0)
-            self._append(COLUMNS)
+            self._append((*COLUMNS, *(POSE_COLUMNS if is_planar else ())))
         except OSError as error:
             shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(path, error.strerror or "cannot be written") from error
@@ -112,7 +120,8 @@ class RecordingWriter:
         at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
         try:
             (self._path / name).write_bytes(data.tobytes())
-            self._append((sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at))
+            leds = "on" if frame.leds_on else "off"
+            self._append((sequence, f"{t_s:.6f}", frame.camera, name, leds, *at, *self._pose))
         except OSError:  # a full disk: half a frame is no part of the recording
             (self._path / name).unlink(missing_ok=True)
             raise

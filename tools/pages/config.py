@@ -32,6 +32,7 @@ from altd.config import (
     ModbusTcpSettings,
     MqttSettings,
     OpcUaSettings,
+    Plate,
     RecordingCameraSettings,
     Rs485Settings,
     Scan,
@@ -74,6 +75,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[measuring]", Measuring, ""),
     ("[installation]", Installation, "Default: the beam in the unit frame."),
     ("[chain]", ChainSettings, 'With `instrument = "chain"` alone: `chain.md`.'),
+    ("[plate]", Plate, 'With `instrument = "planar"` alone: `planar.md`.'),
     (
         "[modbus_tcp]",
         ModbusTcpSettings,

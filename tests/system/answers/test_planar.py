@@ -230,6 +230,31 @@ def test_the_daemon_measures_and_publishes_the_pose(
             assert process.wait(20) == 0
 
 
+def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp_path: Path) -> None:
+    """``altd record --pose`` for each known pose, then all of them together."""
+    plate = f"[plate]\nleds_mm = {scene.leds_mm.tolist()}\ndisc_mm = 5.0\n"
+    config, recorded = tmp_path / "altd.toml", []
+    for number, stay in enumerate(known_and_unknown(scene, scene.poses(6), [], None)):
+        record(tmp_path / f"seen-{number}", scene, [stay], 2, lambda done, planned: None)
+        played = PLAYED.replace('"moved"', f'"seen-{number}"\npace = "fast"').replace("repeat = true\n", "")
+        config.write_text(plate + played)
+        pose = ",".join(map(str, stay.stated or ()))
+        recorded.append(tmp_path / f"pose-{number}")
+        done = altd_here("record", "-o", recorded[-1], "--seconds", 1, f"--pose={pose}", "--config", config)
+        assert done.status == 0, done
+    calibrated = altd_here("calibrate", *recorded, "-o", tmp_path / "cal.json")
+    assert "model: lens; 6 known poses" in calibrated.out, calibrated
+    header = json.loads((recorded[3] / "recording.json").read_text())
+    header["plate"]["leds_mm"][2][0] += 1.0
+    (recorded[3] / "recording.json").write_text(json.dumps(header))
+    said = refusal(altd_here("calibrate", *recorded, "-o", tmp_path / "other.json"))
+    assert f"{recorded[3] / 'recording.json'}: plate: is not that of {recorded[0]}" in said
+    config.write_text(played)
+    assert "no [plate] table" in refusal(
+        altd_here("record", "-o", tmp_path / "x", "--seconds", 1, "--config", config)
+    )
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
