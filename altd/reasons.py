@@ -199,13 +199,13 @@ class Reason(StrEnum):
         "the numbers are not finite, not ordered or outside the measuring range",
     )  # fmt: skip
     LEDS_MISSING = (
-        "leds_missing", _UNIT, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "leds_missing", _UNIT, 30, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
         "too few LEDs of the plate are seen",
         "check the LEDs' supply, and whether the camera sees them",
         "fewer than two lights in the picture can be LEDs of the plate",
     )  # fmt: skip
     LEDS_MISFIT = (
-        "leds_misfit", _UNIT, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "leds_misfit", _UNIT, 31, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
         "the lights do not fit the plate's layout",
         "look for reflections, lamps and other plates in the picture, and check the plate's layout",
         "the lights are not where a rigid plate has its LEDs, fit the layout in two ways, or are too few "

@@ -229,8 +229,8 @@ class Daemon:
     def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
         """The keeper of the last seconds of frames, where the config allows it."""
         recordings, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
-        if self.config.unit.instrument == "planar":
-            recordings.unavailable = "frames of a plate are not kept"
+        if self.config.unit.instrument == "planar" and self.config.plate is None:
+            recordings.unavailable = "there is no [plate] table, which a recording of a plate needs"
             return None
         if not self.config.kept_frames.memory_mb:
             recordings.unavailable = "kept_frames.memory_mb is 0"

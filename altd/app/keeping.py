@@ -15,7 +15,7 @@ from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.kept_frames.store import RecordingStore
-from altd.app.parts import AnyCalibration
+from altd.app.parts import AnyCalibration, led_plate_of
 from altd.config import Config
 from altd.errors import one_line
 from altd.history.batch import About
@@ -27,7 +27,7 @@ from altd.history.running import before_start
 from altd.history.store import Store
 from altd.ports import Camera, Clock
 from altd.publish.serial.parts_text import Past
-from altd.recording.header import target_headers, unit_header
+from altd.recording.header import Kind, target_headers, unit_header
 from altd.records import Measurement, Quantities
 from altd.runtime.service_manager import state_folder
 from altd.status.availability import MONTH_S, Availability, Before
@@ -64,7 +64,9 @@ def frame_keeper(
     length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
     ring = FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
-    plan = RecordingPlan(settings.before_s, unit, targets, by="altd run, frames kept")
+    by, plate = "altd run, frames kept", led_plate_of(config)
+    kind: Kind = "measurement" if plate is None else "planar"
+    plan = RecordingPlan(settings.before_s, unit, targets or None, kind, by, plate)
     keeper = FrameKeeper(
         Source(ring, cameras, config.measuring, plan),
         settings,

@@ -25,6 +25,7 @@ from altd.errors import BadInputError
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, SwitchingCamera
+from altd.recording.header import LedPlateHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity
 from altd.runtime.clock import SystemClock
@@ -178,6 +179,12 @@ def calibration_of_instrument(config: Config, cameras: Mapping[str, Camera]) -> 
             size = settings.width, settings.height
             check_planar_camera(calibration, path, name, size, CameraIdentity())
     return calibration
+
+
+def led_plate_of(config: Config) -> LedPlateHeader | None:
+    """The plate of a config in the header of a recording; None: the config has none."""
+    of = config.plate
+    return None if of is None else LedPlateHeader(leds_mm=of.leds_mm, disc_mm=of.disc_mm)
 
 
 def exposure_controls_of(config: Config) -> dict[str, ExposureControl]:

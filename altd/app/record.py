@@ -12,7 +12,7 @@ from altd.acquisition.record import record
 from altd.acquisition.scan.leds import KnownUnit, ScanLeds
 from altd.acquisition.scan.scanner import ProgressReporter, Scanner
 from altd.acquisition.self_check.judging import CheckJudge, limits_of
-from altd.app.parts import calibration_of, cameras_of, exposure_controls_of, lamps_of, stage_of
+from altd.app.parts import calibration_of, cameras_of, exposure_controls_of, lamps_of, led_plate_of, stage_of
 from altd.app.self_check import why_unchecked
 from altd.config import Config, LiveCameraSettings
 from altd.errors import BadInputError
@@ -66,9 +66,8 @@ def _shown(
         return (shows, "plate", None) if isinstance(shows, PlateHeader) else (None, shows, None)
     if isinstance(shows, PlateHeader) or shows in ("flat", "self-check"):
         raise BadInputError(place, 'instrument = "planar" is recorded with --pose alone, or without a kind')
-    if config.plate is None:
+    if (plate := led_plate_of(config)) is None:
         raise BadInputError(place, "no [plate] table: the places of the plate's LEDs are part of a recording")
-    plate = LedPlateHeader(leds_mm=config.plate.leds_mm, disc_mm=config.plate.disc_mm)
     return plate, "planar", shows if isinstance(shows, tuple) else None
 
 

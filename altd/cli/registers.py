@@ -38,7 +38,14 @@ def run(options: argparse.Namespace) -> int:
 def _rows() -> Iterator[dict[str, Any]]:
     """Every register; a number is worth ``scale`` of its unit."""
     from altd.publish.modbus import checked_block
-    from altd.publish.modbus.registers import FLOAT_BLOCK, HEADER, PER_UNIT, SCALED_BLOCK, TEST_BLOCK
+    from altd.publish.modbus.registers import (
+        FLOAT_BLOCK,
+        HEADER,
+        PER_UNIT,
+        PLATE_BLOCK,
+        SCALED_BLOCK,
+        TEST_BLOCK,
+    )
     from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 
     blocks = {
@@ -46,6 +53,7 @@ def _rows() -> Iterator[dict[str, Any]]:
         "float": FLOAT_BLOCK,
         "scaled": SCALED_BLOCK,
         "test": TEST_BLOCK,
+        "plate": PLATE_BLOCK,
         "checked": checked_block.ROWS,
         "unit": UNIT.rows,
         "condition": CONDITION.rows,

@@ -345,13 +345,13 @@ def _planar(draft: Draft) -> Iterator[Fault]:
         faults.append((("measuring", "output"), '"now" is for a beam; possible: "mean"'))
     faults += [
         ((key,), "is for a beam; possible: no table")
-        for key in ("installation", "lamps", "inclinometer", "stage", "modbus_tcp", "opcua")
+        for key in ("installation", "lamps", "inclinometer", "stage", "opcua")
         if getattr(draft, key) not in (None, Installation())
     ]
     faults += [
-        (("serial", number, "speaks"), f'{shown(port.speaks)} is for a beam; possible: "console"')
+        (("serial", number, "speaks"), '"telegram" is for a beam; possible: "modbus_rtu", "console"')
         for number, port in enumerate(draft.serial)
-        if port is not None and port.speaks != "console"
+        if port is not None and port.speaks == "telegram"
     ]
     for keys, text in faults:
         yield Fault(keys, text, "key" if len(keys) == 1 else "value", about=(("unit", "instrument"),))

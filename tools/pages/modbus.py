@@ -14,6 +14,7 @@ from altd.publish.modbus.registers import (
     FLOATS,
     HEADER,
     PER_UNIT,
+    PLATE_BLOCK,
     SCALED_BLOCK,
     SIZE,
     TEST_BLOCK,
@@ -200,6 +201,13 @@ f32 are in the unit, s32 in 1/{PER_UNIT} of it. Sigma is one combined standard u
 
 A value that is not known is never 0 and never old. With bit 0 at 0 only `roll` may be known. A number too
 large for its type is its largest value. Addresses without a name read 0.
+
+### Values of a plate
+
+With [`instrument = "planar"`](planar.md), as f32. The values of the beam are then not known, and these not
+of a beam. The header is the same; there is no checked block of a plate.
+
+{register_table(PLATE_BLOCK)}
 
 ## Bits of `status`
 

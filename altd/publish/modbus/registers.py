@@ -23,7 +23,7 @@ MAP_VERSION = 1
 SIZE = 120
 """Registers in the image. A request reads at most 125 (V1.1b3, 6.3): one request reads all of it."""
 
-FLOATS, SCALED, TESTS = 20, 60, 100
+FLOATS, SCALED, TESTS, PLATE = 20, 60, 100, 108
 """The first addresses of the blocks; the header begins at 0."""
 
 PER_UNIT = 10_000
@@ -192,7 +192,21 @@ TEST_BLOCK = (
     Register(TESTS + 6, "test_u16", Type.U16, "", "always 0xABCD", values.constant(0xABCD)),
 )
 
-REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK
+_OF_PLATE: tuple[tuple[str, str, str, Reading], ...] = (
+    ("a", "mm", "place of the plate's origin, along x", values.number("a_mm")),
+    ("b", "mm", "place of the plate's origin, along y", values.number("b_mm")),
+    ("phi", "°", "turn of the plate, anticlockwise", values.number("phi_deg")),
+    ("sigma_a", "mm", "combined standard uncertainty", values.sigma("a_mm")),
+    ("sigma_b", "mm", "combined standard uncertainty", values.sigma("b_mm")),
+    ("sigma_phi", "°", "combined standard uncertainty", values.sigma("phi_deg")),
+)
+PLATE_BLOCK = tuple(
+    Register(PLATE + 2 * row, name, Type.F32, unit, meaning, value)
+    for row, (name, unit, meaning, value) in enumerate(_OF_PLATE)
+)
+"""Not known of a beam, as the others are of a plate: an address has one meaning with every instrument."""
+
+REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK + PLATE_BLOCK
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ WITHOUT_BIT = tuple(
 REASON_CODES = tuple(
     sorted((reason for reason in Reason if reason.modbus_code), key=lambda reason: reason.modbus_code)
 )
-"""Every reason of the beam that is not a warning, by its number; 0 is none."""
+"""Every reason that is not a warning, by its number; 0 is none."""
 
 
 def status_word(measurement: Measurement | None) -> int:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import urllib.request
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymodbus.client import ModbusTcpClient
 from support.cli import altd_here, refusal
 from support.played_unit import PlayingDaemon
 from support.ports import free_port
@@ -206,9 +208,12 @@ def test_the_daemon_measures_and_publishes_the_pose(
     a, b, phi = scene.poses(1)[0]
     stays = [Stay((a + step, b, phi), ALL) for step in (0.0, 3.0)]
     record(tmp_path / "moved", scene, stays, 20, lambda done, planned: None)
-    port = free_port()
+    port, modbus = free_port(), free_port()
     config = tmp_path / "altd.toml"
-    config.write_text(f'{PLAYED}[http]\nhost = "127.0.0.1"\nport = {port}\n')
+    interfaces = (
+        f'[http]\nhost = "127.0.0.1"\nport = {port}\n[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
+    )
+    config.write_text(f"{PLAYED}{interfaces}")
     checked = altd_here("check-config", config)
     assert (checked.status, "unit SIM-PLANAR-31, 1 camera" in checked.out) == (0, True), checked
     command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
@@ -223,6 +228,12 @@ def test_the_daemon_measures_and_publishes_the_pose(
                 measured = daemon.wait_until(is_there)
                 for key, truth in zip(KEYS, (at, b, phi), strict=True):
                     assert abs(measured[key] - truth) < 5 * measured["sigma"][key]
+            with ModbusTcpClient("127.0.0.1", port=modbus) as controller:
+                words = controller.read_input_registers(0, count=120).registers
+            floats = struct.unpack(">60f", struct.pack(">120H", *words))
+            assert math.isnan(floats[10]), "x of a beam"
+            for value, truth, sigma in zip(floats[54:57], (a, b, phi), floats[57:60], strict=True):
+                assert min(abs(value - truth), abs(value - truth - 3.0)) < 5 * sigma
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/v1/calibration") as answer:
                 assert set(json.load(answer)["expected_sigma"]) == set(KEYS)
         finally:
@@ -258,7 +269,7 @@ def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("[measuring]", "[modbus_tcp]\n[measuring]", "modbus_tcp: is for a beam; possible: no table"),
+        ("[measuring]", "[opcua]\n[measuring]", "opcua: is for a beam; possible: no table"),
         ("window = 4", 'output = "now"', 'measuring.output: "now" is for a beam'),
         (
             "[cameras.plate]",
