@@ -12,7 +12,7 @@ CONTRACT = {
     "check_failed": 25, "geometry_drift": 26, "geometry_unverified": 27, "self_checking": 28, "not_live": 29,
     "geometry_suspect": 0, "geometry_unknown": 0, "compensated": 0, "exposures_lost": 0,
     "playback": 0, "simulated": 0, "rehearsal": 0, "roll_missing": 0, "pitch_diverges": 0,
-    "leds_missing": 0, "leds_misfit": 0,
+    "leds_missing": 30, "leds_misfit": 31,
 }  # fmt: skip
 """Codes on the wires, and their numbers on Modbus, as released."""
 
