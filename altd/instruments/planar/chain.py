@@ -114,6 +114,8 @@ class PlanarChain:
         """The LEDs of the exposures at this pose, the newest last."""
         self._place: Place | None = None
         self._last: PlateFrame | None = None
+        self._silent_at = 0
+        """The number of the last exposure before a silence."""
         self._since = 0
         self._gate = Gate()
 
@@ -143,16 +145,18 @@ class PlanarChain:
     def silence(self, t_ns: int) -> Measurement:
         """The measurement of a moment at which the camera does not deliver."""
         self._forget()
-        self._last = None
+        sequence, self._last = self._last.sequence if self._last else self._silent_at, None
+        self._silent_at = sequence
         silent = Fault(Reason.CAMERA_SILENT, detail="no frame comes")
-        return self._as_measurement(_Exposure(0, t_ns, silent), t_ns, 0, {}, (silent,))
+        return self._as_measurement(_Exposure(sequence, t_ns, silent), t_ns, 0, {}, (silent,))
 
     def _take(self, seen: PlateFrame) -> Measurement | None:
         last, self._last = self._last, seen
         place, self._place = self._place, self._provenance.place(seen.sequence)
         self.frame_sets += 1
         gap_s = 0.0 if last is None else (seen.t_ns - last.t_ns) * 1e-9
-        if self._place != place or not 0.0 <= gap_s <= self.silent_after_s:
+        is_later = last is None or seen.sequence > last.sequence
+        if self._place != place or not is_later or not 0.0 <= gap_s <= self.silent_after_s:
             self._forget()
         is_next = self._exposures and seen.sequence == self._exposures[-1].sequence + 1
         before = self._still[-1] if self._still and is_next else None

@@ -315,8 +315,10 @@ class TestLive:
         one, two, three = self.frames(scene, ALL, ALL, (0, 3))
         chain.push(one)
         (paused, later) = (replace(two, t_ns=two.t_ns + 10**9), replace(three, t_ns=three.t_ns + 10**9))
-        assert [chain.push(frame).frames for frame in (paused, later)] == [1, 2]  # type: ignore[union-attr]
+        seen = [chain.push(frame) for frame in (paused, later, replace(later, sequence=0))]
+        assert [one.frames for one in seen if one is not None] == [1, 2, 0], "two LEDs alone are not followed"
         silent = chain.silence(3 * 10**9)
+        assert silent.sequence == 0
         assert silent.status[0].reason is Reason.CAMERA_SILENT
 
     def test_two_leds_are_not_followed_across_a_pause(self, chain: PlanarChain) -> None:
