@@ -51,13 +51,24 @@ class ChainSettings(Table):
     """Power that a target needs."""
 
 
+_OnPlate = Annotated[float, Field(ge=-10_000, le=10_000)]
+
+
 class Plate(Table):
     """The plate before the camera, for `altd record`."""
 
-    leds_mm: Annotated[tuple[tuple[Millimetres, Millimetres], ...], Field(min_length=5, max_length=64)]
+    leds_mm: Annotated[tuple[tuple[_OnPlate, _OnPlate], ...], Field(min_length=5, max_length=64)]
     """Places of its LEDs in its own frame, x to the right and y up as the camera sees it."""
     disc_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
     """Diameter of an LED; none: the pictures show it."""
+
+    @model_validator(mode="after")
+    def _check_leds(self) -> Self:
+        for number, place in enumerate(self.leds_mm):
+            if (first := self.leds_mm.index(place)) < number:
+                said = f"{list(place)} is the place of leds_mm.{first} too; possible: a place of its own"
+                raise complaint((("leds_mm",), said))
+        return self
 
 
 class Target(Table):

@@ -283,6 +283,11 @@ def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp
             "serial.0.speaks",
         ),
         ("[measuring]", "[installation]\nsign_x = -1\n[measuring]", "installation: is for a beam"),
+        (
+            "[measuring]",
+            "[plate]\nleds_mm = [[1, 2], [3, 4], [1, 2], [5, 5], [7, 8]]\n[measuring]",
+            "plate.leds_mm: [1.0, 2.0] is the place of leds_mm.0 too",
+        ),
         ('"planar"', '"beam"', "targets: 0 tables [[targets]]; possible: 2 or more"),
     ],
 )
