@@ -17,7 +17,7 @@ class Scope(StrEnum):
     """One target; published with its name in front, such as ``front_spot_missing``."""
     UNIT = "unit"
     WARNING = "warning"
-    """The whole unit, and the numbers may be used."""
+    """The numbers may be used. With a target's name in front where it is about one target of a row."""
 
 
 class StatusGroup(StrEnum):
@@ -161,6 +161,31 @@ class Reason(StrEnum):
         "the target's two maps differ at the spot by more than the calibration's limit",
     )  # fmt: skip
 
+    STUCK_CLEAR = (
+        "stuck_clear", _TARGET, 13, StatusGroup.NOT_TRUSTED, _FAILURE,
+        "the glass does not turn opaque",
+        "check the switch and the supply of this glass",
+        "the beam passes the glass while it is to be opaque",
+    )  # fmt: skip
+    SLOW = (
+        "slow", _TARGET, 14, StatusGroup.NOT_TRUSTED, _FAILURE,
+        "the glass is not settled when it is exposed",
+        "make `chain.settle_s` longer; cold glass is slow",
+        "the light of the spot still grows in the exposures of its glass, or fades in those of the next",
+    )  # fmt: skip
+    NOT_CONFIRMED = (
+        "not_confirmed", _TARGET, 15, StatusGroup.NOT_TRUSTED, _FAILURE,
+        "the camera does not confirm the switching of the glass",
+        "look for covers, lamps and reflections before the camera",
+        "the glass switches and its camera sees no spot, or sees one without the beam",
+    )  # fmt: skip
+    CAMERAS_SWAPPED = (
+        "cameras_swapped", _TARGET, 16, StatusGroup.NOT_TRUSTED, _FAILURE,
+        "the camera looks at another target",
+        "exchange the cables of the two cameras",
+        "two cameras show the spot in each other's visit, and not in their own",
+    )  # fmt: skip
+
     OUT_OF_STEP = (
         "out_of_step", _UNIT, 20, StatusGroup.OUT_OF_STEP, _FAILURE,
         "the cameras are out of step",
@@ -210,6 +235,12 @@ class Reason(StrEnum):
         "look for reflections, lamps and other plates in the picture, and check the plate's layout",
         "the lights are not where a rigid plate has its LEDs, fit the layout in two ways, or are too few "
         "to tell LEDs from other lights",
+    )  # fmt: skip
+    BEAM_LOST = (
+        "beam_lost", _UNIT, 32, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "no target of the row sees the beam",
+        "check the laser, and whether an object blocks its beam",
+        "all cameras of a row of targets deliver, and none sees a spot in its visit",
     )  # fmt: skip
     GEOMETRY_DRIFT = (
         "geometry_drift", _UNIT, 26, StatusGroup.NOT_TRUSTED, _FAILURE,
@@ -273,6 +304,79 @@ class Reason(StrEnum):
         "has the laser moved? look for warm air in the beam",
         "optical pitch and the inclinometer's diverge slowly by more than `max_divergence_deg`: refraction, "
         "or the laser or the inclinometer has moved",
+    )  # fmt: skip
+
+    STUCK_OPAQUE = (
+        "stuck_opaque", _WARNING, 0, StatusGroup.NO_BIT, _FAILURE,
+        "the glass does not turn clear",
+        "check the switch and the supply of this glass: all targets behind it are dark",
+        "the glass shows the spot while others are to show it; its own place is right",
+    )  # fmt: skip
+    SWITCH_UNSEEN = (
+        "switch_unseen", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
+        "no frame shows the target while it is clear",
+        "record frames of all cameras in each exposure",
+        "only frames of the opaque target's camera are known: a stuck glass may stay unseen",
+    )  # fmt: skip
+    BEAM_LOST_BEHIND = (
+        "beam_lost_behind", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "the beam does not reach the targets behind it",
+        "look for objects in the beam behind this target",
+        "the target is clear when it is to be, and all targets behind it are dark",
+    )  # fmt: skip
+    STABLE_MOVED = (
+        "stable_moved", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "a stable target has moved",
+        "look at its place; name another target as stable and make a new baseline",
+        "four stable targets or more, and the others agree without it; the beam is known by these",
+    )  # fmt: skip
+    STABLE_DISAGREE = (
+        "stable_targets_disagree", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "the stable targets do not fit one beam",
+        "look at the places of the stable targets: one has moved",
+        "three stable targets or more, and it is not known which has moved: no displacement is known",
+    )  # fmt: skip
+    NO_BASELINE = (
+        "no_baseline", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
+        "the target is not in the baseline",
+        "make a new baseline while all targets see the spot",
+        "the target was measured in less than half of the baseline's rounds: it has no displacement",
+    )  # fmt: skip
+    BASELINE_INCOMPLETE = (
+        "baseline_incomplete", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
+        "the baseline is being made",
+        "wait for `chain.baseline_rounds` rounds in which all stable targets see the spot",
+        "places are known, displacements are not yet",
+    )  # fmt: skip
+    BEAM_ANGLE_UNKNOWN = (
+        "beam_angle_unknown", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
+        "one stable target alone shows the beam's drift",
+        "name two stable targets, or bring the other back",
+        "the beam's angle is not known; sigma includes what all targets have in common",
+    )  # fmt: skip
+    BEAM_DRIFT_UNKNOWN = (
+        "beam_drift_unknown", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
+        "no stable target shows the beam's drift",
+        "name two stable targets, or bring them back",
+        "neither offset nor angle of the beam is known; sigma includes what all targets have in common",
+    )  # fmt: skip
+    BEAM_NOT_CLOSED = (
+        "beam_not_closed", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
+        "no later visit shows how the beam moved on",
+        "record one more round",
+        "the last round of a recording: a beam that jumped within it is not seen",
+    )  # fmt: skip
+    ALARM_DISPLACEMENT = (
+        "alarm_displacement", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "the place has moved beyond its limit",
+        "follow the plan for movement of the rock",
+        "the displacement is at least `chain.alarm_mm`, with a significance of 4 or more",
+    )  # fmt: skip
+    ALARM_RATE = (
+        "alarm_rate", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
+        "the place moves faster than its limit",
+        "follow the plan for movement of the rock",
+        "the speed of the last day is at least `chain.alarm_mm_per_day`, with a significance of 4 or more",
     )  # fmt: skip
 
     GEOMETRY_SUSPECT = (

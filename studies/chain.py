@@ -132,7 +132,8 @@ def _measured(case: _Case, calibration: Calibration) -> tuple[float, float]:
         row = Row(_config(case))
         record_rounds(path, row, ROUNDS, EXPOSURES, own_only=True)
         names = {name: name for name in row.config.names}
-        objects = list(ChainReplay(open_recording(path), calibration, settings, names).objects())
+        replay = ChainReplay(open_recording(path), calibration, settings, names)
+        objects = [replay.as_object(measurement) for measurement in replay.measurements()]
     monitored = [
         target
         for line in objects[BASELINE:]

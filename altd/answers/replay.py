@@ -60,12 +60,6 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     replay = _open(question)
     for line in gap_lines(replay.recording):
         warn(line)
-    config = None if question.config is None else load_settings(question.config)
-    is_chain = replay.recording.rows.has_opaque if config is None else config.unit.instrument == "chain"
-    if is_chain:
-        rounds = open_chain_replay(replay.recording, question.calibration, config, question.config)
-        _write_rounds(question, rounds, progress)
-        return
     columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
     history = History(_drawn(replay))
     count, differences_mm = 0, list[tuple[float, float]]()
@@ -84,21 +78,21 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
         warn(_summary(count, differences_mm))
 
 
-def _open(question: Question) -> Replay | PlanarReplay:
-    """The recording's kind chooses the instrument."""
+AnyReplay = Replay | PlanarReplay | ChainReplay
+
+
+def _open(question: Question) -> AnyReplay:
+    """The config, or the recording's kind and columns, choose the instrument."""
     recording = open_recording(question.recording)
     if recording.header.kind == "planar":
         return planar_replay_of(recording, question.calibration, question.window, question.every)
+    config = None if question.config is None else load_settings(question.config)
+    is_chain = recording.rows.has_opaque if config is None else config.unit.instrument == "chain"
+    if is_chain:
+        if question.plot is not None:
+            raise BadInputError("--plot", "the places of a row are not drawn; possible: --format csv")
+        return open_chain_replay(recording, question.calibration, config, question.config)
     return replay_of(recording, question.calibration, question.window, question.every)
-
-
-def _write_rounds(question: Question, replay: ChainReplay, progress: Callable[[int, int], None]) -> None:
-    """A line a round of a row of switched targets."""
-    if question.form != "jsonl" or question.plot is not None:
-        raise BadInputError("--format, --plot", "rounds of a chain are written as jsonl alone")
-    with _text_output(question.output) as write:
-        for document in replay.objects(progress):
-            write(line_of(document) + "\n")
 
 
 @contextmanager
@@ -148,7 +142,7 @@ def _check(question: Question) -> None:
 
 
 @contextmanager
-def _table(question: Question, replay: Replay | PlanarReplay, columns: tuple[Column, ...]) -> Iterator[Add]:
+def _table(question: Question, replay: AnyReplay, columns: tuple[Column, ...]) -> Iterator[Add]:
     if question.form == "parquet" and question.output is not None:
         with (
             replacing(question.output) as file,
@@ -167,7 +161,7 @@ def _text_table(form: Format, write: Write, columns: tuple[Column, ...]) -> Add:
     return lambda document: write(line_of(document) + "\n")
 
 
-def _about(question: Question, replay: Replay | PlanarReplay) -> dict[str, Any]:
+def _about(question: Question, replay: AnyReplay) -> dict[str, Any]:
     """The origin of the numbers, for a reader of the table in ten years."""
     header, calibration = replay.recording.header, replay.calibration
     start = None if header.start is None else utc_text(header.start)
@@ -193,7 +187,7 @@ def _about(question: Question, replay: Replay | PlanarReplay) -> dict[str, Any]:
     }
 
 
-def _drawn(replay: Replay | PlanarReplay) -> dict[str, Drawn]:
+def _drawn(replay: AnyReplay) -> dict[str, Drawn]:
     """The quantities to draw, by their keys in a measurement's object: of a scan the errors of x and y."""
     drawn = {}
     for quantity in replay.quantities.main:
@@ -204,7 +198,7 @@ def _drawn(replay: Replay | PlanarReplay) -> dict[str, Drawn]:
     return drawn
 
 
-def _draw(place: Path, history: History, replay: Replay | PlanarReplay) -> None:
+def _draw(place: Path, history: History, replay: AnyReplay) -> None:
     from altd.answers.plot import svg
 
     header = replay.recording.header

@@ -4,65 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from altd.app.replay import Progress, utc_of
 from altd.calibration.file import check_place, check_recording, load_calibration, target_of
-from altd.config import ChainSettings, Config
+from altd.config import ChainSettings, Config, Measuring
 from altd.errors import BadInputError
-from altd.instruments.chain.document import as_object
-from altd.instruments.chain.instrument import Chain
-from altd.instruments.chain.rounds import Sight
+from altd.instruments.chain.displacement import BaselineMeans
+from altd.instruments.chain.frames import RowChain
+from altd.instruments.chain.measurement import quantities_of
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import calibration_faults
-from altd.measuring.spot_locator import SpotLocator
+from altd.measuring.chain import Provenance, View
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording
-from altd.records import Origin, origin_faults
+from altd.records import Measurement, Origin, Quantities, origin_faults
+from altd.status.measurement_json import as_object
 
 
 @dataclass(frozen=True, slots=True)
 class ChainReplay:
-    """A recording, the calibration of its targets, and the target of each camera."""
+    """A recording, the calibration of its targets, and the target of each camera; like ``app.replay.Replay``.
+
+    ``means`` is a stored baseline; None: the first rounds make it.
+    """
 
     recording: Recording
     calibration: Calibration
     settings: ChainSettings
     targets: Mapping[str, str]
+    means: BaselineMeans | None = None
+    positions = None
+    knows_places = False
+    window_text = "rounds of all targets"
 
-    def objects(self, progress: Progress = lambda done, total: None) -> Iterator[dict[str, Any]]:
-        """A JSON object a round. Frames without an opaque target, or with lit LEDs, are not measured.
-
-        Raises BadInputError for a frame that cannot be decoded and where rows of one exposure contradict
-        each other.
-        """
-        header = self.recording.header
-        chain = Chain(self.calibration, self.settings)
-        locators = {camera: self._locator(camera, target) for camera, target in self.targets.items()}
-        origins = {target: header.cameras[camera].origin for camera, target in self.targets.items()}
-        faults = {fault.reason: fault for fault in calibration_faults(self.calibration.simulated)}
-        faults |= {fault.reason: fault for fault in origin_faults(origins)}
-        write = partial(self._object, tuple(faults.values()))
-        total, last = len(self.recording.rows), None
-        for done, row in enumerate(self.recording.rows, start=1):
-            if row.opaque and not row.leds_on and row.camera in self.targets:
-                _check_exposure(self.recording, row, last)
-                last = row
-                located = locators[row.camera].locate(self.recording.frame(row))
-                sight = Sight(
-                    self.targets[row.camera],
-                    row.opaque,
-                    row.sequence,
-                    located.t_ns,
-                    located.spot,
-                    located.breaks,
-                )
-                if (result := chain.add(sight)) is not None:
-                    yield write(result)
-            progress(done, total)
-        yield from map(write, chain.flush())
+    @property
+    def quantities(self) -> Quantities:
+        """The quantities of the measurements."""
+        return quantities_of(self.calibration.target_names)
 
     @property
     def is_simulated(self) -> bool:
@@ -72,17 +51,47 @@ class ChainReplay:
             cameras[name].origin is Origin.SIMULATED for name in self.targets
         )
 
-    def _locator(self, camera: str, target: str) -> SpotLocator:
-        identity = self.recording.header.cameras[camera].identity
-        return SpotLocator(
-            camera,
-            target_of(self.calibration, self.recording.path, target),
-            lambda: identity,
-            other_place_of=self.calibration.other_place_of,
-        )
+    def measurements(self, progress: Progress = lambda done, total: None) -> Iterator[Measurement]:
+        """A measurement a round. Frames without an opaque target, or with lit LEDs, are not measured.
 
-    def _object(self, faults: Any, result: Any) -> dict[str, Any]:
-        return as_object(result, utc_of(self.recording.header.start, result.t_ns), faults)
+        Raises BadInputError for a frame that cannot be decoded and where rows of one exposure contradict
+        each other.
+        """
+        yield from self._measured(self._chain(), progress)
+
+    def baseline(self, progress: Progress = lambda done, total: None) -> BaselineMeans | None:
+        """The baseline that the first rounds make; None: they are too few."""
+        chain = self._chain()
+        for _ in self._measured(chain, progress):
+            if chain.baseline is not None:
+                break
+        return chain.baseline
+
+    def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
+        """A measurement as plain JSON types."""
+        return as_object(measurement)
+
+    def _chain(self) -> RowChain:
+        header = self.recording.header
+        origins = {target: header.cameras[camera].origin for camera, target in self.targets.items()}
+        provenance = Provenance(
+            origins=lambda: origin_faults(origins),
+            identity=lambda camera: header.cameras[camera].identity,
+            utc=lambda t_ns: utc_of(header.start, t_ns),
+        )
+        views = [View(target, camera) for camera, target in self.targets.items()]
+        return RowChain(views, self.calibration, self.settings, Measuring(), provenance, self.means)
+
+    def _measured(self, chain: RowChain, progress: Progress) -> Iterator[Measurement]:
+        total, last = len(self.recording.rows), None
+        for done, row in enumerate(self.recording.rows, start=1):
+            if row.opaque and not row.leds_on and row.camera in self.targets:
+                _check_exposure(self.recording, row, last)
+                last = row
+                if (measurement := chain.push(self.recording.frame(row))) is not None:
+                    yield measurement
+            progress(done, total)
+        yield from chain.flush()
 
 
 def _check_exposure(recording: Recording, row: Row, last: Row | None) -> None:

@@ -43,6 +43,7 @@ def _rows() -> Iterator[dict[str, Any]]:
         HEADER,
         PER_UNIT,
         PLATE_BLOCK,
+        ROW,
         SCALED_BLOCK,
         TEST_BLOCK,
     )
@@ -58,6 +59,7 @@ def _rows() -> Iterator[dict[str, Any]]:
         "unit": UNIT.rows,
         "condition": CONDITION.rows,
         "relative": RELATIVE.rows,
+        "row": ROW.rows,
     }
     for block, rows in blocks.items():
         for row in rows:
@@ -76,12 +78,20 @@ def _rows() -> Iterator[dict[str, Any]]:
 def _codes() -> dict[str, Any]:
     """The meaning of numbers and bits, the addresses of commands, and the discrete inputs of function 2."""
     from altd.publish.modbus.responder import SELF_CHECK_ADDRESS, ZERO_ADDRESS
-    from altd.publish.modbus.values import DISCRETE_INPUTS, REASON_CODES, STATUS_BITS
+    from altd.publish.modbus.values import (
+        DISCRETE_INPUTS,
+        PLACE_WARNINGS,
+        REASON_CODES,
+        ROW_WARNINGS,
+        STATUS_BITS,
+    )
     from altd.reasons import Signal
 
     return {
         "status_bits": {row.bit: row.name for row in STATUS_BITS},
         "reasons": {reason.modbus_code: str(reason) for reason in REASON_CODES},
+        "place_warning_bits": dict(enumerate(map(str, PLACE_WARNINGS))),
+        "row_warning_bits": dict(enumerate(map(str, ROW_WARNINGS))),
         "commands": {SELF_CHECK_ADDRESS: "self_check", ZERO_ADDRESS: "zero"},
         "states": {signal.number: str(signal) for signal in Signal},
         "discrete_inputs": [

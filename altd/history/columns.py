@@ -20,7 +20,7 @@ from altd.history.schema import (
     UnusableFileError,
     column_name,
 )
-from altd.records import Measurement, Quantities, Quantity, Value
+from altd.records import Quantities, Quantity
 
 _MAX_UNITS = 2**53
 """Beyond this a float is no exact whole number; no quantity of a unit comes near."""
@@ -81,14 +81,6 @@ def _column(quantity: Quantity, prefix: str, is_summarised: bool) -> Column:
         is_summarised,
         quantity.is_from_sensor,
     )
-
-
-def value_of(measurement: Measurement, column: Column) -> Value | None:
-    """The value of a column's quantity in a measurement; None: not known."""
-    target, _, key = column.key.rpartition(".")
-    if target:
-        return (measurement.targets.get(target) or {}).get(key)
-    return measurement.known(key)
 
 
 _KEY = re.compile(r"(?:[a-z][a-z0-9_]*\.)?[a-z][a-z0-9_]*")

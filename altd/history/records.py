@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from altd.records import Value
+
 
 @dataclass(frozen=True, slots=True)
 class StoredMeasurement:
@@ -26,6 +28,11 @@ class StoredMeasurement:
     values: Mapping[str, float]
     sigmas: Mapping[str, float]
     randoms: Mapping[str, float]
+
+    def known(self, key: str) -> Value | None:
+        """A quantity of the unit, or ``TARGET.KEY``; None: not known."""
+        value = self.values.get(key)
+        return None if value is None else Value(value, self.sigmas.get(key), self.randoms.get(key))
 
 
 @dataclass(frozen=True, slots=True)

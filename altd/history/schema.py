@@ -85,7 +85,7 @@ VERSION = len(MIGRATIONS)
 
 _TABLES = {"facts", "epochs", "columns", "reasons", "measurements", "events", *(t.name for t in SUMMARIES)}
 _OTHERS = {"sqlite_sequence", "sqlite_autoindex_reasons_1", "events_by_severity", "events_by_time"}
-MAX_COLUMNS = 64
+MAX_COLUMNS = 128
 MEASUREMENT_PARTS = ("value", "sigma", "random")
 SUMMARY_PARTS = ("mean", "sigma", "below", "above")
 

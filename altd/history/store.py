@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
-from altd.history.columns import Column, prepare_columns, value_of
+from altd.history.columns import Column, prepare_columns
 from altd.history.facts import changed_facts, check_unit
 from altd.history.numbering import Epochs, Reasons
 from altd.history.opening import (
@@ -282,7 +282,7 @@ class _OpenStore:
     def _row(self, measurement: Measurement, t_us: int) -> list[object]:
         numbers: list[int | None] = []
         for column in self._about.columns:
-            known = value_of(measurement, column)
+            known = measurement.known_of(column.key)
             parts = (None, None, None) if known is None else (known.value, known.sigma, known.sigma_random)
             numbers += map(column.steps, parts)
         status = " ".join(map(str, measurement.status)) or None

@@ -10,7 +10,7 @@ import sqlite3
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from altd.history.columns import Column, value_of
+from altd.history.columns import Column
 from altd.history.schema import ROWS_PER_SPAN, SUMMARY_PARTS, SummaryTable, column_name
 from altd.reasons import Signal
 from altd.records import Measurement
@@ -85,7 +85,7 @@ class Summary:
         else:
             self.lost_to = max(self.lost_to, worst_fault_of(measurement))
         for column, sums in zip(self.columns, self._sums, strict=True):
-            known = value_of(measurement, column)
+            known = measurement.known_of(column.key)
             if known is not None and math.isfinite(known.value):
                 sums.add(known.value, known.sigma)
 

@@ -26,6 +26,7 @@ class Quantity:
     person sees one less. ``has_sigma``: its standard deviation is published too. ``is_optional``: a valid
     measurement may be without it. ``is_also`` is the key of the quantity that this one is in another unit.
     ``is_from_sensor``: another sensor measures it, at its own times, whether or not the beam is seen.
+    ``place`` is the target of a row whose place it tells of; its key begins with that name.
     """
 
     key: str
@@ -37,6 +38,7 @@ class Quantity:
     is_optional: bool = False
     is_also: str = ""
     is_from_sensor: bool = False
+    place: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +56,8 @@ class Quantities:
 
     @property
     def shown(self) -> tuple[Quantity, ...]:
-        """Those of the unit that a person is shown: the main ones and those of sensors that are fitted."""
-        return self.main + tuple(each for each in self.of_unit if each.is_from_sensor)
+        """Those that a person is shown: the main ones, and those of fitted sensors and of places."""
+        return self.main + tuple(each for each in self.of_unit if each.is_from_sensor or each.place)
 
     def with_sensor(self, key: str) -> Quantities:
         """The same of a unit that has a sensor for the quantity ``key``: it comes with its sigma."""
@@ -155,6 +157,11 @@ class Measurement:
         if said is None:
             return self.values.get(key)
         return None if said.value is None else Value(said.value, said.sigma)
+
+    def known_of(self, key: str) -> Value | None:
+        """The same, or the value ``TARGET.KEY`` of a target."""
+        target, _, of_target = key.rpartition(".")
+        return (self.targets.get(target) or {}).get(of_target) if target else self.known(key)
 
     def number(self, key: str) -> float | None:
         """The value of a quantity; None: not known."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from altd.files.documents import line_of
+from altd.reasons import Reason
 from altd.records import Measurement, Quantities, Quantity, Value, utc_text
 from altd.records.sensors import Quality, SensorValue
 from altd.status.board import Board
@@ -14,25 +15,23 @@ from altd.status.proof import Stamp, crc32
 _KNOWN_DECIMALS = 4
 """Of where a stage put the beam, mm, and of what a measurement differs from it."""
 _AGE_DECIMALS = 3
+_REASONS = frozenset(map(str, Reason))
 
 
 def as_object(measurement: Measurement) -> dict[str, Any]:
     """The measurement as plain JSON types; what is not known is None, never a number."""
-    quantities = measurement.quantities
+    quantities, codes = measurement.quantities, [str(fault) for fault in measurement.status]
     return {
         "sequence": measurement.sequence,
         "time": None if measurement.time is None else utc_text(measurement.time),
         "t_s": round(measurement.t_ns * 1e-9, 6),
         "frames": measurement.frames,
         "valid": measurement.valid,
-        "status": [str(fault) for fault in measurement.status],
+        "status": codes,
         **_values(quantities.of_unit, measurement.known),
         "sigma": _sigmas(quantities, measurement.sigma),
         "sigma_random": _sigmas(quantities, measurement.sigma_random),
-        **{
-            target: _values(quantities.of_target, (values or {}).get)
-            for target, values in measurement.targets.items()
-        },
+        **targets_object(quantities, measurement.targets, measurement.known_of, codes),
         **_sensors(measurement),
     }
 
@@ -82,11 +81,52 @@ def _sigmas(quantities: Quantities, sigma: Callable[[str], float | None]) -> dic
 def _values(
     quantities: tuple[Quantity, ...], known: Callable[[str], Value | None]
 ) -> dict[str, float | None]:
-    values = ((quantity, known(quantity.key)) for quantity in quantities)
+    return {each.key: _rounded(_number(known(each.key)), each.decimals) for each in quantities}
+
+
+def targets_object(
+    quantities: Quantities, targets: Iterable[str], known: Callable[[str], Value | None], codes: Sequence[str]
+) -> dict[str, Any]:
+    """The values of each target by its name; those of a row below ``targets``, with status and place.
+
+    ``known`` gives the value of a key of the unit, or of ``TARGET.KEY``. ``codes`` are those of the
+    measurement.
+    """
+    if not any(quantity.place for quantity in quantities.of_unit):
+        return {
+            target: {
+                each.key: _rounded(_number(known(f"{target}.{each.key}")), each.decimals)
+                for each in quantities.of_target
+            }
+            for target in targets
+        }
+    return {"targets": {target: _place(quantities, target, known, codes) for target in targets}}
+
+
+def _place(
+    quantities: Quantities, target: str, known: Callable[[str], Value | None], codes: Sequence[str]
+) -> dict[str, Any]:
+    rows = [(each.key, each, known(f"{target}.{each.key}")) for each in quantities.of_target]
+    rows += [
+        (each.key.removeprefix(f"{target}_"), each, known(each.key))
+        for each in quantities.of_unit
+        if each.place == target
+    ]
+    said = (code.removeprefix(f"{target}_") for code in codes if code.startswith(f"{target}_"))
     return {
-        quantity.key: None if value is None else round(value.value, quantity.decimals)
-        for quantity, value in values
+        "valid": any(value is not None for _, _, value in rows),
+        "status": [code for code in said if code in _REASONS],
+        **{key: _rounded(_number(value), each.decimals) for key, each, value in rows},
+        "sigma": {
+            key: _rounded(None if value is None else value.sigma, each.decimals)
+            for key, each, value in rows
+            if each.has_sigma
+        },
     }
+
+
+def _number(value: Value | None) -> float | None:
+    return None if value is None else value.value
 
 
 def _sensors(measurement: Measurement) -> dict[str, Any]:

@@ -98,10 +98,15 @@ def _of_quantity(prefix: str, quantity: Quantity, meaning: str) -> Column:
 
 
 def flat_row(document: Mapping[str, Any]) -> dict[str, Value]:
-    """A measurement's object as a row: ``sigma.x_mm`` is ``sigma_x_mm``, ``front.x_mm`` is ``front_x_mm``."""
+    """A measurement's object as a row: ``sigma.x_mm`` is ``sigma_x_mm``, ``front.x_mm`` is ``front_x_mm``.
+
+    Below ``targets``, that of a row of targets, the same: ``targets.t1.x_mm`` is ``t1_x_mm``.
+    """
     row: dict[str, Value] = {}
     for key, value in document.items():
-        if isinstance(value, Mapping):
+        if key == "targets":
+            row |= flat_row(value)
+        elif isinstance(value, Mapping):
             row |= {f"{key}_{inner}": of_inner for inner, of_inner in value.items()}
         elif isinstance(value, list):
             row[key] = " ".join(value)

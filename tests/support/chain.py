@@ -93,7 +93,8 @@ class Monitoring:
         replay = ChainReplay(
             recording, calibrated(self.config.seed), self.settings, dict(zip(names, names, strict=True))
         )
-        return Monitored([json.loads(json.dumps(line)) for line in replay.objects()], truth)
+        lines = [json.loads(json.dumps(replay.as_object(each))) for each in replay.measurements()]
+        return Monitored(lines, truth)
 
 
 def monitored(folder: Path, seed: int = 1, rounds: int = 8, **more: Any) -> Monitored:

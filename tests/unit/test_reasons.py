@@ -12,7 +12,11 @@ CONTRACT = {
     "check_failed": 25, "geometry_drift": 26, "geometry_unverified": 27, "self_checking": 28, "not_live": 29,
     "geometry_suspect": 0, "geometry_unknown": 0, "compensated": 0, "exposures_lost": 0,
     "playback": 0, "simulated": 0, "rehearsal": 0, "roll_missing": 0, "pitch_diverges": 0,
-    "leds_missing": 30, "leds_misfit": 31,
+    "leds_missing": 30, "leds_misfit": 31, "stuck_clear": 13, "slow": 14, "not_confirmed": 15,
+    "cameras_swapped": 16, "beam_lost": 32, "stuck_opaque": 0, "switch_unseen": 0, "beam_lost_behind": 0,
+    "stable_moved": 0, "stable_targets_disagree": 0, "no_baseline": 0, "baseline_incomplete": 0,
+    "beam_angle_unknown": 0, "beam_drift_unknown": 0, "beam_not_closed": 0, "alarm_displacement": 0,
+    "alarm_rate": 0,
 }  # fmt: skip
 """Codes on the wires, and their numbers on Modbus, as released."""
 
@@ -23,6 +27,7 @@ BITS = {
     13: {"simulated"}, 14: {"implausible"}, 15: {
         "frame_repeated", "wrong_camera", "check_failed", "geometry_drift", "geometry_unverified",
         "geometry_suspect", "geometry_unknown", "compensated", "not_live",
+        "stuck_clear", "slow", "not_confirmed", "cameras_swapped",
     },
 }  # fmt: skip
 
@@ -42,12 +47,14 @@ def test_a_reason_is_its_code_and_knows_whose_it_is() -> None:
     assert f"{Reason.STALE}" == "stale"
     assert {reason for reason in Reason if reason.is_warning} == {
         "exposures_lost", "playback", "simulated", "rehearsal", "roll_missing", "pitch_diverges",
-        "geometry_suspect", "geometry_unknown", "compensated",
+        "geometry_suspect", "geometry_unknown", "compensated", "stuck_opaque", "switch_unseen",
+        "beam_lost_behind", "stable_moved", "stable_targets_disagree", "no_baseline", "baseline_incomplete",
+        "beam_angle_unknown", "beam_drift_unknown", "beam_not_closed", "alarm_displacement", "alarm_rate",
     }  # fmt: skip
     assert {reason for reason in Reason if reason.scope is Scope.UNIT} == {
         "out_of_step", "out_of_range", "unsteady", "warming_up", "stale", "check_failed",
         "geometry_drift", "geometry_unverified", "self_checking", "not_live",
-        "leds_missing", "leds_misfit",
+        "leds_missing", "leds_misfit", "beam_lost",
     }  # fmt: skip
 
 
@@ -58,6 +65,7 @@ def test_every_group_has_a_reason_and_every_reason_says_what_and_what_to_do() ->
 
 
 NOT_WELL_BY_ITSELF = {
+    "stuck_clear", "slow", "not_confirmed", "cameras_swapped", "stuck_opaque",
     "camera_silent", "frame_repeated", "wrong_camera", "implausible", "out_of_step", "stale", "check_failed",
     "geometry_drift", "geometry_unverified",
 }  # fmt: skip
@@ -69,7 +77,7 @@ def test_every_reason_has_a_signal_and_none_is_good() -> None:
     assert {reason for reason in Reason if reason.signal is Signal.FAILURE} == NOT_WELL_BY_ITSELF
     assert {reason for reason in Reason if reason.signal is Signal.CHECK_FUNCTION} == {
         "exposure_changing", "warming_up", "playback", "simulated", "self_checking",
-        "not_live", "rehearsal",
+        "not_live", "rehearsal", "baseline_incomplete", "beam_not_closed",
     }  # fmt: skip
 
 
@@ -77,7 +85,8 @@ def test_maintenance_is_asked_for_only_where_the_numbers_may_be_used() -> None:
     # OPC 10000-100: "although the output signal is valid"
     assert {reason for reason in Reason if reason.signal is Signal.MAINTENANCE_REQUIRED} == {
         "exposures_lost", "roll_missing", "pitch_diverges",
-        "geometry_suspect", "geometry_unknown", "compensated",
+        "geometry_suspect", "geometry_unknown", "compensated", "switch_unseen", "no_baseline",
+        "beam_angle_unknown", "beam_drift_unknown",
     }  # fmt: skip
     assert all(reason.is_warning for reason in Reason if reason.signal is Signal.MAINTENANCE_REQUIRED)
 

@@ -13,8 +13,11 @@ from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
     HEADER,
+    PER_PLACE,
     PER_UNIT,
     PLATE_BLOCK,
+    ROW,
+    ROW_HEAD,
     SCALED_BLOCK,
     SIZE,
     TEST_BLOCK,
@@ -22,10 +25,12 @@ from altd.publish.modbus.registers import (
     Register,
     Type,
     image,
+    place_registers,
 )
 from altd.publish.modbus.responder import (
     CALIBRATION_CHECKSUM,
     CALIBRATION_DATE,
+    MAX_READ,
     SELF_CHECK_ADDRESS,
     SELF_CHECK_NOW,
     SERIAL,
@@ -37,6 +42,8 @@ from altd.publish.modbus.tcp import MAX_CLIENTS
 from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import (
     DISCRETE_INPUTS,
+    PLACE_WARNINGS,
+    ROW_WARNINGS,
     STATUS_BITS,
     VALID,
     WITHOUT_BIT,
@@ -86,6 +93,7 @@ BLOCKS = (
         "[values relative to a zero](#relative-values)",
         "if a zero is used",
     ),
+    (_span(ROW.first, ROW.size), "[places of a row](#places-of-a-row)", "with each poll, of a row"),
 )
 
 COMMANDS = (
@@ -102,6 +110,9 @@ COMMANDS = (
         "the newest measurement becomes [the zero](#relative-values)",
     ),
 )
+
+MAX_AT_ONCE = (MAX_READ - (place_registers(1)[0].address - ROW.first)) // PER_PLACE
+"""Places of a row in one request."""
 
 (STATE,) = (row for row in checked_block.ROWS if row.name == "state")
 """The register of the unit's signal."""
@@ -209,6 +220,20 @@ of a beam. The header is the same; there is no checked block of a plate.
 
 {register_table(PLATE_BLOCK)}
 
+### Places of a row
+
+With [`instrument = "chain"`](chain.md). `status` and the other registers of the header are those of the
+round. Each place has {PER_PLACE} registers, in beam order: the first place
+
+{register_table((*ROW_HEAD, *place_registers(1)))}
+
+and place n begins at {place_registers(1)[0].address} + {PER_PLACE}·(n − 1). Registers beyond the last target
+are not known. A place that was not measured has a number in `place1_reason`, and no values. The values of one
+request are of one round; {MAX_AT_ONCE} places are read at once with the head.
+
+- Bits of `row_warnings`: {_bits(ROW_WARNINGS)}.
+- Bits of `place1_warnings`: {_bits(PLACE_WARNINGS)}.
+
 ## Bits of `status`
 
 {_table(("bit", "name", "set when"), ((row.bit, row.name, _set_when(row)) for row in STATUS_BITS))}
@@ -218,7 +243,8 @@ Bits {_listed(_of_valid())} may be set beside bit {VALID}, as warnings; 12 and 1
 
 The warnings {_codes(WITHOUT_BIT)} have no bit. `state` at address {STATE.address} shows them:
 {Signal.CHECK_FUNCTION.number} at once for a rehearsal, {Signal.MAINTENANCE_REQUIRED.number} after ten
-seconds for the inclinometer.
+seconds for the inclinometer. Those of a row have bits of their own, see
+[Places of a row](#places-of-a-row).
 
 The numbers in `reason_unit`, `reason_front` and `reason_rear` are those of
 [Reasons and states](reasons.md#reasons).
@@ -386,6 +412,10 @@ def _listed(rows: Iterable[StatusBit]) -> str:
 
 def _codes(reasons: Iterable[Reason]) -> str:
     return ", ".join(f"`{reason}`" for reason in reasons)
+
+
+def _bits(reasons: Iterable[Reason]) -> str:
+    return ", ".join(f"{bit} `{reason}`" for bit, reason in enumerate(reasons))
 
 
 def _float32(words: list[int]) -> float:

@@ -72,33 +72,63 @@ class _Movement:
         return self.random_mm2 + self.baseline_mm2 + self.lasting_mm2
 
 
-class Baseline:
-    """The first rounds in which all stable targets were measured, and movements since then."""
+@dataclass(frozen=True, slots=True, eq=False)
+class BaselineMeans:
+    """The mean of each spot over the baseline's rounds; ``random_mm2`` of these places is that of the mean.
 
-    def __init__(self, calibration: Calibration, stable: Sequence[str], rounds: int) -> None:
+    ``own`` are those of the targets that were measured in at least half of the rounds. ``stable`` are, by
+    target and stable target, those of the stable target at the instants of the target's visits.
+    """
+
+    own: Mapping[str, Place]
+    stable: Mapping[str, Mapping[str, Place]]
+
+
+class Baseline:
+    """The first rounds in which all stable targets were measured, or stored means, and movements since."""
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        stable: Sequence[str],
+        rounds: int,
+        means: BaselineMeans | None = None,
+    ) -> None:
         self._targets: dict[str, TargetCalibration] = {of.name: of for of in calibration.targets}
         self._limits = calibration.limits
         self._stable = tuple(stable)
         self._rounds = rounds
         self._taken: list[Mapping[str, Place]] = []
-        self._epochs: list[dict[str, _Epoch]] = []
+        self.means = means
+        """None: the baseline is not complete."""
 
     @property
     def is_complete(self) -> bool:
         """Whether displacements are known."""
-        return bool(self._epochs)
+        return self.means is not None
 
     def has(self, target: str) -> bool:
         """Whether a target was measured in at least half of the baseline's rounds."""
-        return len(self._of(target)) >= _MIN_BASELINE_SHARE * self._rounds
+        return self.means is not None and target in self.means.own
 
     def take(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> None:
         """A round of the baseline; one in which a stable target was not measured counts for nothing."""
         if places and all(name in places for name in self._stable):
             self._taken.append(places)
         if len(self._taken) == self._rounds:
-            self._epochs = [self._epochs_of(of_round, history) for of_round in self._taken]
+            self.means = self._means([self._epochs_of(of_round, history) for of_round in self._taken])
             self._taken = []
+
+    def _means(self, rounds: Sequence[Mapping[str, _Epoch]]) -> BaselineMeans:
+        of = {name: [epochs[name] for epochs in rounds if name in epochs] for name in self._targets}
+        known = {name: epochs for name, epochs in of.items() if _is_enough(len(epochs), self._rounds)}
+        return BaselineMeans(
+            {name: _mean([epoch.place for epoch in epochs]) for name, epochs in known.items()},
+            {
+                name: {other: _mean([epoch.stable[other] for epoch in epochs]) for other in self._stable}
+                for name, epochs in known.items()
+            },
+        )
 
     def displaced(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> Displaced:
         """The displacements of a round; ``history`` holds each target's visits, before and after it too."""
@@ -168,25 +198,32 @@ class Baseline:
             epochs[name] = _Epoch(place, {k: v for k, v in instants.items() if v is not None})
         return epochs
 
-    def _of(self, target: str) -> list[_Epoch]:
-        return [epochs[target] for epochs in self._epochs if target in epochs]
-
     def _own_movement(self, name: str, epoch: _Epoch) -> _Movement:
-        return self._since(name, [each.place for each in self._of(name)], epoch.place)
+        assert self.means is not None  # noqa: S101  asked before
+        return self._since(name, self.means.own[name], epoch.place)
 
     def _movement(self, name: str, stable: str, epoch: _Epoch) -> _Movement:
         """A stable target's movement from the instants of ``name`` in the baseline to the current one."""
-        return self._since(stable, [each.stable[stable] for each in self._of(name)], epoch.stable[stable])
+        assert self.means is not None  # noqa: S101  asked before
+        return self._since(stable, self.means.stable[name][stable], epoch.stable[stable])
 
-    def _since(self, name: str, before: Sequence[Place], now: Place) -> _Movement:
-        mean = replace(
-            before[0],
-            mm=np.mean([each.mm for each in before], axis=0),
-            excess_mm2=float(np.mean([each.excess_mm2 for each in before])),
-        )
-        baseline = np.sum([each.random_mm2 for each in before], axis=0) / len(before) ** 2
+    def _since(self, name: str, mean: Place, now: Place) -> _Movement:
         lasting = systematic_mm2(self._targets[name], self._limits, now, mean)
-        return _Movement(now.mm - mean.mm, now.random_mm2, baseline, lasting)
+        return _Movement(now.mm - mean.mm, now.random_mm2, mean.random_mm2, lasting)
+
+
+def _is_enough(rounds: int, of_rounds: int) -> bool:
+    return rounds >= _MIN_BASELINE_SHARE * of_rounds
+
+
+def _mean(places: Sequence[Place]) -> Place:
+    """The mean place of several visits, with the scatter of the mean."""
+    return replace(
+        places[0],
+        mm=np.mean([each.mm for each in places], axis=0),
+        random_mm2=np.sum([each.random_mm2 for each in places], axis=0) / len(places) ** 2,
+        excess_mm2=float(np.mean([each.excess_mm2 for each in places])),
+    )
 
 
 def _unknown_beam_mm2(

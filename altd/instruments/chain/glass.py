@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 from altd.instruments.chain.rounds import Round
+from altd.reasons import Reason
 
 MIN_BRIGHT_SHARE = 0.35
 """A milky glass shows at least this share of its usual light; a clear one scatters far less."""
@@ -18,28 +18,7 @@ MIN_FADING_SHARE = 0.1
 _REMEMBERED = 20
 
 
-class GlassFault(StrEnum):
-    """A fault of a target; published behind its name, such as ``t3_stuck_opaque``."""
-
-    STUCK_OPAQUE = "stuck_opaque"
-    """It stays milky while others are to show the spot: all behind it is dark."""
-    STUCK_CLEAR = "stuck_clear"
-    """It does not turn milky, though the beam passes it."""
-    SLOW = "slow"
-    """It is not settled in the exposures."""
-    NOT_CONFIRMED = "not_confirmed"
-    """The glass switched, and its camera does not see the spot; or it sees one that is not the beam's."""
-    SWITCH_UNSEEN = "switch_unseen"
-    """A warning: no frame shows the target while it is clear."""
-    BEAM_LOST_BEHIND = "beam_lost_behind"
-    """All targets behind it are dark, and it is clear."""
-    CAMERAS_SWAPPED = "cameras_swapped"
-    """Another target's camera shows this one's spot, and the other way round."""
-
-
-INVALIDATING = frozenset(
-    {GlassFault.STUCK_CLEAR, GlassFault.SLOW, GlassFault.NOT_CONFIRMED, GlassFault.CAMERAS_SWAPPED}
-)
+INVALIDATING = frozenset({Reason.STUCK_CLEAR, Reason.SLOW, Reason.NOT_CONFIRMED, Reason.CAMERAS_SWAPPED})
 """With one of these the target's spot is not to be believed."""
 
 
@@ -47,16 +26,16 @@ INVALIDATING = frozenset(
 class Diagnosis:
     """The faults of a round, by target; ``beam_lost``: no target shows the beam."""
 
-    faults: dict[str, list[GlassFault]] = field(default_factory=dict)
+    faults: dict[str, list[Reason]] = field(default_factory=dict)
     beam_lost: bool = False
 
-    def add(self, target: str, fault: GlassFault) -> None:
+    def add(self, target: str, fault: Reason) -> None:
         """Note a fault once."""
         noted = self.faults.setdefault(target, [])
         if fault not in noted:
             noted.append(fault)
 
-    def has(self, target: str, *faults: GlassFault) -> bool:
+    def has(self, target: str, *faults: Reason) -> bool:
         """Whether any of these is noted."""
         return any(fault in self.faults.get(target, ()) for fault in faults)
 
@@ -77,7 +56,7 @@ class GlassCheck:
         _find_slow(seen, diagnosis)
         _find_swapped(seen, diagnosis)
         for target in self._targets:
-            if not diagnosis.has(target, GlassFault.CAMERAS_SWAPPED):
+            if not diagnosis.has(target, Reason.CAMERAS_SWAPPED):
                 _find_stuck(seen, diagnosis, target)
         _find_lost(seen, diagnosis)
         for target in self._targets:
@@ -164,12 +143,12 @@ def _find_slow(seen: _Seen, diagnosis: Diagnosis) -> None:
         for other in seen.before(opaque):
             lights, own = seen.lights.get((other, opaque)), seen.own(other)
             if lights and own and lights[0] > max(MIN_FADING_SHARE * own, lights[-1] / MIN_FIRST_SHARE):
-                diagnosis.add(other, GlassFault.SLOW)
+                diagnosis.add(other, Reason.SLOW)
     for target in seen.targets:
         lights = seen.lights.get((target, target)) or [0.0]
         grows = lights == sorted(lights) and lights[0] < MIN_FIRST_SHARE * lights[-1]
-        if grows and not any(diagnosis.has(other, GlassFault.SLOW) for other in seen.before(target)):
-            diagnosis.add(target, GlassFault.SLOW)
+        if grows and not any(diagnosis.has(other, Reason.SLOW) for other in seen.before(target)):
+            diagnosis.add(target, Reason.SLOW)
 
 
 def _find_swapped(seen: _Seen, diagnosis: Diagnosis) -> None:
@@ -181,8 +160,8 @@ def _find_swapped(seen: _Seen, diagnosis: Diagnosis) -> None:
             if mine is None or its is None or min(crossed) == 0.0:
                 continue
             if max(mine, its) < MIN_BRIGHT_SHARE * min(crossed):
-                diagnosis.add(target, GlassFault.CAMERAS_SWAPPED)
-                diagnosis.add(other, GlassFault.CAMERAS_SWAPPED)
+                diagnosis.add(target, Reason.CAMERAS_SWAPPED)
+                diagnosis.add(other, Reason.CAMERAS_SWAPPED)
 
 
 def _find_stuck(seen: _Seen, diagnosis: Diagnosis, target: str) -> None:
@@ -195,9 +174,9 @@ def _find_stuck(seen: _Seen, diagnosis: Diagnosis, target: str) -> None:
         _find_unswitched(seen, diagnosis, target, passes)
     elif passes:
         passed = any(seen.light(other, target) for other in seen.behind(target))
-        diagnosis.add(target, GlassFault.STUCK_CLEAR if own or passed else GlassFault.NOT_CONFIRMED)
+        diagnosis.add(target, Reason.STUCK_CLEAR if own or passed else Reason.NOT_CONFIRMED)
     elif own > 0.0 and (any(map(seen.is_bright, seen.targets)) or seen.is_unchanged(target)):
-        diagnosis.add(target, GlassFault.STUCK_CLEAR)  # else all are dim, and switch: it is the laser
+        diagnosis.add(target, Reason.STUCK_CLEAR)  # else all are dim, and switch: it is the laser
 
 
 def _find_unswitched(seen: _Seen, diagnosis: Diagnosis, target: str, passes: bool) -> None:
@@ -205,14 +184,14 @@ def _find_unswitched(seen: _Seen, diagnosis: Diagnosis, target: str, passes: boo
     own, clear = seen.own(target) or 0.0, seen.while_clear(target)
     stray = any((seen.light(target, other) or 0.0) > MIN_BRIGHT_SHARE * own for other in seen.before(target))
     if stray and all(seen.is_bright(other) for other in seen.before(target)):
-        diagnosis.add(target, GlassFault.NOT_CONFIRMED)
+        diagnosis.add(target, Reason.NOT_CONFIRMED)
     if seen.is_seen_opaque_alone(target):
-        diagnosis.add(target, GlassFault.SWITCH_UNSEEN)
+        diagnosis.add(target, Reason.SWITCH_UNSEEN)
     elif clear and min(clear) > MIN_BRIGHT_SHARE * own:
         if passes and not seen.has_reference(target):
-            diagnosis.add(target, GlassFault.STUCK_CLEAR)
-        elif not diagnosis.has(target, GlassFault.SLOW):
-            diagnosis.add(target, GlassFault.STUCK_OPAQUE)
+            diagnosis.add(target, Reason.STUCK_CLEAR)
+        elif not diagnosis.has(target, Reason.SLOW):
+            diagnosis.add(target, Reason.STUCK_OPAQUE)
 
 
 def _find_lost(seen: _Seen, diagnosis: Diagnosis) -> None:
@@ -227,5 +206,5 @@ def _find_lost(seen: _Seen, diagnosis: Diagnosis) -> None:
         return
     last = bright[-1]
     behind = [target for target in seen.behind(last) if target in dark]
-    if behind and not any(diagnosis.has(each, GlassFault.STUCK_OPAQUE) for each in bright):
-        diagnosis.add(last, GlassFault.BEAM_LOST_BEHIND)
+    if behind and not any(diagnosis.has(each, Reason.STUCK_OPAQUE) for each in bright):
+        diagnosis.add(last, Reason.BEAM_LOST_BEHIND)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from altd.config import ChainSettings
-from altd.instruments.chain.displacement import Baseline, Displaced, Displacement
+from altd.instruments.chain.displacement import Baseline, BaselineMeans, Displaced, Displacement
 from altd.instruments.chain.glass import INVALIDATING, Diagnosis, GlassCheck
 from altd.instruments.chain.places import Place, place_of
 from altd.instruments.chain.rate import Rate, Trend, alarms
@@ -21,14 +21,11 @@ _ROUNDS_BEFORE = 3
 _MAX_ROUNDS = 1000
 """Rounds that are remembered while the baseline is not complete."""
 _UNLIKE_THE_BEAM = (Reason.DISTORTED, Reason.IMPLAUSIBLE, Reason.OUT_OF_RANGE)
-STABLE_MOVED = "stable_moved"
-NO_BASELINE = "no_baseline"
-STABLE_DISAGREE = "stable_targets_disagree"
-BEAM_LOST = "beam_lost"
-BASELINE = "baseline_incomplete"
-BEAM_KNOWN = {"line": (), "offset": ("beam_angle_unknown",), "nothing": ("beam_drift_unknown",)}
-BEAM_OPEN = "beam_not_closed"
-"""A warning of the last round of a recording: no later visit shows how the beam moved on."""
+_BEAM_KNOWN = {
+    "line": (),
+    "offset": (Reason.BEAM_ANGLE_UNKNOWN,),
+    "nothing": (Reason.BEAM_DRIFT_UNKNOWN,),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,25 +33,24 @@ class TargetResult:
     """One target in a round. Without ``place`` it is invalid; ``status`` says why, or warns."""
 
     place: Place | None
-    status: tuple[str, ...] = ()
+    status: tuple[Fault, ...] = ()
     displacement: Displacement | None = None
     rate: Rate | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class RoundResult:
-    """A round: its last exposure's number, the mean time of its exposures, and the targets in beam order."""
+    """A round: number and time of its last exposure, the mean time, and the targets in beam order.
+
+    ``status`` holds what is about the whole row.
+    """
 
     sequence: int
+    last_ns: int
     t_ns: int
     frames: int
     targets: Mapping[str, TargetResult]
-    status: tuple[str, ...] = ()
-
-    @property
-    def valid(self) -> bool:
-        """Whether any target was measured."""
-        return any(of.place is not None for of in self.targets.values())
+    status: tuple[Fault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +58,7 @@ class _Measured:
     """A round, located: places or faults, and what the switches did."""
 
     sequence: int
+    last_ns: int
     t_ns: int
     places: Mapping[str, Place]
     faults: Mapping[str, tuple[Fault, ...]]
@@ -72,24 +69,36 @@ class Chain:
     """Rounds of a row of targets; a round's result is known when the round after it has ended.
 
     The beam's movement at each visit is taken between the stable targets' visits before and after it: so a
-    beam that jumps within a round moves no place.
+    beam that jumps within a round moves no place. ``means`` is a stored baseline; None: the first rounds make
+    it.
     """
 
-    def __init__(self, calibration: Calibration, settings: ChainSettings) -> None:
+    def __init__(
+        self, calibration: Calibration, settings: ChainSettings, means: BaselineMeans | None = None
+    ) -> None:
         self._calibration = calibration
         self._settings = settings
         self._targets = calibration.target_names
         self._window = RoundWindow(self._targets)
         self._glasses = GlassCheck(self._targets, settings.exposures)
-        self._baseline = Baseline(calibration, settings.stable, settings.baseline_rounds)
+        self._baseline = Baseline(calibration, settings.stable, settings.baseline_rounds, means)
         self._trends = {name: Trend() for name in self._targets}
         self._history: deque[_Measured] = deque(maxlen=_MAX_ROUNDS)
         self._pending: _Measured | None = None
+
+    @property
+    def baseline(self) -> BaselineMeans | None:
+        """The baseline; None: it is not complete."""
+        return self._baseline.means
 
     def add(self, sight: Sight) -> RoundResult | None:
         """Take what a camera saw in one frame; the result of a round, or None."""
         ended = self._window.add(sight)
         return None if ended is None else self._next(ended)
+
+    def forget(self) -> None:
+        """The frames do not reach back any more: a round that has begun never ends."""
+        self._window.forget()
 
     def flush(self) -> list[RoundResult]:
         """The results that are still due, at the end of a recording."""
@@ -126,11 +135,12 @@ class Chain:
         unlike = [name for name, of in faults.items() if of[0].reason in _UNLIKE_THE_BEAM]
         diagnosis = self._glasses.inspect(round_, unlike)
         places = {name: of for name, of in places.items() if not diagnosis.has(name, *INVALIDATING)}
-        times = [place.t_ns for place in places.values()] or [
+        seen_ns = [
             sight.t_ns for visit in round_.visits.values() for of in visit.sights.values() for sight in of
         ]
+        times = [place.t_ns for place in places.values()] or seen_ns
         t_ns = times[0] + round(sum(time - times[0] for time in times) / len(times))
-        return _Measured(round_.sequence, t_ns, places, faults, diagnosis)
+        return _Measured(round_.sequence, max(seen_ns), t_ns, places, faults, diagnosis)
 
     def _result(self, of: _Measured, is_open: bool) -> RoundResult:
         history = {
@@ -138,35 +148,43 @@ class Chain:
             for name in self._targets
         }
         displaced = Displaced()
-        status = list[str]()
+        status = list[Reason]()
         if self._baseline.is_complete:
             displaced = self._baseline.displaced(of.places, history)
-            status += [STABLE_DISAGREE] if displaced.disagree else BEAM_KNOWN[displaced.beam]
-            status += [BEAM_OPEN] if is_open else []
+            status += [Reason.STABLE_DISAGREE] if displaced.disagree else _BEAM_KNOWN[displaced.beam]
+            status += [Reason.BEAM_NOT_CLOSED] if is_open else []
         else:
             self._baseline.take(of.places, history)
-            status.append(BASELINE)
+            status.append(Reason.BASELINE_INCOMPLETE)
         if of.diagnosis.beam_lost:
-            status.append(BEAM_LOST)
+            status.append(Reason.BEAM_LOST)
         targets = {name: self._target(name, of, displaced) for name in self._targets}
-        status += [f"{name}_{code}" for name, target in targets.items() for code in target.status]
         frames = sum(place.frames for place in of.places.values())
-        return RoundResult(of.sequence, of.t_ns, frames, targets, tuple(dict.fromkeys(status)))
+        return RoundResult(of.sequence, of.last_ns, of.t_ns, frames, targets, tuple(map(Fault, status)))
 
     def _target(self, name: str, of: _Measured, displaced: Displaced) -> TargetResult:
-        codes: list[str] = [str(fault.reason) for fault in of.faults.get(name, ())]
-        codes += map(str, of.diagnosis.faults.get(name, ()))
+        faults = [Fault(fault.reason, name, fault.detail) for fault in of.faults.get(name, ())]
+        faults += [Fault(reason, name) for reason in of.diagnosis.faults.get(name, ())]
         place = of.places.get(name)
         if place is None:
-            return TargetResult(None, tuple(dict.fromkeys(codes)))
+            return TargetResult(None, _each_once(faults))
         if name in displaced.moved:
-            codes.append(STABLE_MOVED)
+            faults.append(Fault(Reason.STABLE_MOVED, name))
         displacement = displaced.places.get(name)
         if displacement is None:
             if self._baseline.is_complete and not self._baseline.has(name):
-                codes.append(NO_BASELINE)
-            return TargetResult(place, tuple(codes))
+                faults.append(Fault(Reason.NO_BASELINE, name))
+            return TargetResult(place, tuple(faults))
         rate = self._trends[name].add(displacement)
         settings = self._settings
-        codes += alarms(displacement, rate, settings.alarm_mm, settings.alarm_mm_per_day)
-        return TargetResult(place, tuple(codes), displacement, rate)
+        raised = alarms(displacement, rate, settings.alarm_mm, settings.alarm_mm_per_day)
+        faults += [Fault(reason, name) for reason in raised]
+        return TargetResult(place, tuple(faults), displacement, rate)
+
+
+def _each_once(faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """The first fault of each reason."""
+    first = dict[Reason, Fault]()
+    for fault in faults:
+        first.setdefault(fault.reason, fault)
+    return tuple(first.values())

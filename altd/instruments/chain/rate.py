@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.instruments.chain.displacement import Displacement
+from altd.reasons import Reason
 from altd.records import FloatArray
 
 DAY_NS = 86_400 * 10**9
@@ -79,14 +80,14 @@ def _merged(points: Sequence[FloatArray]) -> list[FloatArray]:
 
 def alarms(
     displacement: Displacement, rate: Rate | None, alarm_mm: float | None, alarm_mm_per_day: float | None
-) -> tuple[str, ...]:
+) -> tuple[Reason, ...]:
     """``alarm_displacement`` and ``alarm_rate`` where a limit is reached, and that is no chance."""
-    raised = []
+    raised = list[Reason]()
     far = alarm_mm is not None and math.hypot(*displacement.mm.tolist()) >= alarm_mm
     if far and displacement.significance >= MIN_ALARM_SIGMAS:
-        raised.append("alarm_displacement")
+        raised.append(Reason.ALARM_DISPLACEMENT)
     if rate is not None and alarm_mm_per_day is not None:
         fast = math.hypot(*rate.mm_per_day.tolist()) >= alarm_mm_per_day
         if fast and rate.significance >= MIN_ALARM_SIGMAS:
-            raised.append("alarm_rate")
+            raised.append(Reason.ALARM_RATE)
     return tuple(raised)

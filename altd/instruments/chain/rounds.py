@@ -14,7 +14,7 @@ MAX_VISIT_EXPOSURES = 256
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The finding of one camera in one exposure, and the target that was opaque then.
+    """The finding of one camera in one exposure, and the target that was opaque then; empty: none was.
 
     ``breaks`` counts, as in ``Located``, the camera's frames that no mean may reach across.
     """
@@ -25,6 +25,11 @@ class Sight:
     t_ns: int
     spot: Spot | NoSpot
     breaks: int = 0
+    camera: str = ""
+    leds_on = False
+    """A row has no frame LEDs."""
+    found = None
+    """No exposure is controlled by a spot that comes and goes with the glasses."""
 
 
 @dataclass(slots=True)
@@ -104,6 +109,10 @@ class RoundWindow:
         current.sequences[sight.sequence] = None
         current.sights.setdefault(sight.target, []).append(sight)
         return ended
+
+    def forget(self) -> None:
+        """Leave out the round that has begun: the frames do not reach back to it."""
+        self._visits, self._current, self._is_first = {}, None, True
 
     def flush(self) -> Round | None:
         """The last round, at the end of a recording; None: it lacks targets."""

@@ -17,6 +17,7 @@ from altd.history.reader import Reader
 from altd.history.records import StoredMeasurement
 from altd.ports import Clock
 from altd.records import Measurement, Quantities, utc_text
+from altd.status.measurement_json import targets_object
 
 MAX_ROWS_AT_ONCE = 100
 MAX_ROWS = 12_000
@@ -138,8 +139,5 @@ def _object(row: StoredMeasurement, quantities: Quantities, targets: Sequence[st
         "sigma_random": {
             each.key: row.randoms.get(each.key) for each in quantities.of_unit if each.has_sigma
         },
-        **{
-            target: {each.key: row.values.get(f"{target}.{each.key}") for each in quantities.of_target}
-            for target in targets
-        },
+        **targets_object(quantities, targets, row.known, row.status),
     }

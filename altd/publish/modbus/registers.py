@@ -225,6 +225,43 @@ class Table:
 
 MEASUREMENT = Table()
 
+ROW_HEAD = (
+    Register(600, "row_status", Type.U16, "", "as `status`", values.status),
+    Register(601, "row_targets", Type.U16, "", "number of targets", values.targets),
+    Register(602, "row_age", Type.U16, "0.1 s", "since the middle of the round", values.age_tenths, True),
+    Register(603, "row_warnings", Type.U16, "", "bits, see below", values.row_warnings),
+    Register(604, "row_sequence", Type.U32, "", "number of the round's last exposure", values.sequence),
+)
+PLACES, PER_PLACE, MAX_PLACES = 610, 12, 16
+"""The first address of the first place, and from each place to the next."""
+
+
+def place_registers(number: int) -> tuple[Register, ...]:
+    """The registers of a place, counted from 1 in beam order."""
+    of = values.of_place
+    floats = (
+        ("dx", "mm", "displacement since the baseline, to the right", of(number, "dx_mm")),
+        ("dy", "mm", "displacement since the baseline, up", of(number, "dy_mm")),
+        ("sigma_dx", "mm", "combined standard uncertainty", of(number, "dx_mm", "sigma")),
+        ("sigma_dy", "mm", "combined standard uncertainty", of(number, "dy_mm", "sigma")),
+        ("significance", "", "displacement in standard deviations", of(number, "significance")),
+    )
+    first, name = PLACES + PER_PLACE * (number - 1), f"place{number}"
+    reason, warnings = values.reason_of_place(number), values.warnings_of_place(number)
+    return (
+        Register(first, f"{name}_reason", Type.U16, "", "why it was not measured, 0: it was", reason),
+        Register(first + 1, f"{name}_warnings", Type.U16, "", "bits, see below", warnings),
+        *(
+            Register(first + 2 + 2 * row, f"{name}_{key}", Type.F32, unit, meaning, value)
+            for row, (key, unit, meaning, value) in enumerate(floats)
+        ),
+    )
+
+
+_OF_ROW = ROW_HEAD + sum((place_registers(number + 1) for number in range(MAX_PLACES)), ())
+ROW = Table(_OF_ROW, 600, PLACES - 600 + PER_PLACE * MAX_PLACES)
+"""Of a row of switched targets. Beyond its targets, and with other instruments, nothing is known."""
+
 
 def image(snapshot: Snapshot, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:
     """All registers of a table; gaps are 0."""

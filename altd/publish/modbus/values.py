@@ -6,7 +6,7 @@ meaning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
@@ -69,10 +69,34 @@ STATUS_BITS = (
 )
 """The status word; bits that are not listed are 0."""
 
-WITHOUT_BIT = tuple(
-    reason for reason in Reason if reason.is_warning and not any(reason in row.reasons for row in STATUS_BITS)
+PLACE_WARNINGS = (
+    Reason.ALARM_DISPLACEMENT,
+    Reason.ALARM_RATE,
+    Reason.STUCK_OPAQUE,
+    Reason.BEAM_LOST_BEHIND,
+    Reason.STABLE_MOVED,
+    Reason.NO_BASELINE,
+    Reason.SWITCH_UNSEEN,
 )
-"""Warnings that the status word does not show: those of sensors, for all of its bits are taken."""
+"""The warnings of a place, bit by bit."""
+
+ROW_WARNINGS = (
+    Reason.BASELINE_INCOMPLETE,
+    Reason.STABLE_DISAGREE,
+    Reason.BEAM_ANGLE_UNKNOWN,
+    Reason.BEAM_DRIFT_UNKNOWN,
+    Reason.BEAM_NOT_CLOSED,
+)
+"""The same of the whole row."""
+
+WITHOUT_BIT = tuple(
+    reason
+    for reason in Reason
+    if reason.is_warning
+    and reason not in (*PLACE_WARNINGS, *ROW_WARNINGS)
+    and not any(reason in row.reasons for row in STATUS_BITS)
+)
+"""Warnings without a bit: those of sensors, for all of the status word's are taken."""
 
 REASON_CODES = tuple(
     sorted((reason for reason in Reason if reason.modbus_code), key=lambda reason: reason.modbus_code)
@@ -215,6 +239,74 @@ def of_target(target: str, key: str) -> Reading:
         return values[key].value if key in values else None
 
     return coordinate
+
+
+def targets(snapshot: Snapshot) -> int | None:
+    """The number of targets of a row; None: no row was measured yet."""
+    measurement = snapshot.measurement
+    return len(measurement.targets) if measurement and _is_row(measurement) else None
+
+
+def _is_row(measurement: Measurement) -> bool:
+    return any(quantity.place for quantity in measurement.quantities.of_unit)
+
+
+def _place(snapshot: Snapshot, number: int) -> tuple[Measurement, str] | None:
+    """The measurement, and the name of the target with that number, from 1; None: there is none."""
+    measurement = snapshot.measurement
+    if measurement is None or not _is_row(measurement) or number > len(measurement.targets):
+        return None
+    return measurement, list(measurement.targets)[number - 1]
+
+
+def of_place(number: int, key: str, part: str = "value") -> Reading:
+    """The value, or the ``sigma``, of a quantity of the place with that number."""
+
+    def value(snapshot: Snapshot) -> float | None:
+        if (place := _place(snapshot, number)) is None:
+            return None
+        measurement, name = place
+        known = measurement.known(f"{name}_{key}") or measurement.known_of(f"{name}.{key}")
+        return None if known is None else getattr(known, part)
+
+    return value
+
+
+def reason_of_place(number: int) -> Reading:
+    """The code of the first reason why a place was not measured."""
+
+    def code(snapshot: Snapshot) -> int | None:
+        place = _place(snapshot, number)
+        return None if place is None else reason_code(*place)
+
+    return code
+
+
+def warnings_of_place(number: int) -> Reading:
+    """The bits of ``PLACE_WARNINGS``."""
+
+    def bits(snapshot: Snapshot) -> int | None:
+        if (place := _place(snapshot, number)) is None:
+            return None
+        return _bits(*place, PLACE_WARNINGS)
+
+    return bits
+
+
+def row_warnings(snapshot: Snapshot) -> int | None:
+    """The bits of ``ROW_WARNINGS``."""
+    measurement = snapshot.measurement
+    return _bits(measurement, None, ROW_WARNINGS) if measurement and _is_row(measurement) else None
+
+
+def _bits(measurement: Measurement, target: str | None, reasons: Sequence[Reason]) -> int:
+    said = {fault.reason for fault in measurement.status if fault.target == target}
+    return sum((reason in said) << bit for bit, reason in enumerate(reasons))
+
+
+def age_tenths(snapshot: Snapshot) -> float | None:
+    """Tenths of seconds since the middle of the exposures: a round takes long."""
+    return None if snapshot.age_s is None else 10.0 * snapshot.age_s
 
 
 def sequence(snapshot: Snapshot) -> int | None:

@@ -1,0 +1,152 @@
+"""Frames in, measurements of a row out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+from altd.config import ChainSettings, Measuring
+from altd.instruments.chain.displacement import BaselineMeans
+from altd.instruments.chain.instrument import Chain, RoundResult
+from altd.instruments.chain.measurement import as_measurement, quantities_of
+from altd.instruments.chain.rounds import Sight
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import Provenance, View, calibration_faults
+from altd.measuring.gate import Gate
+from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.spot_locator import SpotLocator
+from altd.reasons import Reason
+from altd.records import Fault, Frame, Measurement
+
+
+class SightLocator:
+    """Locates the spot in each frame of a target's camera; one thread calls ``locate``, frame after frame."""
+
+    def __init__(self, target: str, locator: SpotLocator) -> None:
+        self.target, self._locator = target, locator
+
+    def locate(self, frame: Frame) -> Sight:
+        """The finding of a frame, with the target that was opaque then."""
+        of = self._locator.locate(frame)
+        return Sight(self.target, frame.opaque, of.sequence, of.t_ns, of.spot, of.breaks, of.camera)
+
+
+class RowChain:
+    """Measures a row of switched targets, a measurement a round. ``means`` is a stored baseline.
+
+    Frames without an opaque target are not measured: the glasses settle. ``push`` does all of it. A daemon
+    uses ``pairer``, ``locators`` and ``add`` on threads of their own.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        calibration: Calibration,
+        settings: ChainSettings,
+        measuring: Measuring,
+        provenance: Provenance,
+        means: BaselineMeans | None = None,
+    ) -> None:
+        self.quantities = quantities_of(calibration.target_names)
+        self._rounds = Chain(calibration, settings, means)
+        self._measuring, self._provenance = measuring, provenance
+        self._calibration_origin = calibration_faults(calibration.simulated)
+        cameras = tuple(view.camera for view in views)
+        self.pairer: Pairer[Frame] = Pairer(
+            cameras, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
+        )
+        targets = {target.name: target for target in calibration.targets}
+        self.locators: Mapping[str, SightLocator] = {
+            view.camera: SightLocator(
+                view.target,
+                SpotLocator(
+                    view.camera,
+                    targets[view.target],
+                    partial(provenance.identity, view.camera),
+                    view.expected,
+                    calibration.other_place_of,
+                ),
+            )
+            for view in views
+        }
+        self.frame_sets = 0
+        """Exposures that moved on."""
+        self._last: Mapping[str, Sight] = {}
+        self._last_sequence = self._last_ns = 0
+        self._gate = Gate()
+
+    @property
+    def silent_after_s(self) -> float:
+        """A camera from which nothing came for so long is silent."""
+        return self._measuring.silent_after_s
+
+    @property
+    def baseline(self) -> BaselineMeans | None:
+        """The baseline; None: it is not complete."""
+        return self._rounds.baseline
+
+    def seen(self) -> str:
+        """The opaque target and the last finding of its camera, in words."""
+        shown = [sight for sight in self._last.values() if sight.opaque == sight.target]
+        return "; ".join(f"{sight.camera}: {sight.spot}" for sight in shown) or "the glasses settle"
+
+    def figures(self) -> dict[str, float | str | None]:
+        """The target that is opaque, for health; None: none has settled."""
+        return {"opaque": next((sight.opaque for sight in self._last.values() if sight.opaque), None)}
+
+    def push(self, frame: Frame) -> Measurement | None:
+        """Take one frame; the measurement of a round, or None."""
+        return self._take(self.locators[frame.camera].locate(frame))
+
+    def add(self, pair: Pair[Sight]) -> Measurement | None:
+        """Take the findings of one exposure; those that came too late are not measured.
+
+        A round does not reach across a pause, nor across cameras that count again.
+        """
+        since_last_s = (pair.t_ns - self._last_ns) * 1e-9
+        if pair.sequence <= self._last_sequence or not 0.0 < since_last_s <= self.silent_after_s:
+            self._rounds.forget()
+        self.frame_sets += 1
+        self._last, self._last_ns = pair.items, pair.t_ns
+        measured = [self._take(replace(sight, sequence=pair.sequence)) for sight in pair.items.values()]
+        return next(filter(None, measured), None)
+
+    def flush(self) -> list[Measurement]:
+        """The measurements that are still due, at the end of a recording."""
+        return [self._measurement(result) for result in self._rounds.flush()]
+
+    def silence(self, t_ns: int) -> Measurement:
+        """The measurement of a moment at which no camera delivers."""
+        self._rounds.forget()
+        self._last = {}
+        silent = tuple(Fault(Reason.CAMERA_SILENT, target) for target in self._targets)
+        return Measurement(
+            sequence=self._last_sequence,
+            t_ns=t_ns,
+            time=self._provenance.utc(t_ns),
+            frames=0,
+            quantities=self.quantities,
+            values={},
+            targets=dict.fromkeys(self._targets),
+            status=(*silent, *self._origins()),
+        )
+
+    def _take(self, sight: Sight) -> Measurement | None:
+        self._last_sequence = sight.sequence
+        if not sight.opaque:
+            return None
+        result = self._rounds.add(sight)
+        return None if result is None else self._measurement(result)
+
+    def _measurement(self, result: RoundResult) -> Measurement:
+        time = self._provenance.utc(result.t_ns)
+        return self._gate.admit(as_measurement(result, self.quantities, time, self._origins()))
+
+    def _origins(self) -> tuple[Fault, ...]:
+        faults = {fault.reason: fault for fault in (*self._calibration_origin, *self._provenance.origins())}
+        return tuple(faults[reason] for reason in sorted(faults))
+
+    @property
+    def _targets(self) -> tuple[str, ...]:
+        return tuple(locator.target for locator in self.locators.values())
