@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies docs site lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies docs site lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -60,6 +60,9 @@ demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl
 
 demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
 	@exec $(python) -m hw_sim demo --gige
+
+demo-chain: venv ## a simulated row of switched glass targets along a tunnel, one of which moves; Ctrl-C ends it
+	@exec $(python) -m hw_sim chain-demo
 
 demo-planar: venv ## a simulated plate that a machine moves, measured by one camera: values and errors; Ctrl-C ends it
 	@exec $(python) -m hw_sim planar

@@ -279,6 +279,22 @@ class Lamps(Protocol):
         """Darken and release them; harmless when they are not open."""
 
 
+class Switches(Protocol):
+    """The voltage of a row's glasses: with it a glass is clear, without it opaque. The calls block."""
+
+    def open(self) -> None:
+        """Get hold of them, all glasses without voltage; raises LampsError."""
+
+    def show(self, opaque: str) -> None:
+        """Take the voltage off the glass of this target, and apply it to all others; raises LampsError.
+
+        Empty: no glass has it.
+        """
+
+    def close(self) -> None:
+        """Take the voltage off all glasses and release them; harmless when they are not open."""
+
+
 class Indicator(StrEnum):
     """The lamps on the housing (App. A.1.4)."""
 

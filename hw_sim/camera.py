@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Protocol
 
 from altd.ports import CameraError, CameraTimeoutError, ExposureRange
 from altd.records import CameraIdentity, Frame, Origin
@@ -74,11 +75,37 @@ class RealTimeLamps:
         return next((on for since_ns, on in reversed(self._switched) if since_ns <= t_ns), False)
 
 
+class Scene(Protocol):
+    """The view of the cameras, by their names; ``Unit`` and ``LiveRow`` have one."""
+
+    @property
+    def serial(self) -> str:
+        """The serial number of the unit."""
+
+    def lag_ns(self, camera: str) -> int:
+        """The delay of a camera behind the schedule."""
+
+    def is_silent(self, camera: str) -> bool:
+        """Whether a camera delivers nothing."""
+
+    def drops(self, camera: str, sequence: int) -> bool:
+        """Whether a camera loses this frame."""
+
+    def switch_leds(self, camera: str, on: bool) -> None:
+        """Light or darken the frame LEDs that a camera sees."""
+
+    def set_camera(self, camera: str, *, exposure_ms: float | None = None, gain: float | None = None) -> None:
+        """Expose so from the next frame on."""
+
+    def expose(self, camera: str, sequence: int, t_ns: int) -> Frame:
+        """The frame of a camera."""
+
+
 class SimulatedCamera:
     """One camera of a simulated unit; see ``altd.ports.Camera``."""
 
     def __init__(
-        self, unit: Unit, name: str, schedule: Schedule, waits: bool, lamps: RealTimeLamps | None = None
+        self, unit: Scene, name: str, schedule: Schedule, waits: bool, lamps: RealTimeLamps | None = None
     ) -> None:
         self._unit = unit
         self._lamps = lamps
@@ -107,7 +134,7 @@ class SimulatedCamera:
     @property
     def identity(self) -> CameraIdentity:
         """One camera of one simulated unit."""
-        return CameraIdentity(f"{self._unit.config.serial}-{self._name}", "simulated", "hw_sim")
+        return CameraIdentity(f"{self._unit.serial}-{self._name}", "simulated", "hw_sim")
 
     @property
     def waits(self) -> bool:

@@ -163,6 +163,11 @@ class Unit:
     def leds_on(self, on: bool) -> None:
         self._lit = frozenset(CAMERAS if on else ())
 
+    @property
+    def serial(self) -> str:
+        """The unit's serial number."""
+        return self.config.serial
+
     def switch_leds(self, camera: str, on: bool) -> None:
         """Light or darken the LEDs around one camera's target, from its next frame on."""
         if on != (camera in self._lit):

@@ -43,6 +43,8 @@ class RecordingPlan:
     """The plates at the targets' places in a recording of kind ``plate``, the plate of kind ``planar``."""
     pose: tuple[float, float, float] | None = None
     """The known pose of the latter, (a mm, b mm, φ °)."""
+    has_opaque: bool = False
+    """Whether the cameras look at targets that are switched in turn."""
 
 
 class ExposuresWriter:
@@ -83,7 +85,9 @@ class ExposuresWriter:
             self._headers = {
                 name: camera_header(frame, self._cameras[name]) for name, frame in pair.items.items()
             }
-            self._writer = RecordingWriter(self._path, self._header(), pose=self._plan.pose)
+            self._writer = RecordingWriter(
+                self._path, self._header(), pose=self._plan.pose, has_opaque=self._plan.has_opaque
+            )
         self._check_cameras()
         t_s = (pair.t_ns - self._first_ns) * 1e-9
         last_sequence, last_s = self._last

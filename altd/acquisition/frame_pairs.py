@@ -7,9 +7,9 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 from altd.acquisition.kept_frames.ring import FrameRing
-from altd.acquisition.self_check.frames import MarkedFrames
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Clock
 from altd.records import Frame
@@ -21,11 +21,18 @@ ROOM = 4
 """Incomplete frame sets that wait for a reader: one that was given up comes together with the next."""
 
 
+class Marks(Protocol):
+    """The knowledge of what was switched while a frame was exposed."""
+
+    def mark(self, frame: Frame) -> Frame:
+        """The frame with its mark; called in the thread of its camera."""
+
+
 class FramePairs:
     """The frame sets of the cameras for one reader; a reader that is behind gets the newest.
 
     ``arrived`` is called in the thread of a camera when there is something to take. ``marks`` marks the
-    frames under LEDs, ``ring`` keeps the newest ones; None: nothing does.
+    frames under LEDs, or with the opaque target, ``ring`` keeps the newest ones; None: nothing does.
     """
 
     def __init__(
@@ -33,7 +40,7 @@ class FramePairs:
         pairer: Pairer[Frame],
         arrived: Callable[[], None],
         clock: Clock,
-        marks: MarkedFrames | None = None,
+        marks: Marks | None = None,
         ring: FrameRing | None = None,
     ) -> None:
         self._pairer = pairer

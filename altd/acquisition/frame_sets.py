@@ -9,7 +9,7 @@ from typing import Self
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.frame_pairs import FramePairs, Marks
 from altd.config import Measuring
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Camera, CameraError, Clock
@@ -28,7 +28,8 @@ _BUSY_REMEDY = (
 class FrameSets:
     """``async with``: the cameras deliver; frames that are not requested are dropped.
 
-    Their exposure is set by ``exposure`` when they are opened, and stays constant.
+    Their exposure is set by ``exposure`` when they are opened, and stays constant. ``marks`` marks frames
+    with the opaque target of a row.
     """
 
     def __init__(
@@ -37,7 +38,9 @@ class FrameSets:
         measuring: Measuring,
         health: Health,
         exposure: Mapping[str, ExposureControl] | None = None,
+        marks: Marks | None = None,
     ) -> None:
+        self._marks = marks
         self._components = {camera.name: health.component(f"camera {camera.name}") for camera in cameras}
         self.cameras = cameras
         self._exposure = exposure or {}
@@ -50,7 +53,7 @@ class FrameSets:
             tuple(self._components), settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
         )
         self._loop, self._arrived = asyncio.get_running_loop(), asyncio.Event()
-        self._pairs = FramePairs(pairer, self._wake, self.clock)
+        self._pairs = FramePairs(pairer, self._wake, self.clock, self._marks)
         self._acquiring = [
             asyncio.create_task(
                 acquire(camera, self._pairs, self._components[camera.name], self._exposure.get(camera.name))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from altd.app.baseline import baseline_file
 from altd.app.replay import Progress, utc_of
 from altd.calibration.file import check_place, check_recording, load_calibration, target_of
 from altd.config import ChainSettings, Config, Measuring
@@ -107,11 +108,16 @@ def _check_exposure(recording: Recording, row: Row, last: Row | None) -> None:
 
 
 def open_chain_replay(
-    recording: Recording, calibration_path: Path, config: Config | None, config_path: Path | None
+    recording: Recording,
+    calibration_path: Path,
+    config: Config | None,
+    config_path: Path | None,
+    is_fresh: bool = False,
 ) -> ChainReplay:
     """Check all that can be checked before a frame is decoded; raises BadInputError.
 
-    Without a config no target is stable.
+    Without a config no target is stable. A baseline that the config names is used where it is there, unless
+    ``is_fresh``.
     """
     header = recording.header
     calibration = load_calibration(calibration_path, header.unit.serial)
@@ -122,7 +128,7 @@ def open_chain_replay(
         raise BadInputError(recording.path, f"has no camera that looks at target {missing[0]!r}")
     if not recording.rows.has_opaque:
         raise BadInputError(recording.path, "no row names an opaque target: it shows no row of glass targets")
-    settings = ChainSettings()
+    settings, means = ChainSettings(), None
     if config is not None and config_path is not None:
         if config.unit.serial != header.unit.serial:
             said = f"unit.serial: {config.unit.serial!r} is not that of the recording, {header.unit.serial!r}"
@@ -134,5 +140,7 @@ def open_chain_replay(
         if unnamed := [name for name in calibration.target_names if name not in named]:
             raise BadInputError(config_path, f"targets: the calibration's target {unnamed[0]!r} is missing")
         settings = config.chain or settings
+        if not is_fresh and (file := baseline_file(config, calibration)) is not None:
+            means = file.load()
     targets = {cameras[name]: name for name in calibration.target_names}
-    return ChainReplay(recording, calibration, settings, targets)
+    return ChainReplay(recording, calibration, settings, targets, means)

@@ -13,10 +13,11 @@ import cv2
 from altd import __version__
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.frame_pairs import FramePairs, Marks
+from altd.acquisition.glasses import glass_cycle
 from altd.acquisition.inclination.monitor import InclinationMonitor
 from altd.acquisition.kept_frames.ring import FrameRing
-from altd.acquisition.lamps.controller import FrameLamps
+from altd.acquisition.lamps.controller import FrameLamps, LampController
 from altd.acquisition.lamps.indicators import IndicatorPanel
 from altd.acquisition.locating import LocatedPairs, Locating
 from altd.acquisition.pictures import Pictures
@@ -24,6 +25,7 @@ from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.self_check.exposing import CheckExposer
 from altd.acquisition.self_check.frames import MarkedFrames
 from altd.acquisition.self_check.service import SelfChecks
+from altd.app.baseline import BaselineKeeper, with_baseline_kept
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.instruments import live_instrument, views_of
@@ -38,17 +40,19 @@ from altd.app.parts import (
     indicators_of,
     lamps_of,
     missing_files,
+    switches_of,
 )
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
 from altd.config import (
     CameraLampsSettings,
+    CameraSwitchesSettings,
     Config,
     LiveCameraSettings,
 )
 from altd.errors import BadInputError, one_line, unwrap_group
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.chain import MeasuringChain, Provenance
-from altd.ports import Camera, Clock, Indicators, Lamps
+from altd.ports import Camera, Clock, Indicators, Lamps, Switches
 from altd.records import Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager, state_folder
@@ -66,8 +70,9 @@ _FACES_START_TIMEOUT_S = 1.0
 class Daemon:
     """One unit's daemon. ``cameras`` are by the config's camera names; the caller chooses them.
 
-    ``lamps`` and ``indicators`` are the caller's choice too; ``self.lamps`` switches the frame LEDs. Played
-    and simulated frames give valid values only with ``rehearsal``.
+    ``lamps``, ``indicators`` and the ``switches`` of a row's glasses are the caller's choice too;
+    ``self.lamps`` switches the frame LEDs. Played and simulated frames give valid values only with
+    ``rehearsal``. Raises BadInputError for a stored baseline that does not fit.
     """
 
     def __init__(  # noqa: PLR0913  the parts of a unit
@@ -79,6 +84,7 @@ class Daemon:
         lamps: Lamps | None = None,
         indicators: Indicators | None = None,
         rehearsal: bool = False,
+        switches: Switches | None = None,
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
@@ -104,6 +110,7 @@ class Daemon:
             self._inclination = InclinationMonitor(
                 *inclinometer, instrument.quantities, config.installation, component, self.clock
             )
+        self._stale_after_s = instrument.stale_after_s
         self.board = self._board(instrument.quantities, identity, rehearsal)
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)
@@ -116,6 +123,10 @@ class Daemon:
         if indicators is not None:
             component = self.health.component("indicators")
             self._indicators = IndicatorPanel(indicators, self.board, self.health, component, self.clock)
+        self._switches: LampController[str] | None = None
+        if switches is not None:
+            component = self.health.component("switches")
+            self._switches = LampController(switches, switches.show, "", component, self.clock)
         self._views = instrument.views
         self._cameras = {view.camera: cameras[view.camera] for view in self._views}
         self.chain = instrument.chain(
@@ -125,6 +136,7 @@ class Daemon:
                 utc=self.clock.utc,
             )
         )
+        self._baseline = BaselineKeeper.of(config, calibration, self.chain, self.board, self.health)
         self.checks = self._self_checks(calibration)
         self._exposure = {
             name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
@@ -135,7 +147,7 @@ class Daemon:
     def _self_checks(self, calibration: AnyCalibration) -> SelfChecks | None:
         """The checks by the frame LEDs of a beam's targets, where the unit can make them."""
         if isinstance(calibration, PlanarCalibration) or not isinstance(self.chain, MeasuringChain):
-            self.health.self_check.unavailable = "a plate has no frame LEDs"
+            self.health.self_check.unavailable = "this instrument has no frame LEDs"
             return None
         if why := why_unchecked(calibration, self._cameras, self.lamps is not None):
             self.health.self_check.unavailable = why
@@ -146,7 +158,7 @@ class Daemon:
         return SelfChecks(parts, targets, self.health.self_check, component, self.clock)
 
     def _board(self, quantities: Quantities, identity: Identity, rehearsal: bool) -> Board:
-        monitor, stale_after_s = self._inclination, self.config.measuring.stale_after_s
+        monitor, stale_after_s = self._inclination, self._stale_after_s
         if monitor is None:
             return Board(self.clock, stale_after_s, quantities, identity, rehearsal=rehearsal)
         return Board(self.clock, stale_after_s, monitor.quantities, identity, monitor.complete, rehearsal)
@@ -180,6 +192,8 @@ class Daemon:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.state.run(), name="state")
+                if self._baseline is not None:
+                    tasks.create_task(self._baseline.run(), name="baseline")
                 self._maintenance.start(tasks)
                 tried = [asyncio.Event() for _ in interfaces]
                 for (place, publisher), first_try in zip(interfaces.items(), tried, strict=True):
@@ -243,8 +257,12 @@ class Daemon:
         tasks.create_task(keeper.run(), name="kept frames")
         return keeper.ring
 
-    def _marks(self, tasks: asyncio.TaskGroup) -> MarkedFrames | None:
-        """The marks of the frames under LEDs, where the unit checks itself; the checks begin."""
+    def _marks(self, tasks: asyncio.TaskGroup) -> Marks | None:
+        """The marks of frames: under LEDs, or with the opaque target; checks, or the cycle, begin."""
+        if self._switches is not None:
+            cycle = glass_cycle(self._switches, self.config, fps_of(self.config), self.clock)
+            tasks.create_task(cycle.run(), name="cycle of the glasses")
+            return cycle.marks
         if self.checks is None:
             return None
         assert self.lamps is not None  # noqa: S101  asked before
@@ -256,10 +274,14 @@ class Daemon:
         return marks
 
     async def _lights(self) -> None:
-        """Keep lamps and indicators, until cancelled."""
+        """Keep lamps, glasses and indicators, until cancelled."""
         lamps = self.config.lamps
         switching = lamps.cameras if isinstance(lamps, CameraLampsSettings) else ()
         async with asyncio.TaskGroup() as tasks:
+            if self._switches is not None:
+                by_camera = isinstance(self.config.switches, CameraSwitchesSettings)
+                opened = [self.health.component(f"camera {name}") for name in self._cameras if by_camera]
+                tasks.create_task(self._switches.run(opened), name="switches")
             if self.lamps is not None:
                 cameras = [self.health.component(f"camera {name}") for name in switching]
                 tasks.create_task(self.lamps.run(cameras), name="lamps")
@@ -274,15 +296,23 @@ class Daemon:
 
 def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
-    if config.unit.instrument == "chain":
-        why = 'unit.instrument: "chain" is measured from recordings: altd replay'
-        raise BadInputError(place, why)
     if missing := missing_files(config):
         raise BadInputError(place, *map(str, missing))
     cameras = cameras_of(config, place)
     calibration = calibration_of_instrument(config, cameras)
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
-    daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators, rehearsal=rehearsal)
+    switches = switches_of(config, cameras, place)
+    if switches is not None:
+        config = with_baseline_kept(config, place)
+    daemon = Daemon(
+        config,
+        calibration,
+        cameras,
+        lamps=lamps,
+        indicators=indicators,
+        rehearsal=rehearsal,
+        switches=switches,
+    )
     for component in (MEASURING, *(f"camera {name}" for name in cameras)):
         daemon.health.component(component).set_state(State.STARTING)
     if (folder := state_folder()) is not None:

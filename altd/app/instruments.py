@@ -8,50 +8,93 @@ from typing import Any
 
 import numpy as np
 
+from altd.acquisition.glasses import round_s
 from altd.acquisition.pictures import outlined, view_of
 from altd.acquisition.pipeline import Chain
+from altd.app.baseline import baseline_file
 from altd.app.calibration_summary import planar_summary_of, summary_of, target_areas_of
 from altd.app.parts import AnyCalibration
-from altd.config import AnyCameraSettings, Config, LiveCameraSettings
+from altd.app.self_check import fps_of
+from altd.config import AnyCameraSettings, ChainSettings, Config, LiveCameraSettings
 from altd.instruments.beam.instrument import BeamInstrument
+from altd.instruments.chain.frames import RowChain
+from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
+from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.records import CameraIdentity, Quantities
 from altd.status.services import TargetView
 from altd.status.target_area import TargetArea
 
+STALE_AFTER_ROUNDS = 2.5
+"""The measurement of a round comes a round later, and is shown until the next."""
 _PLATE = "plate"
 """The name of a plate's picture, and of its camera where the caller of the daemon chose it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveInstrument:
-    """An instrument with its calibration. ``views`` and ``areas`` are in the order of its cameras."""
+    """An instrument with its calibration. ``views`` and ``areas`` are in the order of its cameras.
+
+    A measurement is stale ``stale_after_s`` after its last exposure.
+    """
 
     quantities: Quantities
     chain: Callable[[Provenance], Chain]
     summary: Mapping[str, Any]
     views: tuple[TargetView, ...]
-    areas: tuple[TargetArea, ...] = ()
+    areas: tuple[TargetArea, ...]
+    stale_after_s: float
 
 
 def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrument:
     """The instrument of a config, whose calibration was checked against it."""
     if isinstance(calibration, PlanarCalibration):
         return _planar(config, calibration)
-    instrument = BeamInstrument(calibration, config.measuring, config.installation)
     for target in calibration.targets:
         _ = target.inverse  # made now, for the first measurement would hold the loop with it
     by_name = {target.name: target for target in calibration.targets}
+    quantities, chain, stale_after_s = (_row if config.unit.instrument == "chain" else _beam)(
+        config, calibration
+    )
     return LiveInstrument(
-        instrument.quantities,
-        lambda provenance: MeasuringChain(
-            views_of(config), calibration, config.measuring, instrument, provenance
-        ),
+        quantities,
+        chain,
         summary_of(calibration, [target.name for target in config.targets], config.unit.calibration.name),
         tuple(view_of(of.camera, by_name[of.name]) for of in config.targets),
         target_areas_of(config, calibration),
+        stale_after_s,
+    )
+
+
+_Parts = tuple[Quantities, Callable[[Provenance], Chain], float]
+"""Quantities, the chain, and when a measurement is stale."""
+
+
+def _beam(config: Config, calibration: Calibration) -> _Parts:
+    instrument = BeamInstrument(calibration, config.measuring, config.installation)
+
+    def chain(provenance: Provenance) -> Chain:
+        return MeasuringChain(views_of(config), calibration, config.measuring, instrument, provenance)
+
+    return instrument.quantities, chain, config.measuring.stale_after_s
+
+
+def _row(config: Config, calibration: Calibration) -> _Parts:
+    """Of a row; raises BadInputError for a stored baseline that does not fit."""
+    settings = config.chain or ChainSettings()
+    file = baseline_file(config, calibration)
+    means = None if file is None else file.load()
+    longest_s = round_s(settings, len(config.targets), fps_of(config))[1]
+
+    def chain(provenance: Provenance) -> Chain:
+        return RowChain(views_of(config), calibration, settings, config.measuring, provenance, means)
+
+    return (
+        quantities_of(calibration.target_names),
+        chain,
+        max(config.measuring.stale_after_s, STALE_AFTER_ROUNDS * longest_s),
     )
 
 
@@ -72,6 +115,8 @@ def _planar(config: Config, calibration: PlanarCalibration) -> LiveInstrument:
         ),
         planar_summary_of(calibration, config.unit.calibration.name),
         (view,),
+        (),
+        config.measuring.stale_after_s,
     )
 
 

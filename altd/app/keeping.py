@@ -15,6 +15,7 @@ from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.kept_frames.store import RecordingStore
+from altd.app.baseline import SERVICE_FOLDER
 from altd.app.parts import AnyCalibration, led_plate_of
 from altd.config import Config
 from altd.errors import one_line
@@ -66,7 +67,8 @@ def frame_keeper(
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
     by, plate = "altd run, frames kept", led_plate_of(config)
     kind: Kind = "measurement" if plate is None else "planar"
-    plan = RecordingPlan(settings.before_s, unit, targets or None, kind, by, plate)
+    is_row = config.unit.instrument == "chain"
+    plan = RecordingPlan(settings.before_s, unit, targets or None, kind, by, plate, has_opaque=is_row)
     keeper = FrameKeeper(
         Source(ring, cameras, config.measuring, plan),
         settings,
@@ -131,9 +133,6 @@ def _is_same(start_us: int | None, other_us: int | None) -> bool:
 
 FILE_NAME = "history.db"
 COMPONENT = "history"
-_SERVICE_FOLDER = Path("/var/lib/altd")
-"""The folder that systemd gives the service (``StateDirectory`` in systemd/altd.service)."""
-
 _DEFECT_SEVERITY = 4
 _NOT_KEPT_SEVERITY = 2
 
@@ -152,7 +151,7 @@ def history_place(config: Config) -> tuple[Path | None, str]:
 
 def history_to_read(config: Config) -> Path:
     """The history of the daemon that runs with this config, as a service or by hand."""
-    return config.history.file or (state_folder() or _SERVICE_FOLDER) / FILE_NAME
+    return config.history.file or (state_folder() or SERVICE_FOLDER) / FILE_NAME
 
 
 def history_about(config: Config, calibration: AnyCalibration, quantities: Quantities) -> About:

@@ -14,6 +14,7 @@ from altd.calibration.planar_file import check_planar_camera, load_planar_calibr
 from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
+    CameraSwitchesSettings,
     Config,
     InclinometerSettings,
     LiveCameraSettings,
@@ -24,7 +25,7 @@ from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
-from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, SwitchingCamera
+from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, Switches, SwitchingCamera
 from altd.recording.header import LedPlateHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity
@@ -209,13 +210,30 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
         return GpioFrameLamps(config.lamps)
     from altd.devices.camera_lamps import CameraLamps
 
-    switching: dict[str, SwitchingCamera] = {}
-    for name in config.lamps.cameras:
-        camera = cameras[name]
-        if not isinstance(camera, SwitchingCamera):
-            raise BadInputError(place, f"lamps: camera {name!r} has no output to switch")
-        switching[name] = camera
+    switching = {name: _switching(cameras[name], place, "lamps") for name in config.lamps.cameras}
     return CameraLamps(switching, config.lamps.line, alone)
+
+
+def switches_of(config: Config, cameras: Mapping[str, Camera], place: Path) -> Switches | None:
+    """The switches of a row's glasses; None: it has none. Raises BadInputError that names ``place``."""
+    if config.switches is None:
+        return None
+    if not isinstance(config.switches, CameraSwitchesSettings):
+        from altd.devices.gpio.lamps import GpioSwitches
+
+        return GpioSwitches(config.switches, [target.name for target in config.targets])
+    from altd.devices.camera_lamps import CameraSwitches
+
+    by_target = {
+        target.name: _switching(cameras[target.camera], place, "switches") for target in config.targets
+    }
+    return CameraSwitches(by_target, config.switches.line)
+
+
+def _switching(camera: Camera, place: Path, table: str) -> SwitchingCamera:
+    if not isinstance(camera, SwitchingCamera):
+        raise BadInputError(place, f"{table}: camera {camera.name!r} has no output to switch")
+    return camera
 
 
 def indicators_of(config: Config) -> Indicators | None:

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.frame_sets import FrameSets
+from altd.acquisition.glasses import glass_cycle
+from altd.acquisition.lamps.controller import LampController
 from altd.acquisition.record import record
 from altd.acquisition.scan.leds import KnownUnit, ScanLeds
 from altd.acquisition.scan.scanner import ProgressReporter, Scanner
 from altd.acquisition.self_check.judging import CheckJudge, limits_of
-from altd.app.parts import calibration_of, cameras_of, exposure_controls_of, lamps_of, led_plate_of, stage_of
-from altd.app.self_check import why_unchecked
+from altd.app.parts import (
+    calibration_of,
+    cameras_of,
+    exposure_controls_of,
+    lamps_of,
+    led_plate_of,
+    stage_of,
+    switches_of,
+)
+from altd.app.self_check import fps_of, why_unchecked
 from altd.config import Config, LiveCameraSettings
 from altd.errors import BadInputError
 from altd.measuring.chain import View
-from altd.ports import Camera, Lamps
+from altd.ports import Camera, Lamps, LampsError
 from altd.recording.header import Kind, LedPlateHeader, PlateHeader, target_headers, unit_header
 from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
@@ -49,11 +61,29 @@ async def record_of(
     is_live = any(isinstance(camera, LiveCameraSettings) for camera in config.cameras.values())
     if kind == "self-check" and lamps is None and is_live:
         raise BadInputError(place, "no [lamps] table: the frame LEDs of a self-check cannot be switched")
-    exposure = exposure_controls_of(config)
-    sets = FrameSets(list(cameras.values()), config.measuring, Health(SystemClock()), exposure)
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
     plan = RecordingPlan(seconds, unit, targets or None, kind, plate=plate, pose=pose)
-    return await record(sets, folder, plan, progress, lamps)
+    health, exposure = Health(SystemClock()), exposure_controls_of(config)
+    switches = switches_of(config, cameras, place)
+    if switches is None or kind != "measurement":
+        sets = FrameSets(list(cameras.values()), config.measuring, health, exposure)
+        return await record(sets, folder, plan, progress, lamps)
+    controller = LampController(switches, switches.show, "", health.component("switches"), health.clock)
+    cycle = glass_cycle(controller, config, fps_of(config), health.clock)
+    sets = FrameSets(list(cameras.values()), config.measuring, health, exposure, cycle.marks)
+    switching = [
+        asyncio.create_task(controller.run(health.component(f"camera {name}") for name in cameras)),
+        asyncio.create_task(cycle.run()),
+    ]
+    try:
+        exposures = await record(sets, folder, replace(plan, has_opaque=True), progress)
+        if complaint := controller.complaint:
+            raise LampsError(complaint)
+        return exposures
+    finally:
+        for task in switching[::-1]:
+            task.cancel()
+        await asyncio.gather(*switching, return_exceptions=True)
 
 
 def _shown(

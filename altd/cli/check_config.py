@@ -51,7 +51,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _powers_suffice(config: Config) -> bool:
-    """Show the power on each target of a row of glass targets; whether it suffices for all."""
+    """Show the round's duration and the power on each target of a row; whether that suffices for all."""
+    from altd.acquisition.glasses import round_s
+    from altd.app.self_check import fps_of
     from altd.config import ChainSettings
     from altd.instruments.chain.budget import powers_mw
 
@@ -59,6 +61,8 @@ def _powers_suffice(config: Config) -> bool:
     powers = powers_mw(chain, len(config.targets))
     for number, (target, power_mw) in enumerate(zip(config.targets, powers, strict=True)):
         say(f"{target.name}: {power_mw:.4f} mW, {chain.transmission:g}^{number} of {chain.laser_mw:g} mW")
+    shortest_s, longest_s = round_s(chain, len(config.targets), fps_of(config))
+    say(f"a round takes {shortest_s:.1f} to {longest_s:.1f} s")
     weak = [target.name for target, mw in zip(config.targets, powers, strict=True) if mw < chain.min_mw]
     if weak:
         complain(

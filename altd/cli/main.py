@@ -13,6 +13,7 @@ from typing import Protocol
 
 from altd import __version__
 from altd.cli import (
+    baseline,
     calibrate,
     check_config,
     devices,
@@ -63,6 +64,7 @@ COMMANDS: dict[str, Command] = {
     "map": map,
     "selfcheck": selfcheck,
     "verify": verify,
+    "baseline": baseline,
     "status": status,
     "watch": watch,
     "password": password,

@@ -35,6 +35,29 @@ class CameraLampsSettings(Table):
 AnyLampsSettings = Annotated[GpiodLampsSettings | CameraLampsSettings, Field(discriminator="driver")]
 
 
+class GpiodSwitchesSettings(Table):
+    """The voltage of a row's glasses, switched by lines of a GPIO chip."""
+
+    driver: Literal["gpiod"]
+    chip: Annotated[str, Field(min_length=1, max_length=64)]
+    """As in `[lamps]`."""
+    lines: Annotated[tuple[GpioLineName, ...], Field(min_length=1)]
+    """One line for each target, in their order: active, its glass has voltage and is clear."""
+    active_low: bool = False
+    """A glass has voltage when its line is low."""
+
+
+class CameraSwitchesSettings(Table):
+    """The voltage of a row's glasses, switched by an output line of each target's own camera."""
+
+    driver: Literal["camera"]
+    line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
+    """The camera's name of the output line: on, the glass has voltage and is clear."""
+
+
+AnySwitchesSettings = Annotated[GpiodSwitchesSettings | CameraSwitchesSettings, Field(discriminator="driver")]
+
+
 class IndicatorsSettings(Table):
     """The four lamps on the housing, on lines of a GPIO chip. Lamps without a line are left out."""
 

@@ -11,7 +11,13 @@ from typing import Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
-from altd.config.devices import AnyLampsSettings, GrblStageSettings, InclinometerSettings, IndicatorsSettings
+from altd.config.devices import (
+    AnyLampsSettings,
+    AnySwitchesSettings,
+    GrblStageSettings,
+    InclinometerSettings,
+    IndicatorsSettings,
+)
 from altd.config.interfaces import (
     AnySerialPortSettings,
     HttpSettings,
@@ -26,7 +32,7 @@ from altd.config.whole import Config
 
 _TABLES = (
     *("unit", "chain", "plate", "measuring", "installation", "modbus_tcp", "http", "mqtt", "opcua"),
-    *("lamps", "indicators", "inclinometer", "stage"),
+    *("lamps", "switches", "indicators", "inclinometer", "stage"),
 )
 
 
@@ -47,6 +53,7 @@ class Draft:
     opcua: OpcUaSettings | None
     serial: tuple[AnySerialPortSettings | None, ...]
     lamps: AnyLampsSettings | None
+    switches: AnySwitchesSettings | None
     indicators: IndicatorsSettings | None
     inclinometer: InclinometerSettings | None
     thermometers: tuple[HwmonThermometerSettings | None, ...]
@@ -56,6 +63,11 @@ class Draft:
     def is_planar(self) -> bool:
         """Whether one camera looks at a plate, and there are no targets."""
         return self.unit is not None and self.unit.instrument == "planar"
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether the unit is a row of switched targets."""
+        return self.unit is not None and self.unit.instrument == "chain"
 
     def live(self) -> dict[str, LiveCameraSettings]:
         """The cameras that are no recordings and that are opened."""

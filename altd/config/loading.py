@@ -80,6 +80,7 @@ def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
     document = copy.deepcopy(document)
     tables: list[tuple[Any, str]] = [
         (document.get("unit"), "calibration"),
+        (document.get("chain"), "baseline"),
         (document.get("kept_frames"), "folder"),
         (document.get("history"), "file"),
     ]

@@ -13,12 +13,16 @@ from pathlib import Path
 
 from altd.config.addresses import overlap
 from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
-from altd.config.devices import CameraLampsSettings, GpiodLampsSettings
+from altd.config.devices import (
+    CameraLampsSettings,
+    GpiodLampsSettings,
+    GpiodSwitchesSettings,
+)
 from altd.config.draft import Draft
+from altd.config.instrument_rules import chain, planar
 from altd.config.measuring import HwmonThermometerSettings
 from altd.config.places import Keys
 from altd.config.table import shown
-from altd.config.unit import Installation
 from altd.config.wording import Fault
 from altd.errors import did_you_mean
 from altd.records import counted
@@ -262,11 +266,16 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
 
 
 def _gpio_lines(draft: Draft) -> Iterator[Fault]:
-    """A GPIO line has one lamp."""
+    """A GPIO line has one lamp or glass."""
     places: list[tuple[Keys, str, str]] = []
     if isinstance(draft.lamps, GpiodLampsSettings):
         places += [
             (("lamps", "lines", n), draft.lamps.chip, line) for n, line in enumerate(draft.lamps.lines)
+        ]
+    if isinstance(draft.switches, GpiodSwitchesSettings):
+        places += [
+            (("switches", "lines", n), draft.switches.chip, line)
+            for n, line in enumerate(draft.switches.lines)
         ]
     if (indicators := draft.indicators) is not None:
         places += [(("indicators", lamp), indicators.chip, line) for lamp, line in indicators.lines.items()]
@@ -299,67 +308,9 @@ def _celsius(settings: HwmonThermometerSettings | AravisCameraSettings, table: K
         yield Fault((*table, "max_celsius"), text, about=((*table, "min_celsius"),))
 
 
-_MAX_CHAIN_TARGETS = 16
-
-
-def _chain(draft: Draft) -> Iterator[Fault]:
-    """A chain has up to sixteen targets, and its stable ones are among them."""
-    is_chain = draft.unit is not None and draft.unit.instrument == "chain"
-    kind: Keys = ("unit", "instrument")
-    if draft.chain is not None and draft.unit is not None and not is_chain:
-        text = 'is for instrument = "chain"; possible: with it, or no table'
-        yield Fault(("chain",), text, "key", about=(kind,))
-    if is_chain and len(draft.targets) > _MAX_CHAIN_TARGETS:
-        text = f"{len(draft.targets)} targets are too many for a chain; possible: up to {_MAX_CHAIN_TARGETS}"
-        yield Fault(("targets", _MAX_CHAIN_TARGETS), text, "key", about=(kind,))
-    names = [target.name for target in draft.targets if target is not None]
-    stable = () if draft.chain is None else draft.chain.stable
-    for number, name in enumerate(stable):
-        keys: Keys = ("chain", "stable", number)
-        if name in stable[:number]:
-            yield Fault(keys, f"{shown(name)} is in the list twice; possible: each target once")
-        elif name not in names and None not in draft.targets:
-            text = f"there is no target {shown(name)}{did_you_mean(name, names)}"
-            yield Fault(keys, f"{text}; possible: {', '.join(map(shown, names))}", about=(("targets",),))
-
-
-def _planar(draft: Draft) -> Iterator[Fault]:
-    """A plate has one camera of fixed exposure, no targets, and no part of a beam."""
-    if not draft.is_planar:
-        if draft.plate is not None and draft.unit is not None:
-            text = 'is for instrument = "planar"; possible: with it, or no table'
-            yield Fault(("plate",), text, "key", about=(("unit", "instrument"),))
-        return
-    faults: list[tuple[Keys, str]] = []
-    if draft.targets:
-        faults.append((("targets",), "a plate has no targets; possible: no table"))
-    if len(draft.cameras) > 1:
-        names = ", ".join(map(shown, draft.cameras))
-        faults.append((("cameras",), f"{names} are too many for a plate; possible: one"))
-    faults += [
-        (("cameras", name, "exposure", "control"), '"auto" follows a spot; possible: "fixed", "camera"')
-        for name, camera in draft.live().items()
-        if camera.exposure.control == "auto"
-    ]
-    if draft.measuring is not None and draft.measuring.output == "now":
-        faults.append((("measuring", "output"), '"now" is for a beam; possible: "mean"'))
-    faults += [
-        ((key,), "is for a beam; possible: no table")
-        for key in ("installation", "lamps", "inclinometer", "stage", "opcua")
-        if getattr(draft, key) not in (None, Installation())
-    ]
-    faults += [
-        (("serial", number, "speaks"), '"telegram" is for a beam; possible: "modbus_rtu", "console"')
-        for number, port in enumerate(draft.serial)
-        if port is not None and port.speaks == "telegram"
-    ]
-    for keys, text in faults:
-        yield Fault(keys, text, "key" if len(keys) == 1 else "value", about=(("unit", "instrument"),))
-
-
 RULES: tuple[Rule, ...] = (
-    _chain,
-    _planar,
+    chain,
+    planar,
     _targets,
     _cameras,
     _cameras_of_one_kind,

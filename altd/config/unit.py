@@ -39,6 +39,12 @@ class ChainSettings(Table):
     """Rounds that make the baseline."""
     exposures: Annotated[int, Field(ge=1, le=100)] = 4
     """Exposures of each target in a round."""
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 0.5
+    """From switching until the glasses have settled. Before each switching, up to half of it is added by
+    chance."""
+    baseline: Path | None = None
+    """File of the baseline (`altd baseline`). The daemon makes it if it is missing. Default: in the service's
+    own folder."""
     alarm_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
     """Displacement from which on a place has an alarm; none: no alarm."""
     alarm_mm_per_day: Annotated[float, Field(gt=0, le=1000)] | None = None

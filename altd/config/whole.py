@@ -7,6 +7,7 @@ from pydantic import Field
 from altd.config.cameras import AnyCameraSettings
 from altd.config.devices import (
     AnyLampsSettings,
+    AnySwitchesSettings,
     GrblStageSettings,
     InclinometerSettings,
     IndicatorsSettings,
@@ -43,6 +44,7 @@ class Config(Table):
     local: LocalSettings | None = None
     serial: tuple[AnySerialPortSettings, ...] = ()
     lamps: AnyLampsSettings | None = None
+    switches: AnySwitchesSettings | None = None
     indicators: IndicatorsSettings | None = None
     self_check: SelfCheckSettings = SelfCheckSettings()
     inclinometer: InclinometerSettings | None = None

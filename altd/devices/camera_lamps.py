@@ -1,4 +1,4 @@
-"""Frame LEDs on the output lines of cameras."""
+"""Frame LEDs, and glasses of a row, on the output lines of cameras."""
 
 from __future__ import annotations
 
@@ -39,12 +39,46 @@ class CameraLamps:
                 camera.close()
 
     def _each(self, act: Callable[[SwitchingCamera], None]) -> None:
-        """Act on every camera, on those too that come after one that fails."""
-        complaints = []
-        for name, camera in self._cameras.items():
-            try:
-                act(camera)
-            except CameraError as error:
-                complaints.append(f"{self._line} of camera {name}: {error}")
-        if complaints:
-            raise LampsError("; ".join(complaints))
+        _act_on_each(self._cameras, self._line, lambda _, camera: act(camera))
+
+
+class CameraSwitches:
+    """See ``altd.ports.Switches``: the output line of each target's camera, on: its glass has voltage.
+
+    The code that takes the cameras' frames opens and closes them. ``cameras`` are by target.
+    """
+
+    def __init__(self, cameras: Mapping[str, SwitchingCamera], line: str) -> None:
+        self._cameras = dict(cameras)
+        self._line = line
+
+    def open(self) -> None:
+        """Take the voltage off all glasses; raises LampsError."""
+        self.show("")
+
+    def show(self, opaque: str) -> None:
+        """Voltage on all glasses but this one; empty: on none. Raises LampsError."""
+        _act_on_each(
+            self._cameras,
+            self._line,
+            lambda target, camera: camera.switch_output(self._line, bool(opaque) and target != opaque),
+        )
+
+    def close(self) -> None:
+        """Take the voltage off the glasses of the cameras that are still there."""
+        with contextlib.suppress(LampsError):
+            self.show("")
+
+
+def _act_on_each(
+    cameras: Mapping[str, SwitchingCamera], line: str, act: Callable[[str, SwitchingCamera], None]
+) -> None:
+    """Act on every camera, on those too that come after one that fails."""
+    complaints = []
+    for name, camera in cameras.items():
+        try:
+            act(name, camera)
+        except CameraError as error:
+            complaints.append(f"{line} of camera {camera.name}: {error}")
+    if complaints:
+        raise LampsError("; ".join(complaints))

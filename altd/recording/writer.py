@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from altd.errors import BadInputError
-from altd.recording.frames_table import COLUMNS, POSE_COLUMNS
+from altd.recording.frames_table import COLUMNS, OPAQUE, POSE_COLUMNS
 from altd.recording.header import (
     FRAMES_FILE,
     HEADER_FILE,
@@ -46,7 +46,8 @@ class RecordingWriter:
 
     Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it continues in a folder
     that another writer left, after that many bytes of its table; the header there stays, and must have the
-    same cameras and unit. ``pose`` is the known one of a plate, (a mm, b mm, φ °).
+    same cameras and unit. ``pose`` is the known one of a plate, (a mm, b mm, φ °). ``has_opaque``: the table
+    has a column of the target that was switched to show the spot.
     """
 
     def __init__(
@@ -55,8 +56,10 @@ class RecordingWriter:
         header: RecordingHeader,
         resume_at: int | None = None,
         pose: tuple[float, float, float] | None = None,
+        has_opaque: bool = False,
     ) -> None:
         self._path = path
+        self._has_opaque = has_opaque
         is_planar = header.kind == "planar"
         self._pose: tuple[object, ...] = (pose or ("", "", "")) if is_planar else ()
         if resume_at is not None:
@@ -75,7 +78,7 @@ class RecordingWriter:
                 document["start"] = utc_text(header.start)
             (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
             self._file = (path / FRAMES_FILE).open("ab", buffering=0)
-            self._append((*COLUMNS, *(POSE_COLUMNS if is_planar else ())))
+            self._append((*COLUMNS, *(POSE_COLUMNS if is_planar else ()), *((OPAQUE,) if has_opaque else ())))
         except OSError as error:
             shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(path, error.strerror or "cannot be written") from error
@@ -121,7 +124,8 @@ class RecordingWriter:
         try:
             (self._path / name).write_bytes(data.tobytes())
             leds = "on" if frame.leds_on else "off"
-            self._append((sequence, f"{t_s:.6f}", frame.camera, name, leds, *at, *self._pose))
+            opaque = (frame.opaque,) if self._has_opaque else ()
+            self._append((sequence, f"{t_s:.6f}", frame.camera, name, leds, *at, *self._pose, *opaque))
         except OSError:  # a full disk: half a frame is no part of the recording
             (self._path / name).unlink(missing_ok=True)
             raise

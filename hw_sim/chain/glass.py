@@ -34,7 +34,7 @@ class GlassConfig:
 
 
 class Glass:
-    """A glass whose state follows its switch; times never decrease."""
+    """A glass whose state follows its switch."""
 
     def __init__(self, config: GlassConfig) -> None:
         self.config = config
@@ -47,7 +47,8 @@ class Glass:
         self._t_s, self._goal = t_s, float(opaque)
 
     def milky(self, t_s: float) -> float:
-        """The state at ``t_s``, from 0 (clear) to 1 (milky)."""
+        """The state at ``t_s``, from 0 (clear) to 1 (milky); before the last switching, that at it."""
+        t_s = max(t_s, self._t_s)
         if self.config.stuck and t_s >= self.config.fault_s:
             return float(self.config.stuck == "opaque")
         constant_s = self.config.slow * (TO_MILKY_S if self._goal > self._milky else TO_CLEAR_S)

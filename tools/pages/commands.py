@@ -24,6 +24,7 @@ PAGES = {
     "map": "tables.md",
     "selfcheck": "selfcheck.md",
     "verify": "verify.md",
+    "baseline": "chain.md",
     "status": "console.md",
     "watch": "console.md",
     "password": "http.md",
@@ -36,6 +37,8 @@ PAGES = {
     "devices": "cameras.md",
     "doctor": "doctor.md",
     "demo": "simulator.md",
+    "chain": "chain.md",
+    "chain-demo": "chain.md",
 }
 """The page that explains a command."""
 

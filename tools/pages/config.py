@@ -12,11 +12,13 @@ from pydantic.fields import FieldInfo
 from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
+    CameraSwitchesSettings,
     ChainSettings,
     Config,
     ConsolePortSettings,
     ExposureSettings,
     GpiodLampsSettings,
+    GpiodSwitchesSettings,
     GrblStageSettings,
     HistorySettings,
     HttpSettings,
@@ -110,6 +112,12 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ('[lamps], driver = "gpiod"', GpiodLampsSettings, "Without the table: none."),
     ('[lamps], driver = "camera"', CameraLampsSettings, "Instead of the table above."),
+    (
+        '[switches], driver = "gpiod"',
+        GpiodSwitchesSettings,
+        'With `instrument = "chain"` alone, where cameras are live: `chain.md`.',
+    ),
+    ('[switches], driver = "camera"', CameraSwitchesSettings, "Instead of the table above."),
     ("[indicators]", IndicatorsSettings, "Without the table: none."),
     (
         "[self_check]",

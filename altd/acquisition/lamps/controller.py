@@ -28,6 +28,9 @@ _HEARTBEAT_S = MAX_BACKOFF_S + 5 * CALL_TIMEOUT_S
 """Lamps are heard of after each try, which takes three calls at most, and each pause."""
 
 
+_CAMERAS_POLL_INTERVAL_S = 0.05
+
+
 class Openable(Protocol):
     """The methods that lamps of all kinds have."""
 
@@ -88,8 +91,14 @@ class LampController(Generic[Setpoint]):
         self._waiting.append(applied)
         await applied
 
-    async def run(self) -> None:
-        """Control the lamps until cancelled; then they are dark."""
+    async def run(self, cameras: Iterable[Component] = ()) -> None:
+        """Control the lamps until cancelled; then they are dark.
+
+        ``cameras`` are those whose outputs switch them: they are opened once each has delivered or failed.
+        """
+        for camera in cameras:
+            while camera.state is State.STARTING:
+                await self._clock.sleep(_CAMERAS_POLL_INTERVAL_S)
         self._component.expect(_HEARTBEAT_S)
         thread = DeviceThread(self._component.name)
         try:
@@ -149,24 +158,11 @@ def _complaint_of(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-_CAMERAS_POLL_INTERVAL_S = 0.05
-
-
 class FrameLamps(LampController[bool]):
     """The daemon's frame LEDs, all lit or all dark. When they are lost while lit, they come back dark."""
 
     def __init__(self, lamps: Lamps, component: Component, clock: Clock) -> None:
         super().__init__(lamps, lamps.switch, False, component, clock)
-
-    async def run(self, cameras: Iterable[Component] = ()) -> None:
-        """Control the lamps until cancelled; then they are dark.
-
-        ``cameras`` are those whose outputs switch them: they are opened once each has delivered or failed.
-        """
-        for camera in cameras:
-            while camera.state is State.STARTING:
-                await self._clock.sleep(_CAMERAS_POLL_INTERVAL_S)
-        await super().run()
 
     @property
     def is_starting(self) -> bool:

@@ -1,4 +1,4 @@
-"""Frame LEDs and indicators on GPIO lines."""
+"""Frame LEDs, glasses and indicators on GPIO lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 import gpiod
 from gpiod.line import Direction, Value
 
-from altd.config import GpiodLampsSettings, IndicatorsSettings
+from altd.config import GpiodLampsSettings, GpiodSwitchesSettings, IndicatorsSettings
 from altd.devices.gpio.find_chips import find_chip, find_line
 from altd.ports import Indicator, LampsError
 
@@ -104,6 +104,26 @@ class GpioFrameLamps:
 
     def close(self) -> None:
         """Darken the LEDs and release the lines."""
+        self._lines.close()
+
+
+class GpioSwitches:
+    """See ``altd.ports.Switches``: a line for each glass, active: it has voltage."""
+
+    def __init__(self, settings: GpiodSwitchesSettings, targets: Sequence[str]) -> None:
+        self._line_of = dict(zip(targets, settings.lines, strict=True))
+        self._lines = OutputLines(settings.chip, settings.lines, settings.active_low)
+
+    def open(self) -> None:
+        """Get hold of the lines, all glasses without voltage; raises LampsError."""
+        self._lines.open()
+
+    def show(self, opaque: str) -> None:
+        """Voltage on all glasses but this one; empty: on none. Raises LampsError."""
+        self._lines.set([line for target, line in self._line_of.items() if opaque and target != opaque])
+
+    def close(self) -> None:
+        """Take the voltage off all glasses and release the lines."""
         self._lines.close()
 
 

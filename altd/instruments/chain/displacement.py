@@ -78,10 +78,12 @@ class BaselineMeans:
 
     ``own`` are those of the targets that were measured in at least half of the rounds. ``stable`` are, by
     target and stable target, those of the stable target at the instants of the target's visits.
+    ``simulated``: they were stored, and made from simulated frames.
     """
 
     own: Mapping[str, Place]
     stable: Mapping[str, Mapping[str, Place]]
+    simulated: bool = False
 
 
 class Baseline:

@@ -51,7 +51,8 @@ class RowChain:
         self.quantities = quantities_of(calibration.target_names)
         self._rounds = Chain(calibration, settings, means)
         self._measuring, self._provenance = measuring, provenance
-        self._calibration_origin = calibration_faults(calibration.simulated)
+        is_simulated = calibration.simulated or (means is not None and means.simulated)
+        self._calibration_origin = calibration_faults(is_simulated)
         cameras = tuple(view.camera for view in views)
         self.pairer: Pairer[Frame] = Pairer(
             cameras, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns

@@ -1,0 +1,239 @@
+"""The baseline of a row of targets in a file: a restart must not begin again at zero."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from altd.config import ChainSettings, Config
+from altd.errors import BadInputError
+from altd.files.documents import checksum_of, line_of, parse_json
+from altd.files.reading import read_file
+from altd.files.writing import write_file
+from altd.instruments.chain.displacement import BaselineMeans
+from altd.instruments.chain.frames import RowChain
+from altd.instruments.chain.places import Place
+from altd.measuring.calibration import Calibration
+from altd.reasons import Reason
+from altd.records import FloatArray, utc_text
+from altd.runtime.service_manager import state_folder
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
+from altd.status.proof import unit_number
+
+_FORMAT = "altd-baseline/1"
+_MAX_BYTES = 1 << 20
+_RETRY_S = 10.0
+_Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
+_Positive = Annotated[float, Field(allow_inf_nan=False, ge=0, le=1e6)]
+_Matrix = tuple[tuple[_Number, _Number], tuple[_Number, _Number]]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=False, frozen=True)
+
+
+class _Spot(_Table):
+    """A mean spot; see ``Place``."""
+
+    mm: tuple[_Number, _Number]
+    frames: Annotated[int, Field(ge=1)]
+    random_mm2: _Matrix
+    covariance_mm2: _Matrix
+    mm_per_px: _Matrix
+    excess_mm2: _Positive
+    spot_sigma_mm: Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e3)]
+
+
+class _Content(_Table):
+    unit: str
+    calibration: str
+    made: datetime
+    origin: Literal["camera", "simulated"]
+    own: Mapping[str, _Spot]
+    stable: Mapping[str, Mapping[str, _Spot]]
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineFile:
+    """The file of one unit, for one calibration and the stable targets of its config."""
+
+    path: Path
+    calibration: Calibration
+    settings: ChainSettings
+
+    def load(self) -> BaselineMeans | None:
+        """Its content; None: there is no file yet. Raises BadInputError: it is damaged, or of another row."""
+        if not os.path.lexists(self.path):
+            return None
+        try:
+            return self._means(parse_json(read_file(self.path, _MAX_BYTES)))
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(map(str, first["loc"]))
+            raise BadInputError(self.path, f"{key}: {first['msg']}") from error
+        except ValueError as error:
+            raise BadInputError(self.path, str(error)) from error
+
+    def save(self, means: BaselineMeans, made: datetime, simulated: bool) -> None:
+        """Write the file whole or not at all; raises BadInputError."""
+        document: dict[str, Any] = {
+            "format": _FORMAT,
+            "unit": self.calibration.unit_serial,
+            "calibration": self._checksum,
+            "made": utc_text(made),
+            "origin": "simulated" if simulated else "camera",
+            "own": {name: _spot(place) for name, place in means.own.items()},
+            "stable": {
+                name: {other: _spot(place) for other, place in of.items()}
+                for name, of in means.stable.items()
+            },
+        }
+        document["checksum"] = checksum_of(document)
+        write_file(self.path, (line_of(document) + "\n").encode())
+
+    @property
+    def _checksum(self) -> str:
+        return "" if self.calibration.file is None else self.calibration.file.checksum
+
+    def _means(self, document: Any) -> BaselineMeans:
+        if not isinstance(document, dict) or document.get("format") != _FORMAT:
+            raise ValueError(f"is no {_FORMAT}")
+        if document.pop("checksum", None) != checksum_of(document):
+            raise ValueError("checksum does not fit: the file is damaged or was edited")
+        del document["format"]
+        content = _Content.model_validate(document)
+        if content.unit != self.calibration.unit_serial:
+            raise ValueError(f"is of unit {content.unit!r}, not of {self.calibration.unit_serial!r}")
+        if content.calibration != self._checksum:
+            raise ValueError("is of another calibration: make a new one, altd baseline")
+        names = self.calibration.target_names
+        if unknown := sorted((content.own.keys() | content.stable.keys()) - set(names)):
+            raise ValueError(f"has target {unknown[0]!r}, which the calibration has not")
+        for name in content.own:
+            if missing := [of for of in self.settings.stable if of not in content.stable.get(name, {})]:
+                raise ValueError(f"{missing[0]!r} was no stable target then: make a new one, altd baseline")
+        return BaselineMeans(
+            {name: _place(spot) for name, spot in content.own.items()},
+            {
+                name: {other: _place(spot) for other, spot in of.items()}
+                for name, of in content.stable.items()
+            },
+            content.origin == "simulated",
+        )
+
+
+def baseline_file(config: Config, calibration: Calibration) -> BaselineFile | None:
+    """The file that a config names; None: it names none."""
+    settings = config.chain or ChainSettings()
+    return None if settings.baseline is None else BaselineFile(settings.baseline, calibration, settings)
+
+
+SERVICE_FOLDER = Path("/var/lib/altd")
+"""The folder that systemd gives the service (``StateDirectory`` in systemd/altd.service)."""
+
+
+def baseline_path(config: Config, folder: Path) -> Path:
+    """The file of a config's baseline, in ``folder`` where it names none."""
+    named = None if config.chain is None else config.chain.baseline
+    return named or folder / f"baseline-{unit_number(config.unit.serial):08X}.json"
+
+
+def with_baseline_kept(config: Config, place: Path) -> Config:
+    """The config with a file for its baseline, in the service's own folder where it names none.
+
+    Raises BadInputError: without one a restart would begin again at zero.
+    """
+    settings, folder = config.chain or ChainSettings(), state_folder()
+    if settings.baseline is None and folder is None:
+        why = "none, and this is no service that has a folder: a restart would begin again at zero"
+        raise BadInputError(place, f"chain.baseline: {why}; possible: a file")
+    path = baseline_path(config, folder or SERVICE_FOLDER)
+    return config.model_copy(update={"chain": settings.model_copy(update={"baseline": path})})
+
+
+@dataclass(eq=False)
+class BaselineKeeper:
+    """Writes the baseline once the first rounds of a daemon have made it. That of a recording is not kept."""
+
+    chain: RowChain
+    board: Board
+    file: BaselineFile
+    component: Component
+
+    @classmethod
+    def of(
+        cls, config: Config, calibration: object, chain: object, board: Board, health: Health
+    ) -> Self | None:
+        """Of a row whose config names a file; None: there is nothing to keep."""
+        if not isinstance(chain, RowChain) or not isinstance(calibration, Calibration):
+            return None
+        file = baseline_file(config, calibration)
+        return None if file is None else cls(chain, board, file, health.component("baseline"))
+
+    async def run(self) -> None:
+        """Wait for the baseline, and write it; on a full disk try again."""
+        if (means := self.chain.baseline) is not None:
+            self.component.set_state(State.OK, f"that of {self.file.path}")
+            return
+        cursor, measurement = self.board.cursor(), None
+        self.component.set_state(State.OK, "is being made")
+        while means is None or measurement is None:
+            measurement = await cursor.next()
+            means = self.chain.baseline
+        reasons = {fault.reason for fault in measurement.status}
+        if Reason.PLAYBACK in reasons:
+            self.component.set_state(State.OK, "that of a recording is not kept")
+            return
+        clock = self.component.clock
+        made = clock.utc(clock.monotonic_ns()) or datetime.now(UTC)
+        while True:
+            try:
+                await asyncio.to_thread(self.file.save, means, made, Reason.SIMULATED in reasons)
+            except BadInputError as error:
+                self.component.set_state(State.FAILED, f"{error}; trying again")
+                await clock.sleep(_RETRY_S)
+            else:
+                self.component.set_state(State.OK, f"kept in {self.file.path}")
+                return
+
+
+def _spot(place: Place) -> dict[str, Any]:
+    return {
+        "mm": place.mm.tolist(),
+        "frames": place.frames,
+        "random_mm2": place.random_mm2.tolist(),
+        "covariance_mm2": place.covariance_mm2.tolist(),
+        "mm_per_px": place.mm_per_px.tolist(),
+        "excess_mm2": place.excess_mm2,
+        "spot_sigma_mm": place.spot_sigma_mm,
+    }
+
+
+def _place(spot: _Spot) -> Place:
+    """Its time is of no meaning in another run."""
+    return Place(
+        t_ns=0,
+        frames=spot.frames,
+        mm=np.array(spot.mm),
+        random_mm2=_covariance(spot.random_mm2),
+        covariance_mm2=_covariance(spot.covariance_mm2),
+        excess_mm2=spot.excess_mm2,
+        spot_sigma_mm=spot.spot_sigma_mm,
+        mm_per_px=np.array(spot.mm_per_px),
+    )
+
+
+def _covariance(matrix: _Matrix) -> FloatArray:
+    covariance = np.array(matrix)
+    if not np.array_equal(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] < 0.0:
+        raise ValueError("has a covariance that is none")
+    return covariance

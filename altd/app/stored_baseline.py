@@ -1,0 +1,74 @@
+"""``altd baseline``: a baseline from a recording, or room for that of the daemon's next rounds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from altd.app.baseline import SERVICE_FOLDER, BaselineFile, baseline_path
+from altd.app.chain_replay import open_chain_replay
+from altd.calibration.file import load_calibration
+from altd.config import ChainSettings, Config, RecordingCameraSettings
+from altd.errors import BadInputError
+from altd.recording.reader import open_recording
+from altd.records import counted
+from altd.runtime.service_manager import state_folder
+
+
+def store_baseline(
+    config: Config,
+    place: Path,
+    recording_path: Path | None,
+    replace: bool,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[str]:
+    """Store the baseline that a recording's first rounds make; returns what was done, in lines.
+
+    Without a recording, and where live cameras are set, the daemon makes it: what is stored is renamed only.
+    Raises BadInputError, also for a baseline that is there already, unless ``replace``.
+    """
+    if config.unit.instrument != "chain":
+        raise BadInputError(place, f'unit.instrument: "{config.unit.instrument}" has no baseline')
+    settings = config.chain or ChainSettings()
+    calibration = load_calibration(config.unit.calibration, config.unit.serial)
+    path = baseline_path(config, state_folder() or SERVICE_FOLDER)
+    file = BaselineFile(path, calibration, settings)
+    if os.path.lexists(path) and not replace:
+        raise BadInputError(path, "is there already; --replace renames it")
+    recording_path = recording_path or _played(config)
+    means = None
+    if recording_path is not None:
+        recording = open_recording(recording_path)
+        replay = open_chain_replay(recording, config.unit.calibration, config, place, is_fresh=True)
+        means = replay.baseline(progress)
+        if means is None:
+            wanted = counted(settings.baseline_rounds, "round")
+            raise BadInputError(
+                recording_path, f"has fewer than {wanted} in which all stable targets are seen"
+            )
+    lines = [f"renamed: {old}"] if (old := _renamed(path)) is not None else []
+    if means is None or recording_path is None:
+        rounds = counted(settings.baseline_rounds, "round")
+        return [*lines, f"restart altd: its first {rounds} make the baseline, {path}"]
+    file.save(means, recording.header.start or datetime.now(UTC), replay.is_simulated)
+    return [*lines, f"{path}: baseline of {counted(len(means.own), 'target')} from {recording_path}"]
+
+
+def _played(config: Config) -> Path | None:
+    """The recording that the settings play; None: their cameras are live."""
+    played = {of.path for of in config.cameras.values() if isinstance(of, RecordingCameraSettings)}
+    return min(played, default=None)
+
+
+def _renamed(path: Path) -> Path | None:
+    """The new name of a file that is there; None: none is."""
+    if not os.path.lexists(path):
+        return None
+    old = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%SZ}")
+    try:
+        path.rename(old)
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be renamed") from error
+    return old

@@ -1,0 +1,112 @@
+"""Rules of the instruments beside the beam: a row of switched targets, and a plate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
+from altd.config.devices import CameraSwitchesSettings, GpiodSwitchesSettings
+from altd.config.draft import Draft
+from altd.config.places import Keys
+from altd.config.table import shown
+from altd.config.unit import Installation
+from altd.config.wording import Fault
+from altd.errors import did_you_mean
+from altd.records import counted
+
+_MAX_CHAIN_TARGETS = 16
+_KIND: Keys = ("unit", "instrument")
+
+
+def chain(draft: Draft) -> Iterator[Fault]:
+    """A row has up to sixteen targets, its stable ones among them, and a switch for each glass."""
+    if not draft.is_chain:
+        if draft.unit is not None:
+            for key in ("chain", "switches"):
+                if getattr(draft, key) is not None:
+                    text = 'is for instrument = "chain"; possible: with it, or no table'
+                    yield Fault((key,), text, "key", about=(_KIND,))
+        return
+    if len(draft.targets) > _MAX_CHAIN_TARGETS:
+        text = f"{len(draft.targets)} targets are too many for a chain; possible: up to {_MAX_CHAIN_TARGETS}"
+        yield Fault(("targets", _MAX_CHAIN_TARGETS), text, "key", about=(_KIND,))
+    names = [target.name for target in draft.targets if target is not None]
+    stable = () if draft.chain is None else draft.chain.stable
+    for number, name in enumerate(stable):
+        keys: Keys = ("chain", "stable", number)
+        if name in stable[:number]:
+            yield Fault(keys, f"{shown(name)} is in the list twice; possible: each target once")
+        elif name not in names and None not in draft.targets:
+            text = f"there is no target {shown(name)}{did_you_mean(name, names)}"
+            yield Fault(keys, f"{text}; possible: {', '.join(map(shown, names))}", about=(("targets",),))
+    yield from _switches(draft)
+    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "opcua"))
+
+
+def _switches(draft: Draft) -> Iterator[Fault]:
+    """Live cameras see glasses that the unit switches; those of a recording were switched then."""
+    switches, targets = draft.switches, counted(len(draft.targets), "target")
+    if switches is None:
+        if draft.live():
+            text = 'the glasses cannot be switched; possible: a table with driver "gpiod" or "camera"'
+            yield Fault(("switches",), text, "table", about=(_KIND,))
+    elif isinstance(switches, GpiodSwitchesSettings) and len(switches.lines) != len(draft.targets):
+        text = f"{counted(len(switches.lines), 'line')} for {targets}; possible: one for each"
+        yield Fault(("switches", "lines"), text, about=(("targets",),))
+    for name, camera in draft.cameras.items():
+        table: Keys = ("cameras", name)
+        if switches is not None and isinstance(camera, RecordingCameraSettings):
+            text = "of a recording cannot be switched again; possible: no table"
+            yield Fault(("switches",), f"glasses {text}", "key", about=((*table, "driver"),))
+        elif isinstance(switches, CameraSwitchesSettings) and not isinstance(
+            camera, AravisCameraSettings | None
+        ):
+            text = f'{shown(name)} has no output; possible: cameras with driver "aravis", or driver "gpiod"'
+            yield Fault(("switches", "driver"), text, about=(table,))
+        elif (
+            isinstance(switches, CameraSwitchesSettings)
+            and isinstance(camera, AravisCameraSettings)
+            and camera.trigger == "line"
+            and camera.trigger_line == switches.line
+        ):
+            text = f"{shown(switches.line)} triggers camera {shown(name)}; possible: another line"
+            yield Fault(("switches", "line"), text, about=((*table, "trigger_line"), (*table, "trigger")))
+
+
+def planar(draft: Draft) -> Iterator[Fault]:
+    """A plate has one camera of fixed exposure, no targets, and no part of a beam."""
+    if not draft.is_planar:
+        if draft.plate is not None and draft.unit is not None:
+            text = 'is for instrument = "planar"; possible: with it, or no table'
+            yield Fault(("plate",), text, "key", about=(_KIND,))
+        return
+    if draft.targets:
+        yield Fault(("targets",), "a plate has no targets; possible: no table", "key", about=(_KIND,))
+    if len(draft.cameras) > 1:
+        names = ", ".join(map(shown, draft.cameras))
+        text = f"{names} are too many for a plate; possible: one"
+        yield Fault(("cameras",), text, "key", about=(_KIND,))
+    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "stage", "opcua"))
+
+
+def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:
+    """No exposure that follows a spot, no motion within a window, and none of these tables."""
+    faults: list[tuple[Keys, str]] = [
+        (("cameras", name, "exposure", "control"), '"auto" follows a spot; possible: "fixed", "camera"')
+        for name, camera in draft.live().items()
+        if camera.exposure.control == "auto"
+    ]
+    if draft.measuring is not None and draft.measuring.output == "now":
+        faults.append((("measuring", "output"), '"now" is for a beam; possible: "mean"'))
+    faults += [
+        ((key,), "is for a beam; possible: no table")
+        for key in tables
+        if getattr(draft, key) not in (None, Installation())
+    ]
+    faults += [
+        (("serial", number, "speaks"), '"telegram" is for a beam; possible: "modbus_rtu", "console"')
+        for number, port in enumerate(draft.serial)
+        if port is not None and port.speaks == "telegram"
+    ]
+    for keys, text in faults:
+        yield Fault(keys, text, "key" if len(keys) == 1 else "value", about=(_KIND,))
