@@ -234,6 +234,7 @@ def _place(spot: _Spot) -> Place:
 
 def _covariance(matrix: _Matrix) -> FloatArray:
     covariance = np.array(matrix)
-    if not np.array_equal(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] < 0.0:
+    is_symmetric = np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-12)  # it was when it was made
+    if not is_symmetric or np.linalg.eigvalsh(covariance)[0] < 0.0:
         raise ValueError("has a covariance that is none")
     return covariance

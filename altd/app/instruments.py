@@ -55,13 +55,17 @@ def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrume
     for target in calibration.targets:
         _ = target.inverse  # made now, for the first measurement would hold the loop with it
     by_name = {target.name: target for target in calibration.targets}
-    quantities, chain, stale_after_s = (_row if config.unit.instrument == "chain" else _beam)(
-        config, calibration
+    is_row = config.unit.instrument == "chain"
+    quantities, chain, stale_after_s = (_row if is_row else _beam)(config, calibration)
+    summary = summary_of(
+        calibration, [target.name for target in config.targets], config.unit.calibration.name
     )
+    if is_row:
+        summary["expected_sigma"] = {}  # what it has is that of a beam through all targets
     return LiveInstrument(
         quantities,
         chain,
-        summary_of(calibration, [target.name for target in config.targets], config.unit.calibration.name),
+        summary,
         tuple(view_of(of.camera, by_name[of.name]) for of in config.targets),
         target_areas_of(config, calibration),
         stale_after_s,

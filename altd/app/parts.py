@@ -210,7 +210,7 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
         return GpioFrameLamps(config.lamps)
     from altd.devices.camera_lamps import CameraLamps
 
-    switching = {name: _switching(cameras[name], place, "lamps") for name in config.lamps.cameras}
+    switching = {name: _switching(cameras, name, place, "lamps") for name in config.lamps.cameras}
     return CameraLamps(switching, config.lamps.line, alone)
 
 
@@ -224,15 +224,15 @@ def switches_of(config: Config, cameras: Mapping[str, Camera], place: Path) -> S
         return GpioSwitches(config.switches, [target.name for target in config.targets])
     from altd.devices.camera_lamps import CameraSwitches
 
-    by_target = {
-        target.name: _switching(cameras[target.camera], place, "switches") for target in config.targets
-    }
-    return CameraSwitches(by_target, config.switches.line)
+    camera_of = {target.name: target.camera for target in config.targets}
+    switching = {name: _switching(cameras, name, place, "switches") for name in camera_of.values()}
+    return CameraSwitches(switching, camera_of, config.switches.line)
 
 
-def _switching(camera: Camera, place: Path, table: str) -> SwitchingCamera:
+def _switching(cameras: Mapping[str, Camera], name: str, place: Path, table: str) -> SwitchingCamera:
+    camera = cameras[name]
     if not isinstance(camera, SwitchingCamera):
-        raise BadInputError(place, f"{table}: camera {camera.name!r} has no output to switch")
+        raise BadInputError(place, f"{table}: camera {name!r} has no output to switch")
     return camera
 
 

@@ -39,11 +39,12 @@ def _rows() -> Iterator[dict[str, Any]]:
     """Every register; a number is worth ``scale`` of its unit."""
     from altd.publish.modbus import checked_block
     from altd.publish.modbus.registers import (
+        FAR,
         FLOAT_BLOCK,
         HEADER,
+        NEAR,
         PER_UNIT,
         PLATE_BLOCK,
-        ROW,
         SCALED_BLOCK,
         TEST_BLOCK,
     )
@@ -59,7 +60,8 @@ def _rows() -> Iterator[dict[str, Any]]:
         "unit": UNIT.rows,
         "condition": CONDITION.rows,
         "relative": RELATIVE.rows,
-        "row": ROW.rows,
+        "near": NEAR.rows,
+        "far": FAR.rows,
     }
     for block, rows in blocks.items():
         for row in rows:

@@ -45,11 +45,14 @@ class CameraLamps:
 class CameraSwitches:
     """See ``altd.ports.Switches``: the output line of each target's camera, on: its glass has voltage.
 
-    The code that takes the cameras' frames opens and closes them. ``cameras`` are by target.
+    The code that takes the cameras' frames opens and closes them. ``camera_of`` names that of each target.
     """
 
-    def __init__(self, cameras: Mapping[str, SwitchingCamera], line: str) -> None:
+    def __init__(
+        self, cameras: Mapping[str, SwitchingCamera], camera_of: Mapping[str, str], line: str
+    ) -> None:
         self._cameras = dict(cameras)
+        self._camera_of = dict(camera_of)
         self._line = line
 
     def open(self) -> None:
@@ -58,10 +61,11 @@ class CameraSwitches:
 
     def show(self, opaque: str) -> None:
         """Voltage on all glasses but this one; empty: on none. Raises LampsError."""
+        without = self._camera_of[opaque] if opaque else ""
         _act_on_each(
             self._cameras,
             self._line,
-            lambda target, camera: camera.switch_output(self._line, bool(opaque) and target != opaque),
+            lambda name, camera: camera.switch_output(self._line, bool(opaque) and name != without),
         )
 
     def close(self) -> None:
@@ -79,6 +83,6 @@ def _act_on_each(
         try:
             act(name, camera)
         except CameraError as error:
-            complaints.append(f"{line} of camera {camera.name}: {error}")
+            complaints.append(f"{line} of camera {name}: {error}")
     if complaints:
         raise LampsError("; ".join(complaints))

@@ -43,11 +43,15 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Quantities:
-    """The quantities that a kind of unit publishes: of the whole unit, and of each of its targets."""
+    """The quantities that a kind of unit publishes: of the whole unit, and of each of its targets.
+
+    ``has_motion``: the instrument estimates how fast they change.
+    """
 
     instrument: str
     of_unit: tuple[Quantity, ...]
     of_target: tuple[Quantity, ...] = ()
+    has_motion: bool = False
 
     @property
     def main(self) -> tuple[Quantity, ...]:

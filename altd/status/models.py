@@ -6,6 +6,7 @@ The documents themselves are made elsewhere, byte for byte; the tests hold them 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import GenericAlias
 from typing import Any
 
@@ -97,7 +98,12 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         crc32: str
         """Of all bytes before `, "crc32":`."""
 
-    beside: dict[str, Any] = {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}
+    of_row = place_model(quantities)
+    beside: dict[str, Any] = (
+        {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}
+        if of_row is None
+        else {"targets": (GenericAlias(dict, (str, of_row)), ...)}
+    )
     return create_model(
         "Measurement",
         __base__=Measurement,
@@ -108,6 +114,31 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         sigma_random=(sigma_random, ...),
         sigma_now=(sigma_now, ...),
         rates=(rates, ...),
+    )
+
+
+def place_model(quantities: Quantities) -> type[BaseModel] | None:
+    """One target of a row with its place, below ``targets``; None: the instrument is no row."""
+    first = next((each.place for each in quantities.of_unit if each.place), None)
+    if first is None:
+        return None
+    values = [
+        *quantities.of_target,
+        *(
+            replace(each, key=each.key.removeprefix(f"{first}_"), label=each.label.removeprefix(f"{first} "))
+            for each in quantities.of_unit
+            if each.place == first
+        ),
+    ]
+    with_sigma = [each for each in values if each.has_sigma]
+    return create_model(
+        "Place",
+        __base__=Answer,
+        __doc__="A target of a row: whether it was measured, its own reasons and warnings, its numbers.",
+        valid=(bool, ...),
+        status=(list[str], ...),
+        **_fields(values, ""),
+        sigma=(_numbers("PlaceSigma", "Combined standard uncertainties.", with_sigma, ""), ...),
     )
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from support.gpio_sim import SimulatedChip
 from support.guest import leave_results
 
-from altd.config import GpiodLampsSettings, IndicatorsSettings
+from altd.config import GpiodLampsSettings, GpiodSwitchesSettings, IndicatorsSettings
 from altd.devices.gpio.find_chips import chip_paths, read_chip
-from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators, OutputLines
+from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators, GpioSwitches, OutputLines
 from altd.ports import Indicator, LampsError
 
 
@@ -63,6 +63,17 @@ for active_low in (False, True):
     steps["closed"] = unit.levels(*pins)
     results[f"frame, active_low {active_low}"] = steps
     results["consumers"] = consumers
+
+glasses = GpioSwitches(GpiodSwitchesSettings(driver="gpiod", chip="unit", lines=pins), ("t1", "t2"))
+glasses.open()
+steps = {"opened": unit.levels(*pins)}
+for opaque in ("t1", "t2", ""):
+    glasses.show(opaque)
+    steps[opaque] = unit.levels(*pins)
+glasses.show("t1")
+glasses.close()
+steps["closed"] = unit.levels(*pins)
+results["glasses"] = steps
 
 indicators = GpioIndicators(
     IndicatorsSettings(driver="gpiod", chip="unit", data="DATA", error="ERROR", power="POWER", ok="OK")

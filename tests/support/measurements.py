@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
+from altd.instruments.chain.measurement import quantities_of
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Value
 
@@ -28,6 +30,32 @@ def measurement(sequence: int = 160, t_ns: int = 8_000_000_000, *reasons: Reason
         frames=0 if invalid else 20,
         status=tuple(Fault(reason) for reason in reasons),
     )
+
+
+def measurement_of_row(
+    names: Sequence[str],
+    displacements_mm: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    **fields: Any,
+) -> Measurement:
+    """A round of a row: these displacements, and a spot on each target that ``lost`` does not name."""
+    lost = fields.pop("lost", ())
+    seen = {
+        name: {
+            "x_mm": Value(1.25, 0.01, 0.005),
+            "y_mm": Value(-2.5, 0.01, 0.005),
+            **({"significance": Value(7.5)} if name in displacements_mm else {}),
+        }
+        for name in names
+        if name not in lost
+    }
+    values = {"measured": Value(float(len(seen)))} | {
+        f"{name}_d{axis}_mm": Value(mm, 0.004, 0.003)
+        for name, of in displacements_mm.items()
+        for axis, mm in zip("xy", of, strict=True)
+    }
+    targets = {name: seen.get(name) for name in names}
+    round_ = Measurement(139, 7_000_000_000, None, 20, quantities_of(names), values, targets)
+    return replace(round_, **fields)
 
 
 def measured(

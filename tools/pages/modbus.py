@@ -10,14 +10,15 @@ from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus import checked_block
 from altd.publish.modbus.places import FIRST_REQUEST_S, KEPT_SHARE, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
 from altd.publish.modbus.registers import (
+    FAR,
     FLOAT_BLOCK,
     FLOATS,
     HEADER,
+    NEAR,
     PER_PLACE,
     PER_UNIT,
+    PLACES_AT_ONCE,
     PLATE_BLOCK,
-    ROW,
-    ROW_HEAD,
     SCALED_BLOCK,
     SIZE,
     TEST_BLOCK,
@@ -25,12 +26,10 @@ from altd.publish.modbus.registers import (
     Register,
     Type,
     image,
-    place_registers,
 )
 from altd.publish.modbus.responder import (
     CALIBRATION_CHECKSUM,
     CALIBRATION_DATE,
-    MAX_READ,
     SELF_CHECK_ADDRESS,
     SELF_CHECK_NOW,
     SERIAL,
@@ -93,7 +92,8 @@ BLOCKS = (
         "[values relative to a zero](#relative-values)",
         "if a zero is used",
     ),
-    (_span(ROW.first, ROW.size), "[places of a row](#places-of-a-row)", "with each poll, of a row"),
+    (_span(NEAR.first, NEAR.size), "[places 1 to 8 of a row](#places-of-a-row)", "with each poll, of a row"),
+    (_span(FAR.first, FAR.size), "[places 9 to 16 of a row](#places-of-a-row)", "with each poll, of a row"),
 )
 
 COMMANDS = (
@@ -111,8 +111,10 @@ COMMANDS = (
     ),
 )
 
-MAX_AT_ONCE = (MAX_READ - (place_registers(1)[0].address - ROW.first)) // PER_PLACE
-"""Places of a row in one request."""
+(PLACE_1,) = (row for row in NEAR.rows if row.name == "place1_reason")
+(PLACE_9,) = (row for row in FAR.rows if row.name == "place9_reason")
+ROW_HEAD, PLACE = NEAR.rows.index(PLACE_1), len(NEAR.rows) // PLACES_AT_ONCE
+"""Rows before the first place, and of each."""
 
 (STATE,) = (row for row in checked_block.ROWS if row.name == "state")
 """The register of the unit's signal."""
@@ -223,15 +225,16 @@ of a beam. The header is the same; there is no checked block of a plate.
 ### Places of a row
 
 With [`instrument = "chain"`](chain.md). `status` and the other registers of the header are those of the
-round. Each place has {PER_PLACE} registers, in beam order: the first place
+round. Places are in beam order, {PLACES_AT_ONCE} in a block that one request reads:
 
-{register_table((*ROW_HEAD, *place_registers(1)))}
+{register_table(NEAR.rows[: ROW_HEAD + PLACE])}
 
-and place n begins at {place_registers(1)[0].address} + {PER_PLACE}·(n − 1). Registers beyond the last target
-are not known. A place that was not measured has a number in `place1_reason`, and no values. The values of one
-request are of one round; {MAX_AT_ONCE} places are read at once with the head.
+Place n begins at {PLACE_1.address} + {PER_PLACE}·(n − 1). The block of places 9 to 16 begins at {FAR.first},
+with the same head (`far_status`, …), and place n there at {PLACE_9.address} + {PER_PLACE}·(n − 9). Registers
+beyond the last target are not known. A place that was not measured has a number in `place1_reason`, and no
+values.
 
-- Bits of `row_warnings`: {_bits(ROW_WARNINGS)}.
+- Bits of `near_warnings`, `far_warnings`: {_bits(ROW_WARNINGS)}.
 - Bits of `place1_warnings`: {_bits(PLACE_WARNINGS)}.
 
 ## Bits of `status`

@@ -1,4 +1,4 @@
-"""Pictures of the demos, their pages and the report: demo.svg, page.png, report.png, planar(-page).png."""
+"""Pictures of the demos, their pages and the report: demo.svg and .png files of ``docs``."""
 
 from __future__ import annotations
 
@@ -34,6 +34,10 @@ def main() -> int:
         demo.await_text("exposures", timeout_s=60.0)
         (address,) = re.findall(r"http://127\.0\.0\.1:\d+", demo.text())
         screenshot(address, _FOLDER / "planar-page.png", 640, 900, after_s=6.0)
+    with terminal(f"{sys.executable} -m hw_sim chain-demo", 2 * _COLUMNS, _ROWS) as demo:
+        demo.await_text("alarm_displacement", timeout_s=120.0)
+        (address,) = re.findall(r"http://127\.0\.0\.1:\d+", demo.text())
+        screenshot(address, _FOLDER / "chain-page.png", 900, 1300, after_s=4.0)
     with (
         tempfile.TemporaryDirectory(prefix="altd-pictures-") as folder,
         terminal(f"{sys.executable} -m hw_sim demo", _COLUMNS, 32) as demo,

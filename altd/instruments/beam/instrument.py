@@ -26,6 +26,7 @@ from altd.records.spots import Motion, SpotMotion
 
 QUANTITIES = Quantities(
     instrument="beam",
+    has_motion=True,
     of_unit=(
         Quantity(
             "x_mm",

@@ -73,6 +73,7 @@ def _facts(quantity: Quantity, quantities: Quantities) -> dict[str, object]:
         "decimals": quantity.decimals - 1,
         "is_also": quantity.is_also,
         "is_shown": quantity in quantities.shown,
+        "has_motion": quantities.has_motion,
     }
 
 

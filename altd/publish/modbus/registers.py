@@ -225,18 +225,24 @@ class Table:
 
 MEASUREMENT = Table()
 
-ROW_HEAD = (
-    Register(600, "row_status", Type.U16, "", "as `status`", values.status),
-    Register(601, "row_targets", Type.U16, "", "number of targets", values.targets),
-    Register(602, "row_age", Type.U16, "0.1 s", "since the middle of the round", values.age_tenths, True),
-    Register(603, "row_warnings", Type.U16, "", "bits, see below", values.row_warnings),
-    Register(604, "row_sequence", Type.U32, "", "number of the round's last exposure", values.sequence),
-)
-PLACES, PER_PLACE, MAX_PLACES = 610, 12, 16
-"""The first address of the first place, and from each place to the next."""
+PER_PLACE, PLACES_AT_ONCE = 12, 8
+"""Registers of a place of a row, and places in one table."""
+_ROW_HEAD_SIZE = 10
 
 
-def place_registers(number: int) -> tuple[Register, ...]:
+def row_head(first: int, name: str) -> tuple[Register, ...]:
+    """The registers before the places: what is to be read of the round together with them."""
+    about, age = "number of the round's last exposure", "since the middle of the round"
+    return (
+        Register(first, f"{name}_status", Type.U16, "", "as `status`", values.status),
+        Register(first + 1, f"{name}_targets", Type.U16, "", "number of targets", values.targets),
+        Register(first + 2, f"{name}_age", Type.U16, "0.1 s", age, values.age_tenths, is_ageing=True),
+        Register(first + 3, f"{name}_warnings", Type.U16, "", "bits, see below", values.row_warnings),
+        Register(first + 4, f"{name}_sequence", Type.U32, "", about, values.sequence),
+    )
+
+
+def place_registers(first: int, number: int) -> tuple[Register, ...]:
     """The registers of a place, counted from 1 in beam order."""
     of = values.of_place
     floats = (
@@ -246,7 +252,7 @@ def place_registers(number: int) -> tuple[Register, ...]:
         ("sigma_dy", "mm", "combined standard uncertainty", of(number, "dy_mm", "sigma")),
         ("significance", "", "displacement in standard deviations", of(number, "significance")),
     )
-    first, name = PLACES + PER_PLACE * (number - 1), f"place{number}"
+    name = f"place{number}"
     reason, warnings = values.reason_of_place(number), values.warnings_of_place(number)
     return (
         Register(first, f"{name}_reason", Type.U16, "", "why it was not measured, 0: it was", reason),
@@ -258,9 +264,18 @@ def place_registers(number: int) -> tuple[Register, ...]:
     )
 
 
-_OF_ROW = ROW_HEAD + sum((place_registers(number + 1) for number in range(MAX_PLACES)), ())
-ROW = Table(_OF_ROW, 600, PLACES - 600 + PER_PLACE * MAX_PLACES)
-"""Of a row of switched targets. Beyond its targets, and with other instruments, nothing is known."""
+def _row_table(first: int, name: str, numbers: Sequence[int]) -> Table:
+    rows = list(row_head(first, name))
+    for place, number in enumerate(numbers):
+        rows += place_registers(first + _ROW_HEAD_SIZE + PER_PLACE * place, number)
+    return Table(rows, first, _ROW_HEAD_SIZE + PER_PLACE * len(numbers))
+
+
+NEAR, FAR = _row_table(600, "near", range(1, 9)), _row_table(720, "far", range(9, 17))
+"""Of a row of switched targets, the first eight and the others: one request reads a table.
+
+Beyond the row's targets, and with other instruments, nothing is known.
+"""
 
 
 def image(snapshot: Snapshot, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:

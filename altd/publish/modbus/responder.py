@@ -16,7 +16,7 @@ from pymodbus.constants import ExcCodes
 from altd import __version__
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
-from altd.publish.modbus.registers import MEASUREMENT, ROW, RegisterImage, WordOrder, image
+from altd.publish.modbus.registers import FAR, MEASUREMENT, NEAR, RegisterImage, WordOrder, image
 from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import DISCRETE_INPUTS, Snapshot
 from altd.status.board import Board
@@ -101,7 +101,7 @@ MAX_READ = 125
 """Registers in one response (6.3)."""
 
 
-TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, ROW)
+TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR)
 """All that functions 3 and 4 read; a read stays within one of them."""
 
 _SHARES_EVERY_S = 10.0
@@ -223,8 +223,9 @@ class Responder:
         if place := RELATIVE.place(address, count):
             known = self._snapshot(health=self._health, identity=self._board.identity)
             return image(known, RELATIVE, self._order)[place]
-        if place := ROW.place(address, count):
-            return image(self._snapshot(), ROW, self._order)[place]
+        for of_row in (NEAR, FAR):
+            if place := of_row.place(address, count):
+                return image(self._snapshot(), of_row, self._order)[place]
         return None
 
     def _running_s(self) -> float:

@@ -38,6 +38,16 @@ def test_others_see_who_holds_the_lines(seen: dict[str, Any]) -> None:
     assert seen["consumers"] == ["altd", "altd"]
 
 
+def test_one_glass_is_without_voltage_and_from_opening_to_closing_none_else(seen: dict[str, Any]) -> None:
+    assert seen["glasses"] == {
+        "opened": [0, 0],
+        "t1": [0, 1],
+        "t2": [1, 0],
+        "": [0, 0],
+        "closed": [0, 1],  # the pins' own levels
+    }
+
+
 def test_indicators_shine_each_by_itself(seen: dict[str, Any]) -> None:
     assert seen["indicators"] == {
         "": [0, 0, 0, 0],

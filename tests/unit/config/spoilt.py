@@ -34,12 +34,6 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('serial = "TEST-1"', 'serial = "TEST-1"\ninstrument = «"row"', "unit.instrument", "possible: "),
     # [chain]
     ("[measuring]", "«[chain]\n\n[measuring]", "chain", 'is for instrument = "chain"'),
-    (
-        'calibration = "cal.json"',
-        'calibration = "cal.json"\ninstrument = "chain"\n\n[chain]\nstable = [«"raer"]',
-        "chain.stable.0",
-        'there is no target "raer"; did you mean `rear`?; possible: "front", "rear"',
-    ),
     # [[targets]]
     ('name = "front"', 'name = «"Front"', "targets.0.name", "has characters that are not allowed"),
     ('name = "rear"', 'name = «"front"', "targets.1.name", '"front" is the name of targets.0 too'),

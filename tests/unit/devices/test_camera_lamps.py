@@ -4,7 +4,7 @@ from typing import Any, cast
 
 import pytest
 
-from altd.devices.camera_lamps import CameraLamps
+from altd.devices.camera_lamps import CameraLamps, CameraSwitches
 from altd.ports import CameraLostError, CameraNotFoundError, LampsError, SwitchingCamera
 
 
@@ -84,3 +84,25 @@ def test_alone_a_camera_that_is_not_there_is_named(cameras: dict[str, Camera]) -
         leds.open()
     leds.close()
     assert not cameras["rear"].is_open
+
+
+def test_the_glass_of_one_target_is_without_voltage_and_at_both_ends_all_are(
+    cameras: dict[str, Camera],
+) -> None:
+    for camera in cameras.values():
+        camera.open()
+    switching = cast("dict[str, SwitchingCamera]", cameras)
+    glasses = CameraSwitches(switching, {"t1": "front", "t2": "rear"}, "Line1")
+    glasses.open()
+    assert levels(cameras) == [False, False]
+    glasses.show("t1")
+    assert levels(cameras) == [False, True]
+    glasses.show("t2")
+    assert levels(cameras) == [True, False]
+    cameras["front"].close()
+    with pytest.raises(LampsError, match="Line1 of camera front: the camera is not open"):
+        glasses.show("t1")
+    assert levels(cameras)[1] is True  # the other is switched all the same
+    cameras["front"].open()
+    glasses.close()
+    assert levels(cameras) == [False, False]

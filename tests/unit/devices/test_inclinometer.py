@@ -29,6 +29,23 @@ from hw_sim.inclinometer import INPUT, Inclinometer
 DRIVERS = {"balluff_bsi_r11a0": Inclinometer.balluff, "witmotion_wt901c485": Inclinometer.witmotion}
 
 
+PATIENCE_S = 30.0
+"""For an answer that comes: on a busy machine the thread of a simulated sensor may wait for its turn."""
+ANSWER_WITHIN_S = 0.2
+"""As the driver has it, for an answer that does not come, or too late."""
+
+
+@pytest.fixture(autouse=True)
+def wait(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Set how long the driver waits for an answer."""
+
+    def wait(seconds: float) -> None:
+        monkeypatch.setattr("altd.devices.inclinometer.driver._ANSWER_TIMEOUT_S", seconds)
+
+    wait(PATIENCE_S)
+    return wait
+
+
 @contextmanager
 def opened(driver: str = "balluff_bsi_r11a0") -> Iterator[tuple[Inclinometer, ModbusInclinometer]]:
     with DRIVERS[driver]() as sensor:
@@ -191,15 +208,18 @@ class TestSensor:
         assert 0.0 < (before_ns - reading.t_ns) * 1e-9 < 0.2  # as old as the sensor's own sampling
 
     @pytest.mark.parametrize("driver", DRIVERS)
-    def test_that_is_silent_is_said_to_be(self, driver: str) -> None:
+    def test_that_is_silent_is_said_to_be(self, driver: str, wait: Callable[[float], None]) -> None:
         with opened(driver) as (sensor, inclinometer):
             sensor.answers = False
+            wait(ANSWER_WITHIN_S)
             with pytest.raises(InclinometerTimeoutError, match="no answer: address"):
                 inclinometer.read()
             sensor.answers = True
+            wait(PATIENCE_S)
             assert inclinometer.read().roll_deg == pytest.approx(0.0, abs=0.2)
 
-    def test_at_another_address_is_silent(self) -> None:
+    def test_at_another_address_is_silent(self, wait: Callable[[float], None]) -> None:
+        wait(ANSWER_WITHIN_S)
         with Inclinometer.balluff() as sensor:
             sensor.address = 2
             with pytest.raises(InclinometerTimeoutError, match="no answer: address 1 on"):
@@ -210,7 +230,8 @@ class TestSensor:
         with Inclinometer.witmotion() as sensor, raises:
             ModbusInclinometer(settings(sensor.device, address=0x50, baud=9600)).open()
 
-    def test_on_a_line_that_only_echoes_is_said_to_be_missing(self) -> None:
+    def test_on_a_line_that_only_echoes_is_said_to_be_missing(self, wait: Callable[[float], None]) -> None:
+        wait(1.0)
         with Inclinometer.balluff() as sensor:
             sensor.echoes, sensor.answers = True, False
             with pytest.raises(InclinometerTimeoutError, match="gives back what is sent, and no sensor"):
@@ -231,12 +252,15 @@ class TestSensor:
                 inclinometer.open()
 
     @pytest.mark.parametrize("late_s", [0.21, 0.25, 0.3, 0.4])
-    def test_that_answers_late_never_has_its_temperature_taken_for_an_angle(self, late_s: float) -> None:
+    def test_that_answers_late_never_has_its_temperature_taken_for_an_angle(
+        self, late_s: float, wait: Callable[[float], None]
+    ) -> None:
         with opened() as (sensor, inclinometer):
             sensor.roll_deg, sensor.noise_deg = -3.0, 0.0
             read = []
             for late in (0.0, late_s, late_s, 0.0, late_s, 0.0, 0.0, 0.0, 0.0):
                 sensor.late_s = late
+                wait(ANSWER_WITHIN_S if late else PATIENCE_S)
                 try:
                     reading = inclinometer.read()
                 except InclinometerError:

@@ -22,7 +22,7 @@ export function Numbers({ measurement, isFar }) {
   const absent = isFar ? [] : QUANTITIES.filter(quantity => !quantity.is_also && !shown.includes(quantity));
   const rows = shown.map(quantity => {
     const other = inSlopes && also.find(each => each.is_also === quantity.key);
-    return html`<${Row} key=${quantity.key} quantity=${other || quantity} measurement=${measurement} decimals=${isFar ? FAR_DECIMALS : undefined} />`;
+    return html`<${Row} key=${quantity.key} quantity=${other || quantity} measurement=${measurement} decimals=${isFar && quantity.has_motion ? FAR_DECIMALS : undefined} />`;
   });
   return html`<section aria-labelledby="numbers-title" class="numbers" data-sequence=${measurement?.sequence ?? ""}>
     <h2 id="numbers-title">Measurement</h2>

@@ -27,6 +27,7 @@ export function sigmaOf(measurement, quantity) {
   if (scale === null) return "";
   const rate = measurement.rates?.[`${key}_per_s`] ?? null, rateSigma = measurement.rates?.sigma?.[`${key}_per_s`] ?? null;
   const isMoving = rate !== null && rateSigma !== null && Math.abs(rate) > MOVING_SIGMAS * rateSigma;
+  if (!quantity.has_motion) return `±\u00a0${fixed(mean * scale, quantity.decimals)}`;
   const digits = now === null ? 0 : 1 - Math.floor(Math.log10(now * scale));  // two significant ones
   return `±\u00a0${fixed(mean * scale, quantity.decimals)} (mean), ${now === null ? "now not known"
     : `±\u00a0${fixed(now * scale, Math.max(0, Math.min(digits, quantity.decimals)))} now`}${isMoving ? ", moving" : ""}`;

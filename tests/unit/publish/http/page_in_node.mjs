@@ -6,8 +6,9 @@ import { pathToFileURL } from "node:url";
 const folder = pathToFileURL(`${process.argv[2]}/`);
 const { Link } = await import(new URL("link.mjs", folder));
 const { fixed, sigmaOf, verdictOf } = await import(new URL("words.mjs", folder));
-const X = { key: "x_mm", decimals: 3 };
-const SLOPE = { key: "pitch_mm_per_m", is_also: "pitch_deg", unit: "mm/m", decimals: 4 };
+const X = { key: "x_mm", decimals: 3, has_motion: true };
+const PLACE = { ...X, has_motion: false };
+const SLOPE = { key: "pitch_mm_per_m", is_also: "pitch_deg", unit: "mm/m", decimals: 4, has_motion: true };
 
 let now = 1_000_000, tick, answers = {}, asked = [], waiting = [], slow = [], known;
 class Stream {
@@ -45,6 +46,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   console.log(JSON.stringify({
     verdict: verdict.text, kind: verdict.kind, sequence: known.measurement?.sequence ?? null,
     x_mm: fixed(known.measurement?.x_mm, X.decimals), sigma_x_mm: sigmaOf(known.measurement, X),
+    sigma_of_a_place: sigmaOf(known.measurement, PLACE),
     sigma_pitch_mm_per_m: sigmaOf(known.measurement, SLOPE),
     knows_status: known.status !== null, components: Object.keys(known.status?.components ?? {}), asked, streams: Stream.opened,
   }));

@@ -98,6 +98,7 @@ def test_it_shows_what_the_unit_says(page: Page) -> None:
     assert (shown["verdict"], shown["kind"], shown["x_mm"]) == ("valid", "good", "10.012")
     # now: √(0.004² + 0.0102² + (0.0512 · 0.52)²) mm
     assert shown["sigma_x_mm"] == named("0.004", "0.029", ", moving")
+    assert shown["sigma_of_a_place"] == "±\u00a00.004"  # an instrument that estimates no motion
     # now: 1000 (tan(1.7184° + 0.00161°) − tan 1.7184°), near enough
     assert shown["sigma_pitch_mm_per_m"] == named("0.0192", "0.028")
     assert shown["components"] == ["camera rear", "http"]

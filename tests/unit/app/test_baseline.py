@@ -1,0 +1,172 @@
+"""The baseline of a row in a file: what fits is used, all else is refused with its reason."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from support.chain import calibrated
+from support.clock import FakeClock
+from support.measurements import measurement_of_row
+
+from altd.app.baseline import BaselineFile, BaselineKeeper, baseline_path, with_baseline_kept
+from altd.config import ChainSettings, Config, Unit
+from altd.errors import BadInputError
+from altd.files.documents import checksum_of
+from altd.instruments.chain.displacement import BaselineMeans
+from altd.instruments.chain.frames import RowChain
+from altd.instruments.chain.places import Place
+from altd.measuring.calibration import Calibration, CalibrationFile
+from altd.reasons import Reason
+from altd.records import Fault
+from altd.status.board import Board
+from altd.status.health import Health, State
+
+MADE = datetime(2026, 11, 25, 12, 0, tzinfo=UTC)
+NAMES = ("t1", "t2", "t3", "t4", "t5")
+SETTINGS = ChainSettings(stable=("t1", "t5"))
+
+
+def place(x_mm: float) -> Place:
+    matrix = np.array([[4e-6, 1e-6], [1e-6, 9e-6]])
+    return Place(77, 4, np.array([x_mm, -2.5]), matrix, 3.0 * matrix, 1e-6, 2.5, 0.28 * np.eye(2))
+
+
+MEANS = BaselineMeans(
+    {name: place(number) for number, name in enumerate(NAMES)},
+    {name: {"t1": place(0.25), "t5": place(4.25)} for name in NAMES},
+)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return replace(calibrated(1), file=CalibrationFile("0" * 64, "abc"))
+
+
+@pytest.fixture
+def file(tmp_path: Path, calibration: Calibration) -> BaselineFile:
+    return BaselineFile(tmp_path / "baseline.json", calibration, SETTINGS)
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_stored_baseline_comes_back_whole(file: BaselineFile, simulated: bool) -> None:
+    assert file.load() is None
+    file.save(MEANS, MADE, simulated)
+    means = file.load()
+    assert means is not None
+    assert means.simulated is simulated
+    assert list(means.own) == list(NAMES)
+    back, stored = means.stable["t3"]["t5"], MEANS.stable["t3"]["t5"]
+    assert (back.frames, back.excess_mm2, back.spot_sigma_mm) == (4, 1e-6, 2.5)
+    for key in ("mm", "random_mm2", "covariance_mm2", "mm_per_px"):
+        assert np.array_equal(getattr(back, key), getattr(stored, key))
+
+
+def edited(file: BaselineFile, change: Callable[[dict[str, Any]], object]) -> None:
+    """A change by somebody who knows how to make the checksum."""
+    file.save(MEANS, MADE, simulated=False)
+    document = json.loads(file.path.read_text())
+    del document["checksum"]
+    change(document)
+    document["checksum"] = checksum_of(document)
+    file.path.write_text(json.dumps(document))
+
+
+CHANGES: tuple[tuple[Callable[[dict[str, Any]], object], str], ...] = (
+    (lambda of: of.update(format="altd-baseline/2"), "is no altd-baseline/1"),
+    (lambda of: of.update(unit="ROW-9"), "is of unit 'ROW-9'"),
+    (lambda of: of.update(calibration="abd"), "is of another calibration"),
+    (lambda of: of["own"].update(t9=of["own"]["t1"]), "has target 't9', which the calibration has not"),
+    (lambda of: of["stable"]["t3"].pop("t5"), "'t5' was no stable target then"),
+    (lambda of: of["own"]["t2"].update(mm=[1.0, float("nan")]), "own.t2.mm.1: Input should be"),
+    (lambda of: of["own"]["t2"].update(mm=[1.0, 1e300]), "own.t2.mm.1: Input should be"),
+    (lambda of: of["own"]["t2"].update(random_mm2=[[1.0, 2.0], [2.0, 1.0]]), "has a covariance that is none"),
+    (lambda of: of["own"]["t2"].update(frames=0), "own.t2.frames: Input should be"),
+    (lambda of: of.update(origin="guess"), "origin: Input should be"),
+    (lambda of: of.update(note="x"), "note: Extra inputs"),
+)
+
+
+@pytest.mark.parametrize(("change", "said"), CHANGES, ids=[said for _, said in CHANGES])
+def test_what_does_not_fit_is_refused(
+    file: BaselineFile, change: Callable[[dict[str, Any]], object], said: str
+) -> None:
+    edited(file, change)
+    with pytest.raises(BadInputError) as refused:
+        file.load()
+    assert str(refused.value).startswith(f"{file.path}: {said}")
+
+
+def test_damage_is_refused(file: BaselineFile) -> None:
+    file.save(MEANS, MADE, simulated=False)
+    whole = file.path.read_text()
+    for damaged in ("", "[]", "{", whole[: len(whole) // 2], whole.replace("4.25", "4.35", 1)):
+        file.path.write_text(damaged)
+        with pytest.raises(BadInputError):
+            file.load()
+
+
+def test_without_a_place_to_keep_it_a_row_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = Config(unit=Unit(serial="ROW-1", calibration=Path("c.json"), instrument="chain"))
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    with pytest.raises(BadInputError, match="a restart would begin again at zero"):
+        with_baseline_kept(config, tmp_path / "altd.toml")
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    kept = with_baseline_kept(config, tmp_path / "altd.toml")
+    assert kept.chain is not None
+    assert kept.chain.baseline == baseline_path(config, tmp_path)
+
+
+class _Chain:
+    baseline: BaselineMeans | None = None
+
+
+@pytest.mark.parametrize(
+    ("reasons", "origin"), [((), "camera"), ((Reason.SIMULATED,), "simulated"), ((Reason.PLAYBACK,), None)]
+)
+async def test_the_first_rounds_baseline_is_written_and_that_of_a_played_recording_not(
+    file: BaselineFile, reasons: tuple[Reason, ...], origin: str | None
+) -> None:
+    clock, chain = FakeClock.of_loop(), _Chain()
+    component = Health(clock).component("baseline")
+    measured = measurement_of_row(NAMES, status=tuple(map(Fault, reasons)))
+    board = Board(clock, 10.0, measured.quantities, rehearsal=True)
+    keeper = BaselineKeeper(cast("RowChain", chain), board, file, component)
+    task = asyncio.create_task(keeper.run())
+    board.publish(measured)
+    await clock.advance(0.1)
+    assert not file.path.exists()
+    chain.baseline = MEANS
+    board.publish(measured)
+    await clock.until(task.done)
+    clock.end()
+    assert component.state is State.OK
+    assert (file.path.exists() and json.loads(file.path.read_text())["origin"]) == (origin or False)
+
+
+async def test_a_full_disk_is_reported_and_tried_again(
+    file: BaselineFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, chain = FakeClock.of_loop(), _Chain()
+    component = Health(clock).component("baseline")
+    measured = measurement_of_row(NAMES)
+    board = Board(clock, 10.0, measured.quantities)
+    away = replace(file, path=file.path.parent / "away" / "baseline.json")
+    task = asyncio.create_task(BaselineKeeper(cast("RowChain", chain), board, away, component).run())
+    await clock.advance(0.1)
+    chain.baseline = MEANS
+    board.publish(measured)
+    await clock.until(lambda: component.state is State.FAILED)
+    assert "trying again" in component.message
+    away.path.parent.mkdir()
+    await clock.until(task.done, within_s=11.0)
+    clock.end()
+    assert away.load() is not None
+    assert component.state is State.OK

@@ -1,0 +1,138 @@
+"""The rules of a row's settings: each fault at its key, and nothing but it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from altd.config import CameraSwitchesSettings, Config, GpiodSwitchesSettings
+from altd.config.loading import config_of
+from altd.errors import BadInputError
+
+GPIOD = '[switches]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["GLASS_1", "GLASS_2"]\n'
+CAMERA = '[switches]\ndriver = "camera"\nline = "Line2"\n'
+ROW = """\
+[unit]
+serial = "ROW-1"
+calibration = "chain.json"
+instrument = "chain"
+
+[chain]
+stable = ["t1"]
+baseline = "baseline.json"
+
+[[targets]]
+name = "t1"
+z_mm = 0.0
+camera = "near"
+
+[[targets]]
+name = "t2"
+z_mm = 15000.0
+camera = "far"
+
+[cameras.near]
+driver = "aravis"
+device = "192.168.77.20"
+width = 640
+height = 480
+[cameras.near.exposure]
+control = "fixed"
+
+[cameras.far]
+driver = "aravis"
+device = "192.168.77.21"
+width = 640
+height = 480
+[cameras.far.exposure]
+control = "fixed"
+
+"""
+
+
+def loaded(text: str) -> Config:
+    return config_of(text.encode(), Path("/etc/altd/altd.toml"))
+
+
+def test_a_row_with_each_kind_of_switches() -> None:
+    by_lines, by_cameras = loaded(ROW + GPIOD), loaded(ROW + CAMERA)
+    assert isinstance(by_lines.switches, GpiodSwitchesSettings)
+    assert by_cameras.switches == CameraSwitchesSettings(driver="camera", line="Line2")
+    assert by_lines.chain is not None
+    assert by_lines.chain.baseline == Path("/etc/altd/baseline.json")
+    played = ROW.replace('driver = "aravis"', 'driver = "recording"\npath = "rounds"')
+    for key in ("device", "width", "height", "[cameras.near.exposure]", "[cameras.far.exposure]", "control"):
+        played = "\n".join(line for line in played.splitlines() if not line.startswith(key))
+    assert loaded(played).switches is None
+
+
+FAULTS = (
+    (ROW, "", "", "switches: the glasses cannot be switched; possible: a table with driver"),
+    (ROW + GPIOD, '"GLASS_1", ', "", "switches.lines: 1 line for 2 targets; possible: one for each"),
+    (
+        ROW + GPIOD,
+        '"GLASS_2"',
+        '"GLASS_1"',
+        'switches.lines.1: "GLASS_1" is the line of switches.lines.0 too',
+    ),
+    (
+        ROW + CAMERA,
+        '[cameras.far]\ndriver = "aravis"\ndevice = "192.168.77.21"',
+        '[cameras.far]\ndriver = "v4l2"\ndevice = "/dev/video1"',
+        'switches.driver: "far" has no output; possible: cameras with driver "aravis", or driver "gpiod"',
+    ),
+    (
+        ROW + CAMERA,
+        "[cameras.far.exposure]",
+        'trigger = "line"\ntrigger_line = "Line2"\n[cameras.far.exposure]',
+        'switches.line: "Line2" triggers camera "far"; possible: another line',
+    ),
+    (
+        ROW + GPIOD,
+        '[cameras.far.exposure]\ncontrol = "fixed"',
+        '[cameras.far.exposure]\ncontrol = "auto"',
+        'cameras.far.exposure.control: "auto" follows a spot; possible: "fixed", "camera"',
+    ),
+    (
+        ROW + GPIOD,
+        "[chain]",
+        '[measuring]\noutput = "now"\n\n[chain]',
+        'measuring.output: "now" is for a beam',
+    ),
+    (
+        ROW + GPIOD,
+        "[chain]",
+        '[lamps]\ndriver = "gpiod"\nchip = "x"\nlines = ["A"]\n\n[chain]',
+        "lamps: is for a beam; possible: no table",
+    ),
+    (
+        ROW + GPIOD,
+        "[chain]",
+        '[[serial]]\ndevice = "/dev/ttyS1"\nspeaks = "telegram"\n\n[chain]',
+        'serial.0.speaks: "telegram" is for a beam; possible: "modbus_rtu", "console"',
+    ),
+    (
+        ROW + GPIOD,
+        'stable = ["t1"]',
+        'stable = ["t22"]',
+        'chain.stable.0: there is no target "t22"; did you mean `t2`?; possible: "t1", "t2"',
+    ),
+    (ROW + GPIOD, 'stable = ["t1"]', 'stable = ["t1", "t1"]', 'chain.stable.1: "t1" is in the list twice'),
+    (ROW + GPIOD, 'instrument = "chain"\n', "", 'chain: is for instrument = "chain"'),
+)
+
+
+@pytest.mark.parametrize(("text", "old", "new", "said"), FAULTS, ids=[said for *_, said in FAULTS])
+def test_a_fault_is_named_at_its_key(text: str, old: str, new: str, said: str) -> None:
+    assert old in text
+    with pytest.raises(BadInputError) as refused:
+        loaded(text.replace(old, new, 1))
+    assert said in str(refused.value)
+
+
+def test_glasses_of_a_recording_are_not_switched_again() -> None:
+    played = '[cameras.far]\ndriver = "recording"\npath = "rounds"\n'
+    text = ROW[: ROW.index("[cameras.near]")] + played + played.replace("far", "near") + GPIOD
+    with pytest.raises(BadInputError, match="switches: glasses of a recording cannot be switched again"):
+        loaded(text)

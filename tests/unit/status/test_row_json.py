@@ -1,0 +1,78 @@
+"""A round as JSON: the contract of ``targets``, held against its model and against the history's rows."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from pydantic import ValidationError
+from support.clock import FakeClock
+from support.measurements import measurement_of_row
+
+from altd.history.records import StoredMeasurement
+from altd.reasons import Reason
+from altd.records import Fault
+from altd.status.board import Board
+from altd.status.measurement_json import as_object, checked_line, targets_object
+from altd.status.models import measurement_model
+from altd.status.proof import Stamps
+
+NAMES = ("t1", "t1_b", "t3")
+"""The second begins with the name of the first."""
+STATUS = (
+    Fault(Reason.BEAM_ANGLE_UNKNOWN),
+    Fault(Reason.STUCK_CLEAR, "t1_b"),
+    Fault(Reason.ALARM_RATE, "t3"),
+)
+ROUND = measurement_of_row(NAMES, {"t1": (0.0, 0.0), "t3": (0.32, -0.24)}, lost=("t1_b",), status=STATUS)
+
+
+def test_each_target_has_its_own_status_values_and_sigmas() -> None:
+    document = as_object(ROUND)
+    assert document["valid"]
+    assert document["status"] == ["beam_angle_unknown", "t1_b_stuck_clear", "t3_alarm_rate"]
+    targets = document["targets"]
+    assert [of["status"] for of in targets.values()] == [[], ["stuck_clear"], ["alarm_rate"]]
+    assert [of["valid"] for of in targets.values()] == [True, False, True]
+    t3 = targets["t3"]
+    assert [t3[key] for key in ("x_mm", "y_mm", "dx_mm", "dy_mm", "significance")] == [
+        1.25, -2.5, 0.32, -0.24, 7.5,
+    ]  # fmt: skip
+    assert t3["sigma"] == {
+        "x_mm": 0.01, "y_mm": 0.01, "dx_mm_per_day": None, "dy_mm_per_day": None, "dx_mm": 0.004,
+        "dy_mm": 0.004,
+    }  # fmt: skip
+    assert {value for key, value in targets["t1_b"].items() if key not in ("valid", "status", "sigma")} == {
+        None
+    }
+    assert (document["t3_dx_mm"], document["sigma"]["t3_dx_mm"]) == (0.32, 0.004)
+    assert (document["measured"], document["t1_b_dx_mm"]) == (2.0, None)
+
+
+def test_what_is_sent_fits_its_model_and_a_key_too_many_does_not() -> None:
+    clock = FakeClock(now_ns=8 * 10**9)
+    board = Board(clock, 10.0, ROUND.quantities)
+    published = board.publish(ROUND)
+    document = json.loads(checked_line(board, published, Stamps(board).next()))
+    model = measurement_model(ROUND.quantities)
+    model.model_validate(document)
+    document["targets"]["t3"]["dz_mm"] = 1.0
+    with pytest.raises(ValidationError, match=r"targets\.t3\.dz_mm"):
+        model.model_validate(document)
+
+
+def test_a_row_of_the_history_gives_the_same_targets() -> None:
+    known = dict(ROUND.values)
+    known |= {
+        f"{name}.{key}": value for name, of in ROUND.targets.items() for key, value in (of or {}).items()
+    }
+    row = StoredMeasurement(
+        1, 1, 0, 139, 7, 20, True, tuple(map(str, STATUS)),
+        {key: value.value for key, value in known.items()},
+        {key: value.sigma for key, value in known.items() if value.sigma is not None},
+        {},
+    )  # fmt: skip
+    assert (
+        targets_object(ROUND.quantities, NAMES, row.known, row.status)["targets"]
+        == as_object(ROUND)["targets"]
+    )
