@@ -61,7 +61,7 @@ def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrume
         calibration, [target.name for target in config.targets], config.unit.calibration.name
     )
     if is_row:
-        summary["expected_sigma"] = {}  # what it has is that of a beam through all targets
+        summary["expected_sigma"] = {}  # it is that of a beam through all targets
     return LiveInstrument(
         quantities,
         chain,

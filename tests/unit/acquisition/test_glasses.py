@@ -104,7 +104,7 @@ async def test_a_frame_is_marked_only_if_all_of_its_exposure_shows_one_settled_t
         assert marks.mark(frame(t_ns)).opaque == opaque
     unknown = frame(settled_ns + margin_ns, exposure_ms=None)  # as long as from frame to frame
     assert marks.mark(unknown).opaque == ""
-    assert marks.mark(frame(began_ns, opaque="t3")).opaque == ""  # nobody else says what was opaque
+    assert marks.mark(frame(began_ns, opaque="t3")).opaque == ""  # the marks alone decide
 
 
 async def test_a_switch_that_fails_marks_nothing_and_is_tried_again(clock: FakeClock) -> None:

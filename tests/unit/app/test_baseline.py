@@ -70,7 +70,7 @@ def test_a_stored_baseline_comes_back_whole(file: BaselineFile, simulated: bool)
 
 
 def edited(file: BaselineFile, change: Callable[[dict[str, Any]], object]) -> None:
-    """A change by somebody who knows how to make the checksum."""
+    """A change with a checksum that fits."""
     file.save(MEANS, MADE, simulated=False)
     document = json.loads(file.path.read_text())
     del document["checksum"]
