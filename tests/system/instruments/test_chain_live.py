@@ -78,6 +78,7 @@ def codes(measurement: Measurement) -> set[str]:
     return {str(fault) for fault in measurement.status}
 
 
+@pytest.mark.real_time
 async def test_a_row_is_measured_kept_and_read_and_a_restart_keeps_its_baseline(
     calibration: Path, tmp_path: Path
 ) -> None:
