@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import os
 import queue
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -16,13 +17,16 @@ from typing import Any, TypeVar
 
 from altd.app.settings import socket_to_ask
 from altd.config import Config
+from altd.config.table import NAME_PATTERN
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
+from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.local_socket import MAX_ANSWER_BYTES, NoAnswerError, ask
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.self_check import WAIT_S
+from altd.records import Quantities
 from altd.terminal.documents import (
     CalibrationDocument,
     Reading,
@@ -35,6 +39,8 @@ from altd.terminal.knowledge import Knowledge
 
 Document = TypeVar("Document")
 
+_MAX_TARGETS = 16
+_NAME = re.compile(NAME_PATTERN)
 _QUANTITIES = replace(OF_BEAM, of_unit=OF_BEAM.of_unit + OF_PLATE.of_unit)
 """Of any instrument: a measurement has those of its own."""
 
@@ -51,7 +57,9 @@ class RunningDaemon:
 
     def reading(self) -> tuple[Reading | None, object]:
         """The latest measurement and its document; None: nothing was measured so far."""
-        return self._asked("/api/v1/measurement", lambda document: reading_of(document, _QUANTITIES))
+        return self._asked(
+            "/api/v1/measurement", lambda document: reading_of(document, _quantities_of(document))
+        )
 
     def status(self) -> tuple[StatusDocument, object]:
         """The unit's state, causes, availability and components."""
@@ -77,6 +85,14 @@ class RunningDaemon:
             return understood(document), document
         except ValueError as error:
             raise NoAnswerError(f"the server at {self.path} gives no usable {target}: {error}") from error
+
+
+def _quantities_of(document: object) -> Quantities:
+    """Those that a measurement may have: of a row, whose targets it names, or of other instruments."""
+    targets = document.get("targets") if isinstance(document, dict) else None
+    if not isinstance(targets, dict):
+        return _QUANTITIES
+    return quantities_of([name for name in list(targets)[:_MAX_TARGETS] if _NAME.fullmatch(name)])
 
 
 _ANYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  where the daemon listens on every address

@@ -123,13 +123,13 @@ def _values(measurement: Measurement, age_s: float | None) -> Iterator[Metric]:
     for quantity in measurement.quantities.of_target:
         family = _gauge(f"altd_target_{quantity.key}", _meaning(quantity), "target")
         for target in measurement.targets:
-            if (number := shown[target][quantity.key]) is not None:
-                family.add_metric([target], number)
+            if (known := measurement.known_of(f"{target}.{quantity.key}")) is not None:
+                family.add_metric([target], round(known.value, quantity.decimals))
         yield family
 
 
 def _meaning(quantity: Quantity) -> str:
-    return f"{quantity.label}, {quantity.unit}: {quantity.meaning}"
+    return f"{quantity.label}{quantity.unit and f', {quantity.unit}'}: {quantity.meaning}"
 
 
 def _state(report: StateReport) -> Iterator[Metric]:

@@ -140,7 +140,7 @@ def discovery_of(
         quantity.key: _sensor(quantity.label)
         | {
             "value_template": f"{{{{ value_json.{quantity.key}.mean }}}}",
-            "unit_of_measurement": quantity.unit,
+            **({"unit_of_measurement": quantity.unit} if quantity.unit else {}),
             "state_class": "measurement",
             "suggested_display_precision": quantity.decimals - 1,
             "expire_after": EXPIRE_AFTER_S,

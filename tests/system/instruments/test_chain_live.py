@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import struct
 import urllib.request
 from collections.abc import Awaitable, Callable
@@ -18,7 +19,7 @@ from support.cli import altd_here, refusal
 from altd.app.daemon import Daemon
 from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
-from altd.config import ChainSettings, Config, KeptFrames
+from altd.config import ChainSettings, Config, KeptFrames, LocalSettings
 from altd.publish.modbus.registers import NEAR, PER_PLACE
 from altd.recording.reader import open_recording
 from altd.records import Measurement
@@ -71,7 +72,9 @@ class Unit:
 def config(folder: Path, calibration: Path) -> Config:
     settings = SETTINGS.model_copy(update={"baseline": folder / "baseline.json"})
     kept = KeptFrames(folder=folder / "kept", before_s=20.0, after_s=0.0, on_fault=False)
-    return config_of(ROW_CONFIG, calibration, free_port(), settings).model_copy(update={"kept_frames": kept})
+    local = LocalSettings(socket=folder / "altd.sock")
+    of_row = config_of(ROW_CONFIG, calibration, free_port(), settings)
+    return of_row.model_copy(update={"kept_frames": kept, "local": local})
 
 
 def codes(measurement: Measurement) -> set[str]:
@@ -107,6 +110,10 @@ async def _first_run(unit: Unit) -> None:
     assert of_t2["valid"]
     assert (of_t2["status"], of_t2["dx_mm"]) == ([], document["t2_dx_mm"])
     assert of_t2["sigma"]["dx_mm"] == document["sigma"]["t2_dx_mm"]
+    local = unit.daemon.config.local
+    assert local is not None
+    status = await asyncio.to_thread(altd_here, "status", "--socket", local.socket)
+    assert re.search(r"^  t2 dx +-?0\.0\d\d mm +\+/- 0\.0\d\d$", status.out, re.MULTILINE), status.out
     await unit.daemon.health.recordings.provider.keep("test")
     unit.live.stick("t1", "opaque")
     dark = {"t1_stuck_opaque", "t2_spot_missing", "t3_spot_missing"}

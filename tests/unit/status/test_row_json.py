@@ -10,9 +10,13 @@ from support.clock import FakeClock
 from support.measurements import measurement_of_row
 
 from altd.history.records import StoredMeasurement
+from altd.publish.http.metrics import Metrics
+from altd.publish.mqtt.messages import Topics, summary_of
+from altd.publish.mqtt.publisher import discovery_of
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.board import Board
+from altd.status.health import Health
 from altd.status.measurement_json import as_object, checked_line, targets_object
 from altd.status.models import measurement_model
 from altd.status.proof import Stamps
@@ -76,3 +80,19 @@ def test_a_row_of_the_history_gives_the_same_targets() -> None:
         targets_object(ROUND.quantities, NAMES, row.known, row.status)["targets"]
         == as_object(ROUND)["targets"]
     )
+
+
+def test_metrics_home_assistant_and_summary_have_each_place() -> None:
+    clock = FakeClock(now_ns=8 * 10**9)
+    board = Board(clock, 10.0, ROUND.quantities)
+    board.publish(ROUND)
+    metrics = Metrics(board, Health(clock)).text().decode()
+    assert "\naltd_t3_dx_mm 0.32\n" in metrics
+    assert '\naltd_target_significance{target="t3"} 7.5\n' in metrics
+    assert 'altd_target_x_mm{target="t1_b"}' not in metrics
+    topics = Topics.of("altd", "ROW-1")
+    sensors = discovery_of(ROUND.quantities, topics, "altd_1", "ROW-1", "0.1.0")["cmps"]
+    assert "unit_of_measurement" not in sensors["measured"]
+    assert sensors["t3_dy_mm"]["unit_of_measurement"] == "mm"
+    summary = summary_of([ROUND], board, clock)
+    assert (summary["t3_dx_mm"]["mean"], summary["t1_b_dx_mm"]["mean"]) == (0.32, None)
