@@ -104,12 +104,20 @@ def test_the_program_gives_them_over_a_connection(language: str, tmp_path: Path)
             assert [next(told) for _ in TABLE] == EXPECTED
 
 
-OF_PLATE = {Reason.LEDS_MISSING, Reason.LEDS_MISFIT}
-"""The examples read a beam."""
+OF_OTHERS = {
+    Reason.LEDS_MISSING,
+    Reason.LEDS_MISFIT,
+    Reason.STUCK_CLEAR,
+    Reason.SLOW,
+    Reason.NOT_CONFIRMED,
+    Reason.CAMERAS_SWAPPED,
+    Reason.BEAM_LOST,
+}
+"""Reasons of a plate and of a row; the examples read a beam."""
 
 
 def test_each_reason_has_its_published_name(judge: Judge) -> None:
-    of_beam = [reason for reason in REASON_CODES if reason not in OF_PLATE]
+    of_beam = [reason for reason in REASON_CODES if reason not in OF_OTHERS]
     polls = [(100.0 * n, block(n + 1, of=refused(reason))) for n, reason in enumerate(of_beam)]
     expected = [(f"not valid: {reason}", None) for reason in of_beam]
     assert judge(polls, SERIAL, LIMIT_MS, False) == expected, "put a new reason into all examples"

@@ -17,9 +17,11 @@ from pymodbus.client import AsyncModbusTcpClient
 from support.cli import altd_here, refusal
 
 from altd.app.daemon import Daemon
+from altd.app.record import record_of
 from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import ChainSettings, Config, KeptFrames, LocalSettings
+from altd.ports import LampsError
 from altd.publish.modbus.registers import NEAR, PER_PLACE
 from altd.recording.reader import open_recording
 from altd.records import Measurement
@@ -148,6 +150,29 @@ async def _second_run(unit: Unit) -> None:
 def _json(address: str) -> Any:
     with urllib.request.urlopen(address, timeout=30) as answer:
         return json.load(answer)
+
+
+@pytest.mark.real_time
+async def test_a_recording_of_a_row_has_the_opaque_target_of_each_frame(
+    tmp_path: Path, calibration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``altd record`` but for the drivers. Glasses that cannot be switched are reported."""
+    live = LiveRow(Row(ROW_CONFIG))
+    monkeypatch.setattr("altd.app.record.cameras_of", lambda config, place: live.cameras())
+    monkeypatch.setattr("altd.app.record.switches_of", lambda config, cameras, place: live)
+    of_row, place = config(tmp_path, calibration), tmp_path / "altd.toml"
+    await record_of(of_row, place, tmp_path / "rounds", 6.0, "measurement")
+    rows = list(open_recording(tmp_path / "rounds").rows)
+    assert {row.opaque for row in rows} == {"", *NAMES}
+    by_exposure = {(row.sequence, row.opaque) for row in rows}
+    assert len(by_exposure) == len({row.sequence for row in rows})  # all cameras agree
+
+    def refuse(opaque: str) -> None:
+        raise LampsError("the chip is gone")
+
+    monkeypatch.setattr(live, "show", refuse)
+    with pytest.raises(LampsError, match="the chip is gone"):
+        await record_of(of_row, place, tmp_path / "dark", 1.0, "measurement")
 
 
 def test_a_baseline_is_stored_from_a_recording_and_used(calibration: Path, tmp_path: Path) -> None:
