@@ -19,7 +19,15 @@ NAME = "modbus_tcp"
 UNIT = 7
 OWN = (UNIT, 0, 255)
 """The unit ids that it answers."""
-MAPS = (range(120), range(200, 280), range(300, 350), range(400, 460), range(500, 530))
+MAPS = (
+    range(120),
+    range(200, 280),
+    range(300, 350),
+    range(400, 460),
+    range(500, 530),
+    range(600, 706),
+    range(720, 826),
+)
 """The ranges that can be read: a read stays in one of them."""
 CHECK_NOW = bytes.fromhex("0603e80001")
 TEST_READ = struct.pack(">HHHBBHH", 77, 0, 6, UNIT, 4, 102, 2)
