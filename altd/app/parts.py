@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.app.baseline import baseline_file
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration, target_of
 from altd.calibration.planar_file import check_planar_camera, load_planar_calibration
 from altd.config import (
@@ -74,6 +75,8 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
     if config.unit.calibration not in missing:
         try:
             calibration = calibration_of_instrument(config, cameras)
+            if isinstance(calibration, Calibration) and (baseline := baseline_file(config, calibration)):
+                baseline.load()
         except BadInputError as error:
             errors.setdefault(str(error), error)
     for check in _checks_of_interfaces(config):

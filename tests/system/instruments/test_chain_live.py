@@ -209,3 +209,4 @@ def test_a_baseline_is_stored_from_a_recording_and_used(calibration: Path, tmp_p
     assert abs(altd_here(*measured).objects[-1]["targets"]["t2"]["dx_mm"]) < 0.05
     settings.write_text(text.replace('stable = ["t1", "t3"]', 'stable = ["t1", "t2"]'))
     assert "'t2' was no stable target then" in refusal(altd_here(*measured))
+    assert "'t2' was no stable target then" in refusal(altd_here("check-config", settings))
