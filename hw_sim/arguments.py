@@ -29,6 +29,15 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_demo_arguments(parser: argparse.ArgumentParser, seed: str) -> None:
+    """The seed, of which ``seed`` tells what it selects, the duration, and the port of the page."""
+    parser.add_argument("--seed", type=natural, default=1, help=seed)
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
+    parser.add_argument(
+        "--http-port", type=port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
+    )
+
+
 def natural(text: str) -> int:
     """A whole number from 0 on."""
     return _whole(text, 0)

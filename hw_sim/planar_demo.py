@@ -21,7 +21,7 @@ from altd.config import Config, HttpSettings, Unit
 from altd.ports import CameraError, CameraTimeoutError
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, Measurement, Origin, counted
-from hw_sim.arguments import natural, port, seconds
+from hw_sim.arguments import add_demo_arguments
 from hw_sim.demo import command, run_until_stopped, together
 from hw_sim.double_triangle import Array, JammedError, random_motion, source_machine
 from hw_sim.image import Image
@@ -129,11 +129,7 @@ class PlateCamera:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the demo on the command line."""
-    parser.add_argument("--seed", type=natural, default=1, help="selects camera and plate (default: 1)")
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
-    parser.add_argument(
-        "--http-port", type=port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
-    )
+    add_demo_arguments(parser, "selects camera and plate (default: 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:

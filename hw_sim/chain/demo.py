@@ -15,7 +15,7 @@ from altd.app.parts import calibration_of_instrument
 from altd.config import ChainSettings, Config, HttpSettings, ModbusTcpSettings, Target, Unit
 from altd.reasons import Reason
 from altd.records import Measurement
-from hw_sim.arguments import natural, port, seconds
+from hw_sim.arguments import add_demo_arguments
 from hw_sim.beam import BeamPose
 from hw_sim.chain.live import LiveRow
 from hw_sim.chain.record import record_scans
@@ -37,11 +37,7 @@ _OF_DEMO = {Reason.SIMULATED, Reason.REHEARSAL}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the demo on the command line."""
-    parser.add_argument("--seed", type=natural, default=1, help="selects the row (default: 1)")
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
-    parser.add_argument(
-        "--http-port", type=port, default=0, metavar="PORT", help="port of HTTP (default: a free one)"
-    )
+    add_demo_arguments(parser, "selects the row (default: 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:
