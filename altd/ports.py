@@ -280,7 +280,7 @@ class Lamps(Protocol):
 
 
 class Switches(Protocol):
-    """The voltage of a row's glasses: with it a glass is clear, without it opaque. The calls block."""
+    """The voltage of switched glasses: with it a glass is clear, without it opaque. The calls block."""
 
     def open(self) -> None:
         """Get hold of them, all glasses without voltage; raises LampsError."""

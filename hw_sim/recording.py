@@ -48,6 +48,7 @@ class Recorder:
         leds_on: bool = False,
         stage_mm: tuple[float, float] | None = None,
         even_mw_per_mm2: float = 0.0,
+        cameras: tuple[str, ...] = CAMERAS,
     ) -> None:
         """Record one frame of each camera, exposed at the same time; ``stage_mm`` is the stage's position.
 
@@ -57,7 +58,7 @@ class Recorder:
         self._unit.leds_on = leds_on
         self._unit.even_mw_per_mm2 = even_mw_per_mm2
         at = ("", "") if stage_mm is None else tuple(f"{value:.4f}" for value in stage_mm)
-        for camera in CAMERAS:
+        for camera in cameras:
             if self._unit.is_silent(camera) or self._unit.drops(camera, self._sequence):
                 continue
             t_ns = self.t_ns + self._unit.lag_ns(camera)

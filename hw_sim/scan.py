@@ -13,7 +13,7 @@ from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progre
 from hw_sim.beam import BeamPose
 from hw_sim.recording import Progress, recording
 from hw_sim.stage import ADJUSTED, MISALIGNED, Stage
-from hw_sim.unit import Unit, UnitConfig
+from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,9 @@ USUAL = Grid()
 STAGE_STREAM = 6
 """Keeps the stage's random numbers apart from those of the frames."""
 
+SETTLED_S = 10.0
+"""A switched glass has settled for so long at a node."""
+
 LED_REFERENCE = (False, True, False, True)
 """The frame LEDs in the frame sets before the grid, with the beam in the middle."""
 
@@ -57,16 +60,23 @@ def dense_grid(columns: int, rows: int) -> Grid:
 def record_scan(
     folder: Path, unit: Unit, stage: Stage, frame_sets: int, progress: Progress, grid: Grid = USUAL
 ) -> None:
-    """Write the scan of a unit into ``folder``: LED reference pairs, then ``frame_sets`` a node."""
-    nodes = grid.nodes_mm()
-    planned = len(LED_REFERENCE) + len(nodes) * frame_sets
+    """Write the scan of a unit into ``folder``: LED reference pairs, then ``frame_sets`` a node.
+
+    Of a unit with a switched front target, front and rear target are exposed one after the other.
+    """
+    nodes, glass = grid.nodes_mm(), unit.glass
+    shown = [CAMERAS] if glass is None else [(camera,) for camera in CAMERAS]
+    planned = len(LED_REFERENCE) + len(nodes) * frame_sets * len(shown)
     with recording(folder, unit, "scan", planned, progress, stage.header()) as recorder:
         for leds_on in LED_REFERENCE:
             recorder.expose(BeamPose(0.0, 0.0), leds_on=leds_on)
         for node in nodes:
             pose = stage.place(*node)
-            for _ in range(frame_sets):
-                recorder.expose(pose, stage_mm=node)
+            for cameras in shown:
+                if glass is not None:
+                    glass.switch(FRONT in cameras, recorder.t_ns * 1e-9 - SETTLED_S)
+                for _ in range(frame_sets):
+                    recorder.expose(pose, stage_mm=node, cameras=cameras)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

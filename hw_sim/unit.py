@@ -13,6 +13,7 @@ import numpy as np
 from altd.records import Frame, PixelArray
 from hw_sim.assembly import FIELD_HALF_MM, FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint, glass_shift_mm
+from hw_sim.chain.glass import Glass, GlassConfig
 from hw_sim.displacement import Displacement
 from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, make_dust
 from hw_sim.faults import (
@@ -61,7 +62,8 @@ class UnitConfig:
     the rear target is at (1 + expansion) times its distance. ``dust`` is what has settled on window and
     plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration. ``glass_mm`` is the
     thickness of the window's glass behind its print (z = 0), ``glass_index`` its refractive index; the
-    camera's view through it belongs to its lens. ``hard`` turns on the effects of ``Hardness``.
+    camera's view through it belongs to its lens. ``hard`` turns on the effects of ``Hardness``. ``switched``:
+    the front target is an electro-active glass without print, ``Unit.glass``, and opaque at first.
     """
 
     seed: int = 1
@@ -84,6 +86,7 @@ class UnitConfig:
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
     hard: Hardness | None = None
+    switched: GlassConfig | None = None
 
     @property
     def serial(self) -> str:
@@ -112,6 +115,9 @@ class Unit:
         rngs = (np.random.default_rng(stream) for stream in streams)
         hard = self.config.hard or Hardness()
         self._instants = hard.instants
+        self.glass = None if self.config.switched is None else Glass(self.config.switched)
+        if self.glass is not None:
+            self.glass.switch(True, 0.0)
         dots = make_dots(self._pattern, next(rngs), hard.jitter_mm, hard.bleed_mm)
         lenses = {
             FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.field_half_mm),
@@ -121,7 +127,7 @@ class Unit:
             name: partial(
                 make_view,
                 lens,
-                dots if name == FRONT and self.config.dots else None,
+                dots if name == FRONT and self.config.dots and self.glass is None else None,
                 self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
                 self.config.hot_pixels,
                 hard=self.config.hard,
@@ -259,7 +265,7 @@ class Unit:
 
     def spots(self, camera: str, t_ns: int) -> list[Footprint]:
         """The light of the beam on a camera's target at ``t_ns``."""
-        return self._spots(camera, self.truth(t_ns), self._faults)
+        return self._spots(camera, self.truth(t_ns), self._faults, t_ns)
 
     def exposed_spots(self, camera: str, t_ns: int) -> list[Footprint]:
         """The light on a camera's target over an exposure with its middle at ``t_ns``.
@@ -270,8 +276,8 @@ class Unit:
         step_ns = self.imagers[camera].settings.exposure_ms * 1e6 / instants
         poses = [self.truth(round(t_ns + step_ns * (k + 0.5 - 0.5 * instants))) for k in range(instants)]
         if len(set(poses)) == 1:
-            return self._spots(camera, poses[0], self._faults)
-        spots = [spot for pose in poses for spot in self._spots(camera, pose, self._faults)]
+            return self._spots(camera, poses[0], self._faults, t_ns)
+        spots = [spot for pose in poses for spot in self._spots(camera, pose, self._faults, t_ns)]
         return [replace(spot, peak_mw_per_mm2=spot.peak_mw_per_mm2 / instants) for spot in spots]
 
     def is_silent(self, camera: str) -> bool:
@@ -333,14 +339,17 @@ class Unit:
             return replace(pose, x_mm=pose.x_mm + PUSHED_ASIDE_MM)
         return pose
 
-    def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault]) -> list[Footprint]:
-        """The spots on one target."""
+    def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault], t_ns: int) -> list[Footprint]:
+        """The spots on one target; a switched glass is as at ``t_ns``."""
         if faults & {Fault.NO_LASER, _MISSING[camera]}:
             return []
         share = OVERLOAD_RATIO if Fault.SATURATED in faults else 1.0
-        z_mm, aside_mm = 0.0, (0.0, 0.0)
+        z_mm, aside_mm, glass = 0.0, (0.0, 0.0), self.glass
+        if glass is not None and camera == FRONT:
+            share *= glass.brightness(t_ns * 1e-9)
         if camera == REAR:
-            share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
+            window = (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
+            share *= window if glass is None else glass.transmission(t_ns * 1e-9)
             z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
             aside_mm = glass_shift_mm(pose, self.config.glass_mm, self.config.glass_index)
         laser, hard = self.config.laser, self.config.hard

@@ -32,6 +32,7 @@ STUDIES = {
     "budget": "budget",
     "kinematics": "kinematics",
     "chain": "chain",
+    "switched": "switched",
 }
 """Names and modules, imported when they are run: not all need the same libraries."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -31,8 +31,8 @@ class Marks(Protocol):
 class FramePairs:
     """The frame sets of the cameras for one reader; a reader that is behind gets the newest.
 
-    ``arrived`` is called in the thread of a camera when there is something to take. ``marks`` marks the
-    frames under LEDs, or with the opaque target, ``ring`` keeps the newest ones; None: nothing does.
+    ``arrived`` is called in the thread of a camera when there is something to take. ``marks`` mark the
+    frames under LEDs, and with the opaque target, ``ring`` keeps the newest ones; None: nothing does.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class FramePairs:
         pairer: Pairer[Frame],
         arrived: Callable[[], None],
         clock: Clock,
-        marks: Marks | None = None,
+        marks: Sequence[Marks] = (),
         ring: FrameRing | None = None,
     ) -> None:
         self._pairer = pairer
@@ -71,8 +71,8 @@ class FramePairs:
 
     def put(self, frame: Frame, wait: bool) -> None:
         """Take a frame from the thread of its camera; with ``wait`` only when nothing waits to be taken."""
-        if self._marks is not None:
-            frame = self._marks.mark(frame)
+        for marks in self._marks:
+            frame = marks.mark(frame)
         if self._ring is not None:
             self._ring.keep(frame)
         with self._changed:

@@ -28,8 +28,8 @@ _BUSY_REMEDY = (
 class FrameSets:
     """``async with``: the cameras deliver; frames that are not requested are dropped.
 
-    Their exposure is set by ``exposure`` when they are opened, and stays constant. ``marks`` marks frames
-    with the opaque target of a row.
+    Their exposure is set by ``exposure`` when they are opened, and stays constant. ``marks`` mark frames
+    with the opaque target.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class FrameSets:
         measuring: Measuring,
         health: Health,
         exposure: Mapping[str, ExposureControl] | None = None,
-        marks: Marks | None = None,
+        marks: Sequence[Marks] = (),
     ) -> None:
         self._marks = marks
         self._components = {camera.name: health.component(f"camera {camera.name}") for camera in cameras}

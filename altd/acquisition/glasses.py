@@ -1,15 +1,14 @@
-"""The cycle of a row's glasses: one target after the other is opaque, and frames are marked with its name."""
+"""The cycle of the glasses: one target after the other is opaque, and frames are marked with its name."""
 
 from __future__ import annotations
 
-import itertools
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from altd.acquisition.lamps.controller import LampController
 from altd.acquisition.self_check.frames import MARGIN_NS
-from altd.config import ChainSettings, Config
+from altd.config import AnySwitchesSettings, ChainSettings, Config
 from altd.ports import Clock, LampsError
 from altd.records import Frame
 
@@ -69,20 +68,27 @@ class GlassCycle:
     """Switches the glasses of ``targets`` in turn, until cancelled.
 
     A switch that fails is tried again; until then no frame is marked. ``chance`` gives numbers from 0 to 1.
+    ``is_shuffled``: each round has its own order. A beam needs that: a vibration whose period is the round's
+    would move front and rear spots to opposite sides in every round, and look like yaw.
     """
 
     switches: LampController[str]
     marks: OpaqueMarks
     clock: Clock
     targets: Sequence[str]
-    settings: ChainSettings
+    settings: ChainSettings | AnySwitchesSettings
     fps: float
     chance: Callable[[], float] = random.random
+    is_shuffled: bool = False
+
+    def _order(self) -> Iterator[str]:
+        while True:
+            yield from sorted(self.targets, key=lambda _: self.chance() if self.is_shuffled else 0.0)
 
     async def run(self) -> None:
         """Switch, settle, expose, and the next."""
         exposing_s = (self.settings.exposures + 1) / self.fps
-        for target in itertools.cycle(self.targets):
+        for target in self._order():
             while not await self._switch(target):
                 await self.clock.sleep(_RETRY_S)
             pause_s = MAX_PAUSE_SHARE * self.settings.settle_s * self.chance()
@@ -100,15 +106,16 @@ class GlassCycle:
 
 
 def glass_cycle(switches: LampController[str], config: Config, fps: float, clock: Clock) -> GlassCycle:
-    """The cycle of a config's row."""
-    settings = config.chain or ChainSettings()
+    """The cycle of a config's row, or of a beam with ``[switches]``."""
+    is_row = config.unit.instrument == "chain"
+    settings = config.switches if config.switches and not is_row else config.chain or ChainSettings()
     targets = [target.name for target in config.targets]
     period_ns = {target.camera: round(1e9 / fps) for target in config.targets}
     marks = OpaqueMarks(clock, settings.settle_s, period_ns)
-    return GlassCycle(switches, marks, clock, targets, settings, fps)
+    return GlassCycle(switches, marks, clock, targets, settings, fps, is_shuffled=not is_row)
 
 
-def round_s(settings: ChainSettings, targets: int, fps: float) -> tuple[float, float]:
+def round_s(settings: ChainSettings | AnySwitchesSettings, targets: int, fps: float) -> tuple[float, float]:
     """The shortest and the longest duration of a round."""
     visit_s = settings.settle_s + (settings.exposures + 1) / fps
     return targets * visit_s, targets * (visit_s + MAX_PAUSE_SHARE * settings.settle_s)

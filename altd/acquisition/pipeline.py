@@ -108,7 +108,7 @@ class Pipeline:
         before = self.chain.frame_sets, self.board.published
         for pair in pairs:
             for located in pair.all_items:
-                if isinstance(located, Located):
+                if isinstance(located, Located) and located.is_shown:
                     self._look(located)
             measurement = self.chain.add(pair)
             if measurement is None:

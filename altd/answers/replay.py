@@ -87,8 +87,8 @@ def _open(question: Question) -> AnyReplay:
     if recording.header.kind == "planar":
         return planar_replay_of(recording, question.calibration, question.window, question.every)
     config = None if question.config is None else load_settings(question.config)
-    is_chain = recording.rows.has_opaque if config is None else config.unit.instrument == "chain"
-    if is_chain:
+    is_row = recording.rows.has_opaque and not recording.header.is_switched
+    if is_row if config is None else config.unit.instrument == "chain":
         if question.plot is not None:
             raise BadInputError("--plot", "the places of a row are not drawn; possible: --format csv")
         return open_chain_replay(recording, question.calibration, config, question.config)

@@ -70,7 +70,7 @@ _FACES_START_TIMEOUT_S = 1.0
 class Daemon:
     """One unit's daemon. ``cameras`` are by the config's camera names; the caller chooses them.
 
-    ``lamps``, ``indicators`` and the ``switches`` of a row's glasses are the caller's choice too;
+    ``lamps``, ``indicators`` and the ``switches`` of the glasses are the caller's choice too;
     ``self.lamps`` switches the frame LEDs. Played and simulated frames give valid values only with
     ``rehearsal``. Raises BadInputError for a stored baseline that does not fit.
     """
@@ -257,21 +257,22 @@ class Daemon:
         tasks.create_task(keeper.run(), name="kept frames")
         return keeper.ring
 
-    def _marks(self, tasks: asyncio.TaskGroup) -> Marks | None:
-        """The marks of frames: under LEDs, or with the opaque target; checks, or the cycle, begin."""
+    def _marks(self, tasks: asyncio.TaskGroup) -> list[Marks]:
+        """The marks of frames: with the opaque target, and under LEDs; the cycle and the checks begin."""
+        all_marks: list[Marks] = []
         if self._switches is not None:
             cycle = glass_cycle(self._switches, self.config, fps_of(self.config), self.clock)
             tasks.create_task(cycle.run(), name="cycle of the glasses")
-            return cycle.marks
+            all_marks.append(cycle.marks)
         if self.checks is None:
-            return None
+            return all_marks
         assert self.lamps is not None  # noqa: S101  asked before
         leds = self.checks.leds
         marks = MarkedFrames(leds, self._cameras)
         exposures, fps = self.config.self_check.exposures, fps_of(self.config)
         exposer = CheckExposer(self.lamps, leds, marks, self.clock, exposures, fps)
         tasks.create_task(self.checks.run(exposer, self.lamps, marks), name="self-check")
-        return marks
+        return [*all_marks, marks]
 
     async def _lights(self) -> None:
         """Keep lamps, glasses and indicators, until cancelled."""
@@ -280,7 +281,8 @@ class Daemon:
         async with asyncio.TaskGroup() as tasks:
             if self._switches is not None:
                 by_camera = isinstance(self.config.switches, CameraSwitchesSettings)
-                opened = [self.health.component(f"camera {name}") for name in self._cameras if by_camera]
+                outputs = [target.camera for target in self.config.switched_targets if by_camera]
+                opened = [self.health.component(f"camera {name}") for name in outputs]
                 tasks.create_task(self._switches.run(opened), name="switches")
             if self.lamps is not None:
                 cameras = [self.health.component(f"camera {name}") for name in switching]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from altd.acquisition.glasses import round_s
+from altd.acquisition.glasses import MAX_PAUSE_SHARE, round_s
 from altd.acquisition.pictures import outlined, view_of
 from altd.acquisition.pipeline import Chain
 from altd.app.baseline import baseline_file
@@ -19,6 +19,7 @@ from altd.config import AnyCameraSettings, ChainSettings, Config, LiveCameraSett
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.chain.frames import RowChain
 from altd.instruments.chain.measurement import quantities_of
+from altd.instruments.chain.switched_window import SwitchedWindow
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
 from altd.measuring.calibration import Calibration
@@ -77,12 +78,18 @@ _Parts = tuple[Quantities, Callable[[Provenance], Chain], float]
 
 
 def _beam(config: Config, calibration: Calibration) -> _Parts:
-    instrument = BeamInstrument(calibration, config.measuring, config.installation)
+    measuring = config.measuring
+    instrument = BeamInstrument(calibration, measuring, config.installation)
+    stale_after_s, is_switched = measuring.stale_after_s, bool(config.switched_targets)
+    if config.switches is not None:  # no measurement while the glasses settle
+        stale_after_s += config.switches.settle_s * (1.0 + MAX_PAUSE_SHARE)
 
     def chain(provenance: Provenance) -> Chain:
-        return MeasuringChain(views_of(config), calibration, config.measuring, instrument, provenance)
+        names = tuple(target.name for target in config.targets)
+        switched = SwitchedWindow(names, measuring.window, measuring.every) if is_switched else None
+        return MeasuringChain(views_of(config), calibration, measuring, instrument, provenance, switched)
 
-    return instrument.quantities, chain, config.measuring.stale_after_s
+    return instrument.quantities, chain, stale_after_s
 
 
 def _row(config: Config, calibration: Calibration) -> _Parts:

@@ -67,8 +67,8 @@ def frame_keeper(
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
     by, plate = "altd run, frames kept", led_plate_of(config)
     kind: Kind = "measurement" if plate is None else "planar"
-    is_row = config.unit.instrument == "chain"
-    plan = RecordingPlan(settings.before_s, unit, targets or None, kind, by, plate, has_opaque=is_row)
+    has_opaque = bool(config.switched_targets)
+    plan = RecordingPlan(settings.before_s, unit, targets or None, kind, by, plate, has_opaque=has_opaque)
     keeper = FrameKeeper(
         Source(ring, cameras, config.measuring, plan),
         settings,

@@ -218,16 +218,16 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
 
 
 def switches_of(config: Config, cameras: Mapping[str, Camera], place: Path) -> Switches | None:
-    """The switches of a row's glasses; None: it has none. Raises BadInputError that names ``place``."""
+    """The switches of the glasses; None: there are none. Raises BadInputError that names ``place``."""
     if config.switches is None:
         return None
     if not isinstance(config.switches, CameraSwitchesSettings):
         from altd.devices.gpio.lamps import GpioSwitches
 
-        return GpioSwitches(config.switches, [target.name for target in config.targets])
+        return GpioSwitches(config.switches, [target.name for target in config.switched_targets])
     from altd.devices.camera_lamps import CameraSwitches
 
-    camera_of = {target.name: target.camera for target in config.targets}
+    camera_of = {target.name: target.camera for target in config.switched_targets}
     switching = {name: _switching(cameras, name, place, "switches") for name in camera_of.values()}
     return CameraSwitches(switching, camera_of, config.switches.line)
 

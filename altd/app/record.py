@@ -29,7 +29,7 @@ from altd.app.self_check import fps_of, why_unchecked
 from altd.config import Config, LiveCameraSettings
 from altd.errors import BadInputError
 from altd.measuring.chain import View
-from altd.ports import Camera, Lamps, LampsError
+from altd.ports import Camera, Lamps, LampsError, Switches
 from altd.recording.header import Kind, LedPlateHeader, PlateHeader, target_headers, unit_header
 from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
@@ -70,7 +70,7 @@ async def record_of(
         return await record(sets, folder, plan, progress, lamps)
     controller = LampController(switches, switches.show, "", health.component("switches"), health.clock)
     cycle = glass_cycle(controller, config, fps_of(config), health.clock)
-    sets = FrameSets(list(cameras.values()), config.measuring, health, exposure, cycle.marks)
+    sets = FrameSets(list(cameras.values()), config.measuring, health, exposure, [cycle.marks])
     switching = [
         asyncio.create_task(controller.run(health.component(f"camera {name}") for name in cameras)),
         asyncio.create_task(cycle.run()),
@@ -101,17 +101,18 @@ def _shown(
     return plate, "planar", shows if isinstance(shows, tuple) else None
 
 
-def scanner_of(
+def scanner_of(  # noqa: PLR0913  the parts of a scan
     config: Config,
     place: Path,
     folder: Path,
     progress: ProgressReporter,
     cameras: Mapping[str, Camera] | None = None,
     lamps: Lamps | None = None,
+    switches: Switches | None = None,
 ) -> Scanner:
     """The scan into ``folder`` that a config describes; raises BadInputError.
 
-    ``cameras`` and ``lamps`` replace those of the config.
+    ``cameras``, ``lamps`` and ``switches`` replace those of the config.
     """
     stage = stage_of(config, place)
     cameras = cameras_of(config, place) if cameras is None else cameras
@@ -119,7 +120,8 @@ def scanner_of(
     exposure = exposure_controls_of(config)
     sets = FrameSets(list(cameras.values()), config.measuring, Health(SystemClock()), exposure)
     leds = None if lamps is None else ScanLeds(lamps, known_unit_of(config, cameras))
-    return Scanner(config, folder, sets, stage, leds, progress)
+    switches = switches_of(config, cameras, place) if switches is None else switches
+    return Scanner(config, folder, sets, stage, leds, progress, switches)
 
 
 def known_unit_of(config: Config, cameras: Mapping[str, Camera]) -> KnownUnit | str:

@@ -14,6 +14,7 @@ from altd.calibration.scan_nodes import node_key
 from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
+from altd.instruments.chain.switched_window import SwitchedWindow
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Place, Provenance, View
 from altd.recording.frames_table import Row
@@ -222,16 +223,18 @@ class Replay:
         header, positions = self.recording.header, self.positions
         cameras = {view.camera for view in self.views}  # a recording may have more of them
         origins = {view.target: header.cameras[view.camera].origin for view in self.views}
+        names, measuring = tuple(view.target for view in self.views), self.measuring
         chain = MeasuringChain(
             self.views,
             self.calibration,
-            self.measuring,
+            measuring,
             self._instrument,
             Provenance(
                 origins=lambda: origin_faults(origins),
                 utc=lambda t_ns: utc_of(header.start, t_ns),
                 place=positions.place if positions is not None else lambda sequence: None,
             ),
+            SwitchedWindow(names, measuring.window, measuring.every) if header.is_switched else None,
         )
         total = len(self.recording.rows)
         for done, row in enumerate(self.recording.rows, start=1):

@@ -35,20 +35,30 @@ class CameraLampsSettings(Table):
 AnyLampsSettings = Annotated[GpiodLampsSettings | CameraLampsSettings, Field(discriminator="driver")]
 
 
-class GpiodSwitchesSettings(Table):
-    """The voltage of a row's glasses, switched by lines of a GPIO chip."""
+class Visits(Table):
+    """How long a beam's switched targets are shown; a row has these keys in `[chain]`."""
+
+    exposures: Annotated[int, Field(ge=2, le=100)] = 5
+    """Exposures of each target before the next one is shown."""
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 0.5
+    """From switching until the glasses have settled. Before each switching, up to half of it is added by
+    chance."""
+
+
+class GpiodSwitchesSettings(Visits):
+    """The voltage of the glasses, switched by lines of a GPIO chip."""
 
     driver: Literal["gpiod"]
     chip: Annotated[str, Field(min_length=1, max_length=64)]
     """As in `[lamps]`."""
     lines: Annotated[tuple[GpioLineName, ...], Field(min_length=1)]
-    """One line for each target, in their order: active, its glass has voltage and is clear."""
+    """One line for each switched target, in their order: active, its glass has voltage and is clear."""
     active_low: bool = False
     """A glass has voltage when its line is low."""
 
 
-class CameraSwitchesSettings(Table):
-    """The voltage of a row's glasses, switched by an output line of each target's own camera."""
+class CameraSwitchesSettings(Visits):
+    """The voltage of the glasses, switched by an output line of each switched target's own camera."""
 
     driver: Literal["camera"]
     line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"

@@ -69,6 +69,11 @@ class Draft:
         """Whether the unit is a row of switched targets."""
         return self.unit is not None and self.unit.instrument == "chain"
 
+    @property
+    def switched(self) -> tuple[Target, ...]:
+        """The targets with a switched glass, as far as they are good."""
+        return tuple(target for target in self.targets if target and (target.switched or self.is_chain))
+
     def live(self) -> dict[str, LiveCameraSettings]:
         """The cameras that are no recordings and that are opened."""
         named = {target.camera for target in self.targets if target is not None}

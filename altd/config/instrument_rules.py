@@ -1,11 +1,11 @@
-"""Rules of the instruments beside the beam: a row of switched targets, and a plate."""
+"""Rules of the instruments: switched targets of a beam, a row of them, and a plate."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 
 from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
-from altd.config.devices import CameraSwitchesSettings, GpiodSwitchesSettings
+from altd.config.devices import CameraLampsSettings, CameraSwitchesSettings, GpiodSwitchesSettings
 from altd.config.draft import Draft
 from altd.config.places import Keys
 from altd.config.table import shown
@@ -18,14 +18,26 @@ _MAX_CHAIN_TARGETS = 16
 _KIND: Keys = ("unit", "instrument")
 
 
+def beam(draft: Draft) -> Iterator[Fault]:
+    """A switched target of a beam has one behind it, and a switch."""
+    if draft.unit is None or draft.unit.instrument != "beam":
+        return
+    if draft.switched:
+        yield from _switches(draft)
+    elif draft.switches is not None and None not in draft.targets:
+        text = "no target has switched = true; possible: with one, or no table"
+        yield Fault(("switches",), text, "key", about=(("targets",),))
+    if draft.targets and (last := draft.targets[-1]) is not None and last.switched:
+        text = "true, and no target is behind it; possible: false"
+        yield Fault(("targets", len(draft.targets) - 1, "switched"), text)
+
+
 def chain(draft: Draft) -> Iterator[Fault]:
     """A row has up to sixteen targets, its stable ones among them, and a switch for each glass."""
     if not draft.is_chain:
-        if draft.unit is not None:
-            for key in ("chain", "switches"):
-                if getattr(draft, key) is not None:
-                    text = 'is for instrument = "chain"; possible: with it, or no table'
-                    yield Fault((key,), text, "key", about=(_KIND,))
+        if draft.unit is not None and draft.chain is not None:
+            text = 'is for instrument = "chain"; possible: with it, or no table'
+            yield Fault(("chain",), text, "key", about=(_KIND,))
         return
     if len(draft.targets) > _MAX_CHAIN_TARGETS:
         text = f"{len(draft.targets)} targets are too many for a chain; possible: up to {_MAX_CHAIN_TARGETS}"
@@ -39,38 +51,53 @@ def chain(draft: Draft) -> Iterator[Fault]:
         elif name not in names and None not in draft.targets:
             text = f"there is no target {shown(name)}{did_you_mean(name, names)}"
             yield Fault(keys, f"{text}; possible: {', '.join(map(shown, names))}", about=(("targets",),))
+    for key in sorted(
+        {"settle_s", "exposures"} & (draft.switches.model_fields_set if draft.switches else set())
+    ):
+        text = "is for a beam with a switched target; possible: the same key in [chain]"
+        yield Fault(("switches", key), text, "key", about=(_KIND,))
     yield from _switches(draft)
     yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "opcua"))
 
 
 def _switches(draft: Draft) -> Iterator[Fault]:
     """Live cameras see glasses that the unit switches; those of a recording were switched then."""
-    switches, targets = draft.switches, counted(len(draft.targets), "target")
+    switches, switched = draft.switches, draft.switched
     if switches is None:
         if draft.live():
             text = 'the glasses cannot be switched; possible: a table with driver "gpiod" or "camera"'
             yield Fault(("switches",), text, "table", about=(_KIND,))
-    elif isinstance(switches, GpiodSwitchesSettings) and len(switches.lines) != len(draft.targets):
+        return
+    for name, camera in draft.cameras.items():
+        if isinstance(camera, RecordingCameraSettings):
+            text = "glasses of a recording cannot be switched again; possible: no table"
+            yield Fault(("switches",), text, "key", about=(("cameras", name, "driver"),))
+    if isinstance(switches, CameraSwitchesSettings):
+        yield from _outputs(draft, switches.line, {target.camera for target in switched})
+    elif isinstance(switches, GpiodSwitchesSettings) and len(switches.lines) != len(switched):
+        targets = counted(len(switched), "target" if draft.is_chain else "switched target")
         text = f"{counted(len(switches.lines), 'line')} for {targets}; possible: one for each"
         yield Fault(("switches", "lines"), text, about=(("targets",),))
-    for name, camera in draft.cameras.items():
-        table: Keys = ("cameras", name)
-        if switches is not None and isinstance(camera, RecordingCameraSettings):
-            text = "of a recording cannot be switched again; possible: no table"
-            yield Fault(("switches",), f"glasses {text}", "key", about=((*table, "driver"),))
-        elif isinstance(switches, CameraSwitchesSettings) and not isinstance(
-            camera, AravisCameraSettings | None
-        ):
+
+
+def _outputs(draft: Draft, line: str, names: Set[str]) -> Iterator[Fault]:
+    """The cameras of switched targets have an output, which nothing else uses."""
+    place: Keys = ("switches", "line")
+    for name in sorted(names & draft.cameras.keys()):
+        camera, table = draft.cameras[name], ("cameras", name)
+        if camera is None or isinstance(camera, RecordingCameraSettings):
+            continue
+        if not isinstance(camera, AravisCameraSettings):
             text = f'{shown(name)} has no output; possible: cameras with driver "aravis", or driver "gpiod"'
             yield Fault(("switches", "driver"), text, about=(table,))
-        elif (
-            isinstance(switches, CameraSwitchesSettings)
-            and isinstance(camera, AravisCameraSettings)
-            and camera.trigger == "line"
-            and camera.trigger_line == switches.line
-        ):
-            text = f"{shown(switches.line)} triggers camera {shown(name)}; possible: another line"
-            yield Fault(("switches", "line"), text, about=((*table, "trigger_line"), (*table, "trigger")))
+        elif camera.trigger == "line" and camera.trigger_line == line:
+            text = f"{shown(line)} triggers camera {shown(name)}; possible: another line"
+            yield Fault(place, text, about=((*table, "trigger_line"), (*table, "trigger")))
+        elif isinstance(draft.lamps, CameraLampsSettings) and (line, name) in [
+            (draft.lamps.line, of) for of in draft.lamps.cameras
+        ]:
+            text = f"{shown(line)} of camera {shown(name)} switches the frame LEDs; possible: another line"
+            yield Fault(place, text, about=(("lamps", "line"),))
 
 
 def planar(draft: Draft) -> Iterator[Fault]:
@@ -86,7 +113,9 @@ def planar(draft: Draft) -> Iterator[Fault]:
         names = ", ".join(map(shown, draft.cameras))
         text = f"{names} are too many for a plate; possible: one"
         yield Fault(("cameras",), text, "key", about=(_KIND,))
-    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "stage", "opcua"))
+    yield from _no_part_of_a_beam(
+        draft, ("installation", "lamps", "switches", "inclinometer", "stage", "opcua")
+    )
 
 
 def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:

@@ -90,6 +90,9 @@ class Target(Table):
     """Thickness of the glass behind its printed surface; none: as calibrated. It displaces a slanted beam."""
     glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
     """Refractive index of that glass at the laser's wavelength; 1.52 where only its thickness is given."""
+    switched: bool = False
+    """With `instrument = "beam"`: an electro-active glass, opaque for its own spot, clear for those behind
+    (`chain.md`). All targets of a row are switched."""
 
     @model_validator(mode="after")
     def _check_glass(self) -> Self:

@@ -56,6 +56,12 @@ class Config(Table):
     scan: Scan = Scan()
 
     @property
+    def switched_targets(self) -> tuple[Target, ...]:
+        """The targets with a glass that is switched, in beam order."""
+        is_row = self.unit.instrument == "chain"
+        return tuple(target for target in self.targets if is_row or target.switched)
+
+    @property
     def measuring_cameras(self) -> tuple[str, ...]:
         """The cameras of the targets, in beam order; without targets the one of the plate."""
         return tuple(target.camera for target in self.targets) or tuple(self.cameras)

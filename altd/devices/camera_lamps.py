@@ -61,7 +61,7 @@ class CameraSwitches:
 
     def show(self, opaque: str) -> None:
         """Voltage on all glasses but this one; empty: on none. Raises LampsError."""
-        without = self._camera_of[opaque] if opaque else ""
+        without = self._camera_of.get(opaque)
         _act_on_each(
             self._cameras,
             self._line,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -62,6 +63,22 @@ _MIN_FRAME_SETS_FOR_MOTION = 4
 _WARMING_UP = Fault(Reason.WARMING_UP, detail="half a window of exposures is needed first")
 _PRIOR_WEIGHT = 2.0
 """Weight of the spots' own noise estimate against the observed scatter."""
+
+
+class Window(Protocol):
+    """The last frame sets, and their mean."""
+
+    def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
+        """Take a frame set; returns the mean, or why there is none, or None when it is not time yet."""
+
+    def pass_over(self, sequence: int) -> None:
+        """Take the number of a frame set that is not to be measured: what it lacks is no fault."""
+
+    def forget(self) -> None:
+        """Drop the frame sets that came before a gap; the count to the next mean continues."""
+
+    def begin(self, window: int | None = None) -> None:
+        """Drop all frame sets and count to the next mean again, from now on over ``window`` frame sets."""
 
 
 class FrameSetWindow:

@@ -8,7 +8,7 @@ from datetime import datetime
 from functools import partial
 
 from altd.config import Measuring
-from altd.measuring.averaging import FrameSetWindow
+from altd.measuring.averaging import FrameSetWindow, Window
 from altd.measuring.calibration import Calibration
 from altd.measuring.gate import Gate
 from altd.measuring.instrument import Instrument
@@ -80,6 +80,9 @@ class MeasuringChain:
     Every measurement says what ``provenance`` gives as the frames' origin, and whether the calibration is of
     simulated frames.
 
+    ``switched`` is the window of a unit with a switched front target: a frame set shows the opaque target
+    alone, and one without is not measured. None: each frame set shows all targets.
+
     ``push`` does all of it. A daemon does the three steps on threads of their own: ``pairer`` makes frame
     sets, ``locators`` locate the spots, by camera, and ``add`` takes what they found. The steps share nothing
     but the figures that ``pairer`` counts.
@@ -92,6 +95,7 @@ class MeasuringChain:
         measuring: Measuring,
         instrument: Instrument,
         provenance: Provenance = _UNKNOWN,
+        switched: Window | None = None,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -106,7 +110,8 @@ class MeasuringChain:
             measuring.max_skew_ns,
             measuring.max_lag_ns,
         )
-        self._window = FrameSetWindow(self._targets, measuring.window, measuring.every)
+        self._is_switched = switched is not None
+        self._window = switched or FrameSetWindow(self._targets, measuring.window, measuring.every)
         self._provenance = provenance
         self._calibration_origin = calibration_faults(calibration.simulated)
         self._last_place: Place | None = None
@@ -117,6 +122,7 @@ class MeasuringChain:
                 partial(provenance.identity, view.camera),
                 view.expected,
                 calibration.other_place_of,
+                self._is_switched,
             )
             for view in views
         }
@@ -203,7 +209,7 @@ class MeasuringChain:
         self._now_ns = max(located.t_ns for located in pair.all_items)
         for located in pair.all_items:
             self._last_frame_ns[located.camera] = located.t_ns
-            if not located.leds_on:
+            if located.is_shown and not located.leds_on:
                 self._last_spots[self._views[located.camera].target] = located.spot
             self._view_status[located.camera] = located.view
         if self._is_passed_over(pair):
@@ -223,12 +229,14 @@ class MeasuringChain:
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
     def _is_passed_over(self, pair: Pair[Located]) -> bool:
-        """Whether the frame LEDs were lit, or switched, in any frame of an exposure.
+        """Whether the frame LEDs were lit, or LEDs or targets switched, in any frame of an exposure.
 
         Time continues with it, so it is no gap in which anything may have happened; it is no exposure of the
         window, whose length counts by the exposures' numbers.
         """
-        if not any(located.leds_on for located in pair.items.values()):
+        opaque = {located.opaque for located in pair.all_items}
+        is_settling = self._is_switched and (len(opaque) > 1 or "" in opaque)
+        if not is_settling and not any(located.leds_on for located in pair.items.values()):
             return False
         last = self._last_frame_set
         if last is None or pair.t_ns > last.t_ns:
@@ -258,7 +266,7 @@ class MeasuringChain:
                 missing = self._why_missing(pair.missing[camera])
                 spots[view.target] = self._last_spots[view.target] = missing
         behind_ns = {self._views[camera].target: late_ns for camera, late_ns in pair.behind_ns.items()}
-        return FrameSet(pair.sequence, pair.t_ns, spots, behind_ns)
+        return FrameSet(pair.sequence, pair.t_ns, spots, behind_ns, pair.all_items[0].opaque)
 
     def _why_missing(self, reason: Reason) -> NoSpot:
         """The reason with what is known of the cameras' step, where it is that."""
@@ -275,7 +283,7 @@ class MeasuringChain:
             self._synchrony.restart()
         self.frame_sets += since_last_ns > 0
         self._last_frame_set = frame_set
-        unsynchronised = self._synchrony.inspect(frame_set)
+        unsynchronised = "" if self._is_switched else self._synchrony.inspect(frame_set)
         mean = self._window.add(frame_set)
         if mean is None:
             return None
@@ -284,7 +292,8 @@ class MeasuringChain:
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
             return self._invalid(frame_set, mean.t_ns, (fault,))
-        mean = self._synchrony.with_lag_in_sigma(mean)
+        if not self._is_switched:
+            mean = self._synchrony.with_lag_in_sigma(mean)
         spots = mean.at_newest() if self._is_of_now else mean
         if spots is None:
             return self._invalid(frame_set, mean.t_ns, (_MOTION_UNKNOWN,))

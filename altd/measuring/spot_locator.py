@@ -45,7 +45,8 @@ class Located:
     light of ``spot`` for equal exposure and gain, ``dust`` what covers it, looked for now and then; None: not
     known.
     ``leds_on``: the frame LEDs were lit, or being switched. Such a frame was not looked at, and its exposure
-    is not measured; it only says that its camera delivers.
+    is not measured; it only says that its camera delivers. ``opaque`` is the frame's; with switched targets
+    ``is_shown`` tells whether that is this camera's own target, and otherwise ``found`` is None.
     """
 
     camera: str
@@ -58,13 +59,16 @@ class Located:
     light_per_ms: float | None = None
     leds_on: bool = False
     dust: DustCount | None = None
+    opaque: str = ""
+    is_shown: bool = True
 
 
 class SpotLocator:
     """Locates the spot in each frame of one camera, and holds the frame against those before it.
 
     ``identity`` tells which camera delivers, ``expected`` which should, beside the one that was calibrated,
-    ``other_place_of`` at which other target a camera was calibrated (``Calibration``).
+    ``other_place_of`` at which other target a camera was calibrated (``Calibration``). ``is_switched``: only
+    frames with this target opaque show it.
     One thread calls ``locate``, with one frame after the other.
     """
 
@@ -75,8 +79,10 @@ class SpotLocator:
         identity: Callable[[], CameraIdentity | None] = lambda: None,
         expected: CameraIdentity | None = None,
         other_place_of: Callable[[CameraIdentity, str], str] = lambda _, __: "",
+        is_switched: bool = False,
     ) -> None:
         self.camera = camera
+        self._is_switched = is_switched
         self._target = target
         self.appearance = Appearance(target.flat, target.fingerprint)
         """By which spots are located and the view is checked; another thread may put another one here."""
@@ -120,17 +126,20 @@ class SpotLocator:
         dust: DustCount | None = None,
         leds_on: bool = False,
     ) -> Located:
+        is_shown = not self._is_switched or frame.opaque == self._target.name
         return Located(
             self.camera,
             frame.sequence,
             frame.t_ns,
             spot,
             self._breaks,
-            found,
+            found if is_shown else None,
             self._view_check.status,
             light_per_ms(spot, frame) if isinstance(spot, Spot) else None,
             leds_on,
             dust,
+            frame.opaque,
+            is_shown,
         )
 
     @property

@@ -129,6 +129,8 @@ class TargetHeader(_Header):
     glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
     """Thickness of the glass behind it, where the recording knows."""
     glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
+    switched: bool | None = None
+    """Of a beam: opaque in the rows that name it ``opaque``, else clear."""
 
     @property
     def glass(self) -> Glass | None:
@@ -145,6 +147,7 @@ def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
             camera=of.camera,
             glass_mm=of.glass_mm,
             glass_index=of.glass.index if of.glass else None,
+            switched=of.switched or None,
         )
         for of in targets
     )
@@ -287,6 +290,11 @@ class RecordingHeader(_Header):
             for name, z_mm in places_mm.items()
             if name in self.cameras
         )
+
+    @property
+    def is_switched(self) -> bool:
+        """Whether it shows a beam whose targets are shown in turn."""
+        return any(target.switched for target in self.shown_targets)
 
     def is_mirrored(self, target: TargetHeader) -> bool:
         """Whether the target's camera sees it mirrored: as it says, else ``front`` alone."""

@@ -142,13 +142,15 @@ class FrameSet:
     """The spots of one instant: a spot, or the reason why there is none, per target.
 
     ``t_ns`` is the mean of the frames' times; a target that is not in ``behind_ns`` was exposed just then,
-    another so much later.
+    another so much later. ``opaque`` names the target that a switched front target let be measured; empty:
+    all are.
     """
 
     sequence: int
     t_ns: int
     spots: Mapping[str, Spot | NoSpot]
     behind_ns: Mapping[str, int] = field(default_factory=dict)
+    opaque: str = ""
 
     def faults(self) -> tuple[Fault, ...]:
         """Why this frame set cannot be used; empty when every target has its spot."""

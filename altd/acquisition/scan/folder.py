@@ -137,7 +137,7 @@ class ScanFolder:
         position_mm: tuple[float, float] | None,
     ) -> None:
         """Write frame sets; they count from the next ``commit`` on. Raises OSError when the disk refuses."""
-        writer = self._writer or self._open(frame_sets[0], unit, note)
+        writer = self._writer or self._open(frame_sets, unit, note)
         for pair in frame_sets:
             t_s = self._t_s(pair.t_ns)
             for frame in pair.items.values():
@@ -165,16 +165,15 @@ class ScanFolder:
             self._writer.close()
             self._writer = None
 
-    def _open(self, first: Pair[Frame], unit: UnitHeader, note: str) -> RecordingWriter:
+    def _open(self, frame_sets: Sequence[Pair[Frame]], unit: UnitHeader, note: str) -> RecordingWriter:
         state = self.state
-        start = self._utc(first.t_ns)
+        start = self._utc(frame_sets[0].t_ns)
+        frames = {name: frame for pair in frame_sets for name, frame in pair.items.items()}
         header = RecordingHeader(
             format="altd-recording/1",
             kind="flat" if isinstance(self._scan, Raster) else "scan",
             fps=FPS,
-            cameras={
-                name: camera_header(frame, self._cameras.get(name)) for name, frame in first.items.items()
-            },
+            cameras={name: camera_header(frame, self._cameras.get(name)) for name, frame in frames.items()},
             unit=unit,
             targets=self._targets,
             self_check=state.self_check,
@@ -184,7 +183,7 @@ class ScanFolder:
             made_by=MADE_BY,
             start=start,
         )
-        self._first_ns = first.t_ns
+        self._first_ns = frame_sets[0].t_ns
         if state.table_bytes:
             self._writer = RecordingWriter(self.path, header, state.table_bytes)
             # the pause, as far as the clock knows it

@@ -41,13 +41,13 @@ class BadNode:
 def judge(frame_sets: Sequence[Pair[Frame]]) -> NodeSpots | BadNode:
     """Whether the frame sets of a node can be used.
 
-    Every frame set must have one good spot on every target (``calibration.scan_nodes``), and they must agree.
+    Every frame must have one good spot (``calibration.scan_nodes``), and those of a camera must agree.
     """
     means: dict[str, SpotPx] = {}
-    for camera in frame_sets[0].items:
+    for camera in {camera: None for pair in frame_sets for camera in pair.items}:
         spots = []
-        for pair in frame_sets:
-            spot = node_spot(pair.items[camera], SpotSettings(), None)
+        for frame in [pair.items[camera] for pair in frame_sets if camera in pair.items]:
+            spot = node_spot(frame, SpotSettings(), None)
             if isinstance(spot, NoSpot):
                 return BadNode(f"{camera} {spot.reason}" + (f" ({spot.detail})" if spot.detail else ""))
             spots.append((spot.u_px, spot.v_px))

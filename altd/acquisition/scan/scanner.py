@@ -30,7 +30,7 @@ from altd.config import Config
 from altd.errors import BadInputError
 from altd.mapping.grid import Block
 from altd.measuring.pairing import Pair
-from altd.ports import CameraError, LampsError, Stage, StageError, StageNotFoundError
+from altd.ports import CameraError, Lamps, LampsError, Stage, StageError, StageNotFoundError, Switches
 from altd.recording.header import SelfCheckHeader, note_of, target_headers, unit_header
 from altd.records import Frame
 from altd.selfcheck.records import Verdict
@@ -69,12 +69,13 @@ class ProgressReporter(Protocol):
 
 
 class Scanner:
-    """One scan. The cameras of ``frame_sets``, ``stage`` and ``leds`` are chosen by the caller.
+    """One scan. The cameras of ``frame_sets``, ``stage``, ``leds`` and ``switches`` are chosen by the caller.
 
-    The cameras' exposure holds still from node to node.
+    The cameras' exposure holds still from node to node. With ``switches`` each target is shown in turn at
+    each node, and only its own camera's frames are kept.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  the parts of a scan
         self,
         config: Config,
         output: Path,
@@ -82,6 +83,7 @@ class Scanner:
         stage: Stage,
         leds: ScanLeds | None,
         progress: ProgressReporter,
+        switches: Switches | None = None,
     ) -> None:
         """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
         self._config = config.scan
@@ -89,6 +91,9 @@ class Scanner:
         self._lost_in_a_row = 0
         self._stage = stage
         self._leds = leds
+        self._switches = switches
+        self._targets = config.targets
+        self._glass_settle_s = config.switches.settle_s if config.switches else 0.0
         self._clock = frame_sets.clock
         self._progress = progress
         self._nodes = nodes_of(config.scan)
@@ -112,7 +117,8 @@ class Scanner:
         for a stage that is not there, and a camera driver's own failure.
         """
         try:
-            async with self._frame_sets, self._ready_stage(), self._ready_lamps():
+            lamps = self._leds.lamps if self._leds else None
+            async with self._frame_sets, self._ready_stage(), self._ready(lamps), self._ready(self._switches):
                 await self._scan()
                 return self._finished()
         except StageNotFoundError as error:
@@ -155,14 +161,13 @@ class Scanner:
             await asyncio.shield(asyncio.to_thread(self._stage.close))
 
     @asynccontextmanager
-    async def _ready_lamps(self) -> AsyncIterator[None]:
-        """Take control of the lamps, dark; at the end they are released, dark."""
-        if self._leds is None:
+    async def _ready(self, lamps: Lamps | Switches | None) -> AsyncIterator[None]:
+        """Take control of lamps or switches, without voltage; at the end they are released so."""
+        if lamps is None:
             yield
             return
-        lamps = self._leds.lamps
         try:
-            self._tell("opening the lamps")
+            self._tell("opening the lamps and switches")
             await self._in_thread(lamps.open)
             yield
         finally:
@@ -175,7 +180,7 @@ class Scanner:
         position_mm = await self._in_thread(self._stage.position)
         state, raster, complaint = self._folder.state, self._raster, ""
         for _ in range(1 + self._config.retries):
-            exposures = await self._settled(self._config.exposures)
+            exposures = await self._of_all_targets(self._config.exposures)
             judged = judge(exposures)
             if isinstance(judged, NodeSpots) or (raster is not None and raster.is_margin(node)):
                 self._folder.keep(exposures, self._unit, note_of("altd scan", self._cameras), position_mm)
@@ -259,7 +264,7 @@ class Scanner:
         node = next(n for n in self._nodes if _key(n) == list(done)[-1])
         self._tell(f"looking at node {node} again")
         await self._go(node.x_mm, node.y_mm)
-        judged = judge(await self._settled(self._config.exposures))
+        judged = judge(await self._of_all_targets(self._config.exposures))
         if not isinstance(judged, NodeSpots):
             raise ScanStoppedError(f"node {node}, which was good, is not any more: {judged.complaint}")
         shift_px, camera = _largest_shift(done[_key(node)].spots_px, judged.px)
@@ -272,6 +277,20 @@ class Scanner:
 
     async def _go(self, x_mm: float, y_mm: float) -> None:
         await self._in_thread(self._stage.move_to, x_mm, y_mm)
+
+    async def _of_all_targets(self, count: int) -> list[Pair[Frame]]:
+        """So many exposures that show each target: all at once, or with switches one target after another."""
+        if self._switches is None:
+            return await self._settled(count)
+        exposures: list[Pair[Frame]] = []
+        for target in self._targets:
+            await self._in_thread(self._switches.show, target.name)
+            await self._clock.sleep(self._glass_settle_s)
+            of_target = await self._settled(count)
+            exposures += [
+                replace(pair, items={target.camera: pair.items[target.camera]}) for pair in of_target
+            ]
+        return exposures
 
     async def _settled(self, count: int) -> list[Pair[Frame]]:
         """Exposures that begin once stage and lamps have settled."""

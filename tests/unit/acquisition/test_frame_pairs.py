@@ -216,7 +216,7 @@ async def test_frames_are_marked_and_then_kept_and_the_same_frames_go_on() -> No
     leds.done()
     marks, ring = MarkedFrames(leds, BOTH), FrameRing(1 << 24, 10**9, lambda _: None)
     pairer: Pairer[Frame] = Pairer(BOTH, "sequence", 10_000_000, 30_000_000)
-    pairs = FramePairs(pairer, lambda: None, clock, marks, ring)
+    pairs = FramePairs(pairer, lambda: None, clock, [marks], ring)
     for camera in BOTH:
         pairs.put(shot(camera, 5), wait=False)
     (pair,) = pairs.take()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -78,6 +79,18 @@ async def test_every_target_gets_its_exposures_and_the_round_keeps_its_time(
     assert np.all((durations_s >= shortest_s) & (durations_s <= longest_s))
     assert durations_s.std() > 0.02  # by chance: no vibration stays in step
     await stop(task)
+
+
+async def test_the_rounds_of_a_beam_have_an_order_by_chance(clock: FakeClock) -> None:
+    switch = Switch(clock)
+    cycle = replace(cycle_of(clock, switch), is_shuffled=True)
+    task = asyncio.create_task(cycle.run())
+    await clock.until(lambda: len(switch.shown) == 120, within_s=200.0)
+    await stop(task)
+    names = [name for name, _ in switch.shown]
+    rounds = [tuple(names[at : at + 3]) for at in range(0, 120, 3)]
+    assert all(sorted(of) == sorted(TARGETS) for of in rounds)
+    assert len(set(rounds)) == 6  # all orders of three
 
 
 async def test_a_frame_is_marked_only_if_all_of_its_exposure_shows_one_settled_target(

@@ -1,4 +1,4 @@
-"""The rules of a row's settings: each fault at its key, and nothing but it."""
+"""The rules of switched targets, of a row and of a beam: each fault at its key, and nothing but it."""
 
 from __future__ import annotations
 
@@ -67,6 +67,27 @@ def test_a_row_with_each_kind_of_switches() -> None:
     assert loaded(played).switches is None
 
 
+BEAM = (
+    ROW.replace('instrument = "chain"\n\n[chain]\nstable = ["t1"]\nbaseline = "baseline.json"\n', "")
+    .replace('"t1"\nz_mm = 0.0\n', '"front"\nz_mm = 0.0\nswitched = true\n')
+    .replace('"t2"\nz_mm = 15000.0', '"rear"\nz_mm = 280.0')
+)
+ONE_LINE = GPIOD.replace(', "GLASS_2"', "")
+
+
+@pytest.mark.parametrize("switches", [ONE_LINE + "exposures = 8\nsettle_s = 0.3\n", CAMERA])
+def test_a_beam_with_a_switched_front_target(switches: str) -> None:
+    config = loaded(BEAM + switches)
+    assert [target.name for target in config.switched_targets] == ["front"]
+    assert loaded(BEAM.replace("switched = true\n", "")).switched_targets == ()
+
+
+def test_only_the_camera_of_a_switched_target_needs_an_output() -> None:
+    far = '[cameras.far]\ndriver = "aravis"\ndevice = "192.168.77.21"'
+    other = BEAM.replace(far, '[cameras.far]\ndriver = "v4l2"\ndevice = "/dev/video1"')
+    assert loaded(other + CAMERA).switches is not None
+
+
 FAULTS = (
     (ROW, "", "", "switches: the glasses cannot be switched; possible: a table with driver"),
     (ROW + GPIOD, '"GLASS_1", ', "", "switches.lines: 1 line for 2 targets; possible: one for each"),
@@ -120,6 +141,33 @@ FAULTS = (
     ),
     (ROW + GPIOD, 'stable = ["t1"]', 'stable = ["t1", "t1"]', 'chain.stable.1: "t1" is in the list twice'),
     (ROW + GPIOD, 'instrument = "chain"\n', "", 'chain: is for instrument = "chain"'),
+    (
+        ROW + GPIOD,
+        "[switches]",
+        "[switches]\nsettle_s = 1.0",
+        "switches.settle_s: is for a beam with a switched target; possible: the same key in [chain]",
+    ),
+    (BEAM + ONE_LINE, "switched = true\n", "", "switches: no target has switched = true; possible: with one"),
+    (BEAM + GPIOD, "", "", "switches.lines: 2 lines for 1 switched target; possible: one for each"),
+    (BEAM, "", "", "switches: the glasses cannot be switched; possible: a table with driver"),
+    (
+        BEAM + ONE_LINE,
+        "z_mm = 280.0",
+        "z_mm = 280.0\nswitched = true",
+        "targets.1.switched: true, and no target is behind it; possible: false",
+    ),
+    (
+        BEAM + CAMERA,
+        "[switches]",
+        '[lamps]\ndriver = "camera"\ncameras = ["near"]\nline = "Line2"\n\n[switches]',
+        'switches.line: "Line2" of camera "near" switches the frame LEDs; possible: another line',
+    ),
+    (
+        BEAM + ONE_LINE,
+        "[switches]",
+        '[lamps]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["GLASS_1"]\n\n[switches]',
+        'switches.lines.0: "GLASS_1" is the line of lamps.lines.0 too; possible: another line',
+    ),
 )
 
 
