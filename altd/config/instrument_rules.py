@@ -40,7 +40,7 @@ def chain(draft: Draft) -> Iterator[Fault]:
             text = f"there is no target {shown(name)}{did_you_mean(name, names)}"
             yield Fault(keys, f"{text}; possible: {', '.join(map(shown, names))}", about=(("targets",),))
     yield from _switches(draft)
-    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "opcua"))
+    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer"))
 
 
 def _switches(draft: Draft) -> Iterator[Fault]:
@@ -86,7 +86,7 @@ def planar(draft: Draft) -> Iterator[Fault]:
         names = ", ".join(map(shown, draft.cameras))
         text = f"{names} are too many for a plate; possible: one"
         yield Fault(("cameras",), text, "key", about=(_KIND,))
-    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "stage", "opcua"))
+    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "stage"))
 
 
 def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:
