@@ -46,11 +46,8 @@ def interfaces_of(
         from altd.publish.opcua.publisher import OpcUaPublisher
 
         place = f"opcua {opcua.host}:{opcua.port}"
-        component, stale_after_s = health.component(place), config.measuring.stale_after_s
-        yield (
-            place,
-            OpcUaPublisher(opcua, board, health, component, past.history, stale_after_s, config.installation),
-        )
+        component = health.component(place)
+        yield place, OpcUaPublisher(opcua, board, health, component, past.history, config.installation)
     if (path := local_socket_of(config)) is not None:
         from altd.publish.http.publisher import LocalPublisher
 

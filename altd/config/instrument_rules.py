@@ -57,7 +57,7 @@ def chain(draft: Draft) -> Iterator[Fault]:
         text = "is for a beam with a switched target; possible: the same key in [chain]"
         yield Fault(("switches", key), text, "key", about=(_KIND,))
     yield from _switches(draft)
-    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer", "opcua"))
+    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "inclinometer"))
 
 
 def _switches(draft: Draft) -> Iterator[Fault]:
@@ -113,9 +113,7 @@ def planar(draft: Draft) -> Iterator[Fault]:
         names = ", ".join(map(shown, draft.cameras))
         text = f"{names} are too many for a plate; possible: one"
         yield Fault(("cameras",), text, "key", about=(_KIND,))
-    yield from _no_part_of_a_beam(
-        draft, ("installation", "lamps", "switches", "inclinometer", "stage", "opcua")
-    )
+    yield from _no_part_of_a_beam(draft, ("installation", "lamps", "switches", "inclinometer", "stage"))
 
 
 def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:

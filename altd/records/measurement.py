@@ -63,6 +63,11 @@ class Quantities:
         """Those that a person is shown: the main ones, and those of fitted sensors and of places."""
         return self.main + tuple(each for each in self.of_unit if each.is_from_sensor or each.place)
 
+    @property
+    def has_places(self) -> bool:
+        """Whether they are those of a row: each of its targets is measured, or not, on its own."""
+        return any(quantity.place for quantity in self.of_unit)
+
     def with_sensor(self, key: str) -> Quantities:
         """The same of a unit that has a sensor for the quantity ``key``: it comes with its sigma."""
         of_unit = tuple(

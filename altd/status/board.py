@@ -32,13 +32,13 @@ class Board:
     ) -> None:
         self.quantities = quantities
         """The quantities of its measurements; known before the first."""
+        self.stale_after_s = stale_after_s
         self._complete = complete
         self._rehearsal = rehearsal
         self.identity = identity
         """Whose measurements these are."""
         self._clock = clock
         self._started_ns = clock.monotonic_ns()
-        self._stale_after_ns = round(stale_after_s * 1e9)
         self._latest: Measurement | None = None
         self._stale: Measurement | None = None
         """The record shown once it is stale: always the same one, so that readers recognise it."""
@@ -101,7 +101,7 @@ class Board:
         if (shown := latest.at(now_ns)) is not latest:
             self._latest, self._stale = (latest := shown), None
         since_ns = min(self._published_ns, latest.light_ns)
-        if now_ns - since_ns <= self._stale_after_ns:
+        if now_ns - since_ns <= self.stale_after_s * 1e9:
             return latest
         if self._stale is None:
             self._stale = latest.without_numbers((*latest.status, Fault(Reason.STALE)))

@@ -92,7 +92,7 @@ def targets_object(
     ``known`` gives the value of a key of the unit, or of ``TARGET.KEY``. ``codes`` are those of the
     measurement.
     """
-    if not any(quantity.place for quantity in quantities.of_unit):
+    if not quantities.has_places:
         return {
             target: {
                 each.key: _rounded(_number(known(f"{target}.{each.key}")), each.decimals)

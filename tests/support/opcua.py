@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import json
+import os
 import subprocess
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
@@ -22,7 +25,7 @@ from altd.publish.opcua.publisher import OpcUaPublisher
 from altd.publish.opcua.quality import Status
 from altd.publish.opcua.server import LimitedServer
 from altd.publish.opcua.start import Start
-from altd.records import Quantities
+from altd.records import Measurement, Quantities
 from altd.runtime.clock import SystemClock
 from altd.status.board import Board
 from altd.status.health import Health
@@ -31,7 +34,8 @@ from altd.status.proof import Identity, Stamps
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 from altd.tcp_port import listen
-from support.foreign import need_program
+from support.foreign import need_npm, need_program
+from support.places import ROOT
 from tools.pages.example import MEASURED, SERIAL
 
 STALE_AFTER_S = 1.0
@@ -49,6 +53,7 @@ class OpcUaUnit:
     settings: OpcUaSettings = field(default_factory=lambda: OpcUaSettings(host="127.0.0.1", port=0))
     history: History = field(default_factory=lambda: History(None, "there is none"))
     quantities: Quantities = QUANTITIES
+    areas: tuple[TargetArea, ...] = AREAS
     rehearsal: bool = False
     stale_after_s: float = STALE_AFTER_S
 
@@ -59,23 +64,21 @@ class OpcUaUnit:
         )
         self.health = Health(self.clock)
         self.health.facts |= {"serial": SERIAL, "version": "0.1.0"}
-        self.health.targets = AREAS
+        self.health.targets = self.areas
         self.health.state = UnitState(self.board, self.health, self.clock).read
         self.component = self.health.component("opcua")
-        self.publisher = OpcUaPublisher(
-            self.settings, self.board, self.health, self.component, self.history, self.stale_after_s
-        )
+        self.publisher = OpcUaPublisher(self.settings, self.board, self.health, self.component, self.history)
         self.stamps = Stamps(self.board)
 
     @property
     def start(self) -> Start:
         return Start.from_line(self.publisher._start().to_line())  # noqa: SLF001
 
-    def measure(self, sequence: int = 160, **changes: Any) -> None:
+    def measure(self, sequence: int = 160, of: Measurement = MEASURED, **changes: Any) -> None:
         """Put a measurement of half a second ago on the board."""
         now_ns = self.clock.monotonic_ns()
         now = {"t_ns": now_ns - 500_000_000, "last_exposure_ns": now_ns, "quantities": self.quantities}
-        made = replace(MEASURED, sequence=sequence, **now)
+        made = replace(of, sequence=sequence, **now)
         self.board.publish(replace(made, time=self.clock.utc(now_ns - 500_000_000), **changes))
 
     def line(self) -> bytes:
@@ -167,6 +170,33 @@ async def read(client: Client, *keys: str) -> dict[str, Written]:
         key: Written(data.Value.Value, Status(data.StatusCode.value), data.SourceTimestamp)
         for key, data in zip(keys, found, strict=True)
     }
+
+
+async def by_node(url: str, **asked: Any) -> dict[str, Any]:
+    """The answer of node-opcua; ``opcua_client.js`` has what may be asked."""
+    node, keys = need_program("node", "nodejs"), need_npm("node-opcua-client") / "node_modules/.keys"
+    process = await asyncio.create_subprocess_exec(
+        *(node, ROOT / "tests/support/opcua_client.js", url, json.dumps(asked, default=str)),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env=os.environ | {"XDG_CONFIG_HOME": str(keys)},
+    )
+    async with asyncio.timeout(90):
+        out, err = await process.communicate()
+    lines = out.decode().strip().splitlines()
+    assert lines, err.decode()
+    answer: dict[str, Any] = json.loads(lines[-1])
+    return answer
+
+
+async def read_by_node(port: int, *keys: str) -> dict[str, Any]:
+    """The nodes that node-opcua reads of a daemon, once its server has started and has a measurement."""
+    async with asyncio.timeout(200):
+        while True:
+            answer = await by_node(f"opc.tcp://127.0.0.1:{port}/altd", keys=keys)
+            found: dict[str, Any] = answer.get("read", {})
+            if found and "BadWaitingForInitialData" not in {each["status"] for each in found.values()}:
+                return found
 
 
 def made_certificate(folder: Path, name: str, uri: str) -> tuple[Path, Path]:

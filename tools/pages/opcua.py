@@ -6,11 +6,13 @@ import sys
 
 from altd.config import Installation
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.instruments.chain.measurement import quantities_of
+from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua import server, sessions
 from altd.publish.opcua.__main__ import MAX_MEMORY_BYTES, NICE
 from altd.publish.opcua.history import MAX_VALUES
 from altd.publish.opcua.live import LINK_TIMEOUT_S
-from altd.publish.opcua.nodes import DI_NAMESPACE, HEALTH, UNIT_NAMESPACE, UNITS, VARIABLES
+from altd.publish.opcua.nodes import DI_NAMESPACE, HEALTH, OF_PLACE, UNIT_NAMESPACE, UNITS, VARIABLES
 from altd.publish.opcua.publisher import ranges_of
 from altd.publish.opcua.quality import OF_REASON, OF_SENSOR, Status
 from altd.reasons import Signal
@@ -40,7 +42,7 @@ same for all units), 3 the parts of OPC 10000-100 that the unit refers to (`{DI_
 The unit is the object `ns=2;s=unit` below `Objects` and `DeviceSet`, its type `ActiveLaserTargetType`, a
 subtype of `DeviceType`.
 
-AnalogItems of Double:
+AnalogItems of Double of a beam:
 
 | node | EURange | meaning |
 |---|---|---|
@@ -49,7 +51,7 @@ AnalogItems of Double:
 
 All identifiers begin with `ns=2;s=`. `KEY.sigma` is the combined standard uncertainty (1 sigma),
 `KEY.sigma_now` that of the value as a statement about the beam when it was written. `EURange` includes the
-offsets of `[installation]`.
+offsets of `[installation]`. [Rows and plates](#rows-and-plates) have other quantities. All units have:
 
 | node | BrowseName | meaning |
 |---|---|---|
@@ -59,7 +61,21 @@ offsets of `[installation]`.
 `SerialNumber`, `Model`, `SoftwareRevision`, `CalibrationCreated`, `CalibrationChecksum` and
 `CalibrationSimulated` identify unit and calibration. `Session` changes with each start of the daemon. Other
 members of `DeviceType` are empty, `RevisionCounter` is -1. Engineering units are those of UNECE
-({_units()}); mm/m has `unitId` -1.
+({_units()}); mm/m and mm/d have `unitId` -1.
+
+### Rows and plates
+
+| node of a [row](chain.md) | BrowseName | meaning |
+|---|---|---|
+{_of_row()}
+
+The nodes of a target are below its object, `targets.TARGET`. The spot has the calibrated area as `EURange`.
+
+| node of a [plate](planar.md) | unit | meaning |
+|---|---|---|
+{_of_plate()}
+
+Numbers with an uncertainty have `KEY.sigma`. None has `KEY.sigma_now`.
 
 ## Use a number
 
@@ -68,7 +84,8 @@ members of `DeviceType` are empty, `RevisionCounter` is -1. Engineering units ar
 3. Read all numbers in one request: they are then of one measurement.
 4. The SourceTimestamp is the middle of the exposures, or the time at which a value became Bad. Compare it
    with your clock (NTP): 0.5 to 0.6 s are normal, because a value is the mean of one second. Stop at 1 s, or
-   when no answer comes; without NTP when `sequence` has not changed for 0.5 s.
+   when no answer comes; without NTP when `sequence` has not changed for 0.5 s. A row measures once a round:
+   its values are stale 2.5 rounds after the last exposure.
 5. Monitor `sequence`, too, or use the trigger `StatusValueTimestamp`: `x_mm` alone sends nothing while it
    stays the same. Values change 20 times a second; the shortest publishing interval is
    {sessions.MIN_PUBLISHING_INTERVAL_MS:g} ms.
@@ -83,10 +100,14 @@ A measurement has the first code of this table that fits its [reasons](reasons.m
 |---|---|---|
 {_statuses()}
 
+- Each target of a row has the code of its own reasons and of those of the row. If it was not measured, its
+  numbers are Bad and null while those of others are Good. `targets.TARGET.status` says why.
+- A displacement that is not known is `Bad` although the target was measured: `baseline_incomplete`,
+  `no_baseline`, `stable_targets_disagree`.
 - No capture time is known: a valid number is `Uncertain` and has no SourceTimestamp.
 - A sigma that is not known is `Bad`.
-- After `stale_after_s` without a new measurement, or {LINK_TIMEOUT_S:g} s without data of the daemon, values
-  are `BadNoCommunication`.
+- After `stale_after_s` without a new measurement (of a row 2.5 rounds, where that is longer), or
+  {LINK_TIMEOUT_S:g} s without data of the daemon, values are `BadNoCommunication`.
 - A quantity of a sensor that is not fitted is `BadNotConnected`. Of a fitted one it has its own time, and by
   quality:
 
@@ -155,12 +176,28 @@ def _variables() -> str:
     return "\n".join(f"| `{key}` | {name} | {meaning} |" for key, (name, _, meaning) in VARIABLES.items())
 
 
+def _of_row() -> str:
+    quantities = quantities_of(["TARGET"])
+    rows = [f"| `{each.key}` | {each.key} | {each.meaning} |" for each in quantities.of_unit]
+    rows += [
+        f"| `targets.TARGET.{each.key}` | {each.key} | {each.meaning} |" for each in quantities.of_target
+    ]
+    rows += [
+        f"| `targets.TARGET.{key}` | {name} | {meaning} |" for key, (name, _, meaning) in OF_PLACE.items()
+    ]
+    return "\n".join(rows)
+
+
+def _of_plate() -> str:
+    return "\n".join(f"| `{each.key}` | {each.unit} | {each.meaning} |" for each in OF_PLATE.of_unit)
+
+
 def _health() -> str:
     return ", ".join(f"{signal.number} {name}" for signal, name in zip(Signal, HEALTH, strict=True))
 
 
 def _units() -> str:
-    return ", ".join(f"{unit}: {number}" for unit, (_, number, _) in UNITS.items() if number >= 0)
+    return ", ".join(f"{unit or name}: {number}" for unit, (_, number, name) in UNITS.items() if number >= 0)
 
 
 def _name(status: Status) -> str:

@@ -244,17 +244,13 @@ def of_target(target: str, key: str) -> Reading:
 def targets(snapshot: Snapshot) -> int | None:
     """The number of targets of a row; None: no row was measured yet."""
     measurement = snapshot.measurement
-    return len(measurement.targets) if measurement and _is_row(measurement) else None
-
-
-def _is_row(measurement: Measurement) -> bool:
-    return any(quantity.place for quantity in measurement.quantities.of_unit)
+    return len(measurement.targets) if measurement and measurement.quantities.has_places else None
 
 
 def _place(snapshot: Snapshot, number: int) -> tuple[Measurement, str] | None:
     """The measurement, and the name of the target with that number, from 1; None: there is none."""
     measurement = snapshot.measurement
-    if measurement is None or not _is_row(measurement) or number > len(measurement.targets):
+    if measurement is None or not measurement.quantities.has_places or number > len(measurement.targets):
         return None
     return measurement, list(measurement.targets)[number - 1]
 
@@ -296,7 +292,9 @@ def warnings_of_place(number: int) -> Reading:
 def row_warnings(snapshot: Snapshot) -> int | None:
     """The bits of ``ROW_WARNINGS``."""
     measurement = snapshot.measurement
-    return _bits(measurement, None, ROW_WARNINGS) if measurement and _is_row(measurement) else None
+    return (
+        _bits(measurement, None, ROW_WARNINGS) if measurement and measurement.quantities.has_places else None
+    )
 
 
 def _bits(measurement: Measurement, target: str | None, reasons: Sequence[Reason]) -> int:

@@ -83,7 +83,7 @@ class ServedUnit:
         else:
             server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         await self.nodes.build()
-        stored = StoredValues(self._history, start.targets, self.nodes.quantity_of)
+        stored = StoredValues(self._history, start, self.nodes.quantity_of)
         server.limited.read_history, server.limited.look = stored.read, self.live.look
         if settings.allow_self_check:
             await self.nodes.add_method("SelfCheck", "ask the unit for a self-check", self._self_check)

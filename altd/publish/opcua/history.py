@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import struct
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -13,7 +13,8 @@ from asyncua import ua
 from altd.history.history import History, NoHistoryError
 from altd.history.reader import Reader
 from altd.history.records import StoredMeasurement
-from altd.publish.opcua.quality import Status, status_of
+from altd.publish.opcua.quality import status_of
+from altd.publish.opcua.start import Start
 
 MAX_VALUES = 2000
 """Of one node in one answer; the rest is behind its continuation point."""
@@ -27,11 +28,10 @@ _CONTINUATION = struct.Struct(">Q")
 class StoredValues:
     """Answers requests from the file. ``key_of`` names the quantity of a node, None: it has no history."""
 
-    def __init__(
-        self, history: History, targets: Collection[str], key_of: Callable[[ua.NodeId], str | None]
-    ) -> None:
+    def __init__(self, history: History, start: Start, key_of: Callable[[ua.NodeId], str | None]) -> None:
         self._history = history
-        self._targets = targets
+        self._start = start
+        self._places = {each.key: each.place for each in start.quantities.of_unit}
         self._key_of = key_of
 
     async def read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
@@ -65,10 +65,10 @@ class StoredValues:
         return result
 
     def _value(self, row: StoredMeasurement, key: str) -> ua.DataValue:
-        status = status_of(row.valid, row.status, self._targets, has_time=True)
-        value = row.values.get(key)
-        if value is None and not status.is_bad:
-            status = Status.BAD
+        value, target = row.values.get(key), key.rpartition(".")[0] or self._places.get(key, "")
+        place = target if self._start.quantities.has_places else None
+        is_known = row.valid and value is not None
+        status = status_of(is_known, row.status, self._start.targets, has_time=True, place=place)
         return ua.DataValue(
             ua.Variant(None if status.is_bad else value),
             StatusCode=ua.StatusCode(status),

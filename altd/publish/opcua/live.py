@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Set
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from altd.publish.opcua.nodes import VARIABLES, UnitNodes
+from altd.publish.opcua.nodes import OF_PLACE, VARIABLES, UnitNodes
 from altd.publish.opcua.quality import Status, status_of, status_of_sensor
 from altd.publish.opcua.start import Start
 from altd.status.proof import crc32
@@ -75,44 +75,71 @@ class LiveUnit:
         if document["published"] != self._published:
             self._published, self._first_sent_ns = document["published"], self._sent_ns
         is_fresh = self._is_within(self._first_sent_ns, self._start.stale_after_s)
-        codes, text = document["status"], document["time"]
-        source = None if text is None else datetime.fromisoformat(text)
-        status = status_of(document["valid"], codes, self._start.targets, source is not None)
-        if not is_fresh:
-            status = Status.BAD_NO_COMMUNICATION
         self._numbers_known = is_fresh
-        now, write = self._utc(), self._nodes.write
+        text, now, write = document["time"], self._utc(), self._nodes.write
+        source = None if text is None else datetime.fromisoformat(text)
+        statuses = self._statuses(document)
         for quantity in self._start.quantities.of_unit:
-            key, of_value, at = quantity.key, status, source
-            if quantity.is_from_sensor or quantity.is_optional:
+            key, status, at = quantity.key, statuses[quantity.place], source
+            if quantity.is_from_sensor or (quantity.is_optional and not quantity.place):
                 said = document.get("sensors", {}).get(key)
-                of_value = status_of_sensor(said, status) if is_fresh else status
+                status = status_of_sensor(said, status) if is_fresh else status
                 at = now - timedelta(
                     seconds=self._since_s(self._first_sent_ns) + ((said or {}).get("age_s") or 0)
                 )
-            for place, value in (
-                (key, document[key]),
-                (f"{key}.sigma", document["sigma"].get(key)),
-                (f"{key}.sigma_now", document["sigma_now"].get(key)),
-            ):
-                if place in self._nodes.keys:
-                    await write(place, value, _known(value, of_value), at, now)
-        for target in self._start.targets:
-            for quantity in self._start.quantities.of_target:
-                value = document[target][quantity.key]
-                await write(f"targets.{target}.{quantity.key}", value, _known(value, status), source, now)
-        simulated = Status.UNCERTAIN_SIMULATED_VALUE
-        of_valid = status if not is_fresh or status is simulated else Status.GOOD
+            await self._write_numbers(key, document, status, at, now)
+        is_good = is_fresh and statuses[""] is not Status.UNCERTAIN_SIMULATED_VALUE
+        of_valid = Status.GOOD if is_good else statuses[""]
         await write("valid", document["valid"], of_valid, source, now)
+        for target, said in self._targets(document).items():
+            place = f"targets.{target}"
+            for quantity in self._start.quantities.of_target:
+                await self._write_numbers(f"{place}.{quantity.key}", said, statuses[target], source, now)
+            for key in OF_PLACE if self._start.quantities.has_places else ():
+                await write(f"{place}.{key}", said[key], of_valid, source, now)
         await write("sequence", document["sequence"] % _CLOCK_MS, Status.GOOD, source, now)
         await write("frames", document["frames"], Status.GOOD, source, now)
-        await write("status", codes, Status.GOOD, source, now)
+        await write("status", document["status"], Status.GOOD, source, now)
         age_s = document["age_s"]
         age_ms = None if age_s is None else round(1000 * (age_s + self._since_s(self._sent_ns)))
         of_age = Status.BAD_WAITING_FOR_INITIAL_DATA if age_ms is None else Status.GOOD
         await write(
             "age_ms", None if age_ms is None else max(min(age_ms, 2**31 - 1), -(2**31)), of_age, now, now
         )
+
+    def _targets(self, document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+        """The part of a measurement that is about each target."""
+        is_row = self._start.quantities.has_places
+        of = document["targets"] if is_row else document
+        return {target: of.get(target, {"valid": False, "status": []}) for target in self._start.targets}
+
+    def _statuses(self, document: Mapping[str, Any]) -> dict[str, Status]:
+        """The status of the unit's numbers, key empty, and of those of each target."""
+        targets, is_row = self._targets(document), self._start.quantities.has_places
+        if not self._numbers_known:
+            return dict.fromkeys(("", *targets), Status.BAD_NO_COMMUNICATION)
+
+        def status(of: Mapping[str, Any], place: str | None) -> Status:
+            is_valid = document["valid"] and of.get("valid", not is_row)
+            return status_of(is_valid, document["status"], targets, document["time"] is not None, place)
+
+        of_unit = status(document, "" if is_row else None)
+        return {"": of_unit} | {
+            target: status(said, target) if is_row else of_unit for target, said in targets.items()
+        }
+
+    async def _write_numbers(
+        self, key: str, said: Mapping[str, Any], status: Status, at: datetime | None, now: datetime
+    ) -> None:
+        """A quantity with its sigmas; ``said`` has them by the last part of ``key``."""
+        of = key.rpartition(".")[2]
+        for node, value in (
+            (key, said.get(of)),
+            (f"{key}.sigma", said.get("sigma", {}).get(of)),
+            (f"{key}.sigma_now", said.get("sigma_now", {}).get(of)),
+        ):
+            if node in self._nodes.keys:
+                await self._nodes.write(node, value, _known(value, status), at, now)
 
     async def _take_back(self, keys: Set[str]) -> None:
         now = self._utc()

@@ -26,8 +26,10 @@ UNITS = {
     "mm": (UNECE, int.from_bytes(b"MMT"), "millimetre"),
     "°": (UNECE, int.from_bytes(b"DD"), "degree"),
     "mm/m": (UNIT_NAMESPACE, -1, "millimetre per metre"),
+    "mm/d": (UNIT_NAMESPACE, -1, "millimetre per day"),
+    "": (UNECE, int.from_bytes(b"C62"), "one"),
 }
-"""Namespace, number and name of each unit of a quantity (OPC 10000-8, 5.6.4.4). UNECE has no mm/m."""
+"""Namespace, number and name of each unit of a quantity (OPC 10000-8, 5.6.4.4). UNECE lacks mm/m and mm/d."""
 
 HEALTH = ("NORMAL", "FAILURE", "CHECK_FUNCTION", "OFF_SPEC", "MAINTENANCE_REQUIRED")
 """``DeviceHealthEnumeration``; the numbers are those of ``altd.reasons.Signal``."""
@@ -54,6 +56,16 @@ VARIABLES: Mapping[str, tuple[str, int, str]] = {
 }
 """BrowseName, type and meaning of what is not a quantity, by node."""
 
+OF_PLACE: Mapping[str, tuple[str, int, str]] = {
+    "valid": ("Valid", ua.ObjectIds.Boolean, "whether the spot on the target was measured"),
+    "status": (
+        "Reasons",
+        ua.ObjectIds.String,
+        "the codes of reasons and warnings, without the target's name",
+    ),
+}
+"""The same of each target of a row."""
+
 _ARRAYS = {"status", "causes"}
 _TYPES = {
     ua.ObjectIds.Boolean: ua.VariantType.Boolean,
@@ -78,13 +90,20 @@ class UnitNodes:
         self._di = await self._server.register_namespace(DI_NAMESPACE)
         await self._device_model()
         await self._unit()
-        for quantity in self._start.quantities.of_unit:
-            await self._analog(quantity, quantity.key, "unit", self._start.ranges.get(quantity.key))
+        quantities = self._start.quantities
+        for quantity in quantities.of_unit:
+            if not quantity.place:
+                await self._analog(quantity, quantity.key, "unit", self._start.ranges.get(quantity.key))
         for target, ranges in self._start.targets.items():
             place = f"targets.{target}"
             await self._add(ua.ObjectAttributes(), place, "unit", target, ua.ObjectIds.BaseObjectType)
-            for quantity in self._start.quantities.of_target:
+            for quantity in quantities.of_target:
                 await self._analog(quantity, f"{place}.{quantity.key}", place, ranges.get(quantity.key))
+            for quantity in quantities.of_unit:
+                if quantity.place == target:
+                    await self._analog(quantity, quantity.key, place, None)
+            for key, (name, kind, meaning) in OF_PLACE.items() if quantities.has_places else ():
+                await self._variable(f"{place}.{key}", place, name, kind, meaning)
         for key, (name, kind, meaning) in VARIABLES.items():
             await self._variable(key, "unit", name, kind, meaning)
 
@@ -111,7 +130,7 @@ class UnitNodes:
         """Set a value; a Bad one is null. Raises UaError where asyncua refuses it: it would keep the old."""
         kind = ua.VariantType.Null if status.is_bad else self._types[key]
         data = ua.DataValue(
-            ua.Variant(None if status.is_bad else value, kind, is_array=key in _ARRAYS or None),
+            ua.Variant(None if status.is_bad else value, kind, is_array=_is_array(key) or None),
             StatusCode=ua.StatusCode(status),
             SourceTimestamp=source,
             ServerTimestamp=now,
@@ -207,7 +226,7 @@ class UnitNodes:
         for part, called, meaning in (
             ("sigma", "Sigma", "combined standard uncertainty (1 sigma) of the value"),
             ("sigma_now", "SigmaNow", "the same as a statement about the truth when it was written"),
-        ):
+        )[: 2 if self._start.quantities.has_motion else 1]:
             place = f"{key}.{part}"
             await self._variable(
                 place, key, called, ua.ObjectIds.Double, meaning, ua.ObjectIds.AnalogUnitType
@@ -227,7 +246,7 @@ class UnitNodes:
     ) -> None:
         attributes = ua.VariableAttributes()
         attributes.DataType = data_type if isinstance(data_type, ua.NodeId) else ua.NodeId(data_type)
-        attributes.ValueRank = ua.ValueRank.OneDimension if key in _ARRAYS else ua.ValueRank.Scalar
+        attributes.ValueRank = ua.ValueRank.OneDimension if _is_array(key) else ua.ValueRank.Scalar
         attributes.Description = ua.LocalizedText(meaning)
         attributes.MinimumSamplingInterval = 50.0
         if data_type == ua.ObjectIds.Double:
@@ -288,6 +307,10 @@ _CLASSES = {
     ua.ObjectTypeAttributes: ua.NodeClass.ObjectType,
     ua.DataTypeAttributes: ua.NodeClass.DataType,
 }
+
+
+def _is_array(key: str) -> bool:
+    return key.rpartition(".")[2] in _ARRAYS
 
 
 def _unit_of(symbol: str) -> ua.EUInformation:

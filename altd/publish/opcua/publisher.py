@@ -68,14 +68,13 @@ class OpcUaPublisher:
     A server that does not take its lines loses measurements, which are counted: it gets the newest only.
     """
 
-    def __init__(  # noqa: PLR0913  the parts of a unit
+    def __init__(
         self,
         settings: OpcUaSettings,
         board: Board,
         health: Health,
         component: Component,
         history: History,
-        stale_after_s: float,
         installation: Installation = Installation(),  # noqa: B008  frozen
     ) -> None:
         check_opcua(settings)
@@ -87,7 +86,6 @@ class OpcUaPublisher:
         self._health = health
         self._component = component
         self._history = history
-        self._stale_after_s = stale_after_s
         self._installation = installation
         self._stamps = Stamps(board)
         self._patience_s = START_TIMEOUT_S
@@ -186,10 +184,11 @@ class OpcUaPublisher:
             version=health.facts.get("version", ""),
             session=f"{board.identity.session or 0:08X}",
             started_ns=health.clock.monotonic_ns() - board.running_ns(),
-            stale_after_s=self._stale_after_s,
+            stale_after_s=board.stale_after_s,
             quantities=board.quantities,
             ranges=ranges_of(self._installation),
-            targets={
+            targets={each.place: {} for each in board.quantities.of_unit if each.place}
+            | {
                 area.name: {
                     key: (min(at), max(at))
                     for key, at in zip(("x_mm", "y_mm"), zip(*area.valid_mm, strict=True), strict=True)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Mapping
 from enum import IntEnum
 from typing import Any
 
-from altd.reasons import Reason, Scope
+from altd.reasons import Reason
 from altd.records.sensors import Quality
 
 
@@ -112,13 +112,18 @@ _RANK = {reason: rank for rank, reason in enumerate(OF_REASON)}
 _BY_CODE = {str(reason): reason for reason in Reason}
 
 
-def status_of(valid: bool, codes: Iterable[str], targets: Collection[str], has_time: bool) -> Status:
+def status_of(
+    valid: bool, codes: Iterable[str], targets: Collection[str], has_time: bool, place: str | None = None
+) -> Status:
     """The status of the numbers of a measurement with these codes of reasons and warnings.
 
     Numbers that are not valid are Bad whatever the codes. Valid ones with a code that is none of a
     warning are Uncertain, and so are those without a capture time: their age is not known.
+    ``place`` is the target of a row that the numbers are of, empty: the row. The codes of its other targets
+    do not count.
     """
-    reasons = [_reason(code, targets) for code in codes]
+    found = [_reason(code, targets) for code in codes]
+    reasons = [reason for target, reason in found if place is None or target in ("", place)]
     known = sorted((each for each in reasons if each is not None), key=_RANK.__getitem__)
     if not valid:
         worst = next((OF_REASON[reason] for reason in known), Status.BAD)
@@ -140,11 +145,10 @@ def status_of_sensor(said: Mapping[str, Any] | None, of_measurement: Status) -> 
     return of_measurement
 
 
-def _reason(code: str, targets: Collection[str]) -> Reason | None:
-    """The reason of a code, which begins with the name of a target where it concerns one."""
+def _reason(code: str, targets: Collection[str]) -> tuple[str, Reason | None]:
+    """The target whose name begins a code, empty: none does, and the reason; None: it is not known."""
     for target in targets:
         reason = _BY_CODE.get(code.removeprefix(f"{target}_"))
-        if reason is not None and str(reason) != code and reason.scope is Scope.TARGET:
-            return reason
-    reason = _BY_CODE.get(code)
-    return None if reason is None or reason.scope is Scope.TARGET else reason
+        if reason is not None and str(reason) != code:
+            return target, reason
+    return "", _BY_CODE.get(code)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import os
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 from pymodbus.client import ModbusTcpClient
 from support.cli import altd_here, refusal
+from support.opcua import read_by_node
 from support.played_unit import PlayingDaemon
 from support.ports import free_port
 
@@ -208,12 +210,11 @@ def test_the_daemon_measures_and_publishes_the_pose(
     a, b, phi = scene.poses(1)[0]
     stays = [Stay((a + step, b, phi), ALL) for step in (0.0, 3.0)]
     record(tmp_path / "moved", scene, stays, 20, lambda done, planned: None)
-    port, modbus = free_port(), free_port()
+    port, modbus, opcua = free_port(), free_port(), free_port()
     config = tmp_path / "altd.toml"
-    interfaces = (
-        f'[http]\nhost = "127.0.0.1"\nport = {port}\n[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
-    )
-    config.write_text(f"{PLAYED}{interfaces}")
+    served = {"http": port, "modbus_tcp": modbus, "opcua": opcua}
+    interfaces = (f'[{name}]\nhost = "127.0.0.1"\nport = {at}\n' for name, at in served.items())
+    config.write_text(PLAYED + "".join(interfaces))
     checked = altd_here("check-config", config)
     assert (checked.status, "unit SIM-PLANAR-31, 1 camera" in checked.out) == (0, True), checked
     command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
@@ -234,6 +235,13 @@ def test_the_daemon_measures_and_publishes_the_pose(
             assert math.isnan(floats[10]), "x of a beam"
             for value, truth, sigma in zip(floats[54:57], (a, b, phi), floats[57:60], strict=True):
                 assert min(abs(value - truth), abs(value - truth - 3.0)) < 5 * sigma
+            keys = [*KEYS, *(f"{key}.sigma" for key in KEYS), "valid", "status"]
+            read = asyncio.run(read_by_node(opcua, *keys))
+            assert {read[key]["status"] for key in keys[:7]} == {"UncertainSimulatedValue"}
+            assert {"playback", "simulated", "rehearsal"} >= set(read["status"]["value"]) >= {"rehearsal"}
+            for key, truth in zip(KEYS, (a, b, phi), strict=True):
+                error, sigma = abs(read[key]["value"] - truth), read[f"{key}.sigma"]["value"]
+                assert min(error, abs(error - 3.0) if key == "a_mm" else error) < 5 * sigma
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/v1/calibration") as answer:
                 assert set(json.load(answer)["expected_sigma"]) == set(KEYS)
         finally:
@@ -269,7 +277,6 @@ def test_a_plate_is_recorded_pose_by_pose_and_calibrated(scene: PlanarScene, tmp
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("[measuring]", "[opcua]\n[measuring]", "opcua: is for a beam; possible: no table"),
         ("window = 4", 'output = "now"', 'measuring.output: "now" is for a beam'),
         (
             "[cameras.plate]",

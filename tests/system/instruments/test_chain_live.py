@@ -15,12 +15,13 @@ from typing import Any
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 from support.cli import altd_here, refusal
+from support.opcua import read_by_node
 
 from altd.app.daemon import Daemon
 from altd.app.record import record_of
 from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
-from altd.config import ChainSettings, Config, KeptFrames, LocalSettings
+from altd.config import ChainSettings, Config, KeptFrames, LocalSettings, OpcUaSettings
 from altd.ports import LampsError
 from altd.publish.modbus.registers import NEAR, PER_PLACE
 from altd.recording.reader import open_recording
@@ -35,6 +36,7 @@ NAMES = ("t1", "t2", "t3")
 ROW_CONFIG = RowConfig(seed=7, z_mm=(0.0, 15_000.0, 30_000.0))
 STEP_MM = (0.32, -0.24)
 SETTINGS = ChainSettings(stable=("t1", "t3"), baseline_rounds=2, exposures=2, settle_s=0.35, alarm_mm=0.3)
+OF_T2 = ("t2_dx_mm", "t2_dx_mm.sigma", "targets.t2.x_mm", "targets.t2.valid", "targets.t2.status")
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +66,12 @@ class Unit:
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
 
+    async def by_node(self, *keys: str) -> dict[str, Any]:
+        """Nodes as a foreign client of OPC UA reads them."""
+        opcua = self.daemon.config.opcua
+        assert opcua is not None
+        return await read_by_node(opcua.port, *keys)
+
     async def until(self, condition: Callable[[Measurement], bool]) -> Measurement:
         cursor = self.daemon.board.cursor()
         while not condition(measurement := await cursor.next()):
@@ -76,7 +84,8 @@ def config(folder: Path, calibration: Path) -> Config:
     kept = KeptFrames(folder=folder / "kept", before_s=20.0, after_s=0.0, on_fault=False)
     local = LocalSettings(socket=folder / "altd.sock")
     of_row = config_of(ROW_CONFIG, calibration, free_port(), settings)
-    return of_row.model_copy(update={"kept_frames": kept, "local": local})
+    opcua = OpcUaSettings(host="127.0.0.1", port=free_port())
+    return of_row.model_copy(update={"kept_frames": kept, "local": local, "opcua": opcua})
 
 
 def codes(measurement: Measurement) -> set[str]:
@@ -122,6 +131,11 @@ async def _first_run(unit: Unit) -> None:
     measured = await unit.until(lambda measurement: dark <= codes(measurement))  # after a round of both kinds
     assert measured.valid
     assert [measured.targets[name] is None for name in NAMES] == [False, True, True]
+    read = await unit.by_node("measured", "valid", *OF_T2, "targets.t1.status")
+    assert [read[key]["value"] for key in ("measured", "valid")] == [1.0, True]
+    assert [read[key]["value"] for key in OF_T2] == [None, None, None, False, ["spot_missing"]]
+    assert {read[key]["status"] for key in OF_T2[:3]} == {"Bad"}
+    assert read["targets.t1.status"]["value"] == ["stuck_opaque"]
 
 
 async def _second_run(unit: Unit) -> None:
@@ -141,10 +155,19 @@ async def _second_run(unit: Unit) -> None:
     dx_mm, dy_mm, *_ = struct.unpack(">5f", struct.pack(">10H", *of_t2[2:]))
     assert of_t2[:2] == [0, 1]
     assert (abs(dx_mm - STEP_MM[0]), abs(dy_mm - STEP_MM[1])) < (0.05, 0.05)
+    read = await unit.by_node("t2_dy_mm", *OF_T2)
+    for key, truth in zip(("t2_dx_mm", "t2_dy_mm"), STEP_MM, strict=True):
+        assert abs(read[key]["value"] - truth) < 0.05
+        assert read[key]["status"] == "UncertainSimulatedValue"
+    assert 0.0 < read["t2_dx_mm.sigma"]["value"] < 0.05
+    assert [read[key]["value"] for key in OF_T2[3:]] == [True, ["alarm_displacement"]]
     unit.live.silent = frozenset(NAMES)
     silent = await unit.until(lambda measurement: not measurement.valid)
     assert {"t1_camera_silent", "t2_camera_silent", "t3_camera_silent"} <= codes(silent)
     assert silent.values == {}
+    read = await unit.by_node(*OF_T2)
+    assert [read[key]["value"] for key in OF_T2] == [None, None, None, False, ["camera_silent"]]
+    assert {read[key]["status"] for key in OF_T2[:3]} == {"BadSensorFailure"}
 
 
 def _json(address: str) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
 import signal
@@ -21,8 +20,7 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 from support import history as past
-from support.foreign import need_npm, need_program
-from support.opcua import OpcUaUnit, connected, made_certificate, read
+from support.opcua import OpcUaUnit, by_node, connected, made_certificate, read
 from support.places import ROOT
 from support.ports import free_port
 
@@ -103,28 +101,10 @@ def _lives(process: int) -> bool:
     return stat.rpartition(")")[2].split()[0] != "Z"
 
 
-async def by_node(unit: OpcUaUnit, **asked: Any) -> dict[str, Any]:
-    """The answer of node-opcua."""
-    node, keys = need_program("node", "nodejs"), need_npm("node-opcua-client") / "node_modules/.keys"
-    asked = {"keys": KEYS, **asked}
-    process = await asyncio.create_subprocess_exec(
-        *(node, ROOT / "tests/support/opcua_client.js", unit.url, json.dumps(asked, default=str)),
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-        env=os.environ | {"XDG_CONFIG_HOME": str(keys)},
-    )
-    async with asyncio.timeout(90):
-        out, err = await process.communicate()
-    lines = out.decode().strip().splitlines()
-    assert lines, err.decode()
-    answer: dict[str, Any] = json.loads(lines[-1])
-    return answer
-
-
 async def test_node_opcua_reads_values_units_identity_and_every_measurement() -> None:
     async with running() as there:
         more = ["x_mm.EURange", "yaw_deg.EngineeringUnits", "x_mm.sigma", "SerialNumber", "Model", "causes"]
-        answer = await by_node(there.unit, keys=KEYS + more)
+        answer = await by_node(there.unit.url, keys=KEYS + more)
         assert answer["namespaces"][1:] == [
             f"urn:altd:{SERIAL}",
             "urn:altd:unit",
@@ -141,7 +121,7 @@ async def test_node_opcua_reads_values_units_identity_and_every_measurement() ->
         unit = found["yaw_deg.EngineeringUnits"]["value"]
         assert (unit["unitId"], unit["displayName"]["text"]) == (int.from_bytes(b"DD"), "°")
         assert (found["SerialNumber"]["value"], found["Model"]["value"]) == (SERIAL, "Active Laser Target")
-        watched = await by_node(there.unit, seconds=3)
+        watched = await by_node(there.unit.url, keys=KEYS, seconds=3)
     sequences = [data["value"] for key, data in watched["changes"] if key == "sequence"]
     assert len(sequences) > 20
     assert sequences == sorted(set(sequences))
@@ -159,8 +139,8 @@ async def test_node_opcua_reads_the_history_in_the_quality_that_it_had(tmp_path:
     start = datetime.fromisoformat("2026-11-20T08:00:00Z")
     history = History(tmp_path / "history.db")
     async with running(history=history) as there:
-        span = {"from": start + timedelta(seconds=5), "to": start + timedelta(hours=2)}
-        answer = await by_node(there.unit, history="x_mm", **span)
+        span = {"keys": KEYS, "from": start + timedelta(seconds=5), "to": start + timedelta(hours=2)}
+        answer = await by_node(there.unit.url, history="x_mm", **span)
         old = answer["history"]
         assert len(old) == 2995, "with a continuation point"
         assert [each["value"] for each in old[:5]] == [15.0, 16.0, 17.0, 18.0, 19.0]
@@ -169,7 +149,7 @@ async def test_node_opcua_reads_the_history_in_the_quality_that_it_had(tmp_path:
         assert old[0]["source"] == "2026-11-20T08:00:05.000Z"
         assert old[-1]["value"] == 3009.0
         assert {each["status"] for each in old[7:]} == {"Good"}
-        none = await by_node(there.unit, history="valid", **span)
+        none = await by_node(there.unit.url, history="valid", **span)
         assert none["history_status"] == "BadHistoryOperationUnsupported"
 
 
@@ -185,14 +165,15 @@ async def test_node_opcua_needs_the_password_and_the_units_own_certificate(tmp_p
     async with running(settings=settings) as there:
         there.unit.health.self_check.open(lambda: asked.append(True))
         asked: list[bool] = []
-        login = {"secure": True, "user": "plant", "password": "a long one", "server_certificate": certificate}
-        answer = await by_node(there.unit, **login, call="SelfCheck")
+        login = {"keys": KEYS, "secure": True, "user": "plant", "password": "a long one"}
+        login |= {"server_certificate": certificate}
+        answer = await by_node(there.unit.url, **login, call="SelfCheck")
         assert answer["read"]["x_mm"]["status"] == "Good"
         assert (answer["call"], asked) == ("Good", [True])
-        assert "error" in await by_node(there.unit, **login | {"user": None})
-        assert "error" in await by_node(there.unit, secure=False)
-        assert "error" in await by_node(there.unit, **login | {"server_certificate": other})
-        assert "error" in await by_node(there.unit, **login | {"password": "another"})
+        assert "error" in await by_node(there.unit.url, **login | {"user": None})
+        assert "error" in await by_node(there.unit.url, keys=KEYS, secure=False)
+        assert "error" in await by_node(there.unit.url, **login | {"server_certificate": other})
+        assert "error" in await by_node(there.unit.url, **login | {"password": "another"})
         notes = [event.text for event in there.unit.health.events.after(0)]
         assert "a self-check was asked for" in notes
 

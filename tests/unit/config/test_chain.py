@@ -88,6 +88,13 @@ def test_only_the_camera_of_a_switched_target_needs_an_output() -> None:
     assert loaded(other + CAMERA).switches is not None
 
 
+def test_a_row_may_have_every_interface_but_the_telegram() -> None:
+    others = '[opcua]\nport = 4841\n[http]\n[modbus_tcp]\n[mqtt]\nhost = "broker"\n'
+    of_row = loaded(ROW + GPIOD + others)
+    assert of_row.opcua is not None
+    assert of_row.opcua.port == 4841
+
+
 FAULTS = (
     (ROW, "", "", "switches: the glasses cannot be switched; possible: a table with driver"),
     (ROW + GPIOD, '"GLASS_1", ', "", "switches.lines: 1 line for 2 targets; possible: one for each"),

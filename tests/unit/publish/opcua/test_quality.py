@@ -62,6 +62,37 @@ def test_a_measurement_has_the_status_of_its_worst_reason(
     assert status_of(valid, codes, TARGETS, has_time=True) is expected
 
 
+@pytest.mark.parametrize(
+    ("valid", "codes", "expected"),
+    [
+        (True, ["t2_spot_missing", "t2_stuck_clear", "t3_alarm_rate"], Status.GOOD),
+        (True, ["t1_stable_moved", "t1_exposures_lost", "t1_alarm_displacement"], Status.GOOD),
+        (True, ["t1_spot_missing"], Status.UNCERTAIN),
+        (True, ["t1_a_code_of_tomorrow"], Status.UNCERTAIN),
+        (True, ["t2_a_code_of_tomorrow"], Status.UNCERTAIN),
+        (True, ["t2_spot_missing", "simulated"], Status.UNCERTAIN_SIMULATED_VALUE),
+        (False, ["t2_camera_silent", "t1_spot_missing"], Status.BAD),
+        (False, ["t1_camera_silent", "t1_stuck_opaque"], Status.BAD_SENSOR_FAILURE),
+        (False, ["t1_out_of_range"], Status.BAD_OUT_OF_RANGE),
+        (False, ["t1_no_baseline"], Status.BAD),
+        (False, ["t1_spot_missing", "not_live", "simulated"], Status.BAD_OUT_OF_SERVICE),
+    ],
+)
+def test_a_place_of_a_row_has_the_status_of_its_own_reasons_and_of_those_of_the_row(
+    valid: bool, codes: list[str], expected: Status
+) -> None:
+    assert status_of(valid, codes, ("t1", "t2", "t3"), has_time=True, place="t1") is expected
+
+
+def test_no_code_is_that_of_two_targets() -> None:
+    assert not [(one, other) for one in Reason for other in Reason if one.endswith(f"_{other}")]
+
+
+def test_a_plate_has_no_targets_and_the_reasons_of_one() -> None:
+    assert status_of(False, ["camera_silent"], (), has_time=True) is Status.BAD_SENSOR_FAILURE
+    assert status_of(True, ["camera_silent"], (), has_time=True) is Status.UNCERTAIN
+
+
 def test_a_value_whose_age_cannot_be_known_is_not_good() -> None:
     assert status_of(True, [], TARGETS, has_time=False) is Status.UNCERTAIN
     assert status_of(True, ["simulated"], TARGETS, has_time=False) is Status.UNCERTAIN_SIMULATED_VALUE
