@@ -107,15 +107,22 @@ class GlassCycle:
 
 def glass_cycle(switches: LampController[str], config: Config, fps: float, clock: Clock) -> GlassCycle:
     """The cycle of a config's row, or of a beam with ``[switches]``."""
-    is_row = config.unit.instrument == "chain"
-    settings = config.switches if config.switches and not is_row else config.chain or ChainSettings()
+    settings = _visits(config)
     targets = [target.name for target in config.targets]
     period_ns = {target.camera: round(1e9 / fps) for target in config.targets}
     marks = OpaqueMarks(clock, settings.settle_s, period_ns)
-    return GlassCycle(switches, marks, clock, targets, settings, fps, is_shuffled=not is_row)
+    is_beam = config.unit.instrument == "beam"
+    return GlassCycle(switches, marks, clock, targets, settings, fps, is_shuffled=is_beam)
 
 
-def round_s(settings: ChainSettings | AnySwitchesSettings, targets: int, fps: float) -> tuple[float, float]:
-    """The shortest and the longest duration of a round."""
+def _visits(config: Config) -> ChainSettings | AnySwitchesSettings:
+    """The settings of the visits: a row has them in [chain], a beam in [switches]."""
+    is_beam = config.unit.instrument == "beam"
+    return config.switches if is_beam and config.switches else config.chain or ChainSettings()
+
+
+def round_s(config: Config, fps: float) -> tuple[float, float]:
+    """The shortest and the longest duration of a round of all targets."""
+    settings, targets = _visits(config), len(config.targets)
     visit_s = settings.settle_s + (settings.exposures + 1) / fps
     return targets * visit_s, targets * (visit_s + MAX_PAUSE_SHARE * settings.settle_s)

@@ -97,7 +97,7 @@ def _row(config: Config, calibration: Calibration) -> _Parts:
     settings = config.chain or ChainSettings()
     file = baseline_file(config, calibration)
     means = None if file is None else file.load()
-    longest_s = round_s(settings, len(config.targets), fps_of(config))[1]
+    longest_s = round_s(config, fps_of(config))[1]
 
     def chain(provenance: Provenance) -> Chain:
         return RowChain(views_of(config), calibration, settings, config.measuring, provenance, means)

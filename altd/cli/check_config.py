@@ -26,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Report it, and which files are not there yet; 2 for what cannot be used."""
+    from altd.acquisition.glasses import round_s
     from altd.app.parts import check_files, missing_files
+    from altd.app.self_check import fps_of
     from altd.app.settings import load_settings
     from altd.config import RecordingCameraSettings
     from altd.records import counted
@@ -39,6 +41,9 @@ def run(options: argparse.Namespace) -> int:
         return 2
     if config.unit.instrument == "chain" and not _powers_suffice(config):
         return 2
+    if config.switched_targets:
+        shortest_s, longest_s = round_s(config, fps_of(config))
+        say(f"a round takes {shortest_s:.1f} to {longest_s:.1f} s")
     simulated = calibration is not None and calibration.simulated
     origin = ", calibrated from SIMULATED frames" if simulated else ""
     has = f"{len(config.targets)} targets" if config.targets else counted(len(config.cameras), "camera")
@@ -51,9 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _powers_suffice(config: Config) -> bool:
-    """Show the round's duration and the power on each target of a row; whether that suffices for all."""
-    from altd.acquisition.glasses import round_s
-    from altd.app.self_check import fps_of
+    """Show the power on each target of a row; whether that suffices for all."""
     from altd.config import ChainSettings
     from altd.instruments.chain.budget import powers_mw
 
@@ -61,8 +64,6 @@ def _powers_suffice(config: Config) -> bool:
     powers = powers_mw(chain, len(config.targets))
     for number, (target, power_mw) in enumerate(zip(config.targets, powers, strict=True)):
         say(f"{target.name}: {power_mw:.4f} mW, {chain.transmission:g}^{number} of {chain.laser_mw:g} mW")
-    shortest_s, longest_s = round_s(chain, len(config.targets), fps_of(config))
-    say(f"a round takes {shortest_s:.1f} to {longest_s:.1f} s")
     weak = [target.name for target, mw in zip(config.targets, powers, strict=True) if mw < chain.min_mw]
     if weak:
         complain(

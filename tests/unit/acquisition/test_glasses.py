@@ -6,6 +6,7 @@ import asyncio
 import random
 from collections.abc import AsyncIterator
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from support.clock import FakeClock, stop
 
 from altd.acquisition.glasses import GlassCycle, OpaqueMarks, round_s
 from altd.acquisition.lamps.controller import LampController
-from altd.config import ChainSettings
+from altd.config import ChainSettings, Config, Target, Unit
 from altd.ports import LampsError
 from altd.records import Frame
 
@@ -23,6 +24,11 @@ PERIOD_NS = 50_000_000
 SETTINGS = ChainSettings(settle_s=0.3, exposures=4)
 TARGETS = ("t1", "t2", "t3")
 PIXELS = np.zeros((4, 4), np.uint8)
+CONFIG = Config(
+    unit=Unit(serial="ROW", calibration=Path("chain.json"), instrument="chain"),
+    targets=tuple(Target(name=name, z_mm=float(at), camera=name) for at, name in enumerate(TARGETS)),
+    chain=SETTINGS,
+)
 
 
 class Switch:
@@ -75,7 +81,7 @@ async def test_every_target_gets_its_exposures_and_the_round_keeps_its_time(
     assert all(len(run) >= SETTINGS.exposures for run in filter(None, runs[:-1]))
     starts_s = [at_s for name, at_s in switch.shown if name == "t1"]
     durations_s = np.diff(starts_s)
-    shortest_s, longest_s = round_s(SETTINGS, len(TARGETS), FPS)
+    shortest_s, longest_s = round_s(CONFIG, FPS)
     assert np.all((durations_s >= shortest_s) & (durations_s <= longest_s))
     assert durations_s.std() > 0.02  # by chance: no vibration stays in step
     await stop(task)

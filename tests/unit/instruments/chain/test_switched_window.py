@@ -146,6 +146,23 @@ def test_in_a_fixed_order_a_vibration_in_step_with_the_rounds_would_be_wrong_by_
     assert worst > 4.0
 
 
+@pytest.mark.parametrize("px_per_s", [0.05, 1.0, 10.0])
+@pytest.mark.parametrize("course", ["start", "stop", "turn"])
+def test_a_motion_that_begins_ends_or_turns_is_in_sigma(course: str, px_per_s: float) -> None:
+    for seed in range(3):
+
+        def path(target: str, t_s: float, at_s: float = 20.0 + 0.3 * seed) -> tuple[float, float]:
+            u_px, v_px = still(target, t_s)
+            since_s = t_s - at_s
+            moved_s = {"start": max(since_s, 0.0), "stop": min(since_s, 0.0), "turn": abs(since_s)}[course]
+            return u_px + px_per_s * moved_s, v_px
+
+        for mean in means(shown(path, 34.0, seed), window_of(2)):
+            if isinstance(mean, MeanSpots):
+                sigma_px = math.sqrt(mean.covariance_px2[0, 0] + mean.covariance_px2[2, 2])
+                assert abs(mean.px[1, 0] - mean.px[0, 0] - 10.0) < 5.0 * sigma_px
+
+
 @pytest.mark.parametrize("jump_px", [0.3, 1.0, 5.0, 40.0])
 def test_a_beam_that_jumps_between_two_visits_gives_no_wrong_number(jump_px: float) -> None:
     for seed, at_s in enumerate(np.arange(15.0, 18.0, 0.25)):
@@ -192,9 +209,15 @@ def swapped(of: FrameSet, _: float) -> FrameSet:
     return with_spots(of, of.spots["rear"], of.spots["front"])
 
 
+def lamp_behind(of: FrameSet, _: float) -> FrameSet:
+    """Light of a spot's size on the rear target, with or without the beam."""
+    return with_spots(of, of.spots["front"], spot(REAR))
+
+
 @pytest.mark.parametrize(
     ("change", "code"),
     [
+        (lamp_behind, "rear_not_confirmed"),
         (stuck_opaque, "front_stuck_opaque"),
         (stuck_clear, "front_stuck_clear"),
         (unswitched_haze, "front_stuck_clear"),
