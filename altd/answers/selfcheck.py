@@ -14,8 +14,7 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording, open_recording
 from altd.records import Frame, Origin, Spot
-from altd.selfcheck.history_document import as_object
-from altd.selfcheck.records import LedView, Limits
+from altd.selfcheck.records import LedView, Limits, as_object
 from altd.selfcheck.verdict import judge
 from altd.vision.localise import locate
 
