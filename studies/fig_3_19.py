@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.inverse import InverseMap
-from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.nodes import Nodes
 from altd.mapping.polynomials import gram_basis
 from altd.records import FloatArray

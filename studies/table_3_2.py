@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
 from altd.instruments.planar.homography import apply_homography, fit_homography
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
-from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import FloatArray

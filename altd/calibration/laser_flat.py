@@ -30,8 +30,8 @@ from altd.calibration.scan_grid import relative_sigmas
 from altd.calibration.scan_nodes import Job, first_of_nodes, locate_nodes
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
+from altd.mapping.camera_model import px2_per_mm2
 from altd.mapping.grid import edge_lines
-from altd.mapping.light_centre import px2_per_mm2
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap
 from altd.recording.reader import Recording

@@ -15,8 +15,8 @@ import numpy as np
 
 from altd.records import FloatArray
 from altd.vision.flat import Flat
+from altd.vision.frame_analysis import Patch
 from altd.vision.image import Centre, Image, Mask, Noise, gaussian_blur
-from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 
 

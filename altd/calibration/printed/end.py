@@ -13,9 +13,8 @@ import numpy as np
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, Frame, Spot
 from altd.statistics import MAD_TO_SIGMA
-from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.frame_analysis import FrameAnalysis, Patch
 from altd.vision.localise import locate_in
-from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 
 _MOMENT = SpotSettings(method="moment")
