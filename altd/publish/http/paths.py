@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from altd.publish.http import login, models, self_check
+from altd.publish.http import models, self_check
 from altd.publish.http.answers import Answers
 from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
 from altd.publish.http.diagnostics import ZIP
@@ -267,7 +267,7 @@ PATHS = (
         "the user who is logged in, and whether acting is allowed",
         {
             "GET": Operation(
-                lambda to, request: login.session(request, to.guard),
+                Answers.session,
                 "The user who is logged in",
                 models.Session,
             )
@@ -278,7 +278,7 @@ PATHS = (
         "`POST` name and password: begins a session",
         {
             "POST": Operation(
-                lambda to, request: login.log_in(request, to.guard),
+                Answers.log_in,
                 "Log in: begins a session, whose cookie comes back",
                 models.Session,
                 takes=models.Login,
@@ -299,7 +299,7 @@ PATHS = (
         "`POST`: ends the session",
         {
             "POST": Operation(
-                lambda to, request: login.log_out(request, to.guard),
+                Answers.log_out,
                 "Log out",
                 models.Session,
                 errors={403: _NOT_ALLOWED[403]},
