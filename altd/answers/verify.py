@@ -49,10 +49,7 @@ class _Measured:
 
 
 def verify(
-    recordings: Sequence[Path],
-    calibration: Path,
-    earlier: Path | None,
-    progress: Callable[[int, int], None],
+    recordings: Sequence[Path], calibration: Path, earlier: Path | None, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """The verification as plain JSON types; each recording is a set.
 

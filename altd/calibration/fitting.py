@@ -126,10 +126,7 @@ class _Families:
 
 
 def fit_nodes(
-    nodes: Nodes,
-    image_size: tuple[int, int],
-    max_dropped: int,
-    fiducials: Fiducials | None = None,
+    nodes: Nodes, image_size: tuple[int, int], max_dropped: int, fiducials: Fiducials | None = None
 ) -> TargetFit:
     """Fit nodes by every model; the best is the map, the other family's checks it.
 

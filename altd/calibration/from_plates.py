@@ -18,12 +18,7 @@ from altd.calibration.result import Progress, TargetsResult, residual_distances_
 from altd.calibration.soundness import TargetEvidence
 from altd.calibration.target_frames import FrameRow, LitRows, TargetFrames, lit_rows
 from altd.errors import BadInputError
-from altd.mapping.camera_model import (
-    disc_moment_mm2,
-    light_centre_shift_px,
-    px2_per_mm2,
-    spot_moment_mm2,
-)
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px, px2_per_mm2, spot_moment_mm2
 from altd.mapping.nodes import Nodes
 from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader

@@ -100,12 +100,7 @@ def _with_pattern(
     """The target with what print and speckle do to a spot, and what its spots are like."""
     first = first_of_nodes(job)
     reference = spot_reference(
-        lambda node: first[node].frame(),
-        len(first),
-        target.localiser,
-        target.flat,
-        target.map,
-        pattern_px,
+        lambda node: first[node].frame(), len(first), target.localiser, target.flat, target.map, pattern_px
     )
     spot = reference or UNKNOWN_SPOT
     shape_mm = pattern_shape(np.array(list(scatter.residuals_mm.values())), spot.shape)
@@ -136,10 +131,7 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
             f"at {', '.join(sides)} mm: record a flat and calibrate with --flat, or scan a smaller area",
         )
     found = find_print(
-        lambda node: located[node].frame(),
-        _spots_px(scanned.usable),
-        made.target.map,
-        job.localiser,
+        lambda node: located[node].frame(), _spots_px(scanned.usable), made.target.map, job.localiser
     )
     if found is not None:
         return _calibrate_printed(job, found, progress)

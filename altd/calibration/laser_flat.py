@@ -185,11 +185,7 @@ def _solved(
 
 
 def _powers(
-    raster: Raster,
-    exposures: Iterator[tuple[Image, Shot | None]],
-    dark: Image,
-    spot: Image,
-    first: _Solution,
+    raster: Raster, exposures: Iterator[tuple[Image, Shot | None]], dark: Image, spot: Image, first: _Solution
 ) -> FloatArray:
     """The laser's power in each exposure, (n,), 1 as usual, 0 for one that shows no spot.
 

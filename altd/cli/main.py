@@ -132,9 +132,7 @@ def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
 def command_parser() -> Parser:
     """The parser of all commands."""
     parser = Parser(
-        prog="altd",
-        description="The measuring daemon of an Active Laser Target.",
-        epilog=_FIRST_STEPS,
+        prog="altd", description="The measuring daemon of an Active Laser Target.", epilog=_FIRST_STEPS
     )
     parser.add_argument("--version", action="version", version=f"altd {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")

@@ -26,10 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="settings of a row of switched targets: which are stable",
     )
     parser.add_argument(
-        "--window",
-        type=_count,
-        metavar="N",
-        help="exposures averaged (default: 20; of a scan all of a node)",
+        "--window", type=_count, metavar="N", help="exposures averaged (default: 20; of a scan all of a node)"
     )
     parser.add_argument("--every", type=_count, metavar="N", help="one line per N exposures (default: 1)")
     parser.add_argument(

@@ -224,10 +224,7 @@ def fit_tensor_map(
 
 
 def fit_tensor_maps(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
-    hull_mm: FloatArray,
-    relative_sigma: FloatArray | None = None,
+    nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray, relative_sigma: FloatArray | None = None
 ) -> list[Fit]:
     """The fits of all degrees that the nodes carry: along an axis up to two less than its nodes, 6 at most.
 

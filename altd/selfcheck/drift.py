@@ -275,10 +275,7 @@ def fit_similarity(
     )
     residuals = now_px - similarity.now_px(then_px)
     return Fitted(
-        similarity,
-        residuals,
-        float(np.sum((residuals / sigma_px[:, None]) ** 2)),
-        2 * len(then_px) - 4,
+        similarity, residuals, float(np.sum((residuals / sigma_px[:, None]) ** 2)), 2 * len(then_px) - 4
     )
 
 

@@ -194,10 +194,7 @@ def _contour(irradiance: Image, level: float, mask: Mask) -> _Contour | None:
         return None
     pixel = np.arange(irradiance.size).reshape(irradiance.shape)
     pairs = []
-    for here, there in (
-        (np.s_[:, :-1], np.s_[:, 1:]),
-        (np.s_[:-1, :], np.s_[1:, :]),
-    ):
+    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
         leaving, entering = piece[here] & ~piece[there], ~piece[here] & piece[there]
         pairs.append((pixel[here][leaving], pixel[there][leaving]))
         pairs.append((pixel[there][entering], pixel[here][entering]))

@@ -84,10 +84,7 @@ def locate_in(
 
 
 def spot_in(
-    analysis: FrameAnalysis,
-    region: Region,
-    flat: Flat | None = None,
-    reference: SpotReference | None = None,
+    analysis: FrameAnalysis, region: Region, flat: Flat | None = None, reference: SpotReference | None = None
 ) -> Spot | NoSpot:
     """The spot in one bright region of a frame, whatever else shines, or why it is none."""
     frame, settings = analysis.frame, analysis.settings

@@ -143,11 +143,7 @@ def nice_length(longest: float) -> float:
 
 
 def arrows(
-    plane: Plane,
-    target: TargetCalibration,
-    seen: TargetEvidence,
-    offsets_mm: FloatArray,
-    scale: float,
+    plane: Plane, target: TargetCalibration, seen: TargetEvidence, offsets_mm: FloatArray, scale: float
 ) -> Draw:
     """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets (n, 2), with a scale arrow."""
 
@@ -180,13 +176,7 @@ def _vectors(
     _key(axes, plane, *key)
 
 
-def differences(
-    plane: Plane,
-    title: str,
-    over: Raster,
-    largest_mm: float,
-    scale: float,
-) -> Draw:
+def differences(plane: Plane, title: str, over: Raster, largest_mm: float, scale: float) -> Draw:
     """Offsets (rows, columns, 2) in mm of another map's places: colour for length, and some arrows."""
 
     def draw(canvas: Canvas) -> None:
@@ -205,13 +195,7 @@ def differences(
     return draw
 
 
-def contours(
-    plane: Plane,
-    title: str,
-    over: Raster,
-    limits: tuple[float, float],
-    unit: str,
-) -> Draw:
+def contours(plane: Plane, title: str, over: Raster, limits: tuple[float, float], unit: str) -> Draw:
     """A value (rows, columns) over the area, NaN where there is none, on the given scale."""
 
     def draw(canvas: Canvas) -> None:

@@ -83,11 +83,7 @@ class Verdict:
         return tuple(dict.fromkeys(check.remedy for check in self.checks if check.level > Level.GOOD))
 
 
-def judge(
-    calibration: Calibration,
-    evidence: Sequence[TargetEvidence],
-    prediction: Prediction,
-) -> Verdict:
+def judge(calibration: Calibration, evidence: Sequence[TargetEvidence], prediction: Prediction) -> Verdict:
     """Judge a calibration by what its scan shows."""
     limit, advice = _limit(prediction, calibration.targets)
     checks = [

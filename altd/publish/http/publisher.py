@@ -236,12 +236,7 @@ class LocalPublisher(HttpPublisher):
     is_local = True
 
     def __init__(
-        self,
-        path: Path,
-        board: Board,
-        health: Health,
-        component: Component,
-        history: History | None = None,
+        self, path: Path, board: Board, health: Health, component: Component, history: History | None = None
     ) -> None:
         super().__init__(HttpSettings(), board, health, component, history)
         self._path = path

@@ -36,22 +36,9 @@ def _published(snapshot: Snapshot) -> int:
 
 HEAD = (
     Register(200, "block_version", Type.U16, "", "version of this block", values.constant(BLOCK_VERSION)),
+    Register(201, "state", Type.U16, "", values.STATE_MEANING, values.state, is_ageing=True),
     Register(
-        201,
-        "state",
-        Type.U16,
-        "",
-        values.STATE_MEANING,
-        values.state,
-        is_ageing=True,
-    ),
-    Register(
-        202,
-        "unit",
-        Type.U32,
-        "",
-        "CRC-32 of the serial number",
-        _of_stamp(attrgetter("identity.unit")),
+        202, "unit", Type.U32, "", "CRC-32 of the serial number", _of_stamp(attrgetter("identity.unit"))
     ),
     Register(
         204,

@@ -209,29 +209,22 @@ class Responder:
         if place := BLOCK.place(address, count):
             checked = self._snapshot(stamp=self._stamps.next(), report=self._health.state())
             return self._block.at(checked)[place]
-        if place := UNIT.place(address, count):
-            identity, uptime_s = self._board.identity, self._running_s()
-            known = self._snapshot(health=self._health, identity=identity, uptime_s=uptime_s)
-            return image(known, UNIT, self._order)[place]
         if place := CONDITION.place(address, count):
             report = self._health.state()
             if report is not None and self._running_s() - self._shares_s >= _SHARES_EVERY_S:
-                shares, self._shares_s = report.availability.shares(), self._running_s()
-                self._shares = shares
-            found = self._snapshot(health=self._health, report=report, shares=self._shares)
+                self._shares, self._shares_s = report.availability.shares(), self._running_s()
+            found = self._snapshot(report=report, shares=self._shares)
             return image(found, CONDITION, self._order)[place]
-        if place := RELATIVE.place(address, count):
-            known = self._snapshot(health=self._health, identity=self._board.identity)
-            return image(known, RELATIVE, self._order)[place]
-        for of_row in (NEAR, FAR):
-            if place := of_row.place(address, count):
-                return image(self._snapshot(), of_row, self._order)[place]
+        for table in (UNIT, RELATIVE, NEAR, FAR):
+            if place := table.place(address, count):
+                return image(self._snapshot(), table, self._order)[place]
         return None
 
     def _running_s(self) -> float:
         return self._board.running_ns() * 1e-9
 
     def _snapshot(self, **more: Any) -> Snapshot:
-        """The board at this moment."""
-        board = self._board
-        return Snapshot(board.read(), board.age_s(), board.published, **more)
+        """Board and unit at this moment."""
+        board, uptime_s = self._board, self._running_s()
+        about = {"identity": board.identity, "uptime_s": uptime_s, "health": self._health, **more}
+        return Snapshot(board.read(), board.age_s(), board.published, **about)

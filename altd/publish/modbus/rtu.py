@@ -231,11 +231,7 @@ class ModbusRtuPublisher:
     """Serves the board over Modbus RTU; is silent to any unit id but its own."""
 
     def __init__(
-        self,
-        settings: ModbusRtuPortSettings,
-        board: Board,
-        component: Component,
-        health: Health,
+        self, settings: ModbusRtuPortSettings, board: Board, component: Component, health: Health
     ) -> None:
         self._settings = settings
         self._responder = Responder(board, component, health, settings)

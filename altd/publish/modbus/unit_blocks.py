@@ -68,20 +68,10 @@ _UNIT_ROWS = (
     Register(304, "session", Type.U32, "", "as at address 204", values.of_identity("session")),
     Register(306, "uptime", Type.U32, "s", "since the daemon started", values.uptime_s),
     Register(
-        308,
-        "calibration_date",
-        Type.U32,
-        "",
-        "UTC: 2026-11-02 is 20261102",
-        _of_health(_calibration_date),
+        308, "calibration_date", Type.U32, "", "UTC: 2026-11-02 is 20261102", _of_health(_calibration_date)
     ),
     Register(
-        310,
-        "calibration_age",
-        Type.U16,
-        "d",
-        "age of the calibration",
-        _of_health(_calibration_age_days),
+        310, "calibration_age", Type.U16, "d", "age of the calibration", _of_health(_calibration_age_days)
     ),
     Register(
         312,
