@@ -14,7 +14,6 @@ import numpy as np
 
 from altd.app.replay import Replay, open_replay
 from altd.calibration.calibrating import sha256_of_all
-from altd.calibration.verification.beams import BeamSet, beam_set
 from altd.calibration.verification.document import (
     comparison,
     head_object,
@@ -22,7 +21,7 @@ from altd.calibration.verification.document import (
     residual_objects,
     set_objects,
 )
-from altd.calibration.verification.estimate import estimate, why_not_aligned, why_too_few
+from altd.calibration.verification.estimate import BeamSet, beam_set, estimate, why_not_aligned, why_too_few
 from altd.calibration.verification.verdict import Judgement, Result, judge
 from altd.errors import BadInputError
 from altd.recording.header import RecordingHeader

@@ -10,11 +10,10 @@ import numpy as np
 from altd.calibration.camera_fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shape
-from altd.calibration.printed.end import cut_sides
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
-from altd.calibration.scan_grid import offset_doubts, relative_sigmas, scan_grid
+from altd.calibration.scan_grid import cut_sides, offset_doubts, relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import (
     Job,
     Node,
