@@ -20,7 +20,7 @@ from altd.history.schema import UnusableFileError
 from altd.process.standard_streams import say
 from altd.records import utc_text
 from altd.status.event_log import EventKind
-from altd.tables.columns import Column, CsvTable, Type, text
+from altd.tables import Column, CsvTable, Type, text
 
 
 @contextmanager

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,19 +10,17 @@ from typing import Literal
 from altd import __version__
 from altd.answers.events import opened, time_text
 from altd.errors import BadInputError
-from altd.files.writing import check_replaceable, replacing
+from altd.files.writing import check_replaceable
 from altd.history.columns import Column as Stored
 from altd.history.reader import Reader
 from altd.history.records import StoredMeasurement, SummaryPoint
 from altd.history.schema import HOURS, MINUTES, SECONDS
 from altd.reasons import Signal
-from altd.tables.columns import TEXT_FORMATS, Column, Row, Type, Value, text
-from altd.tables.parquet import ParquetTable, check_parquet
+from altd.tables import Column, Format, Row, Type, Value, check_parquet, table_in, text
 
 Every = Literal["measurement", "second", "minute", "hour"]
 _TABLES = {"second": SECONDS, "minute": MINUTES, "hour": HOURS}
 _SIGNALS = {signal.severity: str(signal) for signal in Signal}
-Add = Callable[[Row], object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +30,14 @@ class Question:
     history: Path
     span_us: tuple[int, int]
     every: Every
-    form: Literal["csv", "jsonl", "parquet"]
+    form: Format
     output: Path | None
 
 
 def answer(question: Question) -> None:
     """Write the table; raises BadInputError, and a file is then as it was."""
     if question.form == "parquet":
-        if question.output is None:
-            raise BadInputError("--format parquet", "needs a file: -o FILE")
-        check_parquet()
+        check_parquet(question.output)
     if question.output is not None:
         check_replaceable(question.output)
         if (
@@ -56,7 +50,7 @@ def answer(question: Question) -> None:
         columns = columns_of(reader, question.every)
         if len({column.name for column in columns}) < len(columns):
             raise BadInputError(question.history, "has two quantities of one name")
-        with _table(question, columns, _about(question, reader)) as add:
+        with table_in(question.output, question.form, columns, _about(question, reader)) as add:
             for row in _rows(question, reader):
                 add(row)
 
@@ -149,20 +143,6 @@ def _summary_row(point: SummaryPoint) -> Row:
             f"max_{name}": value.high,
         }
     return row
-
-
-@contextmanager
-def _table(question: Question, columns: tuple[Column, ...], about: Mapping[str, object]) -> Iterator[Add]:
-    if question.output is None:
-        assert question.form != "parquet"  # noqa: S101  asked before
-        yield TEXT_FORMATS[question.form](sys.stdout.write, columns).add
-        return
-    with replacing(question.output) as file:
-        if question.form == "parquet":
-            with ParquetTable(file, columns, about) as table:
-                yield table.add
-        else:
-            yield TEXT_FORMATS[question.form](lambda words: file.write(words.encode()), columns).add
 
 
 def _about(question: Question, reader: Reader) -> dict[str, object]:

@@ -12,7 +12,7 @@ from altd.calibration.file import load_calibration, target_of
 from altd.errors import BadInputError
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
-from altd.tables.columns import POINT_COLUMNS, TEXT_FORMATS, Row, TextFormat
+from altd.tables import POINT_COLUMNS, TEXT_FORMATS, Row, TextFormat
 
 UNREADABLE = "unreadable"
 _MAX_LINE_BYTES = 1000
