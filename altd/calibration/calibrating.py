@@ -49,7 +49,7 @@ def calibrate(
     calibration = Calibration(
         unit_serial=recordings[0].header.unit.serial,
         created=datetime.now(UTC),
-        recording_note=_note(recordings),
+        recording_note="; ".join(dict.fromkeys(of.header.note for of in recordings if of.header.note)),
         recording_sha256=sha256_of_all([recording.sha256() for recording in recordings]),
         targets=tuple(sorted((target for of in both for target in of.targets), key=lambda of: of.z_mm)),
         limits=limits,
@@ -99,11 +99,6 @@ def _zero_doubts(targets: Sequence[TargetFrames]) -> tuple[str, ...]:
         "the targets are from different recordings: the zero of yaw and pitch is that of the stage or the "
         "plates, which must have been the same, and is not in sigma",
     )
-
-
-def _note(recordings: Sequence[Recording]) -> str:
-    """That of the recording; of several each different one once, in their order."""
-    return "; ".join(dict.fromkeys(of.header.note for of in recordings if of.header.note))
 
 
 def sha256_of_all(hashes: Sequence[str]) -> str:

@@ -22,7 +22,7 @@ from altd.calibration.file_tables import (
     png_levels,
     png_text,
 )
-from altd.calibration.soundness import check_calibration
+from altd.calibration.result import check_calibration
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file

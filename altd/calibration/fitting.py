@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.soundness import Candidate
+from altd.calibration.result import Candidate
 from altd.mapping.camera_model import Optics
 from altd.mapping.grid import Axis, convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps

@@ -12,7 +12,7 @@ from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shape
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
-from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
+from altd.calibration.result import Progress, TargetEvidence, TargetsResult, residual_distances_mm
 from altd.calibration.scan_grid import cut_sides, offset_doubts, relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import (
     Job,
@@ -23,7 +23,6 @@ from altd.calibration.scan_nodes import (
     locate_nodes,
     printed_nodes,
 )
-from altd.calibration.soundness import TargetEvidence
 from altd.calibration.spot_reference import Verdict, localiser_agreement, spot_reference, verdict
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.cli.options import add_history, add_span, history_of, span_of
+from altd.cli.arguments import add_history, add_span, history_of, span_of
 
 SUMMARY = "write the measurements of the history as a table"
 

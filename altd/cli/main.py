@@ -36,8 +36,7 @@ from altd.cli import (
     verify,
     watch,
 )
-from altd.cli.arguments import Parser
-from altd.cli.options import DEFAULT_CONFIG
+from altd.cli.arguments import DEFAULT_CONFIG, Parser
 from altd.process.endings import run_to_end
 
 

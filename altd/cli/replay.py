@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.cli.options import progress_on
+from altd.cli.arguments import progress_on
 from altd.process.standard_streams import complain
 
 SUMMARY = "measure a recording again; write the values as JSON, table or plot"

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from altd.cli.options import add_config, add_output
+from altd.cli.arguments import add_config, add_output
 from altd.errors import one_line
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr

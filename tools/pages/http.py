@@ -6,13 +6,20 @@ import json
 import sys
 
 from altd.history.reader import MAX_ROWS as EVENT_ROWS
-from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, IDLE_S, LONGEST_S, MAX_SESSIONS, REQUESTS
+from altd.publish.http.clients import (
+    ALL_ATTEMPTS,
+    ATTEMPTS,
+    IDLE_S,
+    LONGEST_S,
+    MAX_SESSIONS,
+    MAX_WAITING,
+    REQUESTS,
+)
 from altd.publish.http.diagnostics import MAX_EVENT_PAGES, MAX_PART_BYTES
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
 from altd.publish.http.paths import PATHS
 from altd.publish.http.recordings import MAX_DOWNLOADS
-from altd.publish.http.self_check import MAX_WAITING
 from altd.publish.http.server import (
     MAX_CONNECTIONS,
     MAX_HEADER_BYTES,

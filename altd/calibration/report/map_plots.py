@@ -19,7 +19,7 @@ from altd.calibration.report.target_plots import (
     Canvas,
     Draw,
 )
-from altd.calibration.soundness import Candidate
+from altd.calibration.result import Candidate
 from altd.records import FloatArray
 
 CANDIDATES_IN = 3.2

@@ -20,7 +20,7 @@ from altd.calibration.report.prediction import (
 )
 from altd.calibration.report.target_plots import Plane, Raster, nice_length
 from altd.calibration.report.write import Source, target_names_text
-from altd.calibration.soundness import Candidate, TargetEvidence
+from altd.calibration.result import Candidate, TargetEvidence
 from altd.mapping.grid import contains
 from altd.measuring.calibration import TargetCalibration
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from altd.calibration.report.document import WIDTH_IN
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import TargetEvidence
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 

@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from altd.publish.http.calibration import LoadedCalibration
+from altd.publish.http.clients import MAX_WAITING, SELF_CHECK_WAIT_S
 from altd.publish.http.diagnostics import Diagnostics
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard, session_cookie
@@ -28,6 +29,7 @@ from altd.status.board import Board
 from altd.status.health import Component, Health
 from altd.status.measurement_json import checked_line
 from altd.status.proof import Stamps
+from altd.status.services import SelfCheckService
 from altd.status.target_area import as_object
 
 _FOLDER = Path(__file__).with_name("page_files")
@@ -220,6 +222,26 @@ class Answers:
             return ""
         cause = report.causes[0].cause
         return cause.kind.brief + (f" ({cause.of})" if cause.of else "")
+
+
+async def self_check(request: Request, service: SelfCheckService, guard: Guard) -> Response:
+    """The report of the last check; after a POST, of one made on request, for clients that may act."""
+    if request.method != "POST":
+        if service.latest is None:
+            why = service.unavailable or "there was no self-check since the unit started"
+            return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
+        return JSONResponse(service.latest.document)
+    by = guard.requester(request)
+    if service.waiting >= MAX_WAITING:
+        return refusal(503, f"{service.waiting} wait for a self-check already; /api/self-check has it soon")
+    number = service.ask(by)
+    try:
+        async with asyncio.timeout(SELF_CHECK_WAIT_S):
+            report = await service.report(number)
+    except TimeoutError:
+        why = f"the self-check has not ended within {SELF_CHECK_WAIT_S:g} s; /api/status says why"
+        return refusal(504, why)
+    return JSONResponse(report.document)
 
 
 async def _login_of(request: Request) -> Login:

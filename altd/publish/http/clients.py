@@ -59,6 +59,12 @@ ATTEMPTS = Rate(burst=5, per_s=0.1)
 ALL_ATTEMPTS = Rate(burst=20, per_s=0.2)
 """The same of all addresses that have not logged in: a password that is tried takes 0.2 s of a core."""
 
+SELF_CHECK_WAIT_S = 25.0
+"""A check that was asked for has ended by then, unless the cameras do not deliver."""
+
+MAX_WAITING = 8
+"""More do not wait for a check at once, so that connections are left for those who read."""
+
 MAX_FAMILIAR = 16
 """Addresses that have logged in, the last of them: each has its own attempts, whatever others try."""
 

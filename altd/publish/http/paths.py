@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from altd.publish.http import models, self_check
-from altd.publish.http.answers import Answers
+from altd.publish.http import models
+from altd.publish.http.answers import Answers, self_check
 from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
 from altd.publish.http.diagnostics import ZIP
 from altd.publish.http.operations import Operation, Parameter, ServedPath
@@ -38,12 +38,12 @@ _MEASUREMENT = {
 _STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", models.Status)}
 _SELF_CHECK = {
     "GET": Operation(
-        lambda to, request: self_check.answer(request, to.self_check, to.guard),
+        lambda to, request: self_check(request, to.self_check, to.guard),
         "The result of the last self-check",
         models.SelfCheck,
     ),
     "POST": Operation(
-        lambda to, request: self_check.answer(request, to.self_check, to.guard),
+        lambda to, request: self_check(request, to.self_check, to.guard),
         "Make a self-check now, and give what it says",
         models.SelfCheck,
         errors={

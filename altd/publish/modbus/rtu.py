@@ -18,8 +18,7 @@ from typing import Self
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.responder import Responder
-from altd.publish.modbus.serial_functions import LineCounters, serial_response
+from altd.publish.modbus.responder import LineCounters, Responder, serial_response
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
