@@ -174,7 +174,7 @@ def _errors(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens, rng: np.random
 
 
 def _to_mm(fitted: TensorMap, points_px: FloatArray) -> FloatArray:
-    return InverseMap.of(fitted).to_mm(points_px)[0]
+    return InverseMap(fitted).to_mm(points_px)[0]
 
 
 def _figure(errors_by_lens: dict[str, list[_Errors]]) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -23,35 +22,25 @@ _TABLES = {"second": SECONDS, "minute": MINUTES, "hour": HOURS}
 _SIGNALS = {signal.severity: str(signal) for signal in Signal}
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
-    """Options of ``altd export``; ``output`` None: standard output."""
+def answer(
+    history: Path, span_us: tuple[int, int], every: Every, form: Format, output: Path | None = None
+) -> None:
+    """Write the table, without ``output`` to standard output.
 
-    history: Path
-    span_us: tuple[int, int]
-    every: Every
-    form: Format
-    output: Path | None
-
-
-def answer(question: Question) -> None:
-    """Write the table; raises BadInputError, and a file is then as it was."""
-    if question.form == "parquet":
-        check_parquet(question.output)
-    if question.output is not None:
-        check_replaceable(question.output)
-        if (
-            question.output.exists()
-            and question.history.exists()
-            and question.output.samefile(question.history)
-        ):
-            raise BadInputError(question.output, "is what is read")
-    with opened(question.history) as reader:
-        columns = columns_of(reader, question.every)
+    Raises BadInputError, and a file is then as it was.
+    """
+    if form == "parquet":
+        check_parquet(output)
+    if output is not None:
+        check_replaceable(output)
+        if output.exists() and history.exists() and output.samefile(history):
+            raise BadInputError(output, "is what is read")
+    with opened(history) as reader:
+        columns = columns_of(reader, every)
         if len({column.name for column in columns}) < len(columns):
-            raise BadInputError(question.history, "has two quantities of one name")
-        with table_in(question.output, question.form, columns, _about(question, reader)) as add:
-            for row in _rows(question, reader):
+            raise BadInputError(history, "has two quantities of one name")
+        with table_in(output, form, columns, _about(reader, history, every)) as add:
+            for row in _rows(reader, every, span_us):
                 add(row)
 
 
@@ -104,11 +93,11 @@ def _name(key: str) -> str:
     return key.replace(".", "_")
 
 
-def _rows(question: Question, reader: Reader) -> Iterator[Row]:
-    if question.every == "measurement":
-        yield from map(_measurement_row, reader.measurements(*question.span_us))
+def _rows(reader: Reader, every: Every, span_us: tuple[int, int]) -> Iterator[Row]:
+    if every == "measurement":
+        yield from map(_measurement_row, reader.measurements(*span_us))
     else:
-        yield from map(_summary_row, reader.summaries(_TABLES[question.every], *question.span_us))
+        yield from map(_summary_row, reader.summaries(_TABLES[every], *span_us))
 
 
 def _measurement_row(stored: StoredMeasurement) -> Row:
@@ -145,16 +134,12 @@ def _summary_row(point: SummaryPoint) -> Row:
     return row
 
 
-def _about(question: Question, reader: Reader) -> dict[str, object]:
+def _about(reader: Reader, history: Path, every: Every) -> dict[str, object]:
     """The origin of the numbers, for a reader of the table in ten years."""
     facts = reader.facts()
     return {
         "made_by": f"altd {__version__}",
         "unit_serial": facts.get("serial", "")[:100],
-        "history": {
-            "path": str(question.history),
-            "every": question.every,
-            "version": facts.get("version", ""),
-        },
+        "history": {"path": str(history), "every": every, "version": facts.get("version", "")},
         "calibration": facts.get("calibration", "")[:1000],
     }

@@ -276,7 +276,7 @@ def _evidence(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetEvid
 def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     """The deviations of the used nodes from the map, in mm, for comparison with the other targets'."""
     nodes_px = fitted.fit.map.to_px(_positions_mm(used))
-    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(nodes_px)
+    _, jacobian, _ = InverseMap(fitted.fit.map).to_mm(nodes_px)
     residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
     exposures_mm = {}
     for node, to_mm in zip(used, jacobian, strict=True):

@@ -180,7 +180,7 @@ class TargetsResult:
 def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
     """Eq. 3.1 for the nodes (n, 2) themselves: how far from its known place the map puts each one, (n,)."""
     nodes_px = fit.map.to_px(nodes_mm) + fit.residuals_px
-    _, jacobian, _ = InverseMap.of(fit.map).to_mm(nodes_px)
+    _, jacobian, _ = InverseMap(fit.map).to_mm(nodes_px)
     offsets: FloatArray = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, fit.residuals_px), axis=1)
     return offsets
 

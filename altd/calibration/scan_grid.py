@@ -108,7 +108,7 @@ def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[s
         if float(np.linalg.norm(offset_px)) <= fitted.noise_px:
             continue
         middle_px = fitted.to_px(np.array([node.position_mm for _, _, node in shared])).mean(axis=0)
-        jacobian = InverseMap.of(fitted).to_mm(middle_px[None])[1][0]
+        jacobian = InverseMap(fitted).to_mm(middle_px[None])[1][0]
         offset_mm = float(np.linalg.norm(jacobian @ offset_px))
         doubts.append(
             f"{job.name}: {other.recording.path} puts the spots of {len(shared)} nodes {offset_mm:.2f} mm "
