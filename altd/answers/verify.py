@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import permutations
 from pathlib import Path
@@ -24,7 +24,6 @@ from altd.calibration.verification.document import (
 from altd.calibration.verification.estimate import BeamSet, beam_set, estimate, why_not_aligned, why_too_few
 from altd.calibration.verification.verdict import Judgement, Result, judge
 from altd.errors import BadInputError
-from altd.recording.header import RecordingHeader
 from altd.records import Limits, Measurement, counted, utc_text
 from altd.records.limits import LIMIT_KEYS
 
@@ -40,11 +39,7 @@ class _Measured:
     replay: Replay
     beams: BeamSet
     positions: int
-    invalid: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def header(self) -> RecordingHeader:
-        return self.replay.recording.header
+    invalid: Counter[str]
 
 
 def verify(
@@ -146,7 +141,7 @@ def _judged(measured: Sequence[_Measured]) -> tuple[Judgement, list[dict[str, An
 
 
 def _set_object(one: _Measured) -> dict[str, Any]:
-    recording, header = one.replay.recording, one.header
+    recording, header = one.replay.recording, one.replay.recording.header
     return {
         "recording": str(recording.path),
         "sha256": recording.sha256(),
@@ -161,7 +156,7 @@ def _set_object(one: _Measured) -> dict[str, Any]:
 
 def _reference(measured: Sequence[_Measured]) -> Limits | None:
     """The largest limits of all sets; what one set does not state is not stated."""
-    stated = [one.header.limits for one in measured]
+    stated = [one.replay.recording.header.limits for one in measured]
     known = [limits for limits in stated if limits is not None]
     if not known or len(known) < len(stated):
         return None

@@ -50,11 +50,6 @@ class Match:
     lights: Indices
     rival: bool = False
 
-    @property
-    def count(self) -> int:
-        """The number of LEDs that have a light."""
-        return int((self.lights >= 0).sum())
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:

@@ -51,10 +51,6 @@ def _first_32_bits(digest: str | None) -> int | None:
     return int(digits, 16) if digits else None
 
 
-def _calibration_checksum(health: Health) -> int | None:
-    return _first_32_bits(health.calibration.summary.get("file", {}).get("checksum"))
-
-
 def _is_rehearsal(snapshot: Snapshot) -> int | None:
     """None before the first measurement, which carries the reason."""
     measurement = snapshot.measurement
@@ -79,7 +75,7 @@ _UNIT_ROWS = (
         Type.U32,
         "",
         "first 32 bits of its checksum",
-        _of_health(_calibration_checksum),
+        _of_health(lambda health: _first_32_bits(health.calibration.summary.get("file", {}).get("checksum"))),
     ),
     Register(
         314,
