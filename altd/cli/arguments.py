@@ -148,6 +148,7 @@ _CHOICE = re.compile(r"argument (.+?): invalid choice: (.+?) \(choose from ", re
 _MISSING = re.compile(r"the following arguments are required: (.*)", re.DOTALL)
 _NO_NUMBER = re.compile(r"argument (.+?): invalid (int|float) value: (.*)", re.DOTALL)
 _NO_VALUE = re.compile(r"argument (.+?): expected (.*)", re.DOTALL)
+_QUOTES = "'\""
 
 
 class Parser(argparse.ArgumentParser):
@@ -241,6 +242,3 @@ class Parser(argparse.ArgumentParser):
 
     def _one_line_usage(self) -> str:
         return " ".join(self.format_usage().split())
-
-
-_QUOTES = "'\""
