@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.history.batch import About, Batch, StateSample
 from altd.history.columns import Column, columns_of
 from altd.history.opening import open_to_write
 from altd.history.reader import Reader
+from altd.history.records import About, Batch, StateSample
 from altd.history.schema import HOURS, MINUTES, SECONDS, SUMMARY_PARTS, SummaryTable, column_name
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES

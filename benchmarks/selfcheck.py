@@ -16,11 +16,10 @@ import numpy as np
 
 from altd.measuring.calibration import Calibration
 from altd.records import FloatArray
-from altd.selfcheck.compensation import Compensation, compensation_of
+from altd.selfcheck.drift import chi2_limit, fit_similarity
 from altd.selfcheck.history import DAY_S, History
 from altd.selfcheck.records import LedState, Limits, SelfCheck, Similarity, TargetDrift, Verdict
-from altd.selfcheck.similarity import chi2_limit, fit_similarity
-from altd.selfcheck.verdict import SIGNIFICANT, judge
+from altd.selfcheck.verdict import SIGNIFICANT, Compensation, compensation_of, judge
 from benchmarks.selfcheck_units import TIGHT, WIDE, CheckedUnit, calibrated
 from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement

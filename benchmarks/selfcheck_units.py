@@ -16,8 +16,8 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.records import Fault, FloatArray, Frame, MeanSpots, Spot
-from altd.selfcheck.compensation import Compensation, compensated, flat_now
 from altd.selfcheck.records import LedView
+from altd.selfcheck.verdict import Compensation, compensated, flat_now
 from altd.vision.frame_leds import locate_leds
 from altd.vision.localise import locate
 from hw_sim.assembly import FIELD_HALF_MM

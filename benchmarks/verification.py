@@ -19,8 +19,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from altd.calibration.verification.beams import BeamSet, beam_set
-from altd.calibration.verification.estimate import estimate
+from altd.calibration.verification.estimate import BeamSet, beam_set, estimate
 from altd.calibration.verification.verdict import CONFIDENCE, POWER, Judgement, Result, judge
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from altd.app.record import scanner_of
-from altd.cli.scan import run_scan
-from altd.cli.scan_screen import ScanScreen
+from altd.cli.scan import ScanScreen, run_scan
 from altd.config import Config, GrblStageSettings, Scan, Target
 from altd.config import Unit as UnitTable
 from hw_sim.camera import make_cameras

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.inverse import InverseMap
-from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.nodes import Nodes
 from altd.mapping.polynomials import gram_basis
 from altd.records import FloatArray
@@ -147,7 +147,7 @@ def _errors_mm(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens) -> FloatArr
     normal = np.linalg.solve(design.T @ design, design.T @ leds_mm)
     found.append(np.asarray(_total(places_px, 4) @ normal))
     ours = fit_nodes(Nodes.ordinary(leds_mm, centres_px), size, 0).fit.map
-    found.append(InverseMap.of(ours).to_mm(places_px)[0])
+    found.append(InverseMap(ours).to_mm(places_px)[0])
     return np.array([np.linalg.norm(at - places_mm, axis=1).mean() for at in found])
 
 

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
 from altd.instruments.planar.homography import apply_homography, fit_homography
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
-from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import FloatArray
@@ -174,7 +174,7 @@ def _errors(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens, rng: np.random
 
 
 def _to_mm(fitted: TensorMap, points_px: FloatArray) -> FloatArray:
-    return InverseMap.of(fitted).to_mm(points_px)[0]
+    return InverseMap(fitted).to_mm(points_px)[0]
 
 
 def _figure(errors_by_lens: dict[str, list[_Errors]]) -> Figure:

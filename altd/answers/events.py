@@ -20,7 +20,7 @@ from altd.history.schema import UnusableFileError
 from altd.process.standard_streams import say
 from altd.records import utc_text
 from altd.status.event_log import EventKind
-from altd.tables.columns import Column, CsvTable, Type, text
+from altd.tables import Column, CsvTable, Type, text
 
 
 @contextmanager
@@ -114,7 +114,7 @@ def event_line(event: StoredEvent) -> str:
     more = f" (and {event.held_back} like it before)" if event.held_back else ""
     detail = event.detail.get("detail")
     said = f": {detail}" if isinstance(detail, str) and detail else ""
-    return f"{_time_of(event)} {event.kind:<11}{of} {event.text}{said}{more}"
+    return f"{time_text(event.t_us)} {event.kind:<11}{of} {event.text}{said}{more}"
 
 
 def _writer(form: str) -> Callable[[StoredEvent], object]:
@@ -123,7 +123,7 @@ def _writer(form: str) -> Callable[[StoredEvent], object]:
         table = CsvTable(write, COLUMNS)
         return lambda event: table.add(
             asdict(event)
-            | {"time": _time_of(event), "detail": line_of(event.detail) if event.detail else None}
+            | {"time": time_text(event.t_us), "detail": line_of(event.detail) if event.detail else None}
         )
     if form == "jsonl":
         return lambda event: write(line_of(_document(event)) + "\n")
@@ -133,11 +133,7 @@ def _writer(form: str) -> Callable[[StoredEvent], object]:
 def _document(event: StoredEvent) -> dict[str, object]:
     document = asdict(event)
     del document["t_us"], document["epoch"]
-    return {"id": document.pop("id"), "time": _time_of(event), **document}
-
-
-def _time_of(event: StoredEvent) -> str:
-    return time_text(event.t_us)
+    return {"id": document.pop("id"), "time": time_text(event.t_us), **document}
 
 
 def time_text(t_us: int) -> str:

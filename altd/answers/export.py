@@ -2,62 +2,45 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from altd import __version__
 from altd.answers.events import opened, time_text
 from altd.errors import BadInputError
-from altd.files.writing import check_replaceable, replacing
+from altd.files.writing import check_replaceable
 from altd.history.columns import Column as Stored
 from altd.history.reader import Reader
 from altd.history.records import StoredMeasurement, SummaryPoint
 from altd.history.schema import HOURS, MINUTES, SECONDS
 from altd.reasons import Signal
-from altd.tables.columns import TEXT_FORMATS, Column, Row, Type, Value, text
-from altd.tables.parquet import ParquetTable, check_parquet
+from altd.tables import Column, Format, Row, Type, Value, check_parquet, table_in, text
 
 Every = Literal["measurement", "second", "minute", "hour"]
 _TABLES = {"second": SECONDS, "minute": MINUTES, "hour": HOURS}
 _SIGNALS = {signal.severity: str(signal) for signal in Signal}
-Add = Callable[[Row], object]
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
-    """Options of ``altd export``; ``output`` None: standard output."""
+def answer(
+    history: Path, span_us: tuple[int, int], every: Every, form: Format, output: Path | None = None
+) -> None:
+    """Write the table, without ``output`` to standard output.
 
-    history: Path
-    span_us: tuple[int, int]
-    every: Every
-    form: Literal["csv", "jsonl", "parquet"]
-    output: Path | None
-
-
-def answer(question: Question) -> None:
-    """Write the table; raises BadInputError, and a file is then as it was."""
-    if question.form == "parquet":
-        if question.output is None:
-            raise BadInputError("--format parquet", "needs a file: -o FILE")
-        check_parquet()
-    if question.output is not None:
-        check_replaceable(question.output)
-        if (
-            question.output.exists()
-            and question.history.exists()
-            and question.output.samefile(question.history)
-        ):
-            raise BadInputError(question.output, "is what is read")
-    with opened(question.history) as reader:
-        columns = columns_of(reader, question.every)
+    Raises BadInputError, and a file is then as it was.
+    """
+    if form == "parquet":
+        check_parquet(output)
+    if output is not None:
+        check_replaceable(output)
+        if output.exists() and history.exists() and output.samefile(history):
+            raise BadInputError(output, "is what is read")
+    with opened(history) as reader:
+        columns = columns_of(reader, every)
         if len({column.name for column in columns}) < len(columns):
-            raise BadInputError(question.history, "has two quantities of one name")
-        with _table(question, columns, _about(question, reader)) as add:
-            for row in _rows(question, reader):
+            raise BadInputError(history, "has two quantities of one name")
+        with table_in(output, form, columns, _about(reader, history, every)) as add:
+            for row in _rows(reader, every, span_us):
                 add(row)
 
 
@@ -110,11 +93,11 @@ def _name(key: str) -> str:
     return key.replace(".", "_")
 
 
-def _rows(question: Question, reader: Reader) -> Iterator[Row]:
-    if question.every == "measurement":
-        yield from map(_measurement_row, reader.measurements(*question.span_us))
+def _rows(reader: Reader, every: Every, span_us: tuple[int, int]) -> Iterator[Row]:
+    if every == "measurement":
+        yield from map(_measurement_row, reader.measurements(*span_us))
     else:
-        yield from map(_summary_row, reader.summaries(_TABLES[question.every], *question.span_us))
+        yield from map(_summary_row, reader.summaries(_TABLES[every], *span_us))
 
 
 def _measurement_row(stored: StoredMeasurement) -> Row:
@@ -151,30 +134,12 @@ def _summary_row(point: SummaryPoint) -> Row:
     return row
 
 
-@contextmanager
-def _table(question: Question, columns: tuple[Column, ...], about: Mapping[str, object]) -> Iterator[Add]:
-    if question.output is None:
-        assert question.form != "parquet"  # noqa: S101  asked before
-        yield TEXT_FORMATS[question.form](sys.stdout.write, columns).add
-        return
-    with replacing(question.output) as file:
-        if question.form == "parquet":
-            with ParquetTable(file, columns, about) as table:
-                yield table.add
-        else:
-            yield TEXT_FORMATS[question.form](lambda words: file.write(words.encode()), columns).add
-
-
-def _about(question: Question, reader: Reader) -> dict[str, object]:
+def _about(reader: Reader, history: Path, every: Every) -> dict[str, object]:
     """The origin of the numbers, for a reader of the table in ten years."""
     facts = reader.facts()
     return {
         "made_by": f"altd {__version__}",
         "unit_serial": facts.get("serial", "")[:100],
-        "history": {
-            "path": str(question.history),
-            "every": question.every,
-            "version": facts.get("version", ""),
-        },
+        "history": {"path": str(history), "every": every, "version": facts.get("version", "")},
         "calibration": facts.get("calibration", "")[:1000],
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from altd.errors import BadInputError
 from altd.files.picture import read_picture
 from altd.records import Frame, Spot
-from altd.tables.columns import SPOT_COLUMNS, TEXT_FORMATS, Row, TextFormat
+from altd.tables import SPOT_COLUMNS, TEXT_FORMATS, Row, TextFormat
 from altd.vision.image import Centre
 from altd.vision.localise import locate, locate_ellipse
 

@@ -6,13 +6,12 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 from altd.calibration.file import load_calibration, target_of
 from altd.errors import BadInputError
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
-from altd.tables.columns import POINT_COLUMNS, TEXT_FORMATS, Row, TextFormat
+from altd.tables import POINT_COLUMNS, TEXT_FORMATS, Add, Row, TextFormat
 
 UNREADABLE = "unreadable"
 _MAX_LINE_BYTES = 1000
@@ -21,20 +20,13 @@ _NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _DECIMALS = 5
 
 
-class _Table(Protocol):
-    def add(self, row: Row) -> None:
-        """Write a row."""
-
-
-class _PlainTable:
+def _write_plain(row: Row) -> None:
     """``x_mm y_mm sigma_x_mm sigma_y_mm`` or ``invalid REASON`` a line: the usual output."""
-
-    def add(self, row: Row) -> None:
-        if row.get("reason") is not None:
-            sys.stdout.write(f"invalid {row['reason']}\n")
-        else:
-            numbers = (row[name] for name in ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"))
-            sys.stdout.write(" ".join(f"{value:.{_DECIMALS}f}" for value in numbers) + "\n")
+    if row.get("reason") is not None:
+        sys.stdout.write(f"invalid {row['reason']}\n")
+    else:
+        numbers = (row[name] for name in ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"))
+        sys.stdout.write(" ".join(f"{value:.{_DECIMALS}f}" for value in numbers) + "\n")
 
 
 def answer(calibration: Path, name: str, form: TextFormat | None, complain: Callable[[str], object]) -> int:
@@ -46,7 +38,7 @@ def answer(calibration: Path, name: str, form: TextFormat | None, complain: Call
     target = target_of(load_calibration(calibration), calibration, name)
     if target.simulated:
         complain(f"{calibration}: {name} was calibrated from SIMULATED frames")
-    table: _Table = _PlainTable() if form is None else TEXT_FORMATS[form](sys.stdout.write, POINT_COLUMNS)
+    add: Add = _write_plain if form is None else TEXT_FORMATS[form](sys.stdout.write, POINT_COLUMNS).add
     status = 0
     for number, line in enumerate(_lines_of_input(), start=1):
         if not line.strip():
@@ -56,10 +48,10 @@ def answer(calibration: Path, name: str, form: TextFormat | None, complain: Call
         if place is None:
             got = line.decode(errors="backslashreplace").strip()
             complain(f"stdin: line {number}: expected 'u v', got {got[:60]!r}")
-            table.add({**row, "reason": UNREADABLE})
+            add({**row, "reason": UNREADABLE})
             status = 2
         else:
-            table.add({**row, **_point(target, *place)})
+            add({**row, **_point(target, *place)})
     return status
 
 

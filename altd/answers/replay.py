@@ -5,12 +5,11 @@ from __future__ import annotations
 import importlib
 import logging
 import math
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from altd import __version__
 from altd.answers.history import Drawn, History
@@ -24,10 +23,7 @@ from altd.files.writing import check_replaceable, replacing
 from altd.recording.header import FRAMES_FILE, HEADER_FILE
 from altd.recording.reader import gap_lines, open_recording
 from altd.records import counted, utc_text
-from altd.tables.columns import Column, CsvTable, Write, flat_row, measurement_columns
-from altd.tables.parquet import ParquetTable, check_parquet
-
-Format = Literal["jsonl", "csv", "parquet"]
+from altd.tables import Format, check_parquet, flat_row, measurement_columns, table_in, text_output
 
 Add = Callable[[Mapping[str, Any]], object]
 """Takes a measurement's object."""
@@ -60,10 +56,9 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     replay = _open(question)
     for line in gap_lines(replay.recording):
         warn(line)
-    columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
     history = History(_drawn(replay))
     count, differences_mm = 0, list[tuple[float, float]]()
-    with _table(question, replay, columns) as add:
+    with _output(question, replay) as add:
         for measurement in replay.measurements(progress):
             document = replay.as_object(measurement)
             add(document)
@@ -95,15 +90,6 @@ def _open(question: Question) -> AnyReplay:
     return replay_of(recording, question.calibration, question.window, question.every)
 
 
-@contextmanager
-def _text_output(path: Path | None) -> Iterator[Write]:
-    if path is None:
-        yield sys.stdout.write
-        return
-    with replacing(path) as file:
-        yield lambda text: file.write(text.encode())
-
-
 def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
     """The errors of the valid measurements of a scan against the known positions."""
     text = f"{len(differences_mm)} of {counted(count, 'measurement')} valid"
@@ -117,9 +103,7 @@ def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
 
 def _check(question: Question) -> None:
     if question.form == "parquet":
-        if question.output is None:
-            raise BadInputError("--format parquet", "needs a file: -o FILE")
-        check_parquet()
+        check_parquet(question.output)
     if question.plot is not None:
         if question.plot.suffix.lower() != ".svg":
             raise BadInputError(question.plot, "is to be a drawing in SVG: name it ….svg")
@@ -142,23 +126,14 @@ def _check(question: Question) -> None:
 
 
 @contextmanager
-def _table(question: Question, replay: AnyReplay, columns: tuple[Column, ...]) -> Iterator[Add]:
-    if question.form == "parquet" and question.output is not None:
-        with (
-            replacing(question.output) as file,
-            ParquetTable(file, columns, _about(question, replay)) as table,
-        ):
-            yield lambda document: table.add(flat_row(document))
-    else:
-        with _text_output(question.output) as write:
-            yield _text_table(question.form, write, columns)
-
-
-def _text_table(form: Format, write: Write, columns: tuple[Column, ...]) -> Add:
-    if form == "csv":
-        table = CsvTable(write, columns)
-        return lambda document: table.add(flat_row(document))
-    return lambda document: write(line_of(document) + "\n")
+def _output(question: Question, replay: AnyReplay) -> Iterator[Add]:
+    if question.form == "jsonl":
+        with text_output(question.output) as write:
+            yield lambda document: write(line_of(document) + "\n")
+        return
+    columns = measurement_columns(replay.quantities, replay.calibration.target_names, replay.knows_places)
+    with table_in(question.output, question.form, columns, _about(question, replay)) as add:
+        yield lambda document: add(flat_row(document))
 
 
 def _about(question: Question, replay: AnyReplay) -> dict[str, Any]:

@@ -10,12 +10,11 @@ import numpy as np
 
 from altd.calibration.file import check_recording, load_calibration
 from altd.errors import BadInputError
-from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.measuring.calibration import TargetCalibration
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording, open_recording
 from altd.records import Frame, Origin, Spot
-from altd.selfcheck.history_document import as_object
-from altd.selfcheck.records import LedView, Limits
+from altd.selfcheck.records import LedView, Limits, as_object
 from altd.selfcheck.verdict import judge
 from altd.vision.localise import locate
 
@@ -54,9 +53,8 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, A
             at[target.name] = place
         simulated |= header.cameras[target.camera].origin is Origin.SIMULATED
     if not views:
-        raise BadInputError(
-            recording_path, f"has no frames with the LEDs on and off of {_names(calibration)}"
-        )
+        names = ", ".join(calibration.target_names)
+        raise BadInputError(recording_path, f"has no frames with the LEDs on and off of {names}")
     origin = Origin.SIMULATED if simulated else Origin.CAMERA
     return {**as_object(judge(views, calibration, at, Limits())), "origin": str(origin)}
 
@@ -96,7 +94,3 @@ def _spot_place(dark: Sequence[Frame], target: TargetCalibration) -> tuple[float
         return None
     u_px, v_px = np.median(places, axis=0).tolist()
     return u_px, v_px
-
-
-def _names(calibration: Calibration) -> str:
-    return ", ".join(calibration.target_names)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import permutations
 from pathlib import Path
@@ -14,7 +14,6 @@ import numpy as np
 
 from altd.app.replay import Replay, open_replay
 from altd.calibration.calibrating import sha256_of_all
-from altd.calibration.verification.beams import BeamSet, beam_set
 from altd.calibration.verification.document import (
     comparison,
     head_object,
@@ -22,10 +21,9 @@ from altd.calibration.verification.document import (
     residual_objects,
     set_objects,
 )
-from altd.calibration.verification.estimate import estimate, why_not_aligned, why_too_few
+from altd.calibration.verification.estimate import BeamSet, beam_set, estimate, why_not_aligned, why_too_few
 from altd.calibration.verification.verdict import Judgement, Result, judge
 from altd.errors import BadInputError
-from altd.recording.header import RecordingHeader
 from altd.records import Limits, Measurement, counted, utc_text
 from altd.records.limits import LIMIT_KEYS
 
@@ -41,18 +39,11 @@ class _Measured:
     replay: Replay
     beams: BeamSet
     positions: int
-    invalid: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def header(self) -> RecordingHeader:
-        return self.replay.recording.header
+    invalid: Counter[str]
 
 
 def verify(
-    recordings: Sequence[Path],
-    calibration: Path,
-    earlier: Path | None,
-    progress: Callable[[int, int], None],
+    recordings: Sequence[Path], calibration: Path, earlier: Path | None, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """The verification as plain JSON types; each recording is a set.
 
@@ -150,7 +141,7 @@ def _judged(measured: Sequence[_Measured]) -> tuple[Judgement, list[dict[str, An
 
 
 def _set_object(one: _Measured) -> dict[str, Any]:
-    recording, header = one.replay.recording, one.header
+    recording, header = one.replay.recording, one.replay.recording.header
     return {
         "recording": str(recording.path),
         "sha256": recording.sha256(),
@@ -165,7 +156,7 @@ def _set_object(one: _Measured) -> dict[str, Any]:
 
 def _reference(measured: Sequence[_Measured]) -> Limits | None:
     """The largest limits of all sets; what one set does not state is not stated."""
-    stated = [one.header.limits for one in measured]
+    stated = [one.replay.recording.header.limits for one in measured]
     known = [limits for limits in stated if limits is not None]
     if not known or len(known) < len(stated):
         return None

@@ -24,8 +24,8 @@ from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.local_socket import MAX_ANSWER_BYTES, NoAnswerError, ask
+from altd.publish.http.clients import SELF_CHECK_WAIT_S
 from altd.publish.http.guard import REQUEST_HEADER
-from altd.publish.http.self_check import WAIT_S
 from altd.records import Quantities
 from altd.terminal.documents import (
     CalibrationDocument,
@@ -98,7 +98,7 @@ def _quantities_of(document: object) -> Quantities:
 _ANYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  where the daemon listens on every address
 _TARGET = "/api/self-check"
 _HEADERS = {REQUEST_HEADER: "selfcheck"}
-_TIMEOUT_S = WAIT_S + 5.0
+_TIMEOUT_S = SELF_CHECK_WAIT_S + 5.0
 
 
 def ask_running_daemon(config: Config, place: Path) -> dict[str, Any]:

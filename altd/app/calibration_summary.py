@@ -19,7 +19,7 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import utc_text
 from altd.status.measurement_json import reserved_names
 from altd.status.target_area import TargetArea
-from altd.tables.columns import measurement_columns
+from altd.tables import measurement_columns
 from altd.vision.fingerprint import Fingerprint
 
 

@@ -19,11 +19,11 @@ from altd.app.baseline import SERVICE_FOLDER
 from altd.app.parts import AnyCalibration, led_plate_of
 from altd.config import Config
 from altd.errors import one_line
-from altd.history.batch import About
 from altd.history.columns import columns_of
 from altd.history.history import History, NoHistoryError
 from altd.history.reader import Reader
 from altd.history.recorder import HistoryRecorder
+from altd.history.records import About
 from altd.history.running import before_start
 from altd.history.store import Store
 from altd.ports import Camera, Clock

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+
+import numpy as np
 
 from altd.calibration.from_plates import calibrate_plates
 from altd.calibration.from_scans import calibrate_scans
 from altd.calibration.recorded_flat import flats_of
-from altd.calibration.result import CalibrationResult, Progress, cross_check_doubts
+from altd.calibration.result import CalibrationResult, Progress, TargetsResult, cross_check_doubts
+from altd.calibration.scan_nodes import Job, Node, locate_nodes
 from altd.calibration.target_frames import TargetFrames, target_frames
-from altd.calibration.turned import beam_tilt, without_tilt
 from altd.errors import BadInputError
-from altd.measuring.calibration import Calibration
+from altd.mapping.tensor_map import TensorMap
+from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.reader import Recording
-from altd.records import Limits
+from altd.records import FloatArray, Limits
 from altd.records.limits import LIMIT_KEYS
 
 
@@ -46,7 +49,7 @@ def calibrate(
     calibration = Calibration(
         unit_serial=recordings[0].header.unit.serial,
         created=datetime.now(UTC),
-        recording_note=_note(recordings),
+        recording_note="; ".join(dict.fromkeys(of.header.note for of in recordings if of.header.note)),
         recording_sha256=sha256_of_all([recording.sha256() for recording in recordings]),
         targets=tuple(sorted((target for of in both for target in of.targets), key=lambda of: of.z_mm)),
         limits=limits,
@@ -98,13 +101,124 @@ def _zero_doubts(targets: Sequence[TargetFrames]) -> tuple[str, ...]:
     )
 
 
-def _note(recordings: Sequence[Recording]) -> str:
-    """That of the recording; of several each different one once, in their order."""
-    return "; ".join(dict.fromkeys(of.header.note for of in recordings if of.header.note))
-
-
 def sha256_of_all(hashes: Sequence[str]) -> str:
     """That of one recording; of several the hash over theirs, a line each, in their order."""
     if len(hashes) == 1:
         return hashes[0]
     return hashlib.sha256("".join(f"{of}\n" for of in hashes).encode()).hexdigest()
+
+
+_MIN_NODES = 6
+_MAX_RATIO = 3.0
+"""Nodes that scatter by more times what print, speckle and map explain are not of the unit turned by 180°."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamTilt:
+    """The calibrating beam's slopes (2,) against the normal of the targets, each with ``sigma``."""
+
+    slopes: FloatArray
+    sigma: float
+
+    def __str__(self) -> str:
+        x, y = 1000 * self.slopes
+        sigma = f"sigma {1000 * self.sigma:.3f} mm/m"
+        return f"tilt of the calibrating beam x {x:+.3f}, y {y:+.3f} mm/m, {sigma}"
+
+    def removed_from(self, target: TargetCalibration) -> TargetCalibration:
+        """The target whose map puts the beam where it met the target."""
+        shift_mm = self.slopes * target.z_mm
+        check = replace(target.cross_check, map=_shifted(target.cross_check.map, shift_mm))
+        return replace(target, map=_shifted(target.map, shift_mm), cross_check=check)
+
+
+def _shifted(fitted: TensorMap, shift_mm: FloatArray) -> TensorMap:
+    axes = (fitted.x_axis, fitted.y_axis)
+    x_axis, y_axis = (
+        replace(axis, first_mm=axis.first_mm + float(by)) for axis, by in zip(axes, shift_mm, strict=True)
+    )
+    return replace(fitted, x_axis=x_axis, y_axis=y_axis, hull_mm=fitted.hull_mm + shift_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """The mean (2,) of reading plus stage position over a target's nodes, and its variance per axis."""
+
+    z_mm: float
+    sum_mm: FloatArray
+    variance_mm2: float
+
+
+def beam_tilt(
+    targets: Sequence[TargetCalibration], turned: Sequence[TargetFrames], progress: Progress
+) -> BeamTilt:
+    """The tilt that scans of the unit turned by half a turn about its own z axis show.
+
+    Stage and beam do not move while the unit is turned. The map of a target at z, fitted to the scan of the
+    unit as it is, puts the beam at stage (X, Y) although it meets the target at (X, Y) + t · z, t the beam's
+    tilt. The turned unit sees the same beam at c − (X, Y) − t · z, so the map reads c − (X, Y) − 2 t · z: the
+    mean of reading and stage position is c at z = 0 and moves by −2 t for each mm along the beam.
+
+    Raises BadInputError where they show fewer than two targets, too few nodes of one, or another motion than
+    half a turn about z.
+    """
+    known = {target.name: target for target in targets}
+    readings = [_reading(known[frames.name], frames, progress) for frames in turned]
+    if len(readings) < 2:
+        raise BadInputError(turned[0].place, "shows one target of the turned unit; the tilt needs two")
+    z_mm = np.array([reading.z_mm for reading in readings])
+    weights = np.array([1 / reading.variance_mm2 for reading in readings])
+    design = np.column_stack([np.ones_like(z_mm), -2 * z_mm])
+    covariance = np.linalg.inv(design.T @ (weights[:, None] * design))
+    sums = np.array([reading.sum_mm for reading in readings])
+    fitted: FloatArray = covariance @ design.T @ (weights[:, None] * sums)
+    return BeamTilt(fitted[1], float(np.sqrt(covariance[1, 1])))
+
+
+def without_tilt(scans: TargetsResult, tilt: BeamTilt) -> TargetsResult:
+    """The targets of scans, their nodes and remarks, with the beam where it met each target."""
+    z_mm = {target.name: target.z_mm for target in scans.targets}
+    evidence = (
+        replace(seen, nodes_mm=seen.nodes_mm + tilt.slopes * z_mm[seen.name]) for seen in scans.evidence
+    )
+    return replace(
+        scans,
+        targets=tuple(tilt.removed_from(target) for target in scans.targets),
+        evidence=tuple(evidence),
+        remarks=(*scans.remarks, f"{tilt}: removed"),
+    )
+
+
+def _reading(target: TargetCalibration, frames: TargetFrames, progress: Progress) -> _Reading:
+    nodes = locate_nodes(Job(frames, target.localiser, target.flat), progress).usable
+    stage_mm, read_mm, variance_mm2 = _read(target, nodes)
+    if len(stage_mm) < _MIN_NODES:
+        why = f"{len(stage_mm)} of {len(nodes)} nodes of the turned unit lie in the calibrated area"
+        raise BadInputError(frames.place, f"{frames.name}: {why}, {_MIN_NODES} are needed")
+    # p + P = sum + turn × P: the unit was turned by half a turn and a little more
+    design = np.zeros((2 * len(stage_mm), 3))
+    design[0::2, 0] = design[1::2, 1] = 1.0
+    design[0::2, 2], design[1::2, 2] = -stage_mm[:, 1], stage_mm[:, 0]
+    sums = (read_mm + stage_mm).ravel()
+    solution: FloatArray = np.asarray(np.linalg.lstsq(design, sums, rcond=None)[0], dtype=np.float64)
+    degrees_of_freedom = sums.size - design.shape[1]
+    scatter_mm2 = float(np.square(sums - design @ solution).sum()) / degrees_of_freedom
+    ratio = float(np.sqrt(scatter_mm2 / variance_mm2))
+    if ratio > _MAX_RATIO:
+        raise BadInputError(
+            frames.place,
+            f"{frames.name}: the nodes scatter {ratio:.0f} times as much as print, speckle and map explain: "
+            "was the unit turned by 180° about z, and nothing else moved?",
+        )
+    # the map's own error is common to all nodes: as much again as the scatter of as many nodes of its own
+    return _Reading(target.z_mm, solution[:2], 2 * max(scatter_mm2, variance_mm2) / len(stage_mm))
+
+
+def _read(target: TargetCalibration, nodes: Sequence[Node]) -> tuple[FloatArray, FloatArray, float]:
+    """Stage positions and readings (n, 2) mm of the nodes in the area, and the variance of a reading."""
+    stage_mm = np.array([node.position_mm for node in nodes]).reshape(-1, 2)
+    spots_px = np.array([node.spot_px for node in nodes]).reshape(-1, 2)
+    read_mm, _, covariance_mm2 = target.inverse.to_mm(spots_px)
+    is_known = np.isfinite(read_mm).all(axis=1)
+    traces = np.trace(covariance_mm2[is_known], axis1=1, axis2=2) / 2
+    return stage_mm[is_known], read_mm[is_known], float(traces.mean()) if is_known.any() else 0.0

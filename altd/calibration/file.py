@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
@@ -22,7 +22,7 @@ from altd.calibration.file_tables import (
     png_levels,
     png_text,
 )
-from altd.calibration.soundness import check_calibration
+from altd.calibration.result import check_calibration
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file
@@ -168,10 +168,10 @@ def _from_map(place: str, content: MapTable) -> TensorMap:
         model=content.model,
         x_axis=content.x_axis,
         y_axis=content.y_axis,
-        spectra=_array(
+        spectra=array_of(
             f"{place}.spectrum", [content.spectrum_u_px, content.spectrum_v_px], (2, rows, columns)
         ),
-        covariance_factor_px=_array(
+        covariance_factor_px=array_of(
             f"{place}.spread",
             [content.spread_u_px, content.spread_v_px],
             (2, rows * columns, len(content.spread_u_px[0]) if content.spread_u_px else 0),
@@ -184,7 +184,8 @@ def _from_map(place: str, content: MapTable) -> TensorMap:
     )
 
 
-def _array(place: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
+def array_of(place: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
+    """Numbers of this shape; raises ValueError that names the place of what is none."""
     try:
         array = np.array(values, dtype=np.float64)
     except ValueError:
@@ -204,18 +205,17 @@ Parsed = TypeVar("Parsed")
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all; raises BadInputError when it cannot be written."""
-    write_file(path, _content_of(calibration)[0])
+    write_file(path, content_of(document_of(calibration))[0])
 
 
 def file_of(calibration: Calibration) -> CalibrationFile:
     """The hashes of the file that ``save_calibration`` writes."""
-    content, checksum = _content_of(calibration)
+    content, checksum = content_of(document_of(calibration))
     return CalibrationFile(sha256(content).hexdigest(), checksum)
 
 
-def _content_of(calibration: Calibration) -> tuple[bytes, str]:
-    """The bytes of the file, and the checksum in it."""
-    document = document_of(calibration)
+def content_of(document: Mapping[str, Any]) -> tuple[bytes, str]:
+    """The bytes of the file of a document, and the checksum in it."""
     checksum = checksum_of(document)
     return (json.dumps({**document, "checksum": checksum}, indent=1) + "\n").encode(), checksum
 
@@ -228,14 +228,14 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
         check_calibration(calibration)
         return calibration
 
-    content, calibration, checksum = read_document(path, FORMAT, checked)
+    calibration, file = read_document(path, FORMAT, checked)
     if unit_serial is not None and calibration.unit_serial != unit_serial:
         raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
-    return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), checksum))
+    return replace(calibration, file=file)
 
 
-def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tuple[bytes, Parsed, str]:
-    """The bytes of a file, what ``parse`` makes of its document, and the checksum that it carries.
+def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tuple[Parsed, CalibrationFile]:
+    """The result of ``parse`` for the document in a file, and the hashes of the file.
 
     ``parse`` gets the document without its checksum. Raises BadInputError when format, checksum or content is
     wrong.
@@ -253,7 +253,7 @@ def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tupl
     if checksum != checksum_of(document):
         raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
     try:
-        return content, parse(document), str(checksum)
+        return parse(document), CalibrationFile(sha256(content).hexdigest(), str(checksum))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])

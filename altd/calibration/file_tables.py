@@ -126,7 +126,9 @@ Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 Side = Annotated[int, Field(ge=16, le=20_000)]
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """Its keys alone, and finite numbers."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
@@ -137,7 +139,7 @@ def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
     """
     types = get_type_hints(record) | narrower
     fields: dict[str, Any] = {name: (type_, ...) for name, type_ in types.items()}
-    table = create_model(f"{record.__name__}Table", __base__=_Table, **fields)
+    table = create_model(f"{record.__name__}Table", __base__=Table, **fields)
 
     def schema(_: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(
@@ -208,7 +210,7 @@ def _checked_shape(shape: tuple[float, float, float]) -> tuple[float, float, flo
     return shape
 
 
-class MapTable(_Table):
+class MapTable(Table):
     """A map, or the one that checks it."""
 
     basis: Literal["gram"]
@@ -227,26 +229,26 @@ class MapTable(_Table):
     beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
 
 
-class _CrossCheck(_Table):
+class _CrossCheck(Table):
     map: MapTable
     left_out_px: PositivePixels
     bound_px: PositivePixels
     largest_px: Annotated[float, Field(ge=0, le=1000)]
 
 
-class _Residuals(_Table):
+class _Residuals(Table):
     mean_mm: Annotated[float, Field(ge=0, le=1000)]
     std_mm: Annotated[float, Field(ge=0, le=1000)]
     max_mm: Annotated[float, Field(ge=0, le=1000)]
 
 
-class _Flat(_Table):
+class _Flat(Table):
     source: Source
     origin: Origin = Origin.CAMERA
     png: str
 
 
-class TargetTable(_Table):
+class TargetTable(Table):
     """One of ``targets``."""
 
     name: str
@@ -275,21 +277,25 @@ _Limit = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None
 _Limits = Annotated[Limits, _table_of(Limits, **dict.fromkeys(LIMIT_KEYS, _Limit))]
 
 
-class _Unit(_Table):
+class UnitTable(Table):
+    """``unit``."""
+
     serial: str
 
 
-class _Source(_Table):
+class RecordingTable(Table):
+    """``recording``: what the calibration was made from."""
+
     note: str
     sha256: str
 
 
-class CalibrationTable(_Table):
+class CalibrationTable(Table):
     """The whole of the file but for its checksum."""
 
     format: Literal["altd-calibration/1"]
-    unit: _Unit
+    unit: UnitTable
     created: datetime
-    recording: _Source
+    recording: RecordingTable
     limits: _Limits = NO_LIMITS
     targets: Annotated[list[TargetTable], Field(min_length=1)]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.soundness import Candidate
+from altd.calibration.result import Candidate
 from altd.mapping.camera_model import Optics
 from altd.mapping.grid import Axis, convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
@@ -126,10 +126,7 @@ class _Families:
 
 
 def fit_nodes(
-    nodes: Nodes,
-    image_size: tuple[int, int],
-    max_dropped: int,
-    fiducials: Fiducials | None = None,
+    nodes: Nodes, image_size: tuple[int, int], max_dropped: int, fiducials: Fiducials | None = None
 ) -> TargetFit:
     """Fit nodes by every model; the best is the map, the other family's checks it.
 

@@ -14,16 +14,10 @@ import numpy as np
 
 from altd.calibration.camera_fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import Progress, TargetEvidence, TargetsResult, residual_distances_mm
 from altd.calibration.target_frames import FrameRow, LitRows, TargetFrames, lit_rows
 from altd.errors import BadInputError
-from altd.mapping.light_centre import (
-    disc_moment_mm2,
-    light_centre_shift_px,
-    px2_per_mm2,
-    spot_moment_mm2,
-)
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px, px2_per_mm2, spot_moment_mm2
 from altd.mapping.nodes import Nodes
 from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader

@@ -10,11 +10,10 @@ import numpy as np
 from altd.calibration.camera_fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shape
-from altd.calibration.printed.end import cut_sides
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
-from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
-from altd.calibration.scan_grid import offset_doubts, relative_sigmas, scan_grid
+from altd.calibration.result import Progress, TargetEvidence, TargetsResult, residual_distances_mm
+from altd.calibration.scan_grid import cut_sides, offset_doubts, relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import (
     Job,
     Node,
@@ -24,7 +23,6 @@ from altd.calibration.scan_nodes import (
     locate_nodes,
     printed_nodes,
 )
-from altd.calibration.soundness import TargetEvidence
 from altd.calibration.spot_reference import Verdict, localiser_agreement, spot_reference, verdict
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
@@ -100,12 +98,7 @@ def _with_pattern(
     """The target with what print and speckle do to a spot, and what its spots are like."""
     first = first_of_nodes(job)
     reference = spot_reference(
-        lambda node: first[node].frame(),
-        len(first),
-        target.localiser,
-        target.flat,
-        target.map,
-        pattern_px,
+        lambda node: first[node].frame(), len(first), target.localiser, target.flat, target.map, pattern_px
     )
     spot = reference or UNKNOWN_SPOT
     shape_mm = pattern_shape(np.array(list(scatter.residuals_mm.values())), spot.shape)
@@ -136,10 +129,7 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
             f"at {', '.join(sides)} mm: record a flat and calibrate with --flat, or scan a smaller area",
         )
     found = find_print(
-        lambda node: located[node].frame(),
-        _spots_px(scanned.usable),
-        made.target.map,
-        job.localiser,
+        lambda node: located[node].frame(), _spots_px(scanned.usable), made.target.map, job.localiser
     )
     if found is not None:
         return _calibrate_printed(job, found, progress)
@@ -286,7 +276,7 @@ def _evidence(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetEvid
 def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     """The deviations of the used nodes from the map, in mm, for comparison with the other targets'."""
     nodes_px = fitted.fit.map.to_px(_positions_mm(used))
-    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(nodes_px)
+    _, jacobian, _ = InverseMap(fitted.fit.map).to_mm(nodes_px)
     residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
     exposures_mm = {}
     for node, to_mm in zip(used, jacobian, strict=True):

@@ -9,7 +9,7 @@ S. H. Moseley, R. G. Arendt, "Calibrating array detectors", ApJS 128, 2000).
 
 A factor exp(a · x) in F and its inverse in S and A_k leave all exposures as they are: they do not tell a
 slope of F from an asymmetry of S. The first solution takes all A_k as 1 and so decides for constant power;
-then A_k is what an exposure differs by from its neighbours (``laser_power``). A slope that is wrong displaces
+then A_k is what an exposure differs by from its neighbours (``true_excess``). A slope that is wrong displaces
 all spots of one size alike, those of the scan included, and does not reach a measurement.
 """
 
@@ -23,15 +23,14 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.calibration.fitting import fit_nodes
-from altd.calibration.laser_power import true_excess
-from altd.calibration.laser_raster import Raster, Shot, SpotSums
+from altd.calibration.laser_raster import Raster, Shot, SpotSums, true_excess
 from altd.calibration.result import Progress
 from altd.calibration.scan_grid import relative_sigmas
 from altd.calibration.scan_nodes import Job, first_of_nodes, locate_nodes
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
+from altd.mapping.camera_model import px2_per_mm2
 from altd.mapping.grid import edge_lines
-from altd.mapping.light_centre import px2_per_mm2
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap
 from altd.recording.reader import Recording
@@ -185,11 +184,7 @@ def _solved(
 
 
 def _powers(
-    raster: Raster,
-    exposures: Iterator[tuple[Image, Shot | None]],
-    dark: Image,
-    spot: Image,
-    first: _Solution,
+    raster: Raster, exposures: Iterator[tuple[Image, Shot | None]], dark: Image, spot: Image, first: _Solution
 ) -> FloatArray:
     """The laser's power in each exposure, (n,), 1 as usual, 0 for one that shows no spot.
 

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
-from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from altd.calibration.file import read_document
+from altd.calibration.file import array_of, content_of, read_document
+from altd.calibration.file_tables import RecordingTable, Table, UnitTable
 from altd.errors import BadInputError
-from altd.files.documents import checksum_of
 from altd.files.writing import write_file
 from altd.instruments.planar.fitting import PlaneFit
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.instruments.planar.plane import Model, PlaneCamera
-from altd.measuring.calibration import CalibrationFile
 from altd.recording.header import RecordingHeader
-from altd.records import CameraIdentity, FloatArray, Origin, utc_text
+from altd.records import CameraIdentity, Origin, utc_text
 
 PLANAR_FORMAT = "altd-planar-calibration/1"
 
@@ -31,20 +28,7 @@ _Place = tuple[float, float]
 _PARAMETERS: Mapping[Model, int] = {"homography": 8, "lens": 13}
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class _Unit(_Table):
-    serial: str
-
-
-class _Recording(_Table):
-    note: str
-    sha256: str
-
-
-class _Camera(_Table):
+class _Camera(Table):
     serial: str | None
     model: str | None
     driver: str | None
@@ -53,11 +37,11 @@ class _Camera(_Table):
     height: Annotated[int, Field(ge=16, le=20_000)]
 
 
-class _Content(_Table):
+class _Content(Table):
     format: Literal["altd-planar-calibration/1"]
-    unit: _Unit
+    unit: UnitTable
     created: datetime
-    recording: _Recording
+    recording: RecordingTable
     camera: _Camera
     disc_mm: Sigma
     model: Model
@@ -104,18 +88,17 @@ def save_planar_calibration(calibration: PlanarCalibration, path: Path) -> None:
         "known_phi_deg": list(calibration.known_phi_deg),
         "leave_one_out": {model: list(rms) for model, rms in calibration.rms.items()},
     }
-    text = json.dumps({**document, "checksum": checksum_of(document)}, indent=1)
-    write_file(path, (text + "\n").encode())
+    write_file(path, content_of(document)[0])
 
 
 def load_planar_calibration(path: Path, unit_serial: str | None = None) -> PlanarCalibration:
     """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
-    content, calibration, checksum = read_document(
+    calibration, file = read_document(
         path, PLANAR_FORMAT, lambda document: _calibration_of(_Content.model_validate(document))
     )
     if unit_serial is not None and calibration.unit_serial != unit_serial:
         raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
-    return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), checksum))
+    return replace(calibration, file=file)
 
 
 def check_planar_recording(calibration: PlanarCalibration, path: Path, header: RecordingHeader) -> None:
@@ -138,16 +121,11 @@ def check_planar_camera(
 
 def _calibration_of(content: _Content) -> PlanarCalibration:
     camera = content.camera
-    size = _PARAMETERS[content.model] + 2 * len(content.leds_mm)
-    covariance = _matrix(content.covariance)
-    if len(content.parameters) != _PARAMETERS[content.model]:
-        raise ValueError(f"parameters: expected {_PARAMETERS[content.model]} numbers")
-    if covariance.shape != (size, size):
-        raise ValueError(f"covariance: expected {size} × {size} numbers")
-    if (
-        np.linalg.eigvalsh(covariance / np.sqrt(np.outer(*2 * [np.diag(covariance).clip(1e-300)]))).min()
-        < -1e-6
-    ):
+    count = _PARAMETERS[content.model]
+    parameters = array_of("parameters", content.parameters, (count,))
+    covariance = array_of("covariance", content.covariance, 2 * (count + 2 * len(content.leds_mm),))
+    sigmas = np.sqrt(np.diag(covariance).clip(1e-300))
+    if np.linalg.eigvalsh(covariance / np.outer(sigmas, sigmas)).min() < -1e-6:
         raise ValueError("covariance: is none, it has a negative eigenvalue")
     return PlanarCalibration(
         unit_serial=content.unit.serial,
@@ -160,7 +138,7 @@ def _calibration_of(content: _Content) -> PlanarCalibration:
         fit=PlaneFit(
             PlaneCamera(
                 content.model,
-                np.array(content.parameters),
+                parameters,
                 np.array(content.origin_mm),
                 camera.width,
                 camera.height,
@@ -176,10 +154,3 @@ def _calibration_of(content: _Content) -> PlanarCalibration:
         known_phi_deg=tuple(content.known_phi_deg),
         rms=content.leave_one_out,
     )
-
-
-def _matrix(rows: list[list[float]]) -> FloatArray:
-    try:
-        return np.array(rows, dtype=np.float64)
-    except ValueError:
-        return np.empty(0)

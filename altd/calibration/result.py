@@ -1,17 +1,151 @@
-"""The result of a calibration command, and the common part of making one from a scan and from a plate."""
+"""The result of a calibration: its evidence, its doubts, and the conditions under which it can be used."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from altd.calibration.soundness import TargetEvidence
+from altd.mapping.grid import Axis
 from altd.mapping.inverse import InverseMap
-from altd.mapping.tensor_map import Fit
+from altd.mapping.tensor_map import Fit, TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One model that was tried on a target's nodes.
+
+    ``model`` is its name as in the calibration file (``tensor``, ``lens`` …), ``degree`` along x and y of a
+    tensor polynomial, ``parameters`` how many numbers per target were fitted. ``gcv_px`` is the root of the
+    generalised cross-validation score, ``leave_one_out_px`` the rms of the leave-one-out residuals,
+    ``map_sigma_px`` the rms over the hull of what the nodes' noise leaves in the map: it grows with the
+    degree while the misfit falls (thesis 3.5.6).
+    """
+
+    model: str
+    degree: tuple[int, int] | None
+    parameters: int
+    gcv_px: float
+    leave_one_out_px: float
+    map_sigma_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetEvidence:
+    """A target's nodes and the models that were tried on them.
+
+    ``nodes_mm`` (n, 2) and ``nodes_px`` (n, 2) are the nodes that were used, ``residuals_px`` (n, 2) measured
+    minus mapped, ``leave_one_out_residuals_px`` (n, 2) measured minus mapped without the node,
+    ``scatter_px`` (n, 2) the standard deviation of single exposures at the node (NaN where it has one),
+    ``exposures`` (n,) their number. ``relative_sigma`` (n,) is 1 for a node whose spot is known as well as
+    most, more for one that is known worse and counts less. ``excluded`` holds the nodes (x, y) mm that were
+    not used, each with the reason, ``leds_dropped`` in words the frame LEDs that shine and could not be
+    located.
+    """
+
+    name: str
+    nodes_mm: FloatArray
+    nodes_px: FloatArray
+    residuals_px: FloatArray
+    leave_one_out_residuals_px: FloatArray
+    relative_sigma: FloatArray
+    scatter_px: FloatArray
+    exposures: tuple[int, ...]
+    excluded: tuple[tuple[tuple[float, float], str], ...]
+    leds_dropped: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+
+
+_MAX_NODES = 256
+"""Along an axis; a plate of LEDs has up to 100."""
+_MAX_DEGREE = 15
+"""Above, powers lose digits (``gram_powers``)."""
+_MAX_FACTOR_COLUMNS = 2 * (_MAX_DEGREE + 1) ** 2
+"""Two for each coefficient: what ``fit_tensor_map`` makes."""
+_MAX_CORNERS = 4 * _MAX_NODES
+_MAX_OUTSIDE_SHARE = 0.25
+"""By how much of its size a picture may be missed by a corner of the hull, which was seen in it."""
+_MIN_EDGE_MM = 1e-3
+_MAX_BEND_SINE = 1e-4
+"""Sine of the largest bend inwards at a corner, by rounding."""
+
+
+def check_calibration(calibration: Calibration) -> None:
+    """Raise ValueError that names the target and the map when a calibration cannot be measured with.
+
+    Beyond the types of fields; the file's checksum shows that it is unchanged, not that it is right.
+    """
+    names = calibration.target_names
+    if len(set(names)) < len(names):
+        raise ValueError("targets: two targets have the same name")
+    if any(after.z_mm <= before.z_mm for before, after in itertools.pairwise(calibration.targets)):
+        raise ValueError("targets: z_mm must grow from target to target, in beam order")
+    for target in calibration.targets:
+        place = f"targets.{target.name}"
+        for name, fitted in (("map", target.map), ("cross_check.map", target.cross_check.map)):
+            _check_grid(f"{place}.{name}", fitted)
+            _check_hull(f"{place}.{name}.hull_mm", fitted.hull_mm, fitted.x_axis, fitted.y_axis)
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                _check_map(f"{place}.map", target)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            raise ValueError(f"{place}.map: its numbers are too large to compute with") from error
+
+
+def _check_grid(place: str, fitted: TensorMap) -> None:
+    for name, axis, degree in zip("xy", (fitted.x_axis, fitted.y_axis), fitted.degree, strict=True):
+        if axis.nodes > _MAX_NODES:
+            raise ValueError(f"{place}.{name}_axis: has {axis.nodes} nodes, more than {_MAX_NODES}")
+        most = min(axis.nodes - 1, _MAX_DEGREE)
+        if not 1 <= degree <= most:
+            raise ValueError(f"{place}.degree: {degree} along {name}, but it must be 1 to {most}")
+    errors = fitted.covariance_factor_px.shape[2]
+    if errors < 1:
+        raise ValueError(f"{place}.spread: is empty, so nothing is known of the map's uncertainty")
+    if errors > _MAX_FACTOR_COLUMNS:
+        raise ValueError(f"{place}.spread: has {errors} columns, more than {_MAX_FACTOR_COLUMNS}")
+
+
+def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> None:
+    """Convex, counter-clockwise, run round once, and not beyond the grid by more than a step."""
+    if len(hull_mm) > _MAX_CORNERS:
+        raise ValueError(f"{place}: has {len(hull_mm)} corners, more than {_MAX_CORNERS}")
+    first = np.array([axis.first_mm - axis.step_mm for axis in (x_axis, y_axis)])
+    last = np.array([axis.last_mm + axis.step_mm for axis in (x_axis, y_axis)])
+    if not ((first <= hull_mm) & (hull_mm <= last)).all():
+        raise ValueError(f"{place}: reaches beyond the grid")
+    edge = np.roll(hull_mm, -1, axis=0) - hull_mm
+    length = np.hypot(edge[:, 0], edge[:, 1])
+    if length.min() < _MIN_EDGE_MM:
+        raise ValueError(f"{place}: two corners in a row are the same")
+    ahead = edge / length[:, None]
+    after = np.roll(ahead, -1, axis=0)
+    sines = ahead[:, 0] * after[:, 1] - ahead[:, 1] * after[:, 0]
+    turns = np.arctan2(sines, np.einsum("ij,ij->i", ahead, after)).sum() / (2 * np.pi)
+    if sines.min() < -_MAX_BEND_SINE or round(turns) != 1:
+        raise ValueError(f"{place}: is no convex polygon, counter-clockwise")
+
+
+def _check_map(place: str, target: TargetCalibration) -> None:
+    """The hull lies in the picture, the map is one to one in it, and its inverse finds the middle again."""
+    fitted = target.map
+    hull_px = fitted.to_px(fitted.hull_mm)
+    size = np.array([target.width, target.height], dtype=np.float64)
+    if not ((-_MAX_OUTSIDE_SHARE * size <= hull_px) & (hull_px <= (1 + _MAX_OUTSIDE_SHARE) * size)).all():
+        raise ValueError(f"{place}: puts its hull outside of the picture")
+    if fitted.folds:
+        raise ValueError(f"{place}: puts two places of its hull on one pixel")
+    middle_mm = fitted.hull_mm.mean(axis=0)
+    u_px, v_px = fitted.to_px(middle_mm[None])[0].tolist()
+    point = target.point(u_px, v_px)
+    if point is None or not np.allclose((point.x_mm, point.y_mm), middle_mm, atol=1e-3):
+        raise ValueError(f"{place}: does not find a place from its pixel")
+    target.cross_check.difference_px(point.x_mm, point.y_mm, u_px, v_px)
+
 
 Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
@@ -46,7 +180,7 @@ class TargetsResult:
 def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
     """Eq. 3.1 for the nodes (n, 2) themselves: how far from its known place the map puts each one, (n,)."""
     nodes_px = fit.map.to_px(nodes_mm) + fit.residuals_px
-    _, jacobian, _ = InverseMap.of(fit.map).to_mm(nodes_px)
+    _, jacobian, _ = InverseMap(fit.map).to_mm(nodes_px)
     offsets: FloatArray = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, fit.residuals_px), axis=1)
     return offsets
 

@@ -1,8 +1,8 @@
-"""Whether the nodes of a scan make a sufficient grid, how much each one counts, and whether scans agree."""
+"""Whether the nodes of a scan make a sufficient grid, how much each counts, and where the surface ends."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,11 @@ from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
-from altd.records import FloatArray
+from altd.records import FloatArray, Frame, Spot
+from altd.statistics import MAD_TO_SIGMA
+from altd.vision.frame_analysis import FrameAnalysis, Patch
+from altd.vision.localise import locate_in
+from altd.vision.settings import SpotSettings
 
 _MAX_SIGMA_RATIO = 1.5
 """Up to so many times the median sigma spots are alike: print and speckle move a dim one no more."""
@@ -104,10 +108,103 @@ def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[s
         if float(np.linalg.norm(offset_px)) <= fitted.noise_px:
             continue
         middle_px = fitted.to_px(np.array([node.position_mm for _, _, node in shared])).mean(axis=0)
-        jacobian = InverseMap.of(fitted).to_mm(middle_px[None])[1][0]
+        jacobian = InverseMap(fitted).to_mm(middle_px[None])[1][0]
         offset_mm = float(np.linalg.norm(jacobian @ offset_px))
         doubts.append(
             f"{job.name}: {other.recording.path} puts the spots of {len(shared)} nodes {offset_mm:.2f} mm "
             f"from where {first.recording.path} does: what was moved between the scans?"
         )
     return tuple(doubts)
+
+
+_MOMENT = SpotSettings(method="moment")
+_CORE = 0.3
+"""Relative light from which a smoothed pixel belongs to the core."""
+_MIN_CORE_PIXELS = 20
+_REACH_MM = 10.0
+"""Nodes closer to the outermost ones may be cut themselves and are no reference."""
+_MIN_INNER_NODES = 4
+_MIN_TREND_NODES = 9
+_MAX_INNER_NODES = 100
+"""More would only take time."""
+_MIN_CUT_MM = 0.04
+_MIN_CUT_SIGMAS = 5.0
+_MIN_CUT_SHARE = 1 / 3
+"""Of the nodes of a side, and at least two: dirt displaces single spots."""
+_SAME_LINE_MM = 1.0
+
+
+def cut_sides(
+    frame_of: Callable[[int], Frame], nodes_mm: FloatArray, first_map: TensorMap
+) -> tuple[str, ...]:
+    """The outer columns and rows of nodes whose spots the end of the surface cuts, such as ``x 70``.
+
+    The cut displaces the centroid of a spot inwards. A Gaussian through the bright core of the smoothed spot
+    is displaced less. The difference between the two shows the cut before the size of the core changes.
+
+    ``frame_of`` returns one exposure of a node by its number. ``nodes_mm`` (n, 2) are the positions of the
+    stage.
+    """
+    low, high = nodes_mm.min(axis=0), nodes_mm.max(axis=0)
+    reach_mm = np.minimum(_REACH_MM, (high - low) / 4)
+    inside_mm = np.minimum(nodes_mm - low, high - nodes_mm)
+    inner = (inside_mm > reach_mm).all(axis=1)
+    is_used = (inside_mm < _SAME_LINE_MM).any(axis=1)
+    is_used[np.flatnonzero(inner)[:: 1 + np.count_nonzero(inner) // _MAX_INNER_NODES]] = True
+    displacements_mm = np.full(nodes_mm.shape, np.nan)
+    for row in np.flatnonzero(is_used).tolist():
+        jacobian = first_map.jacobian(nodes_mm[row : row + 1])[0]
+        displacements_mm[row] = _displacement_mm(frame_of(row), jacobian)
+    has_both = np.isfinite(displacements_mm).all(axis=1)
+    inner &= has_both
+    if np.count_nonzero(inner) < _MIN_INNER_NODES:
+        return ()
+    design = np.column_stack([np.ones(len(nodes_mm)), nodes_mm])
+    if np.count_nonzero(inner) < _MIN_TREND_NODES:
+        design = design[:, :1]
+    usual = np.linalg.lstsq(design[inner], displacements_mm[inner], rcond=None)[0]
+    excess_mm = displacements_mm - design @ usual
+    lost = np.sqrt(np.count_nonzero(inner) / (np.count_nonzero(inner) - design.shape[1]))
+    sigma_mm = lost * MAD_TO_SIGMA * float(np.median(np.abs(excess_mm[inner])))
+    limit_mm = max(_MIN_CUT_MM, _MIN_CUT_SIGMAS * sigma_mm)
+    sides = []
+    for axis, name in enumerate("xy"):
+        along_mm, off_mm = nodes_mm[:, axis], excess_mm[:, axis]
+        for end_mm, inwards in ((low[axis], 1), (high[axis], -1)):
+            of_side = inwards * off_mm[has_both & (np.abs(along_mm - end_mm) < _SAME_LINE_MM)]
+            cut = np.count_nonzero(of_side > limit_mm)
+            if cut >= max(2, _MIN_CUT_SHARE * len(of_side)):
+                sides.append(f"{name} {end_mm:g}")
+    return tuple(sides)
+
+
+def _displacement_mm(frame: Frame, jacobian: FloatArray) -> FloatArray:
+    """Centroid minus centre of the core (2,) mm; NaN without one of them.
+
+    ``jacobian`` (2, 2) is d(px)/d(mm).
+    """
+    analysis = FrameAnalysis(frame, _MOMENT)
+    spot, patch = locate_in(analysis), analysis.brightest_patch
+    centre_px = None if patch is None or patch.is_cut else _core_centre_px(patch)
+    if centre_px is None or not isinstance(spot, Spot):
+        return np.full(2, np.nan)
+    displacement_px = np.array([spot.u_px, spot.v_px]) - centre_px
+    return np.asarray(np.linalg.solve(jacobian, displacement_px))
+
+
+def _core_centre_px(patch: Patch) -> FloatArray | None:
+    """Centre (2,) of a Gaussian through the core of a smoothed spot; None if the core has no maximum."""
+    light = patch.smooth.astype(np.float64)
+    v, u = np.nonzero(light > _CORE * light.max())
+    if len(u) < _MIN_CORE_PIXELS:
+        return None
+    core = light[v, u]
+    middle_px = np.array([u.mean(), v.mean()])
+    x, y = u - middle_px[0], v - middle_px[1]
+    design = np.column_stack([np.ones(len(x)), x, y, 0.5 * x * x, x * y, 0.5 * y * y])
+    *_, by_x, by_y, xx, xy, yy = np.linalg.lstsq(design * core[:, None], np.log(core) * core, rcond=None)[0]
+    form = -np.array([[xx, xy], [xy, yy]])
+    if np.linalg.eigvalsh(form)[0] <= 0:
+        return None
+    corner_px = np.array([patch.left, patch.top])
+    return np.asarray(middle_px + corner_px + np.linalg.solve(form, (by_x, by_y)))

@@ -153,7 +153,7 @@ def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | N
 
     ``spots`` (n, 6): centre (u, v) px, form a, b, c and order of each.
     """
-    points_mm, jacobians, _ = InverseMap.of(fitted).to_mm(spots[:, :2])
+    points_mm, jacobians, _ = InverseMap(fitted).to_mm(spots[:, :2])
     shapes = np.array(
         [
             shape_in_mm(SpotShape(*form), jacobian)

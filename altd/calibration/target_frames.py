@@ -240,10 +240,7 @@ class LitRows:
 
 
 def lit_rows(
-    recording: Recording,
-    camera: str,
-    max_dark_ratio: float,
-    progress: Progress = lambda done, total: None,
+    recording: Recording, camera: str, max_dark_ratio: float, progress: Progress = lambda done, total: None
 ) -> LitRows:
     """The lit and the dark rows of a camera.
 

@@ -1,19 +1,154 @@
-"""Arguments of a command line: what is wrong with them in one line; all commands where none is given."""
+"""Arguments of a command line: those that several commands take; what is wrong with them, in one line."""
 
 from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any, NoReturn
 
 from altd.errors import BadInputError, did_you_mean
 from altd.process.standard_streams import complain
 
+DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
+"""The settings file of the service (docs/install.md)."""
+
+
+def add_credentials(parser: argparse.ArgumentParser) -> None:
+    """The arguments of a command that changes a file of credentials."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="the file that `[http] credentials` names")
+    parser.add_argument("name", metavar="NAME", help="user: lower-case letters, digits and _, a letter first")
+    parser.add_argument("--remove", action="store_true", help="remove it")
+
+
+def add_config(parser: argparse._ActionsContainer) -> None:
+    """The settings; without, those of the service."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})")
+
+
+def add_socket(parser: argparse.ArgumentParser) -> None:
+    """The option for the socket of the running daemon."""
+    add_config(parser)
+    parser.add_argument(
+        "--socket",
+        type=Path,
+        metavar="PATH",
+        help="local socket of the daemon (default: that of its settings)",
+    )
+
+
+def socket_of(options: argparse.Namespace) -> Path:
+    """The socket to ask; that of the service where neither it nor settings are named and it has none."""
+    from altd.app.settings import SERVICE_SOCKET, load_settings, socket_to_ask
+
+    if options.socket is not None:
+        path: Path = options.socket
+        return path
+    return SERVICE_SOCKET if options.config is None else socket_to_ask(load_settings(options.config))
+
+
+def add_output(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
+    """The option for the file of the result."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=what)
+
+
+def progress_on(what: str) -> Callable[[int, int], None]:
+    """A counter on a terminal's stderr; nothing in a pipe."""
+    if not sys.stderr.isatty():
+        return lambda done, total: None
+
+    def show(done: int, total: int) -> None:
+        if done == total:
+            sys.stderr.write("\r\033[K")
+        elif done % 8 == 0:
+            sys.stderr.write(f"\r{done}/{total} {what}")
+        sys.stderr.flush()
+
+    return show
+
+
+_AGO = re.compile(r"-?(\d{1,9})([smhd])")
+_UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86_400}
+_FROM = "start: a time such as 2026-11-20T08:15 (UTC), or -2h, also s, m, d (default: the oldest)"
+_EARLIEST = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def time_us(text: str) -> int:
+    """A time of the command line as µs since 1970; raises argparse.ArgumentTypeError.
+
+    ``2026-11-20``, ``2026-11-20T08:15``, ``2026-11-20T08:15:30.5Z``, with an offset such as ``+01:00``, or
+    ``-2h``: two hours ago, likewise s, m and d. Without an offset it is UTC.
+    """
+    try:
+        time = _time(text)
+        if time < _EARLIEST:
+            raise ValueError
+    except (ValueError, OverflowError) as error:
+        raise argparse.ArgumentTypeError(
+            f"{text[:40]!r} is no time; possible: 2026-11-20T08:15:30Z, or -2h for two hours ago"
+        ) from error
+    return round(time.timestamp() * 1e6)
+
+
+def _time(text: str) -> datetime:
+    if ago := _AGO.fullmatch(text):
+        return datetime.now(UTC) - timedelta(seconds=int(ago[1]) * _UNITS_S[ago[2]])
+    time = datetime.fromisoformat(text)
+    return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
+
+
+def add_span(parser: argparse.ArgumentParser) -> None:
+    """From when to when."""
+    parser.add_argument("--from", dest="from_us", type=time_us, metavar="TIME", help=_FROM)
+    parser.add_argument(
+        "--to", dest="to_us", type=time_us, metavar="TIME", help="end, not included (default: now)"
+    )
+
+
+def span_of(options: argparse.Namespace) -> tuple[int, int]:
+    """From when to before when, µs since 1970; raises BadInputError where that is no time at all."""
+    from_us = 0 if options.from_us is None else options.from_us
+    to_us = 2**62 if options.to_us is None else options.to_us
+    if from_us >= to_us:
+        raise BadInputError("--to", "is not after --from")
+    return from_us, to_us
+
+
+def add_history(parser: argparse.ArgumentParser) -> None:
+    """Which history: that of a daemon, by its settings, or a file."""
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        default=argparse.SUPPRESS,  # a file needs none
+        help=f"settings of the daemon whose history it is (default: {DEFAULT_CONFIG})",
+    )
+    parser.add_argument("--history", type=Path, metavar="FILE", help="history file, or a copy of it")
+
+
+def history_of(options: argparse.Namespace) -> Path:
+    """The file to read; raises BadInputError."""
+    if options.history is not None:
+        if "config" in options:
+            raise BadInputError("--config", "says where the history is: it goes with no --history")
+        history: Path = options.history
+        return history
+    if "config" not in options and not DEFAULT_CONFIG.is_file():
+        raise BadInputError("--history", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
+    from altd.app.keeping import history_to_read
+    from altd.app.settings import load_settings
+
+    return history_to_read(load_settings(options.config if "config" in options else DEFAULT_CONFIG))
+
+
 _CHOICE = re.compile(r"argument (.+?): invalid choice: (.+?) \(choose from ", re.DOTALL)
 _MISSING = re.compile(r"the following arguments are required: (.*)", re.DOTALL)
 _NO_NUMBER = re.compile(r"argument (.+?): invalid (int|float) value: (.*)", re.DOTALL)
 _NO_VALUE = re.compile(r"argument (.+?): expected (.*)", re.DOTALL)
+_QUOTES = "'\""
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,12 +216,9 @@ class Parser(argparse.ArgumentParser):
         first = unknown[0]
         if not first.startswith("-") or first == "-":
             self.error(f"{first!r} is an argument too many; {self._one_line_usage()}")
-        options = self._options()
+        options = [action.option_strings[-1] for action in self._actions if action.option_strings]
         slip = did_you_mean(first.partition("=")[0], options)
         self.error(f"{first}: there is no such argument; possible: {', '.join(options)}{slip}")
-
-    def _options(self) -> list[str]:
-        return [action.option_strings[-1] for action in self._actions if action.option_strings]
 
     def _unknown_options(self) -> str:
         """The unknown arguments, each with the known ones that it resembles."""
@@ -110,6 +242,3 @@ class Parser(argparse.ArgumentParser):
 
     def _one_line_usage(self) -> str:
         return " ".join(self.format_usage().split())
-
-
-_QUOTES = "'\""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.cli.options import DEFAULT_CONFIG, add_config, progress_on
+from altd.cli.arguments import DEFAULT_CONFIG, add_config, progress_on
 from altd.process.standard_streams import say
 
 SUMMARY = "store the baseline of a row of switched targets"

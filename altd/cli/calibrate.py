@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from altd.cli.options import add_output, progress_on
+from altd.cli.arguments import add_output, progress_on
 from altd.errors import BadInputError
 from altd.process.standard_streams import complain, say
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from altd.cli.options import add_config
+from altd.cli.arguments import add_config
 from altd.process.standard_streams import complain, say
 
 if TYPE_CHECKING:

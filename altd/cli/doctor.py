@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from altd.cli.options import add_config
+from altd.cli.arguments import add_config
 from altd.process.standard_streams import say
 
 SUMMARY = "list the faults of this computer, with remedies"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from altd.cli.options import add_history, add_span, history_of, span_of
+from altd.cli.arguments import add_history, add_span, history_of, span_of
 
 SUMMARY = "print the events of the history: states, causes, self-checks, starts, changes, requests"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.cli.options import add_history, add_span, history_of, span_of
+from altd.cli.arguments import add_history, add_span, history_of, span_of
 
 SUMMARY = "write the measurements of the history as a table"
 
@@ -30,8 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the table."""
-    from altd.answers.export import Question, answer
+    from altd.answers.export import answer
 
-    question = Question(history_of(options), span_of(options), options.every, options.format, options.output)
-    answer(question)
+    answer(history_of(options), span_of(options), options.every, options.format, options.output)
     return 0

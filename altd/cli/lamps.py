@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
-from altd.cli.options import add_config
+from altd.cli.arguments import add_config
 from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal
 from altd.process.standard_streams import complain, say

@@ -36,8 +36,7 @@ from altd.cli import (
     verify,
     watch,
 )
-from altd.cli.arguments import Parser
-from altd.cli.options import DEFAULT_CONFIG
+from altd.cli.arguments import DEFAULT_CONFIG, Parser
 from altd.process.endings import run_to_end
 
 
@@ -132,9 +131,7 @@ def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
 def command_parser() -> Parser:
     """The parser of all commands."""
     parser = Parser(
-        prog="altd",
-        description="The measuring daemon of an Active Laser Target.",
-        epilog=_FIRST_STEPS,
+        prog="altd", description="The measuring daemon of an Active Laser Target.", epilog=_FIRST_STEPS
     )
     parser.add_argument("--version", action="version", version=f"altd {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")

@@ -6,7 +6,7 @@ import argparse
 import getpass
 import sys
 
-from altd.cli.options import add_credentials
+from altd.cli.arguments import add_credentials
 from altd.errors import BadInputError
 from altd.process.standard_streams import say
 

@@ -8,7 +8,7 @@ import logging
 import math
 from typing import TYPE_CHECKING
 
-from altd.cli.options import add_config, add_output, progress_on
+from altd.cli.arguments import add_config, add_output, progress_on
 from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr

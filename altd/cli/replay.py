@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.cli.options import progress_on
+from altd.cli.arguments import progress_on
 from altd.process.standard_streams import complain
 
 SUMMARY = "measure a recording again; write the values as JSON, table or plot"
@@ -26,10 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="settings of a row of switched targets: which are stable",
     )
     parser.add_argument(
-        "--window",
-        type=_count,
-        metavar="N",
-        help="exposures averaged (default: 20; of a scan all of a node)",
+        "--window", type=_count, metavar="N", help="exposures averaged (default: 20; of a scan all of a node)"
     )
     parser.add_argument("--every", type=_count, metavar="N", help="one line per N exposures (default: 1)")
     parser.add_argument(

@@ -7,7 +7,7 @@ import asyncio
 import logging
 import os
 
-from altd.cli.options import add_config
+from altd.cli.arguments import add_config
 from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr

@@ -5,18 +5,23 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+import shutil
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from altd.cli.options import add_config, add_output
+from altd.cli.arguments import add_config, add_output
+from altd.errors import one_line
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
+from altd.process.standard_streams import complain
 
 if TYPE_CHECKING:
     from altd.acquisition.scan.scanner import Scanner
-    from altd.cli.scan_screen import ScanScreen
 
 SUMMARY = "record a calibration scan with the stage; continue one that was interrupted"
+_BAR_LETTERS = 24
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +40,6 @@ def run(options: argparse.Namespace) -> int:
     from altd.acquisition.scan.plan import Raster
     from altd.app.record import scanner_of
     from altd.app.settings import load_beam_settings
-    from altd.cli.scan_screen import ScanScreen
 
     screen = ScanScreen()
     with logging_to_stderr(logging.ERROR):
@@ -65,3 +69,43 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
         screen.say(f"without {line}")
     screen.say(f"{result.exposures} exposures in {output}")
     return 0
+
+
+class ScanScreen:
+    """See ``altd.acquisition.scan.scanner.ProgressReporter``; ``name`` begins the lines that stay."""
+
+    def __init__(self, name: str = "altd scan") -> None:
+        self._name = name
+        self._terminal = sys.stderr.isatty()
+        self._first: tuple[float, int] | None = None
+
+    def say(self, line: str) -> None:
+        """A line of its own, above the bar."""
+        self.clear()
+        complain(f"{self._name}: {line}")
+
+    def progress(self, done: int, total: int, doing: str) -> None:
+        """Draw the bar again; nothing in a pipe."""
+        if not self._terminal:
+            return
+        bar = ("#" * (_BAR_LETTERS * done // total)).ljust(_BAR_LETTERS, ".")
+        line = f"[{bar}] {done}/{total} nodes{self._left(done, total)}  {doing}"
+        width = shutil.get_terminal_size().columns - 1
+        sys.stderr.write(f"\r{one_line(line)[:width]}\033[K")
+        sys.stderr.flush()
+
+    def clear(self) -> None:
+        """Take the bar away."""
+        if self._terminal:
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
+
+    def _left(self, done: int, total: int) -> str:
+        """The time that the other nodes will take at the pace of this run."""
+        now = time.monotonic()
+        if self._first is None or done <= self._first[1]:
+            self._first = now, done
+            return ""
+        since, at_first = self._first
+        left_s = round((now - since) / (done - at_first) * (total - done))
+        return f", {left_s // 60}:{left_s % 60:02d} left"

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from altd.cli.options import DEFAULT_CONFIG
+from altd.cli.arguments import DEFAULT_CONFIG
 from altd.errors import BadInputError
 from altd.process.standard_streams import complain, say
 

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from altd.cli.options import add_socket, socket_of
+from altd.cli.arguments import add_socket, socket_of
 from altd.process.standard_streams import complain, say
 
 SUMMARY = "print values, state, causes and remedies of the running daemon"

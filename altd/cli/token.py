@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from altd.cli.options import add_credentials
+from altd.cli.arguments import add_credentials
 from altd.process.standard_streams import say
 
 SUMMARY = "make or remove a token for the unit's API; print a new one once"

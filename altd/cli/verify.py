@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from altd.cli.options import progress_on
+from altd.cli.arguments import progress_on
 from altd.process.standard_streams import say
 
 SUMMARY = "check a unit against known beams, in the manner of ISO 17123: verdict, statistics, limits"

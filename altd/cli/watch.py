@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from altd.cli.options import add_socket, socket_of
+from altd.cli.arguments import add_socket, socket_of
 
 SUMMARY = "show the running daemon live: targets, values, trends, causes and remedies"
 

@@ -33,23 +33,18 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
     """The V4L2 cameras, and the USB that they hang on."""
     needs_mbit_s: dict[str, float] = {}
     speeds: dict[str, int] = {}
-    for name, camera in config.cameras.items():
-        if not isinstance(camera, V4l2CameraSettings):
-            continue
-        subject = f"camera {name}"
-        yield from _device(f"{subject} {camera.device}", camera.device, CAMERA_NAMES, machine)
+    cameras = {
+        name: camera for name, camera in config.cameras.items() if isinstance(camera, V4l2CameraSettings)
+    }
+    for name, camera in cameras.items():
+        yield from _device(f"camera {name} {camera.device}", camera.device, CAMERA_NAMES, machine)
         bus = _usb_bus(camera.device, machine)
         if bus is not None:
             number, speeds[bus[0]] = bus
             bytes_px = 1 if camera.pixel_format == "GREY" else 2
             needed = camera.width * camera.height * bytes_px * camera.fps * 8e-6
             needs_mbit_s[number] = needs_mbit_s.get(number, 0.0) + needed
-    video = {
-        name: camera.device
-        for name, camera in config.cameras.items()
-        if isinstance(camera, V4l2CameraSettings)
-    }
-    yield from _duplicates("camera", video, machine)
+    yield from _duplicates("camera", {name: camera.device for name, camera in cameras.items()}, machine)
     for number, needed in needs_mbit_s.items():
         subject, speed = f"USB bus {number}", speeds[number]
         text = f"its cameras need {needed:.0f} Mbit/s of {speed}"

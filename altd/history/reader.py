@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from altd.history.columns import Column, columns_in
-from altd.history.facts import check_unit
-from altd.history.numbering import codes_in, fault_in
+from altd.history.facts import check_unit, codes_in, fault_in
 from altd.history.opening import damage_told, open_to_read
 from altd.history.records import StoredEvent, StoredMeasurement, SummaryPoint, SummaryValue, Trend
 from altd.history.schema import (

@@ -8,7 +8,7 @@ import sqlite3
 from collections import deque
 from collections.abc import Callable
 
-from altd.history.batch import Batch, ClockSet, Item, Sample, StateSample, Written
+from altd.history.records import Batch, ClockSet, Item, Sample, StateSample, Written
 from altd.history.schema import MovedFileError, UnusableFileError
 from altd.history.store import Store
 from altd.history.summary import WorstFault

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from altd.history.numbering import fault_in
+from altd.history.facts import fault_in
 from altd.history.reader import Reader
 from altd.history.schema import HOURS, MINUTES, ROWS_PER_SPAN, SummaryTable, UnusableFileError
 from altd.reasons import Reason

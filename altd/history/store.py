@@ -10,10 +10,8 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
 from altd.history.columns import Column, prepare_columns
-from altd.history.facts import changed_facts, check_unit
-from altd.history.numbering import Epochs, Reasons
+from altd.history.facts import Epochs, Reasons, changed_facts, check_unit
 from altd.history.opening import (
     WriteLock,
     check_folder,
@@ -25,6 +23,7 @@ from altd.history.opening import (
     touched,
     transaction,
 )
+from altd.history.records import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
 from altd.history.retention import Retention
 from altd.history.schema import (
     MEASUREMENT_PARTS,

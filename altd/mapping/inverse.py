@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -24,50 +22,30 @@ _MIN_DETERMINANT = 1e-12
 _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class InverseMap:
-    """The inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3.
+    """The inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3."""
 
-    ``_handed`` is the sign that the determinant of d(u, v)/d(x, y) has where the map is not folded over.
-    """
-
-    forward: TensorMap
-    _u: Rows
-    _v: Rows
-    _spread_px: FloatArray
-    _pattern_px2: tuple[float, float, float]
-    _start_x: Rows
-    _start_y: Rows
-    _centre_px: tuple[float, float]
-    _scale_px: float
-    _edges: Rows
-    _handed: float
-
-    @classmethod
-    def of(cls, forward: TensorMap) -> Self:
-        """Prepare the inverse: the start is fitted to a dense grid over the map's own grid."""
+    def __init__(self, forward: TensorMap) -> None:
+        """The start is fitted to a dense grid over the map's own grid."""
+        self.forward = forward
         x = np.linspace(forward.x_axis.first_mm, forward.x_axis.last_mm, 4 * forward.x_axis.nodes)
         y = np.linspace(forward.y_axis.first_mm, forward.y_axis.last_mm, 4 * forward.y_axis.nodes)
         points_mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         px = forward.to_px(points_mm)
         centre = px.mean(axis=0)
-        scale = float(np.abs(px - centre).max())
-        start = np.asarray(np.linalg.lstsq(_monomials((px - centre) / scale), points_mm, rcond=None)[0])
-        u, v, covariance_factor_px = forward.powers()
+        self._centre_px = float(centre[0]), float(centre[1])
+        self._scale_px = float(np.abs(px - centre).max())
+        q = (px - centre) / self._scale_px
+        start = np.asarray(np.linalg.lstsq(_monomials(q), points_mm, rcond=None)[0])
+        self._start_x, self._start_y = rows(_triangle(start[:, 0])), rows(_triangle(start[:, 1]))
+        u, v, self._spread_px = forward.powers()
+        self._u, self._v = rows(u), rows(v)
         pattern = forward.noise_covariance_px2
-        return cls(
-            forward,
-            rows(u),
-            rows(v),
-            covariance_factor_px,
-            (float(pattern[0, 0]), float(pattern[0, 1]), float(pattern[1, 1])),
-            rows(_triangle(start[:, 0])),
-            rows(_triangle(start[:, 1])),
-            (float(centre[0]), float(centre[1])),
-            scale,
-            plain(edge_lines(forward.hull_mm)),
-            float(np.sign(np.linalg.det(forward.jacobian(forward.hull_mm.mean(axis=0, keepdims=True))[0]))),
-        )
+        self._pattern_px2 = float(pattern[0, 0]), float(pattern[0, 1]), float(pattern[1, 1])
+        self._edges = plain(edge_lines(forward.hull_mm))
+        jacobian = forward.jacobian(forward.hull_mm.mean(axis=0, keepdims=True))[0]
+        self._handed = float(np.sign(np.linalg.det(jacobian)))
+        """The sign that the determinant of d(u, v)/d(x, y) has where the map is not folded over."""
 
     def to_mm(self, points_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Map points (n, 2) px to (n, 2) mm.

@@ -97,10 +97,7 @@ def fit_camera(nodes: Nodes, image_size: tuple[int, int]) -> Camera:
 
 
 def fit_lens_maps(
-    nodes: Nodes,
-    hull_mm: FloatArray,
-    image_size: tuple[int, int],
-    fiducials: Fiducials | None = None,
+    nodes: Nodes, hull_mm: FloatArray, image_size: tuple[int, int], fiducials: Fiducials | None = None
 ) -> list[Fit]:
     """The fits of both optics, each plain and with a bend of degree 2 and 3 where the nodes can carry it.
 
@@ -193,11 +190,7 @@ def _initial_camera(
 
 
 def _least_squares(
-    camera: Camera,
-    precision: FloatArray,
-    nodes: Nodes,
-    noise_px: float,
-    fiducials: Fiducials | None,
+    camera: Camera, precision: FloatArray, nodes: Nodes, noise_px: float, fiducials: Fiducials | None
 ) -> Camera:
     """Levenberg and Marquardt's steps from a camera to the one of the least cost."""
 

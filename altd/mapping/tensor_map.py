@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval2d
 
 from altd.mapping.grid import MIN_LINES, Axis, contains
 from altd.mapping.polynomials import gram_basis, gram_powers
@@ -137,8 +138,7 @@ class TensorMap:
         u, v, _ = self.powers()
         q = self.from_middle(points_mm)
         slopes = [
-            [np.polynomial.polynomial.polyval2d(q[:, 1], q[:, 0], _derived(c, axis)) for axis in (1, 0)]
-            for c in (u, v)
+            [polyval2d(q[:, 1], q[:, 0], polyder(powers, axis=axis)) for axis in (1, 0)] for powers in (u, v)
         ]
         per_mm = np.array([self.x_axis.unit_per_mm, self.y_axis.unit_per_mm])
         return np.asarray(np.array(slopes).transpose(2, 0, 1) * per_mm, dtype=np.float64)
@@ -156,11 +156,6 @@ class TensorMap:
         gram_x, gram_y = gram_powers(self.x_axis.nodes, degree_x), gram_powers(self.y_axis.nodes, degree_y)
         u, v = gram_y.T @ self.spectra @ gram_x
         return u, v, np.einsum("kl,ckm->clm", np.kron(gram_y, gram_x), self.covariance_factor_px)
-
-
-def _derived(coefficients: FloatArray, axis: int) -> FloatArray:
-    """The derivative of a polynomial by the variable of one axis of its coefficients, by rising powers."""
-    return np.asarray(np.polynomial.polynomial.polyder(coefficients, axis=axis), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,10 +219,7 @@ def fit_tensor_map(
 
 
 def fit_tensor_maps(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
-    hull_mm: FloatArray,
-    relative_sigma: FloatArray | None = None,
+    nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray, relative_sigma: FloatArray | None = None
 ) -> list[Fit]:
     """The fits of all degrees that the nodes carry: along an axis up to two less than its nodes, 6 at most.
 

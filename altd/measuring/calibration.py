@@ -62,7 +62,7 @@ class TargetCalibration:
     @cached_property
     def inverse(self) -> InverseMap:
         """The map from px to mm."""
-        return InverseMap.of(self.map)
+        return InverseMap(self.map)
 
     @property
     def valid_mm(self) -> FloatArray:

@@ -12,11 +12,13 @@ false alarms without independence of the checks. 0.02 px a day pass K on the sec
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Self
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from altd.selfcheck.records import SelfCheck, Similarity, Verdict
 
@@ -28,9 +30,15 @@ LIMIT_SIGMAS = 5.0
 DAY_S = 86_400.0
 DAYS_KEPT = 30
 
-Numbers = tuple[float, float, float, float]
+_Px = Annotated[float, Field(ge=-1e12, le=1e12)]
+Numbers = tuple[_Px, _Px, _Px, _Px]
 """Shift in u, shift in v, turn, scale, each as px at the LEDs."""
+_NotNegative = Annotated[float, Field(ge=0, le=1e18)]
+_Sums = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+"""The same of variances, or summed up beyond the allowance."""
 _NOTHING: Numbers = (0.0, 0.0, 0.0, 0.0)
+_FILED = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""For ``history_of``, which checks the fields of these records by their types."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +56,11 @@ class SlowDrift:
 class Day:
     """The checks of one day: its number, how many, the sum of what they found and of its variances."""
 
-    number: int
-    checks: int
+    __pydantic_config__ = _FILED
+    number: Annotated[int, Field(ge=-1_000_000, le=4_000_000)]
+    checks: Annotated[int, Field(ge=1, le=1_000_000_000)]
     sums: Numbers
-    variances: Numbers
+    variances: _Sums
 
     @property
     def mean(self) -> Numbers:
@@ -68,12 +77,13 @@ class Day:
 class TargetHistory:
     """One target: the day that is not over, the last days, CUSUMs upwards and downwards, the LEDs' radius."""
 
+    __pydantic_config__ = _FILED
     today: Day
-    days: tuple[Day, ...] = ()
-    above: Numbers = _NOTHING
-    below: Numbers = _NOTHING
-    drifts: bool = False
-    radius_px: float = 1.0
+    days: Annotated[tuple[Day, ...], Field(max_length=DAYS_KEPT)]
+    above: _Sums
+    below: _Sums
+    drifts: bool
+    radius_px: Annotated[float, Field(gt=0, le=1e5)]
 
     def with_numbers(self, numbers: Numbers, variances: Numbers, number: int) -> TargetHistory:
         """With one check more, of that day."""
@@ -116,13 +126,14 @@ class History:
     ``was_bad``: so the last check with a verdict was.
     """
 
-    targets: Mapping[str, TargetHistory] = field(default_factory=dict)
+    __pydantic_config__ = _FILED
+    targets: Mapping[str, TargetHistory]
     was_bad: bool = False
 
     @classmethod
     def empty(cls) -> Self:
         """Before the first check."""
-        return cls()
+        return cls({})
 
     def with_verdict(self, verdict: Verdict) -> Self:
         """With the verdict of the last check that had one."""
@@ -141,8 +152,8 @@ class History:
             numbers, variances = _numbers(drift.similarity)
             known = targets.get(name)
             if known is None:
-                today = Day(number, 1, numbers, variances)
-                targets[name] = TargetHistory(today, radius_px=drift.similarity.radius_px)
+                today, radius_px = Day(number, 1, numbers, variances), drift.similarity.radius_px
+                targets[name] = TargetHistory(today, (), _NOTHING, _NOTHING, False, radius_px)
             else:
                 targets[name] = known.with_numbers(numbers, variances, number)
         return replace(self, targets=targets)
@@ -196,3 +207,29 @@ def _slow_drift(name: str, history: TargetHistory) -> SlowDrift:
 def _four(values: np.typing.NDArray[np.float64]) -> Numbers:
     first, second, third, fourth = values.tolist()
     return first, second, third, fourth
+
+
+def document_of(history: History) -> dict[str, Any]:
+    """The history as plain JSON types: at most some 10 kB for each target."""
+    targets = {name: asdict(target) for name, target in history.targets.items()}
+    return {"targets": targets, "was_bad": history.was_bad}
+
+
+def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> History:
+    """The history that a document of ``document_of`` holds; raises ValueError in one line.
+
+    ``targets`` are those of the calibration; one that is none of them is an error.
+    """
+    try:
+        history = TypeAdapter(History).validate_python(document)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ValueError(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from error
+    for name, target in history.targets.items():
+        if name not in targets:
+            raise ValueError(f"targets.{name}: the calibration has no such target")
+        if any(later.number <= day.number for day, later in pairwise((*target.days, target.today))):
+            raise ValueError(f"targets.{name}: the days are not in their order")
+        if target.drifts and not target.days:
+            raise ValueError(f"targets.{name}: a drift without a day that shows it")
+    return history

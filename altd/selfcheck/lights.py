@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from altd.measuring.freshness import FreshnessCheck
-from altd.records import FloatArray, Frame, PixelArray, Spot
+from altd.records import FloatArray, Frame, PixelArray
 from altd.selfcheck.records import LedView
 from altd.vision.frame_leds import locate_leds
 from altd.vision.search import Region, search
@@ -21,6 +21,8 @@ SEARCH_PX = 40.0
 _CAP_RATIO = 1.5
 """A foreign light may be much brighter than an LED, and the search takes the brightest as its measure."""
 _MAX_LIGHTS = 40
+_MIN_SIGMA_PX = 1e-3
+"""No light's place is known better than its rim's raster."""
 _NOISE_RATIO = 4.0
 """Above the ninth decile by so many times its distance from the median there is light, and no noise."""
 
@@ -64,15 +66,10 @@ def lights_of(lit: Frame, dark: Frame, references_px: FloatArray) -> Lights:
     spots = sorted(found, key=lambda spot: -spot.peak)[:_MAX_LIGHTS]
     return Lights(
         px=np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2),
-        sigma_px=np.array([_sigma_px(spot) for spot in spots]),
+        sigma_px=np.array([max(spot.sigma_px, _MIN_SIGMA_PX) for spot in spots]),
         peak=np.array([spot.peak for spot in spots]),
         diameter_px=np.array([spot.diameter_px for spot in spots]),
     )
-
-
-def _sigma_px(spot: Spot) -> float:
-    """The standard deviation of a light's place, an axis: none is known better than its rim's raster."""
-    return max(spot.sigma_px, 1e-3)
 
 
 def _led_level(difference: PixelArray, references_px: FloatArray) -> float:

@@ -1,11 +1,19 @@
-"""A screen of characters with styles: text is cut between words, what does not take one cell is a ``?``."""
+"""A screen of characters with styles, and drawings on it: a target with the path of its spot, a trend.
+
+Text is cut between words; what does not take one cell is a ``?``.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from enum import Enum, auto
 from itertools import groupby
+
+from altd.terminal.documents import TargetsDocument
 
 
 class Style(Enum):
@@ -102,3 +110,134 @@ class Canvas:
         if not self.is_utf8 or not character.isprintable() or unicodedata.combining(character):
             return "?"
         return "?" if unicodedata.east_asian_width(character) in "WF" else character
+
+
+_MIN_SIGMAS = 6.0
+"""The full height is at least so many standard deviations, or noise would look like motion."""
+
+
+def limits_of(values: Sequence[float | None], sigma: float | None) -> tuple[float, float] | None:
+    """The values of the lowest and the highest level; None: nothing is known."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    low, high = min(known), max(known)
+    missing = max((sigma or 0.0) * _MIN_SIGMAS - (high - low), 0.0)
+    if high - low + missing == 0.0:
+        missing = 1.0
+    return low - missing / 2, high + missing / 2
+
+
+def draw_trend(
+    canvas: Canvas, row: int, column: int, rows: int, values: Sequence[float | None], sigma: float | None
+) -> None:
+    """A column a value, the last one at the right; with more than one row, filled from below."""
+    limits = limits_of(values, sigma)
+    if limits is None:
+        return
+    low, high = limits
+    levels = canvas.levels if rows == 1 or canvas.is_utf8 else "#"
+    for offset, value in enumerate(values):
+        if value is None:
+            continue
+        height = min(math.floor((value - low) / (high - low) * rows * len(levels)), rows * len(levels) - 1)
+        full, top = divmod(height, len(levels))
+        for below in range(full):
+            canvas.put(row + rows - 1 - below, column + offset, levels[-1], Style.PLAIN)
+        canvas.put(row + rows - 1 - full, column + offset, levels[top], Style.PLAIN)
+
+
+Place = tuple[float, float]
+"""x to the right and y upwards, mm."""
+
+SPOT = "O"
+_OUTLINE, _PATH, _CORNER, _MIDDLE = ".", ":", "+", "+"
+_FREE_SHARE = 1.04
+"""The picture is so much wider than what is drawn in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Cells of a canvas, and how many mm of a target lie below a dot; the unit's zero is in their middle."""
+
+    row: int
+    column: int
+    rows: int
+    columns: int
+    mm_per_dot: float
+
+    @classmethod
+    def holding(cls, targets: TargetsDocument, row: int, column: int, rows: int, columns: int) -> Frame:
+        """The largest scale by which every target fits into these cells."""
+        width, height = half_size_mm(targets)
+        scale = max(2 * width / (columns * DOTS_ACROSS), 2 * height / (rows * DOTS_DOWN))
+        return cls(row, column, rows, columns, scale)
+
+    def dot_of(self, place: Place) -> tuple[int, int]:
+        """Column and row of dots on the canvas."""
+        x = (self.column + self.columns / 2) * DOTS_ACROSS + place[0] / self.mm_per_dot
+        y = (self.row + self.rows / 2) * DOTS_DOWN - place[1] / self.mm_per_dot
+        return math.floor(x), math.floor(y)
+
+    def cell_of(self, place: Place) -> tuple[int, int]:
+        """Row and column on the canvas."""
+        x, y = self.dot_of(place)
+        return y // DOTS_DOWN, x // DOTS_ACROSS
+
+    def holds(self, place: Place) -> bool:
+        """Whether it lies in these cells."""
+        row, column = self.cell_of(place)
+        return self.row <= row < self.row + self.rows and self.column <= column < self.column + self.columns
+
+
+def half_size_mm(targets: TargetsDocument) -> Place:
+    """From the middle to the sides of what must be seen of every target."""
+    corners = [corner for target in targets.targets for corner in target.valid_mm]
+    width = max([targets.area_mm[0] / 2, *(abs(x) for x, _ in corners)])
+    height = max([targets.area_mm[1] / 2, *(abs(y) for _, y in corners)])
+    return width * _FREE_SHARE, height * _FREE_SHARE
+
+
+def rows_for(targets: TargetsDocument, columns: int) -> int:
+    """Rows of a picture that is as wide as that."""
+    width, height = half_size_mm(targets)
+    return math.ceil(columns * DOTS_ACROSS * height / width / DOTS_DOWN)
+
+
+def draw_target(
+    canvas: Canvas,
+    frame: Frame,
+    targets: TargetsDocument,
+    name: str,
+    path: Sequence[Place],
+    spot: Place | None,
+) -> None:
+    """Draw one target into a frame; ``path`` and ``spot`` are what is known of its laser spot."""
+    half_width, half_height = targets.area_mm[0] / 2, targets.area_mm[1] / 2
+    corners = [(x, y) for x in (-half_width, half_width) for y in (-half_height, half_height)]
+    outline = next((target.valid_mm for target in targets.targets if target.name == name), ())
+    _dots(canvas, frame, _along(outline, frame.mm_per_dot), _OUTLINE, Style.DIM)
+    for place, mark in [*((corner, _CORNER) for corner in corners), ((0.0, 0.0), _MIDDLE)]:
+        canvas.put(*frame.cell_of(place), mark, Style.DIM)
+    _dots(canvas, frame, path, _PATH, Style.PLAIN)
+    if spot is not None and frame.holds(spot):
+        canvas.put(*frame.cell_of(spot), SPOT, Style.GOOD)
+
+
+def _dots(canvas: Canvas, frame: Frame, places: Iterable[Place], character: str, style: Style) -> None:
+    for place in places:
+        if frame.holds(place):
+            canvas.dot(*frame.dot_of(place), character, style)
+
+
+def _along(corners: Sequence[Place], step_mm: float) -> Iterable[Place]:
+    """Places along a closed line, no further apart than a dot."""
+    for (x, y), (next_x, next_y) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+        steps = min(math.ceil(math.hypot(next_x - x, next_y - y) / step_mm) + 1, _MAX_STEPS)
+        for step in range(steps):
+            share = step / steps
+            yield x + share * (next_x - x), y + share * (next_y - y)
+
+
+_MAX_STEPS = 1000
+"""Dots of one edge: more than any screen has."""

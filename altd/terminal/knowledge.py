@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from altd.terminal.canvas import Place
 from altd.terminal.documents import Reading, SelfCheckDocument, Shown, StatusDocument, TargetsDocument
-from altd.terminal.target_picture import Place
 
 HOLD_S = 1.5
 """An answer is shown for so long when no other follows."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from altd.records import counted
 from altd.status.health import duration
-from altd.terminal.canvas import Canvas, Style
+from altd.terminal.canvas import Canvas, Frame, Style, draw_target, draw_trend, limits_of, rows_for
 from altd.terminal.documents import Shown, StatusDocument
 from altd.terminal.knowledge import Knowledge, Moment
 from altd.terminal.lines import (
@@ -19,7 +19,6 @@ from altd.terminal.lines import (
     state_text,
     verdict_text,
 )
-from altd.terminal.target_picture import Frame, draw_target, draw_trend, limits_of, rows_for
 
 MIN_ROWS, MIN_COLUMNS = 16, 60
 """A smaller screen reports it and shows the numbers alone."""

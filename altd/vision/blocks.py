@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 from altd.vision.flat import BLOCK_PX, BlockSums, Flat, block_sum, block_sums
+from altd.vision.frame_analysis import Patch
 from altd.vision.image import Image, Noise
-from altd.vision.patch import Patch
 
 LIGHT, MONOMIALS, HALF_MOMENTS, F1, F2 = 0, slice(1, 7), slice(7, 10), 10, 11
 READ_NOISE, SHOT_NOISE, SPOT_TEXTURE, ROWS = range(12, 16)

@@ -15,8 +15,8 @@ import numpy as np
 
 from altd.records import FloatArray
 from altd.vision.flat import Flat
+from altd.vision.frame_analysis import Patch
 from altd.vision.image import Centre, Image, Mask, Noise, gaussian_blur
-from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 
 
@@ -194,10 +194,7 @@ def _contour(irradiance: Image, level: float, mask: Mask) -> _Contour | None:
         return None
     pixel = np.arange(irradiance.size).reshape(irradiance.shape)
     pairs = []
-    for here, there in (
-        (np.s_[:, :-1], np.s_[:, 1:]),
-        (np.s_[:-1, :], np.s_[1:, :]),
-    ):
+    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
         leaving, entering = piece[here] & ~piece[there], ~piece[here] & piece[there]
         pairs.append((pixel[here][leaving], pixel[there][leaving]))
         pairs.append((pixel[there][entering], pixel[here][entering]))

@@ -111,8 +111,10 @@ class Fingerprint:
         if sensor.is_other:
             reason = (
                 f"{sensor.present} of {sensor.expected} hot pixels are in their places, {sensor.foreign} in "
-                f"others{_offset_text(sensor.offset_px)}"
+                "others"
             )
+            if sensor.offset_px is not None:
+                reason += f", u {sensor.offset_px[0]:+d} v {sensor.offset_px[1]:+d} px beside"
             return replace(ViewVerdict.refuted(reason), is_other_sensor=True)
         view = self._examine_spot(analysis) if has_spot else ViewVerdict.undecided(_NO_SPOT)
         return replace(view, is_same_sensor=sensor.is_same)
@@ -179,7 +181,3 @@ def _mismatch(found: Match, is_patterned: bool) -> str | None:
     if is_clear and found.explained < _MIN_EXPLAINED and found.gain < _MIN_PRINT_GAIN:
         return f"another print is seen ({found.explained:.0%} of it is that of the calibration)"
     return None
-
-
-def _offset_text(offset_px: tuple[int, int] | None) -> str:
-    return "" if offset_px is None else f", u {offset_px[0]:+d} v {offset_px[1]:+d} px beside"

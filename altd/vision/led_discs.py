@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from altd.records import FloatArray
-from altd.vision.background import robust_sigma
+from altd.vision.frame_analysis import outline_of
 from altd.vision.image import Image, Mask
 from altd.vision.localise import shape_of
-from altd.vision.patch import outline_of
+from altd.vision.search import robust_sigma
 
 _DETECTION_SIGMAS = 6.0
 _DETECTION_COUNTS = 2.0

@@ -13,12 +13,10 @@ from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot, SpotShape
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
-from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch
 from altd.vision.image import Centre, Noise
 from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
-from altd.vision.moment import moment
-from altd.vision.patch import Outline, Patch
-from altd.vision.profile import Profile, fit_profile
+from altd.vision.profile import Profile, fit_profile, moment
 from altd.vision.search import Region
 from altd.vision.settings import SpotReference, SpotSettings
 
@@ -86,10 +84,7 @@ def locate_in(
 
 
 def spot_in(
-    analysis: FrameAnalysis,
-    region: Region,
-    flat: Flat | None = None,
-    reference: SpotReference | None = None,
+    analysis: FrameAnalysis, region: Region, flat: Flat | None = None, reference: SpotReference | None = None
 ) -> Spot | NoSpot:
     """The spot in one bright region of a frame, whatever else shines, or why it is none."""
     frame, settings = analysis.frame, analysis.settings

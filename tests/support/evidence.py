@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from altd.calibration.soundness import Candidate, TargetEvidence
+from altd.calibration.result import Candidate, TargetEvidence
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.measuring.calibration import Calibration, TargetCalibration

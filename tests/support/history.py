@@ -7,8 +7,8 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from altd.history.batch import About, Batch, Item, Sample, StateSample
 from altd.history.columns import columns_of
+from altd.history.records import About, Batch, Item, Sample, StateSample
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam

@@ -58,9 +58,9 @@ def write(
 
     ``begin`` gets the last number of each batch when its writing begins: the batch before it is written.
     """
-    from altd.history.batch import About, Batch, Sample, Written
     from altd.history.columns import columns_of
     from altd.history.recorder import HistoryRecorder
+    from altd.history.records import About, Batch, Sample, Written
     from altd.history.store import Store
     from altd.instruments.beam.instrument import QUANTITIES
     from altd.records import Measurement, Value

@@ -23,7 +23,7 @@ class Defect:
 DEFECTS = (
     Defect(
         "the centre of a moment lies half a pixel off: the patch's corner counts from pixel edges",
-        "altd/vision/moment.py",
+        "altd/vision/profile.py",
         "Centre(patch.left + u, patch.top + v, sigma_px)",
         "Centre(patch.left + u + 0.5, patch.top + v, sigma_px)",
     ),

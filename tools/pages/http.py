@@ -6,14 +6,20 @@ import json
 import sys
 
 from altd.history.reader import MAX_ROWS as EVENT_ROWS
+from altd.publish.http.clients import (
+    ALL_ATTEMPTS,
+    ATTEMPTS,
+    IDLE_S,
+    LONGEST_S,
+    MAX_SESSIONS,
+    MAX_WAITING,
+    REQUESTS,
+)
 from altd.publish.http.diagnostics import MAX_EVENT_PAGES, MAX_PART_BYTES
 from altd.publish.http.guard import REQUEST_HEADER
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, REQUESTS
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
 from altd.publish.http.paths import PATHS
 from altd.publish.http.recordings import MAX_DOWNLOADS
-from altd.publish.http.resuming import MAX_ROWS
-from altd.publish.http.self_check import MAX_WAITING
 from altd.publish.http.server import (
     MAX_CONNECTIONS,
     MAX_HEADER_BYTES,
@@ -21,8 +27,7 @@ from altd.publish.http.server import (
     REQUEST_TIMEOUT_S,
     SEND_TIMEOUT_S,
 )
-from altd.publish.http.sessions import IDLE_S, LONGEST_S, MAX_SESSIONS
-from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_STREAMS
+from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_ROWS, MAX_STREAMS
 from altd.status.measurement_json import checked_line
 from altd.tcp_port import CONNECTIONS, HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, Rate
 from tools.markdown import wrapped

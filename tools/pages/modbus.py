@@ -30,13 +30,14 @@ from altd.publish.modbus.registers import (
 from altd.publish.modbus.responder import (
     CALIBRATION_CHECKSUM,
     CALIBRATION_DATE,
+    RUNNING,
     SELF_CHECK_ADDRESS,
     SELF_CHECK_NOW,
     SERIAL,
+    SERVER_ID,
     ZERO_ADDRESS,
 )
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
-from altd.publish.modbus.serial_functions import RUNNING, SERVER_ID
 from altd.publish.modbus.tcp import MAX_CLIENTS
 from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, Column, measurement_columns
+from altd.tables import POINT_COLUMNS, SPOT_COLUMNS, Column, measurement_columns
 from tools.markdown import wrapped
 
 _TARGETS = ("front", "rear")

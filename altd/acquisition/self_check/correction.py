@@ -12,8 +12,8 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.spot_locator import Appearance
 from altd.records import FloatArray
-from altd.selfcheck.compensation import flat_now
 from altd.selfcheck.records import Similarity
+from altd.selfcheck.verdict import flat_now
 from altd.vision.flat import Flat
 
 _MIN_CHANGE_PX = 0.1

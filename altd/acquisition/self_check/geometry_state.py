@@ -11,9 +11,8 @@ from altd.measuring.calibration import Calibration
 from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Fault, MeanSpots, Measurement
-from altd.selfcheck.compensation import Compensation, compensated, compensation_of
 from altd.selfcheck.records import Limits, SelfCheck, Similarity, Verdict
-from altd.selfcheck.verdict import SIGNIFICANT
+from altd.selfcheck.verdict import SIGNIFICANT, Compensation, compensated, compensation_of
 from altd.status.health import State
 
 MAX_UNCONFIRMED_INTERVALS = 3

@@ -20,8 +20,7 @@ from altd.measuring.calibration import Calibration
 from altd.ports import Clock
 from altd.records import counted
 from altd.runtime.threads import DeviceThread
-from altd.selfcheck.history import History
-from altd.selfcheck.history_document import document_of, history_of
+from altd.selfcheck.history import History, document_of, history_of
 from altd.selfcheck.records import SelfCheck, Verdict
 from altd.status.health import Component, State
 

@@ -22,8 +22,7 @@ from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Measurement, Spot, utc_text
 from altd.runtime.threads import call_in_thread
-from altd.selfcheck.history_document import as_object
-from altd.selfcheck.records import Verdict
+from altd.selfcheck.records import Verdict, as_object
 from altd.status.health import Component, State
 from altd.status.services import SelfCheckReport, SelfCheckService
 

@@ -11,7 +11,6 @@ from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, Frame
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
-from altd.vision.image import Mask
 from altd.vision.localise import SATURATED_FROM
 from altd.vision.profile import fit_profile
 from altd.vision.settings import SpotSettings
@@ -111,9 +110,8 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
     v = np.arange(patch.top, patch.top + height, dtype=np.float64)
     light, even = patch.excess.astype(np.float64), patch.smooth.astype(np.float64)
     if flat is not None:
-        profile = fit_profile(
-            patch, flat, _diameter_px(patch.mask), noise, clipped if clipped.any() else None
-        )
+        diameter_px = float(np.sqrt(np.count_nonzero(patch.mask) * 4 / np.pi))
+        profile = fit_profile(patch, flat, diameter_px, noise, clipped if clipped.any() else None)
         if profile is None:
             return None
         light, even = light - profile.background_offset, profile.irradiance(u, v)
@@ -126,7 +124,3 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
         1 / (_TEXTURE_SIGMA**2 + variance),
         plane.metric(px.mean(axis=0)),
     )
-
-
-def _diameter_px(mask: Mask) -> float:
-    return float(np.sqrt(np.count_nonzero(mask) * 4 / np.pi))

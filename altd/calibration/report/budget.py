@@ -22,7 +22,7 @@ from altd.calibration.report.prediction import (
     unit_of,
     variances_of,
 )
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import TargetEvidence
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
 from altd.instruments.beam.refraction import SIGMAS, Refraction
 from altd.mapping.grid import contains

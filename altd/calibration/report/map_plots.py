@@ -18,8 +18,9 @@ from altd.calibration.report.target_plots import (
     VERMILION,
     Canvas,
     Draw,
+    colour_scale,
 )
-from altd.calibration.soundness import Candidate
+from altd.calibration.result import Candidate
 from altd.records import FloatArray
 
 CANDIDATES_IN = 3.2
@@ -104,21 +105,14 @@ def covariance(title: str, matrix_px2: FloatArray, largest_px2: float, symlog: b
         axes.tick_params(length=2)
         for side in (axes.xaxis, axes.yaxis):
             side.set_major_locator(MaxNLocator(8, integer=True))
-        box = axes.get_position()
-        inch = 1 / canvas.width_in
-        bar = canvas.figure.add_axes((box.x1 + 0.07 * inch, box.y0, 0.1 * inch, box.height))
-        scale = canvas.figure.colorbar(image, cax=bar)
-        scale.outline.set_edgecolor(FAINT)
+        scale = colour_scale(canvas, axes, image, "px²" if symlog else "10⁻⁶ px²")
         if symlog:
             scale.locator = FixedLocator(_decades(largest_px2))
             scale.minorlocator = FixedLocator([])
             scale.formatter = FuncFormatter(lambda value, _: _power(value))
-            scale.update_ticks()
         else:
             scale.formatter = FuncFormatter(lambda value, _: f"{value * 1e6:g}".replace("-", "−"))
-            scale.update_ticks()
-        bar.set_title("px²" if symlog else "10⁻⁶ px²", fontsize=7, fontweight="normal", loc="left", pad=4)
-        bar.tick_params(labelsize=6.5, length=2)
+        scale.update_ticks()
 
     return draw
 

@@ -20,7 +20,7 @@ from altd.calibration.report.prediction import (
 )
 from altd.calibration.report.target_plots import Plane, Raster, nice_length
 from altd.calibration.report.write import Source, target_names_text
-from altd.calibration.soundness import Candidate, TargetEvidence
+from altd.calibration.result import Candidate, TargetEvidence
 from altd.mapping.grid import contains
 from altd.measuring.calibration import TargetCalibration
 
@@ -96,11 +96,7 @@ def models(source: Source) -> list[Block]:
         "that the chosen map finds); the map is the model that misses a node least which it was not shown. "
         "The table has all models: node left out / cross-validation / own noise left in the map, px."
     )
-    return [
-        Heading("Choice of the model"),
-        Row(tuple(pictures), caption),
-        _table_of_models(source),
-    ]
+    return [Heading("Choice of the model"), Row(tuple(pictures), caption), _table_of_models(source)]
 
 
 def _table_of_models(source: Source) -> Table:

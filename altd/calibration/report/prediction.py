@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.calibration.soundness import Candidate
+from altd.calibration.result import Candidate
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.refraction import Refraction
 from altd.instruments.beam.systematics import effects_mm

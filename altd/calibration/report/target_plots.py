@@ -11,13 +11,15 @@ from warnings import catch_warnings, filterwarnings
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.contour import ContourSet
 from matplotlib.figure import FigureBase
+from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from altd.calibration.report.document import WIDTH_IN
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import TargetEvidence
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 
@@ -143,11 +145,7 @@ def nice_length(longest: float) -> float:
 
 
 def arrows(
-    plane: Plane,
-    target: TargetCalibration,
-    seen: TargetEvidence,
-    offsets_mm: FloatArray,
-    scale: float,
+    plane: Plane, target: TargetCalibration, seen: TargetEvidence, offsets_mm: FloatArray, scale: float
 ) -> Draw:
     """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets (n, 2), with a scale arrow."""
 
@@ -180,13 +178,7 @@ def _vectors(
     _key(axes, plane, *key)
 
 
-def differences(
-    plane: Plane,
-    title: str,
-    over: Raster,
-    largest_mm: float,
-    scale: float,
-) -> Draw:
+def differences(plane: Plane, title: str, over: Raster, largest_mm: float, scale: float) -> Draw:
     """Offsets (rows, columns, 2) in mm of another map's places: colour for length, and some arrows."""
 
     def draw(canvas: Canvas) -> None:
@@ -195,7 +187,7 @@ def differences(
         length_um = 1000 * np.linalg.norm(offsets_mm, axis=2)
         levels = MaxNLocator(7).tick_values(0, 1000 * largest_mm)
         filled = axes.contourf(x_mm, y_mm, length_um, levels=levels, cmap="YlGnBu", extend="max")
-        _bar(canvas, axes, filled, "µm")
+        colour_scale(canvas, axes, filled, "µm")
         rows, columns = slice(2, None, 7), slice(2, None, 6)
         grid = np.stack(np.meshgrid(x_mm[columns], y_mm[rows]), axis=-1).reshape(-1, 2)
         _quiver(axes, grid, scale * offsets_mm[rows, columns].reshape(-1, 2), INK)
@@ -205,13 +197,7 @@ def differences(
     return draw
 
 
-def contours(
-    plane: Plane,
-    title: str,
-    over: Raster,
-    limits: tuple[float, float],
-    unit: str,
-) -> Draw:
+def contours(plane: Plane, title: str, over: Raster, limits: tuple[float, float], unit: str) -> Draw:
     """A value (rows, columns) over the area, NaN where there is none, on the given scale."""
 
     def draw(canvas: Canvas) -> None:
@@ -223,7 +209,7 @@ def contours(
         filled = axes.contourf(over.x_mm, over.y_mm, over.values, levels=levels, cmap="YlGnBu")
         lines = axes.contour(over.x_mm, over.y_mm, over.values, levels=levels, colors=INK, linewidths=0.5)
         axes.clabel(lines, fontsize=6, fmt="%g", inline_spacing=2)
-        _bar(canvas, axes, filled, unit)
+        colour_scale(canvas, axes, filled, unit)
 
     return draw
 
@@ -246,12 +232,13 @@ def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
     _quiver(axes, np.array([[right - length_mm, top]]), np.array([[length_mm, 0.0]]), INK)
 
 
-def _bar(canvas: Canvas, axes: Axes, filled: ContourSet, unit: str) -> None:
+def colour_scale(canvas: Canvas, axes: Axes, coloured: ContourSet | AxesImage, unit: str) -> Colorbar:
     """A colour scale at the right edge, as high as the axes."""
     box = axes.get_position()
     inch = 1 / canvas.width_in
     bar = canvas.figure.add_axes((box.x1 + 0.07 * inch, box.y0, 0.1 * inch, box.height))
-    scale = canvas.figure.colorbar(filled, cax=bar)
+    scale = canvas.figure.colorbar(coloured, cax=bar)
     scale.outline.set_edgecolor(FAINT)
     bar.set_title(unit, fontsize=7, fontweight="normal", loc="left", pad=4)
     bar.tick_params(labelsize=6.5, length=2)
+    return scale

@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from altd.calibration.report.prediction import CAUSES, Prediction, name_of, unit_of
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import TargetEvidence
 from altd.measuring.calibration import Calibration, TargetCalibration
 
 _GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
@@ -83,11 +83,7 @@ class Verdict:
         return tuple(dict.fromkeys(check.remedy for check in self.checks if check.level > Level.GOOD))
 
 
-def judge(
-    calibration: Calibration,
-    evidence: Sequence[TargetEvidence],
-    prediction: Prediction,
-) -> Verdict:
+def judge(calibration: Calibration, evidence: Sequence[TargetEvidence], prediction: Prediction) -> Verdict:
     """Judge a calibration by what its scan shows."""
     limit, advice = _limit(prediction, calibration.targets)
     checks = [
@@ -101,7 +97,8 @@ def judge(
 
 
 def _predictions(prediction: Prediction, targets: Sequence[TargetCalibration]) -> list[Check]:
-    remedy = _sentence(_advice(prediction, targets))
+    advice = _advice(prediction, targets)
+    remedy = f"{advice[0].upper()}{advice[1:]}."
     checks = []
     for quantity, good, usable in (
         ("yaw_deg", _GOOD_DEG, _USABLE_DEG),
@@ -206,10 +203,6 @@ def _each(
 ) -> str:
     names = [one.name for one in named]
     return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True)) + unit
-
-
-def _sentence(words: str) -> str:
-    return f"{words[0].upper()}{words[1:]}."
 
 
 _CAUSE_WORDS = {

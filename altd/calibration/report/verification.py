@@ -86,10 +86,7 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
     )
     levels = tuple(_LEVELS[test["result"]] for test in tests)
     parts = tuple(
-        (
-            test["name"],
-            *(_number(test, test["parts"][of]) for of in _PARTS),
-        )
+        (test["name"], *(_number(test, test["parts"][of]) for of in _PARTS))
         for test in tests
         if "measurements" in test["parts"]
     )
@@ -121,11 +118,7 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
             "yaw and pitch (the beam keeps its direction), the zero of x and y and the rotation about z (the "
             "mounting)."
         ),
-        Table(
-            ("standard uncertainty from", *_PARTS),
-            parts,
-            (0.4, 0.2, 0.2, 0.2),
-        ),
+        Table(("standard uncertainty from", *_PARTS), parts, (0.4, 0.2, 0.2, 0.2)),
     ]
     return blocks
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import TargetEvidence
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, write_files
 from altd.measuring.calibration import Calibration, TargetCalibration

@@ -13,8 +13,7 @@ from typing import Any, Literal
 from pydantic import AwareDatetime, BaseModel, ConfigDict, ValidationError
 
 from altd import __version__
-from altd.calibration.verification.beams import KEYS, BeamSet
-from altd.calibration.verification.estimate import Estimate
+from altd.calibration.verification.estimate import KEYS, BeamSet, Estimate
 from altd.calibration.verification.verdict import CONFIDENCE, POWER, Judgement, LimitTest
 from altd.errors import BadInputError
 from altd.files.documents import parse_json

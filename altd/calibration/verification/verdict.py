@@ -79,10 +79,7 @@ class Judgement:
 
 
 def judge(
-    estimate: Estimate,
-    reference: Limits | None,
-    calibration: Limits,
-    further_reasons: Sequence[str] = (),
+    estimate: Estimate, reference: Limits | None, calibration: Limits, further_reasons: Sequence[str] = ()
 ) -> Judgement:
     """Test an estimate against the limits of the reference and of the unit's calibration.
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from altd.instruments.planar.homography import fit_rims, vanishing_line_homography
 from altd.instruments.planar.layout import Pose, placed_mm, rotation
 from altd.instruments.planar.plane import Model, PlaneCamera, homography_camera, lens_camera
-from altd.mapping.light_centre import light_centre_shift_px
+from altd.mapping.camera_model import light_centre_shift_px
 from altd.records import FloatArray
 
 MIN_POSES_FOR_SPREAD = 3

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from altd.records import FloatArray, PixelArray
-from altd.vision.background import coarse_image, fit_background
 from altd.vision.image import Image
 from altd.vision.led_discs import Disc, find_discs
+from altd.vision.search import coarse_image, fit_background
 
 MAX_LIGHTS = 100
 """More are no picture of a plate: matching them would take seconds."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from altd.instruments.planar.fitting import PlaneFit
 from altd.instruments.planar.layout import Pose, placed_mm, rigid_pose, rotation, wrapped_deg
-from altd.mapping.light_centre import light_centre_shift_px
+from altd.mapping.camera_model import light_centre_shift_px
 from altd.records import FloatArray
 
 _ITERATIONS = 4

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from starlette.requests import Request
+from pydantic import ValidationError
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from altd.publish.http.calibration import LoadedCalibration
+from altd.publish.http.clients import MAX_WAITING, SELF_CHECK_WAIT_S
 from altd.publish.http.diagnostics import Diagnostics
-from altd.publish.http.errors import refusal
-from altd.publish.http.guard import Guard
+from altd.publish.http.errors import Refused, refusal
+from altd.publish.http.guard import Guard, session_cookie
 from altd.publish.http.metrics import CONTENT_TYPE, Metrics
+from altd.publish.http.models import Login
 from altd.publish.http.past import Past
 from altd.publish.http.pictures import Viewers
 from altd.publish.http.recordings import Downloads, Recordings
@@ -25,6 +29,7 @@ from altd.status.board import Board
 from altd.status.health import Component, Health
 from altd.status.measurement_json import checked_line
 from altd.status.proof import Stamps
+from altd.status.services import SelfCheckService
 from altd.status.target_area import as_object
 
 _FOLDER = Path(__file__).with_name("page_files")
@@ -87,6 +92,10 @@ NOTHING_YET = {
     "error": "nothing was measured since the unit started; /api/status says what it waits for",
     "status": [str(Reason.WARMING_UP)],
 }
+
+MAX_BODY_BYTES = 4096
+BODY_TIMEOUT_S = 10.0
+"""The time limit of a request's body."""
 
 
 class Answers:
@@ -183,6 +192,29 @@ class Answers:
             return refusal(503, self._worst() or "nothing new is measured")
         return JSONResponse({"ready": True})
 
+    async def log_in(self, request: Request) -> Response:
+        """Begin a session: its secret goes into a cookie that no script can read."""
+        try:
+            wanted = await _login_of(request)
+        except ClientDisconnect:
+            return refusal(400, "it ended before its body did")
+        secret = await self.guard.log_in(request, wanted.name, wanted.password)
+        answer = JSONResponse({"name": wanted.name, "may_act": True, "login": True})
+        answer.headers["Set-Cookie"] = session_cookie(request, secret)
+        return answer
+
+    async def log_out(self, request: Request) -> Response:
+        """End the session, if there is one."""
+        self.guard.log_out(request)
+        answer = JSONResponse({"name": None, "may_act": False, "login": self.guard.has_credentials})
+        answer.headers["Set-Cookie"] = session_cookie(request, "")
+        return answer
+
+    async def session(self, request: Request) -> Response:
+        """The user that is logged in, and whether the user may act."""
+        name, may_act = self.guard.viewer(request), self.guard.may_act(request)
+        return JSONResponse({"name": name, "may_act": may_act, "login": self.guard.has_credentials})
+
     def _worst(self) -> str:
         """The worst cause in words, where the unit's state is known."""
         report = self._health.state()
@@ -190,3 +222,46 @@ class Answers:
             return ""
         cause = report.causes[0].cause
         return cause.kind.brief + (f" ({cause.of})" if cause.of else "")
+
+
+async def self_check(request: Request, service: SelfCheckService, guard: Guard) -> Response:
+    """The report of the last check; after a POST, of one made on request, for clients that may act."""
+    if request.method != "POST":
+        if service.latest is None:
+            why = service.unavailable or "there was no self-check since the unit started"
+            return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
+        return JSONResponse(service.latest.document)
+    by = guard.requester(request)
+    if service.waiting >= MAX_WAITING:
+        return refusal(503, f"{service.waiting} wait for a self-check already; /api/self-check has it soon")
+    number = service.ask(by)
+    try:
+        async with asyncio.timeout(SELF_CHECK_WAIT_S):
+            report = await service.report(number)
+    except TimeoutError:
+        why = f"the self-check has not ended within {SELF_CHECK_WAIT_S:g} s; /api/status says why"
+        return refusal(504, why)
+    return JSONResponse(report.document)
+
+
+async def _login_of(request: Request) -> Login:
+    """The name and password of a request; raises Refused."""
+    kind = request.headers.get("Content-Type", "").partition(";")[0].strip().lower()
+    if kind != "application/json":
+        raise Refused(refusal(415, "the body must be application/json"))
+    try:
+        async with asyncio.timeout(BODY_TIMEOUT_S):
+            return Login.model_validate_json(await _body_of(request), strict=True)
+    except ValidationError as error:  # the input is not shown again
+        raise Refused(refusal(400, "the body must be an object with name and password alone")) from error
+    except TimeoutError as error:
+        raise Refused(refusal(408, "its body did not come")) from error
+
+
+async def _body_of(request: Request) -> bytes:
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > MAX_BODY_BYTES:
+            raise Refused(refusal(413, f"its body is longer than {MAX_BODY_BYTES} bytes"))
+    return body

@@ -26,7 +26,7 @@ from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import Metrics
 from altd.publish.http.past import Past, event_object
 from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
-from altd.publish.http.resuming import time_of
+from altd.publish.http.stream import time_of
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.measurement_json import as_object_now

@@ -12,9 +12,8 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
+from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, LONGEST_S, MAX_FAMILIAR, Sessions, host_of
 from altd.publish.http.errors import Refused, refusal
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, host_of
-from altd.publish.http.sessions import LONGEST_S, Sessions
 from altd.status.event_log import EventKind, EventLog
 from altd.tcp_port import Buckets, address_of, group_of, is_loopback
 

@@ -54,9 +54,7 @@ class _Unit(Collector):
             )
             verdict.add_metric([str(check.document.get("verdict"))], 1)
             yield verdict
-            number = _gauge("altd_self_check_number", "Self-checks since the start of the daemon")
-            number.add_metric([], check.number)
-            yield number
+            yield _known("altd_self_check_number", "Self-checks since the start of the daemon", check.number)
 
     def _build(self) -> Iterator[Metric]:
         facts = {
@@ -67,27 +65,22 @@ class _Unit(Collector):
             "The unit and the daemon",
             value={**facts, "instrument": self._board.quantities.instrument},
         )
-        running = _gauge("altd_running_seconds", "Since the start of the daemon")
-        running.add_metric([], self._board.running_ns() * 1e-9)
-        yield running
+        running_s = self._board.running_ns() * 1e-9
+        yield _known("altd_running_seconds", "Since the start of the daemon", running_s)
 
     def _measurement(self, measurement: Measurement | None) -> Iterator[Metric]:
-        valid = _gauge("altd_valid", "1 while there is a valid measurement, else 0")
-        valid.add_metric([], float(measurement is not None and measurement.valid))
-        yield valid
-        live = _gauge("altd_live", "1 while what is measured comes from this unit's cameras, else 0")
+        is_valid = measurement is not None and measurement.valid
+        yield _known("altd_valid", "1 while there is a valid measurement, else 0", float(is_valid))
         is_live = measurement is not None and NOT_FROM_CAMERAS.isdisjoint(
             fault.reason for fault in measurement.status
         )
-        live.add_metric([], float(is_live))
-        yield live
+        meaning = "1 while what is measured comes from this unit's cameras, else 0"
+        yield _known("altd_live", meaning, float(is_live))
         published = CounterMetricFamily("altd_measurements", "Measurements since the start, valid or not")
         published.add_metric([], self._board.published)
         yield published
         if (age_s := self._board.age_s()) is not None:
-            age = _gauge("altd_measurement_age_seconds", "Since the middle of the latest exposures")
-            age.add_metric([], age_s)
-            yield age
+            yield _known("altd_measurement_age_seconds", "Since the middle of the latest exposures", age_s)
         status = _gauge("altd_status", "1 for each reason and warning of the latest measurement", "code")
         for code in dict.fromkeys(() if measurement is None else map(str, measurement.status)):
             status.add_metric([code], 1)
@@ -136,8 +129,8 @@ def _state(report: StateReport) -> Iterator[Metric]:
     signals = _gauge("altd_state", "1 for the unit's state (NAMUR NE 107), 0 for the others", "signal")
     for signal in Signal:
         signals.add_metric([str(signal)], float(report.signal is signal))
-    since = _gauge("altd_state_seconds", "For how long the unit's state has been what it is")
-    since.add_metric([], (report.now_ns - report.since_ns) * 1e-9)
+    since_s = (report.now_ns - report.since_ns) * 1e-9
+    since = _known("altd_state_seconds", "For how long the unit's state has been what it is", since_s)
     causes = _gauge(
         "altd_cause", "1 for a cause that is true now, 0 while it is still shown", "code", "of", "signal"
     )

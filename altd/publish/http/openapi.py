@@ -67,10 +67,7 @@ def document_of(paths: Iterable[ServedPath], quantities: Quantities, version: st
         },
         "servers": [{"url": "/"}],
         "paths": {path.path: dict(_operations(path, measurement, references)) for path in served},
-        "components": {
-            "schemas": definitions.get("$defs", {}),
-            "securitySchemes": _SECURITY_SCHEMES,
-        },
+        "components": {"schemas": definitions.get("$defs", {}), "securitySchemes": _SECURITY_SCHEMES},
     }
 
 

@@ -18,7 +18,7 @@ from altd.history.reader import Reader
 from altd.history.records import StoredEvent, Trend
 from altd.ports import Clock
 from altd.publish.http.errors import Refused, refusal
-from altd.publish.http.resuming import Resume, time_of
+from altd.publish.http.stream import Resume, time_of
 from altd.records import Quantities
 from altd.status.event_log import EventKind
 

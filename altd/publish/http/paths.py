@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from altd.publish.http import login, models, self_check
-from altd.publish.http.answers import Answers
+from altd.publish.http import models
+from altd.publish.http.answers import Answers, self_check
 from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
 from altd.publish.http.diagnostics import ZIP
 from altd.publish.http.operations import Operation, Parameter, ServedPath
@@ -38,12 +38,12 @@ _MEASUREMENT = {
 _STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", models.Status)}
 _SELF_CHECK = {
     "GET": Operation(
-        lambda to, request: self_check.answer(request, to.self_check, to.guard),
+        lambda to, request: self_check(request, to.self_check, to.guard),
         "The result of the last self-check",
         models.SelfCheck,
     ),
     "POST": Operation(
-        lambda to, request: self_check.answer(request, to.self_check, to.guard),
+        lambda to, request: self_check(request, to.self_check, to.guard),
         "Make a self-check now, and give what it says",
         models.SelfCheck,
         errors={
@@ -197,17 +197,11 @@ _DIAGNOSTICS = ServedPath(
 
 PATHS = (
     ServedPath(
-        "/",
-        "the page in a browser",
-        {"GET": Operation(Answers.index, "The unit's page", media_type=HTML)},
+        "/", "the page in a browser", {"GET": Operation(Answers.index, "The unit's page", media_type=HTML)}
     ),
     ServedPath("/api/measurement", "the latest measurement", _MEASUREMENT),
     ServedPath("/api/status", "the unit, its state and causes, availability, components", _STATUS),
-    ServedPath(
-        "/api/self-check",
-        "the last self-check; `POST`: makes one now",
-        _SELF_CHECK,
-    ),
+    ServedPath("/api/self-check", "the last self-check; `POST`: makes one now", _SELF_CHECK),
     ServedPath("/api/stream", "every new measurement, as server-sent events", _STREAM),
     ServedPath(
         "/api/v1/",
@@ -228,16 +222,10 @@ PATHS = (
     ),
     ServedPath("/api/v1/self-check", "as `/api/self-check`", _SELF_CHECK),
     ServedPath("/api/v1/stream", "as `/api/stream`, and resumes", _RESUMED_STREAM),
-    ServedPath(
-        "/api/v1/trend",
-        "the course of each quantity",
-        {"GET": _TREND},
-    ),
+    ServedPath("/api/v1/trend", "the course of each quantity", {"GET": _TREND}),
     ServedPath("/api/v1/events", "events of the unit, the newest first", {"GET": _EVENTS}),
     ServedPath(
-        "/api/v1/recordings",
-        "kept recordings of frames; `POST`: keeps the last seconds now",
-        _RECORDINGS,
+        "/api/v1/recordings", "kept recordings of frames; `POST`: keeps the last seconds now", _RECORDINGS
     ),
     ServedPath(
         "/api/v1/recordings/{name}",
@@ -247,10 +235,7 @@ PATHS = (
                 lambda to, request: to.recordings.archive(request),
                 "A recording as a tar archive",
                 media_type="application/x-tar",
-                errors={
-                    **_NO_DOWNLOAD,
-                    **_NO_RECORDING,
-                },
+                errors={**_NO_DOWNLOAD, **_NO_RECORDING},
                 query=(_RECORDING_NAME,),
             )
         },
@@ -265,20 +250,14 @@ PATHS = (
     ServedPath(
         "/api/v1/session",
         "the user who is logged in, and whether acting is allowed",
-        {
-            "GET": Operation(
-                lambda to, request: login.session(request, to.guard),
-                "The user who is logged in",
-                models.Session,
-            )
-        },
+        {"GET": Operation(Answers.session, "The user who is logged in", models.Session)},
     ),
     ServedPath(
         "/api/v1/login",
         "`POST` name and password: begins a session",
         {
             "POST": Operation(
-                lambda to, request: login.log_in(request, to.guard),
+                Answers.log_in,
                 "Log in: begins a session, whose cookie comes back",
                 models.Session,
                 takes=models.Login,
@@ -299,11 +278,7 @@ PATHS = (
         "`POST`: ends the session",
         {
             "POST": Operation(
-                lambda to, request: login.log_out(request, to.guard),
-                "Log out",
-                models.Session,
-                errors={403: _NOT_ALLOWED[403]},
-                acts=True,
+                Answers.log_out, "Log out", models.Session, errors={403: _NOT_ALLOWED[403]}, acts=True
             )
         },
     ),

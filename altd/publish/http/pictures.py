@@ -176,7 +176,8 @@ def message(pictures: Sequence[Picture], asked_ns: int, now_ns: int) -> bytes:
                     "age_s": round((now_ns - picture.t_ns) * 1e-9, 3),
                     "width": picture.width,
                     "height": picture.height,
-                    "spot": None if picture.spot is None else _rounded(asdict(picture.spot)),
+                    "spot": picture.spot
+                    and {key: round(value, 2) for key, value in asdict(picture.spot).items()},
                     "why": picture.why,
                     "leds_on": picture.leds_on,
                     "bytes": len(picture.jpeg),
@@ -187,10 +188,6 @@ def message(pictures: Sequence[Picture], asked_ns: int, now_ns: int) -> bytes:
         allow_nan=False,
     ).encode()
     return b"".join([len(header).to_bytes(4, "big"), header, *(picture.jpeg for picture in pictures)])
-
-
-def _rounded(spot: dict[str, float]) -> dict[str, float]:
-    return {key: round(value, 2) for key, value in spot.items()}
 
 
 def _is_own_page(socket: WebSocket) -> bool:

@@ -23,9 +23,9 @@ from altd.credentials.file import CredentialsKeeper
 from altd.history.history import History
 from altd.local_socket import identity_at, listening
 from altd.publish.http.answers import Answers
+from altd.publish.http.clients import REQUESTS, Allowed, OwnNames, host_of
 from altd.publish.http.errors import HANDLERS, misdirected, refusal
 from altd.publish.http.guard import Guard, too_many
-from altd.publish.http.limits import REQUESTS, Allowed, OwnNames, host_of
 from altd.publish.http.openapi import api_page_of, document_of
 from altd.publish.http.operations import ServedPath
 from altd.publish.http.past import Past
@@ -236,12 +236,7 @@ class LocalPublisher(HttpPublisher):
     is_local = True
 
     def __init__(
-        self,
-        path: Path,
-        board: Board,
-        health: Health,
-        component: Component,
-        history: History | None = None,
+        self, path: Path, board: Board, health: Health, component: Component, history: History | None = None
     ) -> None:
         super().__init__(HttpSettings(), board, health, component, history)
         self._path = path

@@ -25,8 +25,8 @@ from uvicorn.protocols.utils import is_ssl
 
 from altd.config import HttpSettings
 from altd.publish.http import pictures
+from altd.publish.http.clients import Allowed
 from altd.publish.http.errors import error_body
-from altd.publish.http.limits import Allowed
 from altd.publish.http.pictures import BoundedWebSocket
 from altd.status.health import Component
 from altd.tcp_port import (

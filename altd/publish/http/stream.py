@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, Sequence
+import json
+import re
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from datetime import UTC, datetime
 
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from altd.history.history import History, NoHistoryError
+from altd.history.reader import Reader
+from altd.history.records import StoredMeasurement
+from altd.ports import Clock
 from altd.publish.http.errors import refusal
-from altd.publish.http.resuming import Resume, id_of, key_of
-from altd.records import Measurement
+from altd.records import Measurement, Quantities, utc_text
 from altd.status.board import Board
 from altd.status.health import Component
-from altd.status.measurement_json import checked_line
+from altd.status.measurement_json import checked_line, targets_object
 from altd.status.proof import Stamps
 
 MAX_STREAMS = 16
@@ -134,3 +140,132 @@ class EventStream(StreamingResponse):
                 await super().__call__(scope, receive, send)
         finally:
             streams.open -= 1
+
+
+MAX_ROWS_AT_ONCE = 100
+MAX_ROWS = 12_000
+"""Ten minutes at 20 a second; of a longer time ``/api/v1/trend`` tells."""
+
+MAX_WAIT_S = 5.0
+"""A measurement is in the history within some seconds."""
+
+_LOOK_AGAIN_S = 0.5
+_ID = re.compile(r"([0-9]{1,18})-([0-9]{1,18})")
+
+Key = tuple[int, int]
+
+
+def key_of(measurement: Measurement | StoredMeasurement) -> Key:
+    """The identity of a measurement: its sequence, and its time on the monotonic clock."""
+    return measurement.sequence, measurement.t_ns
+
+
+def id_of(key: Key) -> str:
+    """The id of an event."""
+    return f"{key[0]}-{key[1]}"
+
+
+class Resume:
+    """The measurements that a client missed after the event with ``last_id``, its ``Last-Event-ID``.
+
+    The newest measurement is never held back for that. What is past comes between, as events of the type
+    ``past`` that no client takes for current ones, and with ``gap`` where something is missing. Until all has
+    come, only what is past has an id: a client that breaks off once more continues there.
+    """
+
+    def __init__(self, last_id: str, history: History, quantities: Quantities, clock: Clock) -> None:
+        self._history = history
+        self._quantities = quantities
+        self._clock = clock
+        self._last_id = last_id[:64]
+        found = _ID.fullmatch(last_id)
+        self._after: Key | None = (int(found[1]), int(found[2])) if found else None
+        self._row: int | None = None
+        self._sent = 0
+        self._looked_ns: int | None = None
+        self._waits_since_ns: int | None = None
+        self.is_done = False
+
+    async def events(self, until: Measurement) -> Sequence[str]:
+        """The next events of what was before ``until``, which he has; empty: none yet, or all came."""
+        now_ns = self._clock.monotonic_ns()
+        if self._after is None:
+            return self._gap("it is no id of this stream")
+        if self._after == key_of(until):
+            self.is_done = True
+            return ()
+        if self._looked_ns is not None and now_ns - self._looked_ns < _LOOK_AGAIN_S * 1e9:
+            return ()
+        try:
+            rows = await self._history.ask(self._read)
+        except NoHistoryError as error:
+            return self._gap(str(error))
+        if rows is None:  # the newest rows are not written yet
+            return self._waited(now_ns, "the history does not have it", is_short=True, came=False)
+        events: list[str] = []
+        for key, line in rows:
+            if key == key_of(until):
+                self.is_done = True
+                return events
+            events.append(f"id: {id_of(key)}\nevent: past\ndata: {line}\n\n")
+            self._sent += 1
+        if self._sent >= MAX_ROWS:
+            return [*events, *self._gap("too many were missed; see /api/v1/trend")]
+        why, is_short = "the history does not have the newest measurements", len(rows) < MAX_ROWS_AT_ONCE
+        return [*events, *self._waited(now_ns, why, is_short=is_short, came=bool(rows))]
+
+    def _waited(self, now_ns: int, why: str, *, is_short: bool, came: bool) -> Sequence[str]:
+        """Look again soon, or give up what does not come."""
+        self._looked_ns = now_ns if is_short else None
+        if came or self._waits_since_ns is None:
+            self._waits_since_ns = now_ns
+        if now_ns - self._waits_since_ns > MAX_WAIT_S * 1e9:
+            return self._gap(why)
+        return ()
+
+    def _gap(self, why: str) -> Sequence[str]:
+        self.is_done = True
+        return (f"event: gap\ndata: {json.dumps({'after': self._last_id, 'why': why})}\n\n",)
+
+    def _read(self, reader: Reader) -> list[tuple[Key, str]] | None:
+        """The next rows as lines of JSON, in the history's thread; None: it does not have the last one."""
+        if self._row is None:
+            assert self._after is not None  # noqa: S101  asked before
+            self._row = reader.id_of(*self._after)
+            if self._row is None:
+                return None
+        rows = reader.measurements_after(self._row, MAX_ROWS_AT_ONCE)
+        if rows:
+            self._row = rows[-1].id
+        names = [key.partition(".")[0] for key in reader.recorded if "." in key]
+        targets = tuple(dict.fromkeys(names))
+        return [
+            (key_of(row), json.dumps(_object(row, self._quantities, targets), allow_nan=False))
+            for row in rows
+        ]
+
+
+def time_of(t_us: int) -> str | None:
+    """A time of the history as JSON has it; None: of no calendar."""
+    try:
+        return utc_text(datetime.fromtimestamp(t_us * 1e-6, UTC))
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def _object(row: StoredMeasurement, quantities: Quantities, targets: Sequence[str]) -> Mapping[str, object]:
+    """A measurement as it was: the keys of the measurement that are true of what is past."""
+    return {
+        "sequence": row.sequence,
+        "time": time_of(row.t_us),
+        "t_s": round(row.t_ns * 1e-9, 6),
+        "frames": row.frames,
+        "valid": row.valid,
+        "status": list(row.status),
+        **{each.key: row.values.get(each.key) for each in quantities.of_unit},
+        "sigma": {each.key: row.sigmas.get(each.key) for each in quantities.of_unit if each.has_sigma},
+        "sigma_random": {
+            each.key: row.randoms.get(each.key) for each in quantities.of_unit if each.has_sigma
+        },
+        **targets_object(quantities, targets, row.known, row.status),
+    }

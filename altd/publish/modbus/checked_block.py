@@ -8,13 +8,12 @@ added in a gap; ``BLOCK_VERSION`` then stays. ``docs/proof.md`` is generated fro
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from operator import attrgetter
 
 from altd.publish.modbus import values
 from altd.publish.modbus.registers import Register, RegisterImage, Table, Type, WordOrder
 from altd.publish.modbus.values import Reading, Snapshot
-from altd.status.proof import Stamp, crc32
+from altd.status.proof import crc32
 
 BLOCK_VERSION = 1
 """Counts up when a register changes its meaning or place."""
@@ -26,8 +25,8 @@ FLOATS = 230
 """The first address of its floating point values."""
 
 
-def _of_stamp(read: Callable[[Stamp], int | None]) -> Reading:
-    return lambda snapshot: read(snapshot.stamp) if snapshot.stamp else None
+def _of_stamp(name: str) -> Reading:
+    return lambda snapshot: attrgetter(name)(snapshot.stamp) if snapshot.stamp else None
 
 
 def _published(snapshot: Snapshot) -> int:
@@ -36,38 +35,16 @@ def _published(snapshot: Snapshot) -> int:
 
 HEAD = (
     Register(200, "block_version", Type.U16, "", "version of this block", values.constant(BLOCK_VERSION)),
-    Register(
-        201,
-        "state",
-        Type.U16,
-        "",
-        values.STATE_MEANING,
-        values.state,
-        is_ageing=True,
-    ),
-    Register(
-        202,
-        "unit",
-        Type.U32,
-        "",
-        "CRC-32 of the serial number",
-        _of_stamp(attrgetter("identity.unit")),
-    ),
-    Register(
-        204,
-        "session",
-        Type.U32,
-        "",
-        "random at each start, never 0",
-        _of_stamp(attrgetter("identity.session")),
-    ),
+    Register(201, "state", Type.U16, "", values.STATE_MEANING, values.state, is_ageing=True),
+    Register(202, "unit", Type.U32, "", "CRC-32 of the serial number", _of_stamp("identity.unit")),
+    Register(204, "session", Type.U32, "", "random at each start, never 0", _of_stamp("identity.session")),
     Register(
         206,
         "message",
         Type.U32,
         "",
         "counts the responses with registers of this block",
-        _of_stamp(attrgetter("message")),
+        _of_stamp("message"),
         is_ageing=True,
     ),
     Register(
@@ -76,7 +53,7 @@ HEAD = (
         Type.U32,
         "ms",
         "since the daemon started, when answered",
-        _of_stamp(attrgetter("clock_ms")),
+        _of_stamp("clock_ms"),
         is_ageing=True,
     ),
     Register(210, "published", Type.U32, "", "counts the measurements", _published),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pymodbus.constants import ExcCodes
@@ -209,29 +210,87 @@ class Responder:
         if place := BLOCK.place(address, count):
             checked = self._snapshot(stamp=self._stamps.next(), report=self._health.state())
             return self._block.at(checked)[place]
-        if place := UNIT.place(address, count):
-            identity, uptime_s = self._board.identity, self._running_s()
-            known = self._snapshot(health=self._health, identity=identity, uptime_s=uptime_s)
-            return image(known, UNIT, self._order)[place]
         if place := CONDITION.place(address, count):
             report = self._health.state()
             if report is not None and self._running_s() - self._shares_s >= _SHARES_EVERY_S:
-                shares, self._shares_s = report.availability.shares(), self._running_s()
-                self._shares = shares
-            found = self._snapshot(health=self._health, report=report, shares=self._shares)
+                self._shares, self._shares_s = report.availability.shares(), self._running_s()
+            found = self._snapshot(report=report, shares=self._shares)
             return image(found, CONDITION, self._order)[place]
-        if place := RELATIVE.place(address, count):
-            known = self._snapshot(health=self._health, identity=self._board.identity)
-            return image(known, RELATIVE, self._order)[place]
-        for of_row in (NEAR, FAR):
-            if place := of_row.place(address, count):
-                return image(self._snapshot(), of_row, self._order)[place]
+        for table in (UNIT, RELATIVE, NEAR, FAR):
+            if place := table.place(address, count):
+                return image(self._snapshot(), table, self._order)[place]
         return None
 
     def _running_s(self) -> float:
         return self._board.running_ns() * 1e-9
 
     def _snapshot(self, **more: Any) -> Snapshot:
-        """The board at this moment."""
-        board = self._board
-        return Snapshot(board.read(), board.age_s(), board.published, **more)
+        """Board and unit at this moment."""
+        board, uptime_s = self._board, self._running_s()
+        about = {"identity": board.identity, "uptime_s": uptime_s, "health": self._health, **more}
+        return Snapshot(board.read(), board.age_s(), board.published, **about)
+
+
+DIAGNOSTICS, REPORT_SERVER_ID = 8, 17
+"""6.8, 6.13: functions of serial lines alone."""
+
+SERVER_ID, RUNNING = 0xA1, 0xFF
+"""One byte each, and then text: so libmodbus and mbpoll read it (6.13 leaves the lengths open)."""
+
+_CLEAR = 10
+
+
+@dataclass(slots=True)
+class LineCounters:
+    """Counters of the line since the daemon opened it; each is sent modulo 65536.
+
+    ``messages`` are whole frames of any unit, ``errors`` pieces that were none, ``requests`` those to this
+    unit, ``exceptions`` those of its responses that were one, ``unanswered`` those for which the line had no
+    room.
+    """
+
+    messages: int = 0
+    errors: int = 0
+    exceptions: int = 0
+    requests: int = 0
+    unanswered: int = 0
+
+
+COUNTERS = {11: "messages", 12: "errors", 13: "exceptions", 14: "requests", 15: "unanswered"}
+"""By sub-function (6.8.1)."""
+
+
+def serial_response(request: bytes, counters: LineCounters, health: Health) -> bytes | None:
+    """The response to a request, both from the function code on; None: it is no function of serial lines."""
+    if request[0] == DIAGNOSTICS:
+        response = _diagnostics(request, counters)
+    elif request[0] == REPORT_SERVER_ID:
+        response = _server_id(request, health)
+    else:
+        return None
+    return response if isinstance(response, bytes) else bytes([request[0] | 0x80, response])
+
+
+def _diagnostics(request: bytes, counters: LineCounters) -> bytes | ExcCodes:
+    if request[1:3] == bytes(2) and len(request) > 3:
+        return request
+    if len(request) != _REQUEST.size:
+        return ExcCodes.ILLEGAL_VALUE
+    _, what, data = _REQUEST.unpack(request)
+    if what not in (_CLEAR, *COUNTERS):
+        return ExcCodes.ILLEGAL_FUNCTION
+    if data != 0:
+        return ExcCodes.ILLEGAL_VALUE
+    if what == _CLEAR:
+        for name in COUNTERS.values():
+            setattr(counters, name, 0)
+        return request
+    return _REQUEST.pack(DIAGNOSTICS, what, getattr(counters, COUNTERS[what]) & 0xFFFF)
+
+
+def _server_id(request: bytes, health: Health) -> bytes | ExcCodes:
+    if len(request) != 1:
+        return ExcCodes.ILLEGAL_VALUE
+    known = " ".join(["ALT", *(health.facts.get(key, "") for key in ("version", "serial"))])
+    content = bytes([SERVER_ID, RUNNING]) + known.encode("ascii", "replace")
+    return bytes([REPORT_SERVER_ID, len(content)]) + content

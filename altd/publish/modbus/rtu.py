@@ -18,8 +18,7 @@ from typing import Self
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.responder import Responder
-from altd.publish.modbus.serial_functions import LineCounters, serial_response
+from altd.publish.modbus.responder import LineCounters, Responder, serial_response
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
@@ -231,11 +230,7 @@ class ModbusRtuPublisher:
     """Serves the board over Modbus RTU; is silent to any unit id but its own."""
 
     def __init__(
-        self,
-        settings: ModbusRtuPortSettings,
-        board: Board,
-        component: Component,
-        health: Health,
+        self, settings: ModbusRtuPortSettings, board: Board, component: Component, health: Health
     ) -> None:
         self._settings = settings
         self._responder = Responder(board, component, health, settings)

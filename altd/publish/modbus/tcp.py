@@ -75,11 +75,7 @@ class ModbusTcpPublisher:
     """
 
     def __init__(
-        self,
-        settings: ModbusTcpSettings,
-        board: Board,
-        component: Component,
-        health: Health,
+        self, settings: ModbusTcpSettings, board: Board, component: Component, health: Health
     ) -> None:
         self._settings = settings
         self._responder = Responder(board, component, health, settings)

@@ -51,10 +51,6 @@ def _first_32_bits(digest: str | None) -> int | None:
     return int(digits, 16) if digits else None
 
 
-def _calibration_checksum(health: Health) -> int | None:
-    return _first_32_bits(health.calibration.summary.get("file", {}).get("checksum"))
-
-
 def _is_rehearsal(snapshot: Snapshot) -> int | None:
     """None before the first measurement, which carries the reason."""
     measurement = snapshot.measurement
@@ -68,20 +64,10 @@ _UNIT_ROWS = (
     Register(304, "session", Type.U32, "", "as at address 204", values.of_identity("session")),
     Register(306, "uptime", Type.U32, "s", "since the daemon started", values.uptime_s),
     Register(
-        308,
-        "calibration_date",
-        Type.U32,
-        "",
-        "UTC: 2026-11-02 is 20261102",
-        _of_health(_calibration_date),
+        308, "calibration_date", Type.U32, "", "UTC: 2026-11-02 is 20261102", _of_health(_calibration_date)
     ),
     Register(
-        310,
-        "calibration_age",
-        Type.U16,
-        "d",
-        "age of the calibration",
-        _of_health(_calibration_age_days),
+        310, "calibration_age", Type.U16, "d", "age of the calibration", _of_health(_calibration_age_days)
     ),
     Register(
         312,
@@ -89,7 +75,7 @@ _UNIT_ROWS = (
         Type.U32,
         "",
         "first 32 bits of its checksum",
-        _of_health(_calibration_checksum),
+        _of_health(lambda health: _first_32_bits(health.calibration.summary.get("file", {}).get("checksum"))),
     ),
     Register(
         314,

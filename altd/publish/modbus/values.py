@@ -134,9 +134,8 @@ class Snapshot:
     """The data for one request: the board at one instant.
 
     ``age_s`` is None before the first measurement; ``published`` counts the measurements put up so far.
-    What follows is filled as far as a block needs it: ``stamp`` for the checked block, ``report`` for the
-    unit's state; ``identity``, ``uptime_s``, ``health`` and ``shares``, the share of time valid by span, for
-    the blocks of the unit.
+    ``stamp``, ``report`` of the unit's state and ``shares``, the share of time valid by span, are filled as
+    far as a block needs them.
     """
 
     measurement: Measurement | None

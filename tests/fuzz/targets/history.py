@@ -85,7 +85,7 @@ def _export(path: Path, into: Path) -> None:
     span_us = (0, 2**62)
     for every in get_args(export.Every):
         try:
-            export.answer(export.Question(path, span_us, every, "csv", into / "table.csv"))
+            export.answer(path, span_us, every, "csv", into / "table.csv")
         except BadInputError as error:
             one_line(error)
     try:

@@ -17,7 +17,7 @@ from support import evidence
 
 from altd.answers.map import answer
 from altd.calibration.file import save_calibration
-from altd.tables.columns import TextFormat
+from altd.tables import TextFormat
 
 NAME = "map_lines"
 

@@ -25,7 +25,7 @@ def test_the_outer_rows_of_a_unit_that_this_project_did_not_make_are_where_they_
             others = np.delete(np.arange(len(seen.nodes_mm)), row.rows)
             places, px = seen.nodes_mm[others], seen.nodes_px[others]
             alone = fit_nodes(Nodes.ordinary(places, px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
-            mm, _, covariance = InverseMap.of(replace(alone, margin_mm=26.0)).to_mm(seen.nodes_px[row.rows])
+            mm, _, covariance = InverseMap(replace(alone, margin_mm=26.0)).to_mm(seen.nodes_px[row.rows])
             sigma_mm = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
             normalised.append((mm - seen.nodes_mm[row.rows]) / sigma_mm)
     assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate(normalised)))) < 1.25

@@ -51,7 +51,7 @@ def test_the_published_covariance_is_that_of_monte_carlo(fit: Fitter, kind: Lens
     for _ in range(repeats):
         lens = make_lens(kind, rng)
         truth_mm = rng.uniform((-60, -48), (60, 48), (SPOTS, 2))
-        inverse = InverseMap.of(fit(seen(lens, NODES, rng)).map)
+        inverse = InverseMap(fit(seen(lens, NODES, rng)).map)
         found, _, covariance = inverse.to_mm(seen(lens, truth_mm, rng, NOISE_PX))
         squares += np.square(found - truth_mm).mean(axis=0)
         variances += np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)

@@ -39,7 +39,7 @@ CASES = (
 
 
 def errors_mm(forward: TensorMap, lens: Projection, points: np.ndarray) -> np.ndarray:
-    found, _, _ = InverseMap.of(forward).to_mm(lens(points))
+    found, _, _ = InverseMap(forward).to_mm(lens(points))
     return np.asarray(np.linalg.norm(found - points, axis=1))
 
 

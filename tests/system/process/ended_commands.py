@@ -59,7 +59,7 @@ COMMANDS = {
     "replay's parquet": Command("replay {beams} --calibration {cal} --format parquet -o t.parquet", FRAME),
     "replay's parquet, at its footer": Command(
         "replay {beams} --calibration {cal} --format parquet -o t.parquet",
-        "altd.tables.parquet:ParquetTable.__exit__ 1",
+        "altd.tables:ParquetTable.__exit__ 1",
     ),
     "replay's plot": Command(
         "replay {beams} --calibration {cal} --format csv -o t.csv --plot p.svg", "altd.answers.plot:svg 1"
@@ -106,7 +106,7 @@ COMMANDS = {
     "status": Command("status --socket none.sock", "http.client:HTTPConnection.request 1"),
     "export": Command("export --history {history} -o t.csv", "altd.history.reader:Reader.summaries 1"),
     "export's parquet": Command(
-        "export --history {history} --format parquet -o t.parquet", "altd.tables.parquet:ParquetTable.add 3"
+        "export --history {history} --format parquet -o t.parquet", "altd.tables:ParquetTable.add 3"
     ),
     "export on standard output": Command(
         "export --history {history} --every measurement", "altd.history.reader:Reader.measurements 1"

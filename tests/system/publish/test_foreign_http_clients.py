@@ -20,7 +20,7 @@ from support.places import DOCS
 from support.serving import serving
 
 from altd.config import HttpSettings
-from altd.publish.http.limits import REQUESTS
+from altd.publish.http.clients import REQUESTS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health

@@ -20,8 +20,8 @@ from support.picture_maker import Maker
 from altd.config import HttpSettings
 from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash
-from altd.history.batch import About
 from altd.history.history import History
+from altd.history.records import About
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http.publisher import HttpPublisher
 from altd.runtime.clock import SystemClock

@@ -70,7 +70,7 @@ def mapped_mm(scan: Path, unit: Unit) -> np.ndarray:
     mapped = []
     for target in calibrate([open_recording(scan)]).calibration.targets:
         px = np.column_stack(unit.imagers[target.name].view.lens.project(x_mm, y_mm))
-        mapped.append(InverseMap.of(target.map).to_mm(px)[0] - np.column_stack([x_mm, y_mm]))
+        mapped.append(InverseMap(target.map).to_mm(px)[0] - np.column_stack([x_mm, y_mm]))
     return np.vstack(mapped)
 
 

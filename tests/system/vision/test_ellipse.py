@@ -11,8 +11,8 @@ from support.photographs import ELECTRONS_PER_COUNT, SIZE, found, photographed
 from altd.records import Frame
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
+from altd.vision.frame_analysis import Patch, patch_around
 from altd.vision.image import Centre, Noise
-from altd.vision.patch import Patch, patch_around
 from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 

@@ -12,9 +12,9 @@ import pytest
 from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
 
 from altd.app.keeping import LOOK_INTERVAL_S, DaemonHistory, PastAvailability
-from altd.history.batch import About
 from altd.history.history import History, NoHistoryError
 from altd.history.opening import WriteLock
+from altd.history.records import About
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.availability import Availability
 from altd.status.board import Board

@@ -17,9 +17,9 @@ from support.history import ABOUT, MAX_BYTES, START_S, US, WallClock, at
 from support.measurements import measurement
 
 from altd.history import recorder as recorder_module
-from altd.history.batch import Batch, Written
 from altd.history.reader import Reader
 from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
+from altd.history.records import Batch, Written
 from altd.history.schema import SECONDS
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES

@@ -9,8 +9,8 @@ import pytest
 from support.history import START_S, US, batch, event, sample, state, store, write_seconds
 
 from altd.history import retention
-from altd.history.batch import ClockSet
 from altd.history.reader import Reader
+from altd.history.records import ClockSet
 from altd.history.schema import MINUTES, SECONDS
 from altd.status.event_log import EventKind
 

@@ -12,8 +12,8 @@ from typing import Any, cast
 import pytest
 from support.history import ABOUT, START_S, US, batch, state, store, write_seconds
 
-from altd.history.batch import ClockSet
 from altd.history.reader import Reader
+from altd.history.records import ClockSet
 from altd.history.running import before_start
 from altd.history.schema import UnusableFileError
 from altd.status.availability import Availability, Before

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from support.history import ABOUT, START_S, US, at, batch, event, renamed, sample, state, store, write_seconds
 
-from altd.history.batch import About, ClockSet, Sample
 from altd.history.columns import columns_of
 from altd.history.reader import Reader
+from altd.history.records import About, ClockSet, Sample
 from altd.history.schema import HOURS, MINUTES, SECONDS
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason

@@ -24,7 +24,7 @@ from altd.reasons import Reason
 from altd.records import Fault, MeanSpots, Measurement, Quantities, Quantity, Spot, Value
 from altd.status.board import Board
 from altd.status.measurement_json import as_object
-from altd.tables.columns import measurement_columns
+from altd.tables import measurement_columns
 
 QUANTITIES = Quantities(
     "toy",

@@ -21,7 +21,7 @@ def straight(**known: float) -> TensorMap:
 
 
 def at(fitted: TensorMap, x_mm: float, y_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    mm, _, covariance = InverseMap.of(fitted).to_mm(fitted.to_px(np.array([[x_mm, y_mm]])))
+    mm, _, covariance = InverseMap(fitted).to_mm(fitted.to_px(np.array([[x_mm, y_mm]])))
     return mm[0], covariance[0]
 
 

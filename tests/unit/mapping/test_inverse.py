@@ -45,7 +45,7 @@ def test_pixels_from_anywhere_give_a_place_that_has_them_or_nothing() -> None:
             10.0 ** rng.uniform(3, 300, (100, 2)) * rng.choice([-1, 1], (100, 2)),
         ]
     )
-    found, _, covariance = InverseMap.of(forward).to_mm(px)
+    found, _, covariance = InverseMap(forward).to_mm(px)
     known = np.isfinite(found).all(axis=1)
     assert 100 < known.sum() < 500
     assert forward.to_px(found[known]) == pytest.approx(px[known], abs=1e-5)
@@ -55,7 +55,7 @@ def test_pixels_from_anywhere_give_a_place_that_has_them_or_nothing() -> None:
 
 @pytest.mark.parametrize("u", [math.nan, math.inf, -math.inf, 1e308])
 def test_what_is_no_pixel_is_no_place(u: float) -> None:
-    inverse = InverseMap.of(ordinary())
+    inverse = InverseMap(ordinary())
     with np.errstate(all="ignore"):
         found, _, _ = inverse.to_mm(np.array([[u, 240.0], [376.0, u], [u, u]]))
     assert np.isnan(found).all()
@@ -65,7 +65,7 @@ def test_a_folded_map_gives_no_number_from_beyond_its_fold() -> None:
     px = parabola(NODES) + np.random.default_rng(4).normal(0, 1e-3, NODES.shape)
     forward = fit_tensor_map(NODES, px, HULL, (3, 3)).map
     assert forward.folds
-    inverse = InverseMap.of(forward)
+    inverse = InverseMap(forward)
     points = np.random.default_rng(5).uniform((-60, -48), (60, 48), (300, 2))
     found, _, _ = inverse.to_mm(parabola(points))
     known = np.isfinite(found).all(axis=1)
@@ -82,14 +82,14 @@ def test_maps_of_nonsense_never_give_a_place_that_has_not_the_pixel() -> None:
         for _ in range(20):
             wild = replace(forward, spectra=forward.spectra + rng.normal(0, scale, forward.spectra.shape))
             px = rng.uniform((0, 0), (752, 480), (10, 2))
-            found, _, _ = InverseMap.of(wild).to_mm(px)
+            found, _, _ = InverseMap(wild).to_mm(px)
             known = np.isfinite(found).all(axis=1)
             assert wild.to_px(found[known]) == pytest.approx(px[known], abs=1e-5)
 
 
 @pytest.mark.parametrize("px", [(math.nan, 240.0), (376.0, math.nan), (math.inf, 240.0), (376.0, -math.inf)])
 def test_what_is_not_a_number_is_at_no_place(px: tuple[float, float]) -> None:
-    found, _, covariance = InverseMap.of(ordinary()).to_mm(np.array([px]))
+    found, _, covariance = InverseMap(ordinary()).to_mm(np.array([px]))
     assert np.isnan(found).all()
     assert np.isnan(covariance).all()
 
@@ -97,12 +97,12 @@ def test_what_is_not_a_number_is_at_no_place(px: tuple[float, float]) -> None:
 def test_a_map_of_not_a_number_has_no_inverse() -> None:
     forward = ordinary()
     with pytest.raises(np.linalg.LinAlgError):
-        InverseMap.of(replace(forward, spectra=forward.spectra * math.nan))
+        InverseMap(replace(forward, spectra=forward.spectra * math.nan))
 
 
 def test_a_map_that_overflows_gives_none() -> None:
     forward = ordinary()
-    found, _, _ = InverseMap.of(replace(forward, spectra=forward.spectra * 1e150)).to_mm(
+    found, _, _ = InverseMap(replace(forward, spectra=forward.spectra * 1e150)).to_mm(
         np.array([[376.0, 240.0]])
     )
     assert np.isnan(found).all()
@@ -112,7 +112,7 @@ def test_a_flat_map_has_no_inverse() -> None:
     forward = ordinary()
     flat = forward.spectra.copy()
     flat[1] = flat[0]  # v = u: a line
-    found, _, _ = InverseMap.of(replace(forward, spectra=flat)).to_mm(np.array([[376.0, 376.0]]))
+    found, _, _ = InverseMap(replace(forward, spectra=flat)).to_mm(np.array([[376.0, 376.0]]))
     assert np.isnan(found).all()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.plates import View, grid_mm, tilted
 
-from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px, spot_moment_mm2
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px, spot_moment_mm2
 
 VIEWS = {
     "ordinary": View(1333.0, 400.0, tilted(12.0, 1.0)),

@@ -62,7 +62,7 @@ def test_a_polynomial_of_the_maps_degree_is_recovered_from_an_incomplete_grid() 
 def test_the_inverse_finds_the_points_back_and_its_jacobian_is_the_derivative() -> None:
     rng = np.random.default_rng(3)
     nodes = grid()
-    inverse = InverseMap.of(fit(nodes, lens(nodes)).map)
+    inverse = InverseMap(fit(nodes, lens(nodes)).map)
     points = inside(200, rng)
     px = inverse.forward.to_px(points)
     found, jacobian, _ = inverse.to_mm(px)
@@ -76,7 +76,7 @@ def test_the_inverse_finds_the_points_back_and_its_jacobian_is_the_derivative() 
 def test_a_point_outside_the_hull_is_nan_and_one_on_its_edge_is_not() -> None:
     nodes = grid()
     px = lens(nodes) + np.random.default_rng(5).normal(0, NOISE_PX, nodes.shape)
-    inverse = InverseMap.of(fit(nodes, px).map)
+    inverse = InverseMap(fit(nodes, px).map)
     asked = np.array([[63.5, 0.0], [0.0, -51.0], [62.5, 50.0], [90.0, 90.0]])
     found, _, _ = inverse.to_mm(inverse.forward.to_px(asked))
     assert np.isfinite(found).all(axis=1).tolist() == [False, False, True, False]
@@ -84,7 +84,7 @@ def test_a_point_outside_the_hull_is_nan_and_one_on_its_edge_is_not() -> None:
 
 def test_a_pixel_that_no_point_maps_to_is_nan() -> None:
     nodes = grid()
-    inverse = InverseMap.of(fit(nodes, lens(nodes)).map)
+    inverse = InverseMap(fit(nodes, lens(nodes)).map)
     found, _, _ = inverse.to_mm(np.array([[1e5, -1e5], [np.nan, 100.0], [-3000.0, 4000.0]]))
     assert np.isnan(found).all()
 
@@ -106,10 +106,10 @@ def test_nodes_need_not_lie_exactly_where_they_were_meant_to() -> None:
     rng = np.random.default_rng(6)
     meant = grid()
     reached = meant + rng.normal(0, 0.02, meant.shape)
-    inverse = InverseMap.of(fit(reached, lens(reached)).map)
+    inverse = InverseMap(fit(reached, lens(reached)).map)
     points = inside(50, rng)
     found, _, _ = inverse.to_mm(lens(points))
-    exact, _, _ = InverseMap.of(fit(meant, lens(meant)).map).to_mm(lens(points))
+    exact, _, _ = InverseMap(fit(meant, lens(meant)).map).to_mm(lens(points))
     assert found == pytest.approx(exact, abs=1e-3)
 
 

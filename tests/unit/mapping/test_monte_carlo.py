@@ -29,7 +29,7 @@ def test_what_the_nodes_leave_in_the_map_is_that_of_monte_carlo_at_every_place()
     scatter = np.std([one.to_px(places) for one in maps], axis=0)
     predicted = []
     for one in maps:
-        inverse = InverseMap.of(one)
+        inverse = InverseMap(one)
         _, jacobian, covariance = inverse.to_mm(one.to_px(places))
         forward = np.linalg.inv(jacobian)
         own = forward @ covariance @ forward.transpose(0, 2, 1) - one.noise_px**2 * np.eye(2)
@@ -51,7 +51,7 @@ def test_noise_that_is_larger_along_u_is_so_in_the_map_too() -> None:
         )
         found.append(one.to_px(middle)[0])
         predicted.append(shaped.variance_px2(middle)[0])
-        _, jacobian, covariance = InverseMap.of(shaped).to_mm(one.to_px(middle))
+        _, jacobian, covariance = InverseMap(shaped).to_mm(one.to_px(middle))
         forward = np.linalg.inv(jacobian[0])
         of_place = forward @ covariance[0] @ forward.T - shaped.noise_covariance_px2
         assert np.diag(of_place) == pytest.approx(shaped.variance_px2(middle)[0], rel=1e-6)

@@ -10,9 +10,8 @@ from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.instrument import Solution
 from altd.records import MeanSpots
-from altd.selfcheck.compensation import Compensation, Refused, compensated, compensation_of, flat_now
 from altd.selfcheck.records import Limits, SelfCheck
-from altd.selfcheck.verdict import judge
+from altd.selfcheck.verdict import Compensation, Refused, compensated, compensation_of, flat_now, judge
 from altd.vision.flat import Flat
 
 TRUE_PX = np.array([[300.0, 150.0], [500.0, 320.0]])

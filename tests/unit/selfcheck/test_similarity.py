@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.led_frames import LEDS, Motion
 
+from altd.selfcheck.drift import Fitted, chi2_limit, fit_similarity
 from altd.selfcheck.records import Similarity
-from altd.selfcheck.similarity import Fitted, chi2_limit, fit_similarity
 
 ABOUT = LEDS.mean(axis=0)
 RADIUS_PX = float(np.sqrt(np.mean(np.sum((LEDS - ABOUT) ** 2, axis=1))))

@@ -3,7 +3,7 @@ from __future__ import annotations
 from support.places import DOCS
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
+from altd.tables import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
 from tools.pages.tables import page
 
 

@@ -6,7 +6,7 @@ import pytest
 from support.daemon_documents import CALIBRATION, TARGETS, measurement, status
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.terminal.canvas import Canvas
+from altd.terminal.canvas import Canvas, Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
 from altd.terminal.documents import (
     CalibrationDocument,
     Reading,
@@ -16,7 +16,6 @@ from altd.terminal.documents import (
     reading_of,
 )
 from altd.terminal.lines import WIDTH, is_fine, self_check_table, status_text
-from altd.terminal.target_picture import Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
 
 
 @pytest.fixture

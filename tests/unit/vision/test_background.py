@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from support.frames import HEIGHT, WIDTH, frame, light
 
-from altd.vision.background import coarse_image, fit_background
+from altd.vision.search import coarse_image, fit_background
 
 
 def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:

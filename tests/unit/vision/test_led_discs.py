@@ -6,7 +6,7 @@ import pytest
 from support.frames import HEIGHT, WIDTH, Blob, light
 from support.plates import View, add_disc, grid_mm, plate_light, tilted
 
-from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
+from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px
 from altd.vision.led_discs import disc_centres_px, find_discs
 
 ORDINARY = View(1333.0, 420.0, tilted(12.0, 1.0, 2.0))

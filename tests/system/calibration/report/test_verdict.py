@@ -8,7 +8,7 @@ from support.evidence import calibration, evidence, target
 
 from altd.calibration.report.prediction import predict
 from altd.calibration.report.verdict import Check, Level, Verdict, judge
-from altd.calibration.soundness import TargetEvidence
+from altd.calibration.result import TargetEvidence
 from altd.measuring.calibration import Calibration
 from altd.vision.flat import Flat
 

@@ -5,7 +5,7 @@ import pytest
 from support.evidence import nodes_mm, straight_px
 
 from altd.calibration.report.prediction import noise_in_map_px
-from altd.calibration.soundness import Candidate
+from altd.calibration.result import Candidate
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from altd.calibration.verification.beams import BeamSet
-from altd.calibration.verification.estimate import estimate, why_not_aligned, why_too_few
+from altd.calibration.verification.estimate import BeamSet, estimate, why_not_aligned, why_too_few
 
 SIGMA = (0.01, 0.01, 0.003, 0.003)
 

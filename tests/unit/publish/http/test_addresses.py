@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.publish.http.limits import Allowed, OwnNames
+from altd.publish.http.clients import Allowed, OwnNames
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
+from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, IDLE_S, MAX_FAMILIAR
 from altd.publish.http.errors import Refused
 from altd.publish.http.guard import Guard
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR
-from altd.publish.http.sessions import IDLE_S
 from altd.status.health import Component, Health, State
 from altd.status.services import Picture, TargetView
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.clock import FakeClock
 
-from altd.publish.http.sessions import IDLE_S, LONGEST_S, MAX_SESSIONS, Sessions
+from altd.publish.http.clients import IDLE_S, LONGEST_S, MAX_SESSIONS, Sessions
 from altd.tcp_port import MAX_KEYS, Buckets, Rate
 
 S = 1_000_000_000

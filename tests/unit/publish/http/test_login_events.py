@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.clock import FakeClock
 
-from altd.publish.http.limits import ATTEMPTS
+from altd.publish.http.clients import ATTEMPTS
 from altd.status.event_log import MAX_OF_ONE_IN_WINDOW, WINDOW_S, Event, EventKind, EventLog
 
 from .conftest import OURS, PASSWORD, TOKEN, Served, check, cookie_of, log_in

@@ -13,7 +13,7 @@ import pytest
 from support.history import START_S, WallClock, at, batch, event, sample, store
 
 from altd.history.history import History
-from altd.publish.http import resuming, stream
+from altd.publish.http import stream
 from altd.status.board import Board
 from altd.status.health import Health
 
@@ -257,7 +257,7 @@ async def test_what_cannot_be_resumed_is_a_gap_that_says_why(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
-    monkeypatch.setattr(resuming, "MAX_WAIT_S", -1.0)
+    monkeypatch.setattr(stream, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 59, 5.9, 60))
     async with served_with(board, health, recorded) as unit:
         _, gap = await read(unit, last_id, 2)
@@ -291,7 +291,7 @@ async def test_no_history_and_one_that_lags_are_gaps(
     board: Board, health: Health, recorded: History, clock: WallClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
-    monkeypatch.setattr(resuming, "MAX_WAIT_S", -1.0)
+    monkeypatch.setattr(stream, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 70, 5.9, 71))
     async with served_with(board, health, None) as unit:
         _, gap = await read(unit, key(40), 2)
@@ -306,8 +306,8 @@ async def test_too_much_is_not_sent_again(
     board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
-    monkeypatch.setattr(resuming, "MAX_ROWS_AT_ONCE", 5)
-    monkeypatch.setattr(resuming, "MAX_ROWS", 12)
+    monkeypatch.setattr(stream, "MAX_ROWS_AT_ONCE", 5)
+    monkeypatch.setattr(stream, "MAX_ROWS", 12)
     board.publish(at(START_S + 59, 5.9, 60))
     async with served_with(board, health, recorded) as unit:
         events = await read(unit, key(1), 17)

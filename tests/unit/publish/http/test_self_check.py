@@ -9,10 +9,10 @@ import pytest
 from starlette.requests import Request
 from support.clock import FakeClock
 
-from altd.publish.http import self_check
+from altd.publish.http.answers import self_check
+from altd.publish.http.clients import MAX_WAITING
 from altd.publish.http.errors import Refused
 from altd.publish.http.guard import Guard
-from altd.publish.http.self_check import MAX_WAITING
 from altd.status.health import Health
 from altd.status.services import SelfCheckReport
 
@@ -123,7 +123,7 @@ async def test_another_computer_may_not_ask(health: Health, client: str) -> None
     }
     guard = Guard(None, FakeClock())
     with pytest.raises(Refused) as refused:
-        await self_check.answer(Request(scope), health.self_check, guard)
+        await self_check(Request(scope), health.self_check, guard)
     answer = refused.value.answer
     said = {"error": "only the unit's own computer may ask for this: [http] credentials is not set"}
     assert (answer.status_code, json.loads(answer.body)) == (403, said)

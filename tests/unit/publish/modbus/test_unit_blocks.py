@@ -21,10 +21,9 @@ from support.wire import socat_line
 
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.registers import MEASUREMENT, Type, WordOrder
-from altd.publish.modbus.responder import CONDITION, TABLES
+from altd.publish.modbus.responder import CONDITION, TABLES, LineCounters, serial_response
 from altd.publish.modbus.responder import UNIT as UNIT_TABLE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
-from altd.publish.modbus.serial_functions import LineCounters, serial_response
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.reasons import Reason, Signal
 from altd.records import Fault

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.prints import NODES_MM, Dots, Scene, steps
 
-from altd.calibration.printed.end import cut_sides
+from altd.calibration.scan_grid import cut_sides
 
 PRINT = Dots(steps(1.0, 60, 1.3), 0.25)
 ALL = ("x -70", "x 70", "y -56", "y 56")

@@ -1,21 +1,39 @@
-"""The columns of the tables: names, types, units and meanings; and tables as JSON lines and CSV."""
+"""Tables for other programs, one row an answer, with names, types, units: JSON lines, CSV and Parquet.
+
+Names end in their unit, what is not known is absent, and every format has the same numbers. Parquet needs
+pyarrow, the extra ``parquet``.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+import importlib
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from enum import StrEnum
-from typing import Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, Self
 
-from altd.errors import escaped
+from altd.errors import BadInputError, escaped
 from altd.files.documents import line_of
+from altd.files.writing import replacing
 from altd.records import Quantities, Quantity
+
+if TYPE_CHECKING:
+    import pyarrow
+
 
 Value = int | float | bool | str | None
 """The value of a cell; None: not known."""
 Row = Mapping[str, Value]
 """Values by the names of their columns."""
+Add = Callable[[Row], object]
+Write = Callable[[str], object]
 
 
 class Type(StrEnum):
@@ -145,9 +163,6 @@ POINT_COLUMNS = (
 """Of ``altd map``."""
 
 
-Write = Callable[[str], object]
-
-
 class CsvTable:
     """A header of names, then a line a row, CRLF at their ends; what is not known is an empty field.
 
@@ -161,7 +176,7 @@ class CsvTable:
 
     def add(self, row: Row) -> None:
         """A row; what it does not have is empty."""
-        self._lines.writerow([_field(row.get(name)) for name in self._names])
+        self._lines.writerow([_csv_field(row.get(name)) for name in self._names])
 
 
 class JsonTable:
@@ -177,6 +192,7 @@ class JsonTable:
 
 
 TextFormat = Literal["jsonl", "csv"]
+Format = Literal["jsonl", "csv", "parquet"]
 TEXT_FORMATS: dict[TextFormat, type[CsvTable] | type[JsonTable]] = {"jsonl": JsonTable, "csv": CsvTable}
 
 
@@ -187,9 +203,125 @@ class _Lines:
         self.write = write
 
 
-def _field(value: Value) -> str:
+def _csv_field(value: Value) -> str:
     if value is None:
         return ""
     if isinstance(value, bool):
         return "true" if value else "false"
     return escaped(str(value))
+
+
+MAX_ROWS_HELD = 8192
+"""Of a row group, which is what is held: 2 MB."""
+
+
+def check_parquet(output: Path | None) -> None:
+    """Say before any work is done that there is no file for it, or no pyarrow; raises BadInputError."""
+    if output is None:
+        raise BadInputError("--format parquet", "needs a file: -o FILE")
+    try:
+        importlib.import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise BadInputError(
+            "--format parquet", "needs pyarrow, which comes with the extra altd[parquet]"
+        ) from error
+
+
+class _Sink(io.RawIOBase):
+    """A file that takes what is written and, once it is closed, drops it.
+
+    pyarrow's writer writes its footer when it is destroyed, also after a signal or a full disk has ended the
+    work; that must not raise.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        return len(data) if self._file.closed else self._file.write(data)
+
+
+class ParquetTable:
+    """Rows into a file that is open; ``about`` becomes the file's metadata, each value as JSON.
+
+    A column's unit and meaning are in the metadata of its field.
+    """
+
+    def __init__(self, file: BinaryIO, columns: Sequence[Column], about: Mapping[str, Any]) -> None:
+        import pyarrow.parquet
+
+        self._schema = pyarrow.schema(
+            [_parquet_field(column) for column in columns],
+            {f"altd.{key}": json.dumps(value, allow_nan=False) for key, value in about.items()},
+        )
+        self._times = [column.name for column in columns if column.type is Type.TIME]
+        self._rows: list[dict[str, Any]] = []
+        sink = _Sink(file)
+        self._writer = pyarrow.parquet.ParquetWriter(sink, self._schema, compression="snappy", version="2.6")
+
+    def add(self, row: Row) -> None:
+        """A row; what it does not have is null."""
+        times = {name: _moment(row.get(name)) for name in self._times}
+        self._rows.append({**row, **times})
+        if len(self._rows) >= MAX_ROWS_HELD:
+            self._flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Write what is left and the footer, without which it is no Parquet file."""
+        if kind is None:
+            if self._rows:
+                self._flush()
+            self._writer.close()
+
+    def _flush(self) -> None:
+        import pyarrow
+
+        self._writer.write_table(pyarrow.Table.from_pylist(self._rows, self._schema))
+        self._rows.clear()
+
+
+def _parquet_field(column: Column) -> pyarrow.Field:
+    import pyarrow
+
+    types = {
+        Type.WHOLE: pyarrow.int64(),
+        Type.NUMBER: pyarrow.float64(),
+        Type.TRUTH: pyarrow.bool_(),
+        Type.TEXT: pyarrow.string(),
+        Type.TIME: pyarrow.timestamp("ms", tz="UTC"),
+    }
+    about = {"meaning": column.meaning} | ({"unit": column.unit} if column.unit else {})
+    return pyarrow.field(column.name, types[column.type], metadata=about)
+
+
+def _moment(text: object) -> datetime | None:
+    return None if text is None else datetime.fromisoformat(str(text))
+
+
+@contextmanager
+def text_output(path: Path | None) -> Iterator[Write]:
+    """Writes to standard output, or to a file that is replaced once all is written."""
+    if path is None:
+        yield sys.stdout.write
+        return
+    with replacing(path) as file:
+        yield lambda text: file.write(text.encode())
+
+
+@contextmanager
+def table_in(
+    path: Path | None, form: Format, columns: Sequence[Column], about: Mapping[str, Any]
+) -> Iterator[Add]:
+    """Adds rows to a table on standard output, or in a file that is replaced once all is written."""
+    if form != "parquet":
+        with text_output(path) as write:
+            yield TEXT_FORMATS[form](write, columns).add
+    elif path is not None:
+        with replacing(path) as file, ParquetTable(file, columns, about) as table:
+            yield table.add
