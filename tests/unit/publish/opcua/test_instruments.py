@@ -18,9 +18,9 @@ from support.measurements import measurement_of_row
 from support.opcua import AREAS, OpcUaUnit, Written, connected, read
 from support.places import ROOT
 
-from altd.history.batch import About, Sample
 from altd.history.columns import columns_of
 from altd.history.history import History
+from altd.history.records import About, Sample
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua.__main__ import ServedUnit
