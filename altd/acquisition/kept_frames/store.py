@@ -171,7 +171,12 @@ class RecordingStore:
                 lacking -= oldest.bytes
         if lacking > 0:
             marked = sum(kept.bytes for kept in there if kept.is_marked)
-            held = f"marked recordings take {marked >> 20} of {self._max_bytes >> 20} MB"
+            allowed = f"of {self._max_bytes >> 20} MB (kept_frames.disk_mb)"
+            held = (
+                f"marked recordings take {marked >> 20} {allowed}"
+                if marked
+                else f"that is more than all {allowed}"
+            )
             needed = f"there is no room for up to {max_bytes >> 20} MB"
             raise NotKeptError("the disk is nearly full" if free < max_bytes else f"{needed}: {held}")
         for name in going:

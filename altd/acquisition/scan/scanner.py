@@ -118,7 +118,12 @@ class Scanner:
         """
         try:
             lamps = self._leds.lamps if self._leds else None
-            async with self._frame_sets, self._ready_stage(), self._ready(lamps), self._ready(self._switches):
+            async with (
+                self._frame_sets,
+                self._ready_stage(),
+                self._ready("lamps", lamps),
+                self._ready("switches", self._switches),
+            ):
                 await self._scan()
                 return self._finished()
         except StageNotFoundError as error:
@@ -161,13 +166,13 @@ class Scanner:
             await asyncio.shield(asyncio.to_thread(self._stage.close))
 
     @asynccontextmanager
-    async def _ready(self, lamps: Lamps | Switches | None) -> AsyncIterator[None]:
+    async def _ready(self, name: str, lamps: Lamps | Switches | None) -> AsyncIterator[None]:
         """Take control of lamps or switches, without voltage; at the end they are released so."""
         if lamps is None:
             yield
             return
         try:
-            self._tell("opening the lamps and switches")
+            self._tell(f"opening the {name}")
             await self._in_thread(lamps.open)
             yield
         finally:

@@ -187,6 +187,8 @@ def test_where_marked_ones_take_all_the_room_nothing_is_removed_and_it_is_said(t
     with pytest.raises(NotKeptError, match="no room for up to 0 MB: marked recordings take 0 of 0 MB"):
         shelf.add(30 * KIB)
     assert shelf.names() == before
+    with pytest.raises(NotKeptError, match=r"that is more than all of 0 MB \(kept_frames.disk_mb\)"):
+        Shelf(tmp_path / "smaller", max_bytes=20 * KIB).add(30 * KIB)
     shelf.store.mark(before[0], is_marked=False)
     shelf.add(15 * KIB)
     assert before[0] not in shelf.names()
