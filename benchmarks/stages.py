@@ -44,7 +44,7 @@ _SEARCH_PARTS: Sequence[_Part] = (
 _SPOT_PARTS: Sequence[_Part] = (
     (analysis_room, "patch_around", "patch"),
     (localise_room, "_classify", "judging"),
-    (analysis_room, "noise_of", "noise"),
+    (analysis_room, "pixel_noise", "noise"),
     (localise_room, "is_patterned", "print or not"),
     (localise_room, "_profile", "profile"),
     (localise_room, "misfit_of", "misfit"),

@@ -70,6 +70,7 @@ class SwitchedWindow:
         if (visits := self._visits.get(frame_set.opaque)) is None:
             return None
         self._inspect_glasses(frame_set)
+        self._drop_stale(frame_set.t_ns)
         if self._is_new_visit or not visits:
             self._is_new_visit = False
             visits.append([])
@@ -86,6 +87,18 @@ class SwitchedWindow:
             return self._faults
         mean = self._mean()
         return mean if isinstance(mean, MeanSpots) else (*mean, *self._faults)
+
+    def _drop_stale(self, now_ns: int) -> None:
+        """Drop the visits of a target that is not shown any more.
+
+        In any order of the rounds the pause between two visits is shorter than four visits take.
+        """
+        for visits in self._visits.values():
+            if visits:
+                last_ns = visits[-1][-1].t_ns
+                span_ns = last_ns - visits[0][0].t_ns if len(visits) >= MIN_VISITS else _MEMORY_NS
+                if now_ns - last_ns > span_ns:
+                    visits.clear()
 
     @property
     def _is_unbelievable(self) -> bool:
@@ -109,13 +122,15 @@ class SwitchedWindow:
         for target, visits in self._visits.items():
             shown = list(chain.from_iterable(visits))
             line = mean_spots(shown, (target,), len(shown)) if shown else ()
-            if isinstance(line, MeanSpots) and line.motion is not None and len(visits) >= MIN_VISITS:
+            usable = sum(any(not one.faults() for one in visit) for visit in visits)
+            if isinstance(line, MeanSpots) and line.motion is not None and usable >= MIN_VISITS:
                 lines.append(line)
                 continue
-            faults = () if isinstance(line, MeanSpots) else line
-            if len(visits) < MIN_VISITS:  # of a moving beam, they are two places
+            missing = tuple(fault for one in shown for fault in one.faults())[-1:]
+            faults = missing if isinstance(line, MeanSpots) else line
+            if usable < MIN_VISITS:  # of a moving beam, they are two places
                 faults = tuple(fault for fault in faults if fault.reason is not Reason.UNSTEADY)
-            detail = f"{len(visits)} of {MIN_VISITS} visits of {target}"
+            detail = f"{usable} of {MIN_VISITS} visits of {target}"
             return faults or (Fault(Reason.WARMING_UP, detail=detail),)
         frames = sum(line.frames for line in lines)
         t_ns = lines[0].t_ns + round(sum((at.t_ns - lines[0].t_ns) * at.frames for at in lines) / frames)

@@ -260,6 +260,30 @@ def test_a_visit_that_does_not_end_does_not_fill_the_memory_and_a_foreign_name_i
     assert MIN_VISITS == 4
 
 
+def test_a_target_that_is_shown_no_more_gives_no_number_from_its_old_exposures() -> None:
+    window = window_of()
+    assert isinstance(means(shown(still, 20.0, seed=1), window)[-1], MeanSpots)
+    found = []
+    for number in range(400, 800):
+        front = {"front": spot(FRONT), "rear": DARK}
+        found.append(window.add(FrameSet(number, number * 50_000_000, front, {}, "front")))
+    assert not any(isinstance(mean, MeanSpots) for mean in found[160:])
+    assert codes(found[-1] or ()) == ["warming_up"]
+
+
+def test_visits_without_a_spot_are_none() -> None:
+    window, found = window_of(), list[MeanSpots | tuple[Fault, ...]]()
+    for one in shown(still, 60.0, seed=3):
+        if isinstance(one, int):
+            window.pass_over(one)
+            continue
+        is_dark = one.opaque == "rear" and one.t_ns // (5 * 10**9) % 2
+        found.append(window.add(with_spots(one, one.spots["front"], DARK) if is_dark else one) or ())
+    valid = [mean for mean in found if isinstance(mean, MeanSpots)]
+    assert all(np.isfinite(mean.covariance_px2).all() for mean in valid)
+    assert ["rear_spot_missing"] in [codes(mean) for mean in found if not isinstance(mean, MeanSpots)]
+
+
 def test_a_gap_and_a_new_place_begin_again() -> None:
     window = window_of()
     assert isinstance(means(shown(still, 20.0, seed=1), window)[-1], MeanSpots)
