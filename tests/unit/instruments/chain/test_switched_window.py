@@ -268,7 +268,7 @@ def test_a_target_that_is_shown_no_more_gives_no_number_from_its_old_exposures()
         front = {"front": spot(FRONT), "rear": DARK}
         found.append(window.add(FrameSet(number, number * 50_000_000, front, {}, "front")))
     assert not any(isinstance(mean, MeanSpots) for mean in found[160:])
-    assert codes(found[-1] or ()) == ["warming_up"]
+    assert "warming_up" in codes(found[-1] or ())
 
 
 def test_visits_without_a_spot_are_none() -> None:
