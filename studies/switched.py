@@ -58,7 +58,7 @@ class Case:
 
 
 TWO = Case("two cameras, 20 exposures", None, 20, 20)
-SWITCHED = Case("switched, 20 exposures of each", GlassConfig(), 20, 230)
+SWITCHED = Case("switched, 20 of each", GlassConfig(), 20, 230)
 CASES = (
     TWO,
     Case("two cameras, 160 exposures", None, 160, 160),
@@ -150,8 +150,8 @@ def run(progress: Progress) -> Result:
                 label=label,
             )
         names = [line.name.removesuffix(f", {motion}").replace(", ", "\n", 1) for line in of_motion]
-        axis.set_xticks(places, names, fontsize=7)
-        axis.set(ylabel="error, rms °", title=motion)
+        axis.set_xticks(places, names, fontsize=6)
+        axis.set(ylabel="error, rms °", title=motion, ylim=(0.0, 0.003))
         axis.legend()
     ratios = [
         max((of_glass.ours[column] or 0.0) / (of_two.ours[column] or 1.0) for column in (0, 1))

@@ -36,7 +36,7 @@ AnyLampsSettings = Annotated[GpiodLampsSettings | CameraLampsSettings, Field(dis
 
 
 class Visits(Table):
-    """How long a beam's switched targets are shown; a row has these keys in `[chain]`."""
+    """Visits of a beam's switched targets; a row has these keys in `[chain]`."""
 
     exposures: Annotated[int, Field(ge=2, le=100)] = 5
     """Exposures of each target before the next one is shown."""

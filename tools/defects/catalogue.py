@@ -48,8 +48,8 @@ DEFECTS = (
     Defect(
         "what is old is not called stale",
         "altd/status/board.py",
-        "if now_ns - since_ns <= self._stale_after_ns:",
-        "if now_ns - since_ns <= 2 * self._stale_after_ns:",
+        "if now_ns - since_ns <= self.stale_after_s * 1e9:",
+        "if now_ns - since_ns <= 2 * self.stale_after_s * 1e9:",
     ),
     Defect(
         "a calibration with a wrong checksum is taken",
