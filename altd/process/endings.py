@@ -109,8 +109,7 @@ async def until_signal(work: Coroutine[None, None, Result], hangup: asyncio.Even
 
 def hangups() -> asyncio.Event | None:
     """An event that SIGHUP sets from now on; None: it is ignored, or reports that the terminal has gone."""
-    is_main = threading.current_thread() is threading.main_thread()  # no other thread receives signals
-    if not is_main or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or _has_terminal():
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or _has_terminal():
         return None
     event = asyncio.Event()
     signal.signal(signal.SIGHUP, lambda *_: event.set())
@@ -120,9 +119,9 @@ def hangups() -> asyncio.Event | None:
 def _has_terminal() -> bool:
     try:
         os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
+        return True
     except OSError:
         return False
-    return True
 
 
 @contextmanager

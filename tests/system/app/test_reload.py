@@ -246,7 +246,7 @@ def test_what_is_wrong_changes_nothing(own_unit: PlayedUnit, played_unit: Played
 
 
 def test_a_file_that_is_being_written_is_refused(own_unit: PlayedUnit) -> None:
-    """What is written so far can be whole settings, without the interfaces."""
+    """The written part can be complete settings without interfaces."""
     with running(own_unit) as unit:
         ends = threading.Event()
 
