@@ -115,8 +115,8 @@ check: venv ## style, types, layers, licences, generated pages, width and wordin
 		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
 	done
 	echo "generated pages are up to date"
-	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
-	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
+	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md
+	$(python) -m tools.plain README.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure

@@ -29,7 +29,7 @@ from altd.app.baseline import BaselineKeeper, with_baseline_kept
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.instruments import live_instrument, views_of
-from altd.app.interfaces import Interfaces, Maker, interfaces_of
+from altd.app.interfaces import Interfaces, interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.maintenance import MaintenanceWatches
 from altd.app.parts import (
@@ -184,16 +184,16 @@ class Daemon:
 
     async def _run(self, reload: asyncio.Event | None) -> None:
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
-        config, board, health = self.config, self.board, self.health
-        maker = Maker(board, health, self.past, self.clock, self._calibrated, config.installation)
-        manager = ServiceManager(board, self.clock, f"unit {config.unit.serial}", list(interfaces_of(config)))
+        config, board, clock = self.config, self.board, self.clock
+        manager = ServiceManager(board, clock, f"unit {config.unit.serial}", list(interfaces_of(config)))
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.state.run(), name="state")
                 if self._baseline is not None:
                     tasks.create_task(self._baseline.run(), name="baseline")
                 self._maintenance.start(tasks)
-                interfaces = Interfaces(maker, tasks)
+                about = clock, self._calibrated, config.installation
+                interfaces = Interfaces(board, self.health, self.past, *about, tasks)
                 await interfaces.start(config)
                 with real_time_interpreter():
                     self._measure(tasks, manager)

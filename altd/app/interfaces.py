@@ -6,7 +6,7 @@ import asyncio
 import errno
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 
@@ -61,9 +61,16 @@ def _address_of(settings: _Settings) -> tuple[str, int] | None:
     return (settings.host, settings.port) if isinstance(settings, HttpSettings | OpcUaSettings) else None
 
 
-@dataclass(frozen=True, slots=True)
-class Maker:
-    """Makes the interfaces of one unit; ``calibrated`` is the date of its calibration."""
+@dataclass(slots=True)
+class _Interface:
+    settings: _Settings
+    publisher: Publisher
+    task: asyncio.Task[None] | None = None
+
+
+@dataclass(slots=True)
+class Interfaces:
+    """The interfaces of a unit, each in one of ``tasks`` under supervision; ``calibrated`` is a date."""
 
     board: Board
     health: Health
@@ -71,8 +78,98 @@ class Maker:
     clock: Clock
     calibrated: date
     installation: Installation
+    tasks: asyncio.TaskGroup
+    _running: dict[str, _Interface] = field(default_factory=dict)
 
-    def publisher(self, settings: _Settings, component: Component) -> Publisher:
+    async def start(self, config: Config) -> None:
+        """Start all; raises BadInputError for a file or an address that cannot be used.
+
+        Every interface tries to start before the first frame comes: a mistake in the config comes first.
+        """
+        self._running = await self._made(interfaces_of(config))
+        await self._begin(self._running)
+
+    async def change_to(self, config: Config) -> None:
+        """Stop and start the interfaces whose tables differ, and no other.
+
+        Raises BadInputError for a file or an address that cannot be used: all interfaces are then as before.
+        """
+        wanted, running = interfaces_of(config), self._running
+        kept = {place: each for place, each in running.items() if wanted.get(place) == each.settings}
+        old = {place: each for place, each in running.items() if place not in kept}
+        try:
+            new = await self._made({place: table for place, table in wanted.items() if place not in kept})
+            self._check_addresses(new)
+            await _end(old)
+            try:
+                await self._begin(new)
+            except Exception:
+                await _end(new)
+                await self._begin(old, is_new=False)
+                raise
+            self._running = kept | new
+        finally:
+            for place in (old.keys() | wanted.keys()) - self._running.keys():
+                self.health.remove(place)
+
+    async def _made(self, tables: Mapping[str, _Settings]) -> dict[str, _Interface]:
+        """Made in a thread: to import an interface takes up to half a second."""
+        components = {place: self.health.component(place) for place in tables}
+
+        def made() -> dict[str, _Interface]:
+            return {
+                place: _Interface(table, self._publisher(table, components[place]))
+                for place, table in tables.items()
+            }
+
+        return await call_in_thread(made, "interfaces")
+
+    def _check_addresses(self, new: Mapping[str, _Interface]) -> None:
+        """Raise BadInputError for an address that cannot be had, while the old interfaces still serve."""
+        held = {address[1] for each in self._running.values() if (address := _address_of(each.settings))}
+        for place, interface in new.items():
+            if (address := _address_of(interface.settings)) is None:
+                continue
+            try:
+                listen(*address).close()
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE or address[1] not in held:
+                    raise BadInputError(place, error.strerror or str(error)) from error
+
+    async def _begin(self, interfaces: Mapping[str, _Interface], *, is_new: bool = True) -> None:
+        """Start them and wait until each was tried; one that takes long does not hold the others up.
+
+        Raises BadInputError for an address of new ones that is taken or forbidden.
+        """
+        tried: list[asyncio.Future[None]] = []
+        for place, interface in interfaces.items():
+            tried.append(first_try := asyncio.get_running_loop().create_future())
+            serving = self._serve(place, interface.publisher, first_try, is_new=is_new)
+            interface.task = self.tasks.create_task(serving, name=place)
+        if tried:
+            await asyncio.wait(tried, timeout=_FIRST_TRY_TIMEOUT_S)
+        errors = [None if each.cancel() else each.exception() for each in tried]
+        for error in filter(None, errors):
+            raise error
+
+    async def _serve(
+        self, place: str, publisher: Publisher, first_try: asyncio.Future[None], *, is_new: bool
+    ) -> None:
+        component, clock = self.health.component(place), self.clock
+
+        def up() -> None:
+            if not first_try.done():
+                first_try.set_result(None)
+
+        try:
+            await keep_running(place, publisher, component, clock, up, is_new=is_new)
+        except BadInputError as error:
+            if not first_try.done():
+                first_try.set_exception(error)
+            else:  # too late to refuse it
+                await keep_running(place, publisher, component, clock, is_new=False)
+
+    def _publisher(self, settings: _Settings, component: Component) -> Publisher:
         """The publisher of a table; raises BadInputError for a file of it that cannot be used."""
         board, health, past = self.board, self.health, self.past
         if isinstance(settings, ModbusTcpSettings):
@@ -115,112 +212,6 @@ class Maker:
             nameplate = Nameplate(unit=unit, serial=serial, firmware=__version__, calibrated=self.calibrated)
             return TelegramPublisher(port, board, component, self.clock, nameplate)
         return ConsolePublisher(port, board, health, component, self.clock, self.past.for_console())
-
-
-@dataclass(slots=True)
-class _Interface:
-    settings: _Settings
-    publisher: Publisher
-    task: asyncio.Task[None] | None = None
-
-
-class Interfaces:
-    """The interfaces that run, each in a task of its own under supervision."""
-
-    def __init__(self, maker: Maker, tasks: asyncio.TaskGroup) -> None:
-        self._maker = maker
-        self._health = maker.health
-        self._tasks = tasks
-        self._running: dict[str, _Interface] = {}
-
-    async def start(self, config: Config) -> None:
-        """Start all; raises BadInputError for a file or an address that cannot be used.
-
-        Every interface tries to start before the first frame comes: a mistake in the config comes first.
-        """
-        self._running = await self._made(interfaces_of(config))
-        await self._begin(self._running)
-
-    async def change_to(self, config: Config) -> None:
-        """Stop and start the interfaces whose tables differ, and no other.
-
-        Raises BadInputError for a file or an address that cannot be used: all interfaces are then as before.
-        """
-        wanted, running = interfaces_of(config), self._running
-        kept = {place: each for place, each in running.items() if wanted.get(place) == each.settings}
-        old = {place: each for place, each in running.items() if place not in kept}
-        try:
-            new = await self._made({place: table for place, table in wanted.items() if place not in kept})
-            self._check_addresses(new)
-            await _end(old)
-            try:
-                await self._begin(new)
-            except Exception:
-                await _end(new)
-                await self._begin(old, is_new=False)
-                raise
-            self._running = kept | new
-        finally:
-            for place in (old.keys() | wanted.keys()) - self._running.keys():
-                self._health.remove(place)
-
-    async def _made(self, tables: Mapping[str, _Settings]) -> dict[str, _Interface]:
-        """Made in a thread: to import an interface takes up to half a second."""
-        components = {place: self._health.component(place) for place in tables}
-
-        def made() -> dict[str, _Interface]:
-            publisher = self._maker.publisher
-            return {
-                place: _Interface(table, publisher(table, components[place]))
-                for place, table in tables.items()
-            }
-
-        return await call_in_thread(made, "interfaces")
-
-    def _check_addresses(self, new: Mapping[str, _Interface]) -> None:
-        """Raise BadInputError for an address that cannot be had, while the old interfaces still serve."""
-        held = {address[1] for each in self._running.values() if (address := _address_of(each.settings))}
-        for place, interface in new.items():
-            if (address := _address_of(interface.settings)) is None:
-                continue
-            try:
-                listen(*address).close()
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE or address[1] not in held:
-                    raise BadInputError(place, error.strerror or str(error)) from error
-
-    async def _begin(self, interfaces: Mapping[str, _Interface], *, is_new: bool = True) -> None:
-        """Start them and wait until each was tried; one that takes long does not hold the others up.
-
-        Raises BadInputError for an address of new ones that is taken or forbidden.
-        """
-        tried: list[asyncio.Future[None]] = []
-        for place, interface in interfaces.items():
-            tried.append(first_try := asyncio.get_running_loop().create_future())
-            serving = self._serve(place, interface.publisher, first_try, is_new=is_new)
-            interface.task = self._tasks.create_task(serving, name=place)
-        if tried:
-            await asyncio.wait(tried, timeout=_FIRST_TRY_TIMEOUT_S)
-        errors = [None if each.cancel() else each.exception() for each in tried]
-        for error in filter(None, errors):
-            raise error
-
-    async def _serve(
-        self, place: str, publisher: Publisher, first_try: asyncio.Future[None], *, is_new: bool
-    ) -> None:
-        component, clock = self._health.component(place), self._maker.clock
-
-        def up() -> None:
-            if not first_try.done():
-                first_try.set_result(None)
-
-        try:
-            await keep_running(place, publisher, component, clock, up, is_new=is_new)
-        except BadInputError as error:
-            if not first_try.done():
-                first_try.set_exception(error)
-            else:  # too late to refuse it
-                await keep_running(place, publisher, component, clock, is_new=False)
 
 
 async def _end(interfaces: Mapping[str, _Interface]) -> None:
