@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies docs site lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -115,8 +115,8 @@ check: venv ## style, types, layers, licences, generated pages, width and wordin
 		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
 	done
 	echo "generated pages are up to date"
-	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
-	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
+	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md
+	$(python) -m tools.plain README.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
@@ -183,6 +183,14 @@ docs: venv ## write the generated pages and pictures of docs/
 site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
 	@mkdir -p build # --quiet would not count the warnings that a strict build fails for
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build 2>build/site.log || { grep -v ^INFO build/site.log >&2; exit 1; }
+
+sbom: venv ## the parts of a unit's software with licences, CycloneDX: build/altd.cdx.json
+	@mkdir -p build
+	$(python) -m tools.sbom >build/altd.cdx.json.new
+	mv build/altd.cdx.json.new build/altd.cdx.json
+
+audit: venv ## the locks against the stored list of advisories, without a network
+	@$(python) -m tools.audit
 
 lock: ## write the three locks with today's newest packages
 	@.ci/lock

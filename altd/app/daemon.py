@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -29,7 +29,7 @@ from altd.app.baseline import BaselineKeeper, with_baseline_kept
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.instruments import live_instrument, views_of
-from altd.app.interfaces import interfaces_of
+from altd.app.interfaces import Interfaces, interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.maintenance import MaintenanceWatches
 from altd.app.parts import (
@@ -42,6 +42,7 @@ from altd.app.parts import (
     missing_files,
     switches_of,
 )
+from altd.app.reloading import Reloading
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
 from altd.config import (
     CameraLampsSettings,
@@ -56,15 +57,12 @@ from altd.ports import Camera, Clock, Indicators, Lamps, Switches
 from altd.records import Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager, state_folder
-from altd.runtime.supervision import keep_running
 from altd.runtime.threads import real_time_interpreter
 from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity, unit_number
 from altd.status.state import UnitState
 from altd.vision import kernel
-
-_FACES_START_TIMEOUT_S = 1.0
 
 
 class Daemon:
@@ -99,6 +97,8 @@ class Daemon:
             "calibration": _about(calibration),
         }
         self.health.targets = instrument.areas
+        self.reloading: Reloading | None = None
+        """The settings that can be reloaded; None: they came from no file."""
         self._calibrated = calibration.created.date()
         self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
         self.health.calibration.open(instrument.summary, self._calibration_files)
@@ -170,41 +170,38 @@ class Daemon:
             path = folder / f"self-checks-{unit_number(self.config.unit.serial):08X}.json"
             self.checks.memory.keep_in(path, self.health.component("self-check history"))
 
-    async def run(self) -> None:
-        """Measure and publish until cancelled.
+    async def run(self, reload: asyncio.Event | None = None) -> None:
+        """Measure and publish until cancelled; each time ``reload`` is set, read the settings again.
 
         Raises BadInputError for an address that is taken; any other failure of the pipeline ends the
         daemon with that failure. A publisher's failure never does.
         """
         async with self.past.recorded():
             try:
-                await self._run()
+                await self._run(reload)
             finally:
                 await self._calibration_files.end()
 
-    async def _run(self) -> None:
+    async def _run(self, reload: asyncio.Event | None) -> None:
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
-        of_config = interfaces_of(
-            self.config, self.board, self.health, self.past, self._calibrated, self.clock
-        )
-        interfaces = dict(of_config)
-        manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(interfaces))
+        config, board, clock = self.config, self.board, self.clock
+        manager = ServiceManager(board, clock, f"unit {config.unit.serial}", list(interfaces_of(config)))
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.state.run(), name="state")
                 if self._baseline is not None:
                     tasks.create_task(self._baseline.run(), name="baseline")
                 self._maintenance.start(tasks)
-                tried = [asyncio.Event() for _ in interfaces]
-                for (place, publisher), first_try in zip(interfaces.items(), tried, strict=True):
-                    component = self.health.component(place)
-                    interface = keep_running(place, publisher, component, self.clock, first_try.set)
-                    tasks.create_task(interface, name=place)
-                await _all_of(tried)
+                about = clock, self._calibrated, config.installation
+                interfaces = Interfaces(board, self.health, self.past, *about, tasks)
+                await interfaces.start(config)
                 with real_time_interpreter():
                     self._measure(tasks, manager)
                     if self._inclination is not None:
                         tasks.create_task(self._inclination.run(), name="inclinometer")
+                    if self.reloading is not None and reload is not None:
+                        reloading = self.reloading.run(reload, interfaces, manager)
+                        tasks.create_task(reloading, name="reload")
                     await self._lights()  # inside: told to end, they are dark before a camera is closed
                     await asyncio.Event().wait()  # a unit without lamps needs the real-time interpreter, too
         except BaseExceptionGroup as group:
@@ -303,7 +300,7 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     cameras = cameras_of(config, place)
     calibration = calibration_of_instrument(config, cameras)
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
-    switches = switches_of(config, cameras, place)
+    switches, loaded = switches_of(config, cameras, place), config
     if switches is not None:
         config = with_baseline_kept(config, place)
     daemon = Daemon(
@@ -321,6 +318,7 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
         daemon.keep_state_in(folder)
     daemon.health.facts["config_sha256"] = sha256(place.read_bytes()).hexdigest()
     daemon.past.keep_as(config, calibration)
+    daemon.reloading = Reloading(place, loaded, calibration, daemon.health)
     return daemon
 
 
@@ -332,16 +330,3 @@ def _end_of(pairs: FramePairs, camera: str, _: object) -> None:
 def _about(calibration: AnyCalibration) -> str:
     made, note = f"{calibration.created:%Y-%m-%d}", one_line(calibration.recording_note)
     return ", ".join(filter(None, (made, note, "from SIMULATED frames" if calibration.simulated else "")))
-
-
-async def _all_of(tried: Sequence[asyncio.Event]) -> None:
-    """Let every interface try to start before the first frame comes: a mistake in the config comes first.
-
-    An interface that takes long does not keep the unit from measuring.
-    """
-    try:
-        async with asyncio.timeout(_FACES_START_TIMEOUT_S):
-            for event in tried:
-                await event.wait()
-    except TimeoutError:
-        return

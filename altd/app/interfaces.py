@@ -1,70 +1,222 @@
-"""The interfaces that a config asks for, each with its place in the config; imported only when wanted."""
+"""The interfaces that a config asks for, and those that run; each is imported only when wanted."""
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import random
-from collections.abc import Iterator
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import date
+from pathlib import Path
 
 from altd import __version__
 from altd.app.keeping import DaemonHistory
 from altd.app.settings import local_socket_of
-from altd.config import Config, ModbusRtuPortSettings, TelegramPortSettings
+from altd.config import (
+    Config,
+    HttpSettings,
+    Installation,
+    ModbusRtuPortSettings,
+    ModbusTcpSettings,
+    MqttSettings,
+    OpcUaSettings,
+    TelegramPortSettings,
+)
+from altd.config.interfaces import AnySerialPortSettings
+from altd.errors import BadInputError
 from altd.ports import Clock
-from altd.runtime.supervision import Publisher
+from altd.runtime.supervision import Publisher, keep_running
+from altd.runtime.threads import call_in_thread
 from altd.status.board import Board
-from altd.status.health import Health
+from altd.status.health import Component, Health
+from altd.tcp_port import listen
+
+_FIRST_TRY_TIMEOUT_S = 1.0
+
+_Settings = ModbusTcpSettings | HttpSettings | MqttSettings | OpcUaSettings | Path | AnySerialPortSettings
+"""The table of an interface; a path is that of the local socket."""
 
 
-def interfaces_of(
-    config: Config, board: Board, health: Health, past: DaemonHistory, calibrated: date, clock: Clock
-) -> Iterator[tuple[str, Publisher]]:
-    """Place and publisher of each; ``calibrated`` is the date of the calibration."""
-    if config.modbus_tcp is not None:
-        from altd.publish.modbus.tcp import ModbusTcpPublisher
+def interfaces_of(config: Config) -> dict[str, _Settings]:
+    """The interfaces of a config: each table by its place, which names its component."""
+    tables: dict[str, _Settings] = {}
+    if (modbus := config.modbus_tcp) is not None:
+        tables[f"modbus_tcp {modbus.host}:{modbus.port_or_default}"] = modbus
+    if (http := config.http) is not None:
+        tables[f"http {http.host}:{http.port}"] = http
+    if (mqtt := config.mqtt) is not None:
+        tables[f"mqtt {mqtt.host}:{mqtt.port_or_default}"] = mqtt
+    if (opcua := config.opcua) is not None:
+        tables[f"opcua {opcua.host}:{opcua.port}"] = opcua
+    if (path := local_socket_of(config)) is not None:
+        tables[f"local {path}"] = path
+    return tables | {f"serial {port.device}": port for port in config.serial}
 
-        place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port_or_default}"
-        yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place), health)
-    if config.http is not None:
-        from altd.publish.http.publisher import HttpPublisher
 
-        place = f"http {config.http.host}:{config.http.port}"
-        component = health.component(place)
-        yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
-    if config.mqtt is not None:
-        place = f"mqtt {config.mqtt.host}:{config.mqtt.port_or_default}"
-        spread = random.Random()  # noqa: S311  of reconnections
-        if config.mqtt.sparkplug is None:
-            from altd.publish.mqtt.publisher import MqttPublisher
+def _address_of(settings: _Settings) -> tuple[str, int] | None:
+    """Host and port at which an interface listens; None: at none."""
+    if isinstance(settings, ModbusTcpSettings):
+        return settings.host, settings.port_or_default
+    return (settings.host, settings.port) if isinstance(settings, HttpSettings | OpcUaSettings) else None
 
-            yield place, MqttPublisher(config.mqtt, board, health, health.component(place), spread)
-        else:
+
+@dataclass(slots=True)
+class _Interface:
+    settings: _Settings
+    publisher: Publisher
+    task: asyncio.Task[None] | None = None
+
+
+@dataclass(slots=True)
+class Interfaces:
+    """The interfaces of a unit, each in one of ``tasks`` under supervision; ``calibrated`` is a date."""
+
+    board: Board
+    health: Health
+    past: DaemonHistory
+    clock: Clock
+    calibrated: date
+    installation: Installation
+    tasks: asyncio.TaskGroup
+    _running: dict[str, _Interface] = field(default_factory=dict)
+
+    async def start(self, config: Config) -> None:
+        """Start all; raises BadInputError for a file or an address that cannot be used.
+
+        Every interface tries to start before the first frame comes: a mistake in the config comes first.
+        """
+        self._running = await self._made(interfaces_of(config))
+        await self._begin(self._running)
+
+    async def change_to(self, config: Config) -> None:
+        """Stop and start the interfaces whose tables differ, and no other.
+
+        Raises BadInputError for a file or an address that cannot be used: all interfaces are then as before.
+        """
+        wanted, running = interfaces_of(config), self._running
+        kept = {place: each for place, each in running.items() if wanted.get(place) == each.settings}
+        old = {place: each for place, each in running.items() if place not in kept}
+        try:
+            new = await self._made({place: table for place, table in wanted.items() if place not in kept})
+            self._check_addresses(new)
+            await _end(old)
+            try:
+                await self._begin(new)
+            except Exception:
+                await _end(new)
+                await self._begin(old, is_new=False)
+                raise
+            self._running = kept | new
+        finally:
+            for place in (old.keys() | wanted.keys()) - self._running.keys():
+                self.health.remove(place)
+
+    async def _made(self, tables: Mapping[str, _Settings]) -> dict[str, _Interface]:
+        """Made in a thread: to import an interface takes up to half a second."""
+        components = {place: self.health.component(place) for place in tables}
+
+        def made() -> dict[str, _Interface]:
+            return {
+                place: _Interface(table, self._publisher(table, components[place]))
+                for place, table in tables.items()
+            }
+
+        return await call_in_thread(made, "interfaces")
+
+    def _check_addresses(self, new: Mapping[str, _Interface]) -> None:
+        """Raise BadInputError for an address that cannot be had, while the old interfaces still serve."""
+        held = {address[1] for each in self._running.values() if (address := _address_of(each.settings))}
+        for place, interface in new.items():
+            if (address := _address_of(interface.settings)) is None:
+                continue
+            try:
+                listen(*address).close()
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE or address[1] not in held:
+                    raise BadInputError(place, error.strerror or str(error)) from error
+
+    async def _begin(self, interfaces: Mapping[str, _Interface], *, is_new: bool = True) -> None:
+        """Start them and wait until each was tried; one that takes long does not hold the others up.
+
+        Raises BadInputError for an address of new ones that is taken or forbidden.
+        """
+        tried: list[asyncio.Future[None]] = []
+        for place, interface in interfaces.items():
+            tried.append(first_try := asyncio.get_running_loop().create_future())
+            serving = self._serve(place, interface.publisher, first_try, is_new=is_new)
+            interface.task = self.tasks.create_task(serving, name=place)
+        if tried:
+            await asyncio.wait(tried, timeout=_FIRST_TRY_TIMEOUT_S)
+        errors = [None if each.cancel() else each.exception() for each in tried]
+        for error in filter(None, errors):
+            raise error
+
+    async def _serve(
+        self, place: str, publisher: Publisher, first_try: asyncio.Future[None], *, is_new: bool
+    ) -> None:
+        component, clock = self.health.component(place), self.clock
+
+        def up() -> None:
+            if not first_try.done():
+                first_try.set_result(None)
+
+        try:
+            await keep_running(place, publisher, component, clock, up, is_new=is_new)
+        except BadInputError as error:
+            if not first_try.done():
+                first_try.set_exception(error)
+            else:  # too late to refuse it
+                await keep_running(place, publisher, component, clock, is_new=False)
+
+    def _publisher(self, settings: _Settings, component: Component) -> Publisher:
+        """The publisher of a table; raises BadInputError for a file of it that cannot be used."""
+        board, health, past = self.board, self.health, self.past
+        if isinstance(settings, ModbusTcpSettings):
+            from altd.publish.modbus.tcp import ModbusTcpPublisher
+
+            return ModbusTcpPublisher(settings, board, component, health)
+        if isinstance(settings, HttpSettings):
+            from altd.publish.http.publisher import HttpPublisher
+
+            return HttpPublisher(settings, board, health, component, past.history, past.events)
+        if isinstance(settings, MqttSettings):
+            spread = random.Random()  # noqa: S311  of reconnections
+            if settings.sparkplug is None:
+                from altd.publish.mqtt.publisher import MqttPublisher
+
+                return MqttPublisher(settings, board, health, component, spread)
             from altd.publish.mqtt.edge_node import EdgeNodePublisher
 
-            yield place, EdgeNodePublisher(config.mqtt, board, health, health.component(place), spread)
-    if (opcua := config.opcua) is not None:
-        from altd.publish.opcua.publisher import OpcUaPublisher
+            return EdgeNodePublisher(settings, board, health, component, spread)
+        if isinstance(settings, OpcUaSettings):
+            from altd.publish.opcua.publisher import OpcUaPublisher
 
-        place = f"opcua {opcua.host}:{opcua.port}"
-        component = health.component(place)
-        yield place, OpcUaPublisher(opcua, board, health, component, past.history, config.installation)
-    if (path := local_socket_of(config)) is not None:
-        from altd.publish.http.publisher import LocalPublisher
+            return OpcUaPublisher(settings, board, health, component, past.history, self.installation)
+        if isinstance(settings, Path):
+            from altd.publish.http.publisher import LocalPublisher
 
-        place = f"local {path}"
-        yield place, LocalPublisher(path, board, health, health.component(place), past.history)
-    for port in config.serial:
+            return LocalPublisher(settings, board, health, component, past.history)
+        return self._serial_publisher(settings, component)
+
+    def _serial_publisher(self, port: AnySerialPortSettings, component: Component) -> Publisher:
         from altd.publish.modbus.rtu import ModbusRtuPublisher
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
         from altd.publish.serial.telegram import Nameplate
 
-        place = f"serial {port.device}"
-        component = health.component(place)
+        board, health = self.board, self.health
         if isinstance(port, ModbusRtuPortSettings):
-            yield place, ModbusRtuPublisher(port, board, component, health)
-        elif isinstance(port, TelegramPortSettings):
-            unit, serial = board.identity.unit, config.unit.serial
-            nameplate = Nameplate(unit=unit, serial=serial, firmware=__version__, calibrated=calibrated)
-            yield place, TelegramPublisher(port, board, component, clock, nameplate)
-        else:
-            yield place, ConsolePublisher(port, board, health, component, clock, past.for_console())
+            return ModbusRtuPublisher(port, board, component, health)
+        if isinstance(port, TelegramPortSettings):
+            unit, serial = board.identity.unit, health.facts["serial"]
+            nameplate = Nameplate(unit=unit, serial=serial, firmware=__version__, calibrated=self.calibrated)
+            return TelegramPublisher(port, board, component, self.clock, nameplate)
+        return ConsolePublisher(port, board, health, component, self.clock, self.past.for_console())
+
+
+async def _end(interfaces: Mapping[str, _Interface]) -> None:
+    """Stop them and wait until their addresses are free."""
+    tasks = [interface.task for interface in interfaces.values() if interface.task is not None]
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)

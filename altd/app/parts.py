@@ -79,7 +79,7 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
                 baseline.load()
         except BadInputError as error:
             errors.setdefault(str(error), error)
-    for check in _checks_of_interfaces(config):
+    for check in interface_checks(config):
         try:
             check()
         except BadInputError as error:
@@ -87,8 +87,8 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
     return calibration, list(errors.values())
 
 
-def _checks_of_interfaces(config: Config) -> Iterator[Callable[[], object]]:
-    """Readers of the interfaces' files, the same as the interfaces use."""
+def interface_checks(config: Config) -> Iterator[Callable[[], object]]:
+    """Readers of the interfaces' files, the same as the interfaces use; each raises BadInputError."""
     from altd.credentials.certificates import client_context, server_context
     from altd.credentials.file import load_credentials, load_login
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from altd.app.calibration_summary import why_unusable
-from altd.config import Config, LocalSettings, TelegramPortSettings, load_config
+from altd.config import Config, LocalSettings, TelegramPortSettings
 from altd.config.draft import Draft
+from altd.config.loading import config_of, read_config
 from altd.config.table import shown
 from altd.config.wording import Fault
 from altd.errors import BadInputError
@@ -39,7 +40,12 @@ def socket_to_ask(config: Config) -> Path:
 
 def load_settings(path: Path) -> Config:
     """Read and check a config file; raises BadInputError that names the file and each fault's place."""
-    return load_config(path, (telegrams_fit_their_lines, targets_can_be_told))
+    return settings_of(read_config(path), path)
+
+
+def settings_of(content: bytes, path: Path) -> Config:
+    """The settings in the content of a config file; raises BadInputError as ``load_settings`` does."""
+    return config_of(content, path, (telegrams_fit_their_lines, targets_can_be_told))
 
 
 def load_beam_settings(path: Path) -> Config:

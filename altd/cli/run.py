@@ -9,7 +9,7 @@ import os
 
 from altd.cli.arguments import add_config
 from altd.errors import BadInputError
-from altd.process.endings import EndedBySignal, until_signal
+from altd.process.endings import EndedBySignal, hangups, until_signal
 from altd.process.logs import logging_to_stderr
 
 SUMMARY = "run the daemon: measure and publish until it is stopped"
@@ -38,13 +38,14 @@ def run(options: argparse.Namespace) -> int:
 
     if options.rehearsal and "NOTIFY_SOCKET" in os.environ:  # systemd.exec(5): of a service of Type=notify
         raise BadInputError("--rehearsal", "a service does not rehearse; start `altd run` by hand")
+    reload = hangups()  # before the settings are read: what changes from then on is not missed
     if options.trace_frames:
         logging.getLogger("altd.frames").setLevel(logging.DEBUG)
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
     with logging_to_stderr(logging.INFO, prefix):
         daemon = daemon_of(load_settings(options.config), options.config, options.rehearsal)
         try:
-            asyncio.run(until_signal(daemon.run()))
+            asyncio.run(until_signal(daemon.run(reload), reload))
         except BadInputError:
             raise
         except EndedBySignal:

@@ -31,7 +31,12 @@ def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
     ``further`` are rules beside those of the settings alone. Raises BadInputError that names the file and,
     fault by fault, line, column and key.
     """
-    return config_of(read_file(path, _MAX_BYTES), path, further)
+    return config_of(read_config(path), path, further)
+
+
+def read_config(path: Path) -> bytes:
+    """The bytes of a config file; raises BadInputError that names it."""
+    return read_file(path, _MAX_BYTES)
 
 
 def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Config:

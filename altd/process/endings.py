@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import sys
 import threading
@@ -76,8 +77,11 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     return status
 
 
-async def until_signal(work: Coroutine[None, None, Result]) -> Result:
-    """Run until done; raises EndedBySignal once a signal asked to end and the work has cleaned up."""
+async def until_signal(work: Coroutine[None, None, Result], hangup: asyncio.Event | None = None) -> Result:
+    """Run until done; raises EndedBySignal once a signal asked to end and the work has cleaned up.
+
+    With the event of ``hangups`` SIGHUP sets that and ends nothing.
+    """
     loop = asyncio.get_running_loop()
     task = asyncio.ensure_future(work)
     asked: list[int] = []
@@ -89,6 +93,8 @@ async def until_signal(work: Coroutine[None, None, Result]) -> Result:
     before = {number: signal.getsignal(number) for number in _ending_signals()}
     for number in before:
         loop.add_signal_handler(number, end, number)
+    if hangup is not None:
+        loop.add_signal_handler(signal.SIGHUP, hangup.set)
     try:
         return await task
     except asyncio.CancelledError:
@@ -99,6 +105,23 @@ async def until_signal(work: Coroutine[None, None, Result]) -> Result:
         for number, handler in before.items():
             loop.remove_signal_handler(number)
             signal.signal(number, handler)
+
+
+def hangups() -> asyncio.Event | None:
+    """An event that SIGHUP sets from now on; None: it is ignored, or reports that the terminal has gone."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or _has_terminal():
+        return None
+    event = asyncio.Event()
+    signal.signal(signal.SIGHUP, lambda *_: event.set())
+    return event
+
+
+def _has_terminal() -> bool:
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
+        return True
+    except OSError:
+        return False
 
 
 @contextmanager

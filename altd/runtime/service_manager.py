@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from altd.errors import one_line
@@ -45,6 +46,15 @@ class ServiceManager:
         ready = [] if self._ready else ["READY=1"]
         self._ready |= notify(*ready, f"STATUS={line}", "WATCHDOG=1")
         self._log_status(line, now_ns)
+
+    @contextmanager
+    def reloading(self) -> Iterator[None]:
+        """Within, the settings are read again; the next progress reports ready (systemd.service(5))."""
+        notify("RELOADING=1", f"MONOTONIC_USEC={self._clock.monotonic_ns() // 1000}")
+        try:
+            yield
+        finally:
+            self._ready = False
 
     def _log_status(self, line: str, now_ns: int) -> None:
         first = not self._logged

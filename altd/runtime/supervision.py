@@ -64,13 +64,16 @@ async def keep_running(
     component: Component,
     clock: Clock,
     up: Callable[[], None] = lambda: None,
+    *,
+    is_new: bool = True,
 ) -> None:
     """Run a publisher indefinitely.
 
     An address that is taken or forbidden at the first start is a mistake in the config: BadInputError that
-    names ``place``. A device (an OSError with its file's name) may be missing or still forbidden then, for
-    udev hands a new one over a moment after it appeared: it is waited for. ``up`` is called once, when the
-    first start was tried. The component counts a failure for each time that it stopped serving.
+    names ``place``, unless it served before (``is_new``). A device (an OSError with its file's name) may be
+    missing or still forbidden then, for udev hands a new one over a moment after it appeared: it is waited
+    for. ``up`` is called once, when the first start was tried. The component counts a failure for each time
+    that it stopped serving.
     """
     backoff_s = MIN_BACKOFF_S
     first, is_logged = True, False
@@ -91,7 +94,8 @@ async def keep_running(
             max_backoff_s = MAX_BACKOFF_S
         except Exception as error:
             device = isinstance(error, OSError) and error.filename is not None
-            if first and isinstance(error, OSError) and error.errno in _FATAL_AT_START and not device:
+            refusable = is_new and first and not device
+            if refusable and isinstance(error, OSError) and error.errno in _FATAL_AT_START:
                 raise BadInputError(place, _failure_text(error, place)) from error
             failure = _failure_text(error, place)
             max_backoff_s = MAX_DEVICE_BACKOFF_S if device else MAX_BACKOFF_S

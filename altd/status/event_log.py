@@ -45,7 +45,7 @@ class EventKind(StrEnum):
     STATE = "state", 0, "the unit's state changed"
     CAUSE_CAME = "cause_came", 0, "a fault began"
     CAUSE_WENT = "cause_went", 0, "a fault ended"
-    CONFIG = "config", 3, "the settings have changed since the last start"
+    CONFIG = "config", 3, "the settings have changed since the last start, were reloaded, or were refused"
     CALIBRATION = "calibration", 3, "the calibration has changed since the last start"
     VERSION = "version", 3, "the program has changed since the last start"
     SELF_CHECK = "self_check", 0, "a self-check ended"

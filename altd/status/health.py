@@ -149,6 +149,10 @@ class Health:
             self._components[name] = Component(name, self.clock, since_ns=self.clock.monotonic_ns())
         return self._components[name]
 
+    def remove(self, name: str) -> None:
+        """Forget a component that the settings have no more."""
+        self._components.pop(name, None)
+
     def __iter__(self) -> Iterator[Component]:
         return iter(self._components.values())
 

@@ -197,6 +197,15 @@ def test_a_unit_is_maintained(machine: BareDebian, stage: Path) -> None:
     assert "altd 0.1.0\n" in technician.follow("Roll back", MAINTAIN)
     assert "altd 0.1.0, calibration" in technician.enter("sleep 2; altd status")
 
+    technician.edit(("[http]\n", "[http]\nport = 8081\n"))
+    assert "settings reloaded: http.port" in technician.follow("Reload the settings", MAINTAIN)
+    technician.edit(("port = 8081\n", "ports = 8081\n"))
+    technician.enter("systemctl reload altd", expected_status=1)
+    refused = technician.enter("systemctl is-active altd && journalctl -u altd -o cat -n 20")
+    assert re.search(r"settings refused, the old ones stay: /etc/altd/altd.toml: line .*http\.ports", refused)
+    technician.edit(("ports = 8081\n", ""))
+    assert "settings reloaded: http.port" in technician.follow("Reload the settings", MAINTAIN)
+
     technician.enter("systemctl stop altd")
     technician.follow("Change credentials", MAINTAIN)
     technician.edit(("[http]\n", '[http]\ncredentials = "/etc/altd/credentials"\n'))

@@ -207,9 +207,10 @@ def _lines() -> Iterator[str]:
     yield ""
     yield from (f"    {line}" for line in _complaints()[1:2])
     yield ""
-    yield "`altd run` refuses the same files. Faults that depend on the computer are found by"
-    yield "[altd doctor](doctor.md). A calibration or recording that does not exist yet is reported, and is"
-    yield "no fault."
+    yield "`altd run` refuses the same files. A running unit [reloads](maintain.md#reload-the-settings) the"
+    yield "tables of its interfaces; changes of other tables need a restart. Faults that depend on the"
+    yield "computer are found by [altd doctor](doctor.md). A calibration or recording that does not exist yet"
+    yield "is reported, and is no fault."
     yield ""
     yield "Values: *a*…*b* is a range with its ends, `>` and `<` exclude an end. A *name* has 1 to 32 small"
     yield "letters, digits and _, a letter first. A *path* in `[unit]`, `[cameras.…]`, `[http]`, `[mqtt]` and"

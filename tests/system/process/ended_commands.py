@@ -113,7 +113,7 @@ COMMANDS = {
     ),
     "events": Command("events --history {history}", "altd.history.reader:Reader.events_after 1"),
     "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
-    "check-config": Command("check-config {config}", "altd.config:load_config 1"),
+    "check-config": Command("check-config {config}", "altd.config.loading:read_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),
     "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
     "devices": Command("devices", "altd.cli.devices:lines 1"),

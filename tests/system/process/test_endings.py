@@ -141,6 +141,8 @@ def folder(tmp_path: Path, small_scan: Path, check: Path, unit_3: Path, history:
     ],
 )
 def test_ended_by_a_signal(name: str, number: signal.Signals, played_unit: PlayedUnit, folder: Path) -> None:
+    if name == "run" and number is signal.SIGHUP:
+        pytest.skip("ends it only where it has a terminal: tests/system/app/test_reload.py")
     command = COMMANDS[name]
     line = filled(command.line, played_unit, folder)
     program = [sys.executable, "-m", "support.signalled", number.name, *command.at.split(), command.module]

@@ -97,16 +97,6 @@ def test_a_daemon_needs_no_standard_stream(
         assert daemon.process.wait(30) == 0
 
 
-def test_a_terminal_that_goes_away_ends_the_daemon_in_order(played_unit: PlayedUnit, tmp_path: Path) -> None:
-    def heed() -> None:  # the process that runs the tests may ignore it
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-    with playing(played_unit, tmp_path, subprocess.DEVNULL, heed) as daemon:
-        daemon.wait_until_valid()
-        daemon.process.send_signal(signal.SIGHUP)
-        assert daemon.process.wait(30) == 0
-
-
 def test_a_daemon_that_ignores_the_terminal_goes_on(played_unit: PlayedUnit, tmp_path: Path) -> None:
     """As nohup(1) starts it."""
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from altd.errors import BadInputError
-from altd.process.endings import EndedBySignal, run_to_end, until_signal
+from altd.process.endings import EndedBySignal, hangups, run_to_end, until_signal
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -125,3 +125,23 @@ async def test_a_cancellation_is_no_signal() -> None:
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
+
+
+async def test_a_hang_up_without_a_terminal_is_a_request_from_the_first_moment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("altd.process.endings._has_terminal", lambda: False)
+    hangup = hangups()
+    assert hangup is not None
+    os.kill(os.getpid(), signal.SIGHUP)
+    assert hangup.is_set()
+    hangup.clear()
+
+    async def work() -> str:
+        os.kill(os.getpid(), signal.SIGHUP)
+        await hangup.wait()
+        return "done"
+
+    assert await until_signal(work(), hangup) == "done"
+    monkeypatch.setattr("altd.process.endings._has_terminal", lambda: True)
+    assert hangups() is None

@@ -50,6 +50,24 @@ async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only
     told.close()
 
 
+async def test_ready_follows_a_reload(told: socket.socket) -> None:
+    clock = FakeClock(3 * 10**9)
+    board = Board(clock, 9.0, QUANTITIES)
+    manager = ServiceManager(board, clock, "unit A", ["http"])
+    board.publish(measurement(1))
+    manager.progress()
+    with manager.reloading():
+        await clock.advance(0.25)
+        manager.progress()
+    for _ in range(2):
+        await clock.advance(0.25)
+        manager.progress()
+    said = [word.split("\n") for word in words(told)]
+    assert said[1] == ["RELOADING=1", "MONOTONIC_USEC=3000000"]
+    assert [word[0] == "READY=1" for word in said] == [True, False, False, True, False]
+    told.close()
+
+
 def test_text_from_outside_adds_no_assignment(told: socket.socket) -> None:
     """Each line is one (sd_notify(3)); a camera names itself in the detail of a reason."""
     assert notify("STATUS=not measuring: wrong_camera (A\nSTOPPING=1)", "WATCHDOG=1")

@@ -71,6 +71,17 @@ async def test_an_address_in_use_at_the_start_is_a_mistake_in_the_config(clock: 
         await keep_running("http 127.0.0.1:80", Flaky(1, taken), Health(clock).component("http"), clock)
 
 
+async def test_an_address_that_was_served_before_is_waited_for(clock: FakeClock) -> None:
+    component = Health(clock).component("http")
+    taken = OSError(errno.EADDRINUSE, "Address already in use")
+    task = asyncio.create_task(keep_running("http", Flaky(2, taken), component, clock, is_new=False))
+    await settle()
+    assert component.state is State.FAILED
+    await clock.advance(5)
+    assert component.state is State.OK
+    await stop(task)
+
+
 async def test_an_address_that_the_computer_does_not_have_yet_is_waited_for(clock: FakeClock) -> None:
     component = Health(clock).component("http")
     absent = OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")

@@ -1,0 +1,117 @@
+"""Reads the settings again while the unit measures: all that changed is applied, or nothing is."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator, Mapping
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+
+from altd.app.diagnostics import diagnostic_parts
+from altd.app.interfaces import Interfaces
+from altd.app.parts import AnyCalibration, interface_checks, missing_files
+from altd.app.settings import settings_of
+from altd.calibration.file import MAX_BYTES
+from altd.config import Config
+from altd.config.loading import read_config
+from altd.errors import BadInputError
+from altd.files.reading import read_file
+from altd.runtime.service_manager import ServiceManager
+from altd.runtime.threads import call_in_thread
+from altd.status.event_log import EventKind
+from altd.status.health import Health, State
+
+RELOADED = ("modbus_tcp", "http", "mqtt", "opcua", "local", "serial", "stage", "scan")
+"""The tables that may change: those of the interfaces, and those that only other commands read."""
+
+_SETTLE_S = 0.2
+"""A file that is still being written differs after this time."""
+
+_READ_TIMEOUT_S = 20.0
+_FIXED = "cannot change while the unit measures: restart altd"
+
+log = logging.getLogger("altd")
+
+
+class Reloading:
+    """The settings of one daemon, read from the file ``place`` as ``config``; ``calibration`` is loaded."""
+
+    def __init__(self, place: Path, config: Config, calibration: AnyCalibration, health: Health) -> None:
+        self._place = place
+        self._config = config
+        self._calibration = calibration
+        self._health = health
+
+    async def run(self, requested: asyncio.Event, interfaces: Interfaces, manager: ServiceManager) -> None:
+        """Reload each time it is requested, until cancelled; requests meanwhile are one."""
+        while True:
+            await requested.wait()
+            requested.clear()
+            with manager.reloading():
+                await self._reload(interfaces)
+
+    async def _reload(self, interfaces: Interfaces) -> None:
+        """Apply the file's settings, or report why they are refused."""
+        try:
+            config, digest, changed = await self._read()
+            await interfaces.change_to(config)
+        except BadInputError as error:
+            self._refuse(*error.lines)
+        except TimeoutError:
+            self._refuse(f"{self._place}: the disk does not answer")
+        except Exception as error:  # a defect must not end the measurement
+            log.exception("reload: a defect")
+            self._refuse(f"a defect: {type(error).__name__}")
+        else:
+            self._config = config
+            self._health.facts["config_sha256"] = digest
+            self._health.diagnostics = diagnostic_parts(config)
+            self._report(State.OK, f"settings reloaded: {', '.join(changed) or 'nothing changed'}")
+
+    async def _read(self) -> tuple[Config, str, list[str]]:
+        """The settings, checked as at the start, the SHA-256 of their file, and the keys that changed.
+
+        Raises BadInputError.
+        """
+        async with asyncio.timeout(_READ_TIMEOUT_S):
+            content = await call_in_thread(partial(read_config, self._place), "settings")
+            await asyncio.sleep(_SETTLE_S)
+            return await call_in_thread(partial(self._checked, content), "settings")
+
+    def _checked(self, before: bytes) -> tuple[Config, str, list[str]]:
+        content = read_config(self._place)
+        if content != before:
+            raise BadInputError(self._place, "is being written: reload again when it is complete")
+        config = settings_of(content, self._place)
+        if missing := missing_files(config):
+            raise BadInputError(self._place, *map(str, missing))
+        old, new = self._config.model_dump(mode="json"), config.model_dump(mode="json")
+        changed = list(changed_keys(old, new))
+        if fixed := [key for key in changed if key.split(".")[0] not in RELOADED]:
+            raise BadInputError(self._place, *(f"{key}: {_FIXED}" for key in fixed))
+        loaded, path = self._calibration.file, config.unit.calibration
+        if loaded is None or sha256(read_file(path, MAX_BYTES)).hexdigest() != loaded.sha256:
+            raise BadInputError(path, "is another file than was loaded: restart altd")
+        for check in interface_checks(config):
+            check()
+        return config, sha256(content).hexdigest(), changed
+
+    def _refuse(self, first: str, *more: str) -> None:
+        rest = f" (and {len(more)} more: altd check-config)" if more else ""
+        self._report(State.DEGRADED, f"settings refused, the old ones stay: {first}{rest}")
+
+    def _report(self, state: State, text: str) -> None:
+        log.info("%s", text)  # a warning that is like the last one is held back
+        self._health.events.note(EventKind.CONFIG, text)
+        self._health.component("settings").set_state(state, text)
+
+
+def changed_keys(old: object, new: object, place: str = "") -> Iterator[str]:
+    """The keys of two settings as plain JSON types that differ; a list is one key."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for name in {**old, **new}:
+            yield from changed_keys(old.get(name), new.get(name), f"{place}.{name}" if place else name)
+    elif old != new:
+        yield place
