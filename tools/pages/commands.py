@@ -42,6 +42,12 @@ PAGES = {
 }
 """The page that explains a command."""
 
+EXIT_STATUS = {
+    "0": "good",
+    "1": "any other failure, also of standard output; see the command",
+    "2": "wrong arguments, or a file that cannot be used",
+    "128 + n": "ended by signal n: 130 after Ctrl-C",
+}
 _EXIT_1 = {
     "run": "a defect ended the daemon; a stop by a signal is 0",
     "record": "a camera or the lamps failed",
@@ -64,6 +70,7 @@ def page() -> str:
         for name, (module, summary) in SIMULATOR_COMMANDS.items()
         if name not in _FOR_TESTS
     )
+    statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in EXIT_STATUS.items())
     further = "\n".join(f"- `{name}`: {SIMULATOR_COMMANDS[name][1]}" for name in _FOR_TESTS)
     return wrapped(f"""# Commands
 
@@ -77,10 +84,7 @@ messages to standard error. The commands of the serial console are in
 
 | exit status | meaning |
 |---|---|
-| 0 | good |
-| 1 | any other failure, also of standard output; see the command |
-| 2 | wrong arguments, or a file that cannot be used |
-| 128 + n | ended by signal n: 130 after Ctrl-C |
+{statuses}
 
 ## altd
 
@@ -109,6 +113,21 @@ class _Arguments(argparse.ArgumentParser):
     def add_mutually_exclusive_group(self, **_settings: Any) -> Any:
         """The page lists the arguments of a group as all others."""
         return self
+
+
+def arguments_of(module: Any) -> list[tuple[str, tuple[str, ...], tuple[str, ...], str]]:
+    """Of each argument of a command: title, names, choices and help."""
+    arguments = _Arguments()
+    module.add_arguments(arguments)
+    return [
+        (
+            _title(names, _values(names, settings)),
+            names,
+            tuple(map(str, settings.get("choices") or ())),
+            settings["help"],
+        )
+        for names, settings in arguments.added
+    ]
 
 
 def _command(name: str, program: str, summary: str, module: Any) -> str:
