@@ -45,7 +45,7 @@ def ask(
         raise NoAnswerError(f"the server at {path} is no daemon of altd: {error}") from error
 
 
-def ask_content(  # noqa: PLR0913  as ``ask``
+def ask_content(
     path: Path,
     target: str,
     timeout_s: float,

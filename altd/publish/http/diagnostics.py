@@ -89,7 +89,9 @@ class Diagnostics:
         return Download(self._downloads, made)
 
     def _parts(self, now: datetime) -> Iterator[Part]:
-        yield part_of("status.json", "state of each part of the unit", lambda: _json(self._health.as_object()))
+        yield part_of(
+            "status.json", "state of each part of the unit", lambda: _json(self._health.as_object())
+        )
         yield part_of("measurement.json", "the latest measurement", self._measurement)
         yield part_of("self-check.json", "the last self-check", self._self_check)
         targets = "the targets, and where each is measured"
