@@ -45,17 +45,16 @@ from altd.status.proof import unit_number
 BEFORE_RESTORE = ".before-restore"
 _INDEX = "backup.json"
 _MAX_INDEX_BYTES = 1 << 20
-_MAX_SETTINGS_BYTES = 1 << 16
+_MAX_FILE_BYTES = 1 << 28
+"""Of all but the history: a calibration has some megabytes."""
 _MAX_HEADER_BYTES = 1 << 16
 """From one file of an archive to the next: a header may announce any length."""
 _PIECE_BYTES = 1 << 20
 _MODE = 0o664
-_WITH_HISTORY = ("", "-wal", "-shm")
 
-_Member = Annotated[
-    str, Field(pattern=r"^(settings|data)(/[A-Za-z0-9_@+-][A-Za-z0-9._@+-]{0,200}){1,8}$", max_length=1000)
-]
+_MEMBER = r"(settings|data)(/[^/.\x00-\x1f][^/\x00-\x1f]{0,200}){1,8}"
 """No part begins with a dot: none leads out of its folder."""
+_Member = Annotated[str, Field(pattern=f"^{_MEMBER}$")]
 
 
 class _Entry(BaseModel):
@@ -74,7 +73,6 @@ class _Index(BaseModel):
     created: str
     serial: str
     settings: _Member
-    history: _Member | None
     files: Mapping[_Member, _Entry]
     checksum: str
 
@@ -89,7 +87,8 @@ class _Places:
     def member(self, path: Path) -> str | None:
         for name, folder in self.folders.items():
             if path.is_relative_to(folder):
-                return f"{name}/{path.relative_to(folder)}"
+                member = f"{name}/{path.relative_to(folder)}"
+                return member if re.fullmatch(_MEMBER, member) else None
         return None
 
     def path(self, member: str) -> Path:
@@ -106,29 +105,33 @@ def back_up(settings: Path, output: Path) -> list[str]:
     history = history_to_read(config, settings)
     state = places.folders["data"].glob(f"*-{unit_number(config.unit.serial):08X}.json")
     found = {path for path in _paths_in(config) if path.is_file()} - {history}
-    files = {path: path for path in sorted({places.settings, *found, *state})}
+    files: dict[Path, BinaryIO] = {}
     left_out = []
-    with TemporaryDirectory(dir=output.absolute().parent, prefix=".altd-backup-") as folder:
+    with (
+        TemporaryDirectory(dir=output.absolute().parent, prefix=".altd-backup-") as folder,
+        ExitStack() as stack,
+    ):
+        for path in sorted({places.settings, *found, *state}):
+            files[path] = io.BytesIO(read_file(path, _MAX_FILE_BYTES))
         if history.exists():
             try:
                 _copy(history, copy := Path(folder, FILE_NAME))
-                files[history] = copy
+                files[history] = stack.enter_context(copy.open("rb"))
             except sqlite3.Error as error:
                 left_out.append(f"{history}: not in the backup: {error}")
         entries: dict[str, dict[str, object]] = {}
-        content: dict[str, Path] = {}
-        for path, source in files.items():
+        content: dict[str, BinaryIO] = {}
+        for path, stream in files.items():
             if (member := places.member(path)) is None:
                 left_out.append(f"{path}: not in the backup: it is outside of the folders of the unit")
-                continue
-            entries[member], content[member] = _entry(path, source), source
+            else:
+                entries[member], content[member] = _entry(path, stream), stream
         index: dict[str, object] = {
             "format": "altd-backup/1",
             "version": __version__,
             "created": utc_text(datetime.now(UTC)),
             "serial": config.unit.serial,
             "settings": places.member(places.settings),
-            "history": places.member(history) if history in files else None,
             "files": entries,
         }
         index["checksum"] = checksum_of(index)
@@ -136,19 +139,17 @@ def back_up(settings: Path, output: Path) -> list[str]:
         with replacing(output) as file:
             os.fchmod(file.fileno(), 0o600)
             with tarfile.open(fileobj=file, mode="w:gz", compresslevel=1) as archive:
-                text = (line_of(index) + "\n").encode()
-                _add(archive, _INDEX, io.BytesIO(text), len(text))
-                for member, source in content.items():
-                    with source.open("rb") as stream:
-                        _add(archive, member, stream, cast("int", entries[member]["size"]))
+                _add(archive, _INDEX, io.BytesIO((line_of(index) + "\n").encode()))
+                for member, stream in content.items():
+                    _add(archive, member, stream)
     return left_out
 
 
 def restore(source: Path, settings: Path) -> str:
     """Put the files of an archive in their places, ``settings`` for the settings; returns the unit's serial.
 
-    All of it is read and checked beside those places first: an archive that is refused changes nothing. The
-    settings come last, so that no daemon starts between. Raises BadInputError.
+    All of it is read and checked beside those places first: an archive that is refused changes nothing. What
+    is replaced is kept as ``….before-restore``. The settings come last. Raises BadInputError.
     """
     places = _Places(settings)
     with ExitStack() as stack:
@@ -167,11 +168,10 @@ def restore(source: Path, settings: Path) -> str:
         os.sync()
         for member in members:
             target = places.path(member)
-            if member == index.history:
-                for ending in _WITH_HISTORY:  # a log that stayed would be written into the other file
-                    with suppress(FileNotFoundError):
-                        old = target.with_name(target.name + ending)
-                        old.replace(target.with_name(target.name + BEFORE_RESTORE + ending))
+            for ending in ("-wal", "-shm", ""):  # a log that stayed would be written into another history
+                with suppress(FileNotFoundError):
+                    old = target.with_name(target.name + ending)
+                    old.replace(target.with_name(target.name + BEFORE_RESTORE + ending))
             staged.path(member).replace(target)
         os.sync()
     return index.serial
@@ -198,23 +198,26 @@ def _copy(history: Path, copy: Path) -> None:
         target.execute("PRAGMA journal_mode = DELETE")  # a file alone, without a log beside it
 
 
-def _entry(path: Path, source: Path) -> dict[str, object]:
-    """The line of the index for the file ``path``, with the content of ``source``."""
-    try:
-        about, size = path.stat(), source.stat().st_size
-        with source.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+def _entry(path: Path, content: BinaryIO) -> dict[str, object]:
+    """The line of the index for a file, whose content may be a copy."""
+    about, digest = path.stat(), hashlib.file_digest(cast("io.BytesIO", content), "sha256").hexdigest()
     user = group = ""
     with suppress(KeyError):
         user, group = pwd.getpwuid(about.st_uid).pw_name, grp.getgrgid(about.st_gid).gr_name
-    return {"size": size, "sha256": digest, "mode": about.st_mode & _MODE, "user": user, "group": group}
+    mode = about.st_mode & _MODE
+    return {
+        "size": content.seek(0, os.SEEK_END),
+        "sha256": digest,
+        "mode": mode,
+        "user": user,
+        "group": group,
+    }
 
 
-def _add(archive: tarfile.TarFile, name: str, content: BinaryIO, size: int) -> None:
+def _add(archive: tarfile.TarFile, name: str, content: BinaryIO) -> None:
     member = tarfile.TarInfo(name)
-    member.size, member.mode = size, 0o600
+    member.size, member.mode = content.seek(0, os.SEEK_END), 0o600
+    content.seek(0)
     archive.addfile(member, content)
 
 
@@ -230,8 +233,8 @@ def _check_index(document: object, source: Path) -> _Index:
     body = {key: value for key, value in document.items() if key != "checksum"}
     if document["checksum"] != checksum_of(body):
         raise BadInputError(source, "the checksum of its index does not fit: it is damaged or was edited")
-    if {index.settings, index.history} - {None} - index.files.keys():
-        raise BadInputError(source, "its index names files that it does not list")
+    if index.settings not in index.files:
+        raise BadInputError(source, "its index does not list the settings")
     return index
 
 
@@ -339,7 +342,7 @@ def _check_serial(serial: str, settings: Path) -> None:
     if not os.path.lexists(settings):
         return
     try:
-        unit: Any = parse_toml(read_file(settings, _MAX_SETTINGS_BYTES)).get("unit")
+        unit: Any = parse_toml(read_file(settings, _MAX_FILE_BYTES)).get("unit")
     except ValueError as error:
         raise BadInputError(
             settings, f"which unit this is cannot be read; move it away first: {error}"

@@ -36,6 +36,9 @@ PAGES = {
     "refraction": "refraction.md",
     "devices": "cameras.md",
     "doctor": "doctor.md",
+    "diagnose": "maintain.md",
+    "backup": "maintain.md",
+    "restore": "maintain.md",
     "demo": "simulator.md",
     "chain": "chain.md",
     "chain-demo": "chain.md",
@@ -58,6 +61,7 @@ _EXIT_1 = {
     "status": "the measurement is not valid or not live, the state is worse than maintenance, or no answer",
     "watch": "the terminal was closed",
     "doctor": "something is wrong",
+    "backup": "a file is not in the archive; it is listed",
 }
 """Meaning of exit status 1 of a command, besides its meaning for all."""
 
