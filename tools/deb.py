@@ -45,7 +45,7 @@ _NEEDLESS = (
         "pydantic/v1",
     ),
 )
-"""What altd never imports: types, headers, sources of compiled code, tests, build tools."""
+"""Files that altd never imports: types, headers, sources of compiled code, tests, build tools."""
 _IMPORTED = """
 import importlib, pkgutil, sys
 import altd
@@ -111,7 +111,7 @@ def locked(names: set[str]) -> str:
 
 
 def run(*command: str | Path, **environment: str) -> str:
-    """What a program prints; raises CalledProcessError."""
+    """Standard output of a program; raises CalledProcessError."""
     done = subprocess.run(  # noqa: S603  programs of the builder's machine
         command, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
     )

@@ -47,7 +47,7 @@ def diagnostic_parts(config: Config) -> tuple[DiagnosticPart, ...]:
 def diagnose(place: Path | None) -> tuple[str, bytes, str]:
     """Name and content of the archive of the unit with the settings at ``place``, and why no daemon made it.
 
-    Settings that cannot be used are told in the archive: it may be wanted for that.
+    The archive reports settings that cannot be used: it may be wanted for that.
     """
     config, why = None, ""
     socket, history = SERVICE_SOCKET, Path("/var/lib/altd", FILE_NAME)

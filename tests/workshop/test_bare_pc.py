@@ -299,10 +299,12 @@ def test_a_unit_is_maintained(machine: BareDebian, stage: Path, base: Path, fold
     kept = "sha256sum /etc/altd/*; stat -c '%U %G %a' /etc/altd/*"
     before, events = technician.enter(kept), starts(technician)
     assert "stop it first" in technician.enter("altd restore unit.tar.gz", expected_status=2)
-    technician.follow("Ask for help", MAINTAIN)
     technician.enter("altd diagnose -o running.zip")
-    technician.follow("Remove altd", MAINTAIN)
+    remove, purge = commands_of(MAINTAIN, "Remove altd")
+    technician.enter(remove)
     technician.enter("systemctl is-active altd", expected_status=4)
+    assert technician.enter(kept) == before
+    technician.enter(purge)
     places = "/etc/altd /var/lib/altd* /usr/lib/altd /usr/bin/altd"
     assert technician.enter(f"ls -d {places} 2>/dev/null; true") == ""
 
