@@ -250,10 +250,8 @@ def package(root: Path, version: str, extras: Sequence[str], made: datetime) -> 
     """The tree of the package, with its control files."""
     environment(root / HOME[1:] / "package", version, extras)
     usr = root / "usr"
-    for name in units():
-        link = usr / "lib" / "systemd" / "system" / name
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to(f"../../altd/current/systemd/{name}")
+    for name, text in units().items():
+        _write(usr / "lib" / "systemd" / "system" / name, text)
     (usr / "bin").mkdir()
     (usr / "bin" / "altd").symlink_to("../lib/altd/current/bin/altd")
     _write(usr / "lib" / "altd" / "switch", (DEBIAN / "switch").read_text())

@@ -30,8 +30,20 @@ SETTINGS = {'"ALT-0001"': '"SIM-1"', '"22334455"': '"SIM-1-front"', '"22334456"'
 """The technician's changes to the settings of the release."""
 SUITES = {(3, 11): "bookworm", (3, 13): "trixie"}
 MAX_INSTALLED_MIB = 150
-DEFECT = "s/^        self._log_status(line, now_ns)$/        os._exit(1)/"
-"""A release whose daemon is ready and ends then."""
+ARCHIVE = "dist/altd_0.1.0_amd64.deb"
+AS_VERSION = (
+    "rm -rf tree && dpkg-deb -R dist/altd_0.1.0_*.deb tree",
+    "find tree -type f -path '*DEBIAN/[cp]*' -o -type f -path '*bin/altd' -o -path '*/altd/__init__.py' |"
+    " xargs sed -i 's/0\\.1\\.0/VERSION/'",
+    "find tree -path '*/altd/__pycache__/__init__*' -delete",
+)
+"""Make another release of a package, in ``tree``."""
+DEFECT = (
+    "file=$(find tree -name service_manager.py) && rm $(dirname $file)/__pycache__/service_manager* && "
+    "sed -i 's/^        self._log_status(line, now_ns)$/        os._exit(1)/' $file && grep -q _exit $file"
+)
+"""A daemon that reports that it is ready, and ends then."""
+AS_PACKAGE = "dpkg-deb --root-owner-group -Zgzip -z1 --build tree dist"
 
 pytestmark = pytest.mark.timeout(1800)
 
@@ -68,13 +80,13 @@ def release(folder: Path) -> Path:
     for line in key:
         run_here(clone, f"{line} -N '' -q" if line.startswith("ssh-keygen") else line)
     made.remove("make test-all")
-    for version in ("0.1.0", "0.2.0", "0.3.0"):
-        run_here(clone, f"sed -i 's/0.1.0/{version}/' altd/__init__.py")
-        if version == "0.3.0":
-            run_here(clone, f"sed -i '{DEFECT}' altd/runtime/service_manager.py")
-        for line in made:
-            run_here(clone, line.replace("0.1.0", version))
-        run_here(clone, f"sed -i 's/{version}/0.1.0/' altd/__init__.py")
+    for line in made:
+        run_here(clone, line)
+    for version, defect in (("0.2.0", "true"), ("0.3.0", DEFECT)):
+        for line in (*AS_VERSION, defect, AS_PACKAGE, made[-1]):
+            run_here(
+                clone, line.replace("VERSION", version).replace(ARCHIVE, ARCHIVE.replace("0.1.0", version))
+            )
     return clone
 
 
@@ -161,7 +173,7 @@ class Technician:
 
 
 def test_the_package_is_small_and_of_good_form(release: Path, folder: Path) -> None:
-    package = release / "dist" / "altd_0.1.0_amd64.deb"
+    package = release / ARCHIVE
     lintian = [need_program("lintian"), "--fail-on=error,warning", package]
     judged = subprocess.run(lintian, capture_output=True, text=True, check=False)
     assert judged.returncode == 0, judged.stdout
@@ -175,7 +187,7 @@ def test_the_package_is_small_and_of_good_form(release: Path, folder: Path) -> N
 
 
 def test_equal_sources_give_equal_packages(release: Path) -> None:
-    package = release / "dist" / "altd_0.1.0_amd64.deb"
+    package = release / ARCHIVE
     before = package.read_bytes()
     run_here(release, "make deb")
     assert package.read_bytes() == before
