@@ -40,6 +40,7 @@ def service_name(place: Path) -> str:
 
     ``altd``, or ``altd-NAME`` for /etc/altd/NAME.toml: that of the service altd@NAME (``altd@.service``).
     """
+    place = place.absolute()
     is_instance = place.parent == SERVICE_CONFIG.parent and place.name != SERVICE_CONFIG.name
     return f"altd-{place.stem}" if is_instance else "altd"
 

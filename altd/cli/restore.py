@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check the archive, then replace the files."""
-    from altd.app.backup import restore
+    from altd.app.restore import restore
 
     serial = restore(options.archive, options.config)
     say(f"{options.config}: unit {serial} is restored; altd check-config and altd doctor check it")

@@ -116,7 +116,7 @@ COMMANDS = {
     "events": Command("events --history {history}", "altd.history.reader:Reader.events_after 1"),
     "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
     "backup": Command("backup --config {config} -o b.tar.gz", "altd.app.backup:_add 2"),
-    "restore": Command("restore {archive} --config altd.toml", "altd.app.backup:_stage 2"),
+    "restore": Command("restore {archive} --config altd.toml", "altd.app.restore:_stage 2"),
     "diagnose": Command("diagnose --config {served} -o d.zip", "altd.app.diagnostics:_versions 1"),
     "check-config": Command("check-config {config}", "altd.config:load_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),

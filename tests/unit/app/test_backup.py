@@ -19,7 +19,8 @@ from support.history import batch as batch_of
 from support.played_unit import PlayedUnit
 from support.unit_toml import write_config
 
-from altd.app.backup import BEFORE_RESTORE, back_up, restore
+from altd.app.backup import back_up
+from altd.app.restore import BEFORE_RESTORE, restore
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
 from altd.errors import BadInputError
