@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -192,6 +192,10 @@ sbom: venv ## the parts of a unit's software with licences, CycloneDX: build/alt
 audit: venv ## the locks against the stored list of advisories, without a network
 	@$(python) -m tools.audit
 
+deb: venv ## the Debian package of a unit in dist/, for the Python of PYTHON; EXTRAS="opcua report" adds these
+	@.ci/programs must dpkg-deb=dpkg gcc strip=binutils
+	exec $(python) -m tools.deb $(EXTRAS)
+
 lock: ## write the three locks with today's newest packages
 	@.ci/lock
 
@@ -203,7 +207,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium curl debootstrap ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium curl debootstrap lintian ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@.ci/npm node-opcua-client@2.186.0 sparkplug-payload@1.0.3
 	header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \

@@ -38,11 +38,27 @@ def ask(
 
     Raises NoAnswerError.
     """
+    status, content = ask_content(path, target, timeout_s, method, headers)
+    try:
+        return status, parse_json(content)
+    except ValueError as error:
+        raise NoAnswerError(f"the server at {path} is no daemon of altd: {error}") from error
+
+
+def ask_content(
+    path: Path,
+    target: str,
+    timeout_s: float,
+    method: str = "GET",
+    headers: Mapping[str, str] | None = None,
+    max_bytes: int = MAX_ANSWER_BYTES,
+) -> tuple[int, bytes]:
+    """The same with the content as it comes, of which only ``max_bytes`` are read."""
     connection = _LocalConnection(path, timeout_s)
     try:
         connection.request(method, target, headers=dict(headers or {}))
         with connection.getresponse() as answer:  # which holds the socket where the server closes
-            return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
+            return answer.status, answer.read(max_bytes)
     except TimeoutError as error:
         raise NoAnswerError(f"the daemon at {path} does not answer within {timeout_s:g} s") from error
     except PermissionError as error:
@@ -53,7 +69,7 @@ def ask(
         ) from error
     except ConnectionRefusedError as error:
         raise NoAnswerError(f"the daemon does not run: nothing listens at {path}") from error
-    except (http.client.HTTPException, ValueError) as error:
+    except http.client.HTTPException as error:
         raise NoAnswerError(f"the server at {path} is no daemon of altd: {error}") from error
     except OSError as error:
         raise NoAnswerError(f"no daemon answers at {path}: {error.strerror or error}") from error

@@ -57,7 +57,7 @@ def listen(host: str, port: int) -> socket.socket:
 def _remedy(number: int, host: str, port: int) -> str:
     """The remedy for an address that cannot be listened on, as the end of a sentence."""
     if number == errno.EACCES:
-        right = "ports below 1024 need CAP_NET_BIND_SERVICE, which the service has (AmbientCapabilities)"
+        right = "the service may use ports from 502 up (sysctl net.ipv4.ip_unprivileged_port_start)"
         return f": {right}; by hand, choose a port from 1024 on"
     if number != errno.EADDRINUSE:
         return ""

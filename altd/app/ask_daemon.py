@@ -116,7 +116,7 @@ def ask_running_daemon(config: Config, place: Path) -> dict[str, Any]:
 
 
 def _answer(config: Config, place: Path) -> tuple[int, Any]:
-    path, said = socket_to_ask(config), ""
+    path, said = socket_to_ask(config, place), ""
     if config.local is not None or os.path.lexists(path):
         try:
             return ask(path, _TARGET, _TIMEOUT_S, "POST", _HEADERS)

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from altd.app.settings import service_folder
 from altd.config import ChainSettings, Config
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, line_of, parse_json
@@ -137,10 +138,6 @@ def baseline_file(config: Config, calibration: Calibration) -> BaselineFile | No
     return None if settings.baseline is None else BaselineFile(settings.baseline, calibration, settings)
 
 
-SERVICE_FOLDER = Path("/var/lib/altd")
-"""The folder that systemd gives the service (``StateDirectory`` in systemd/altd.service)."""
-
-
 def baseline_path(config: Config, folder: Path) -> Path:
     """The file of a config's baseline, in ``folder`` where it names none."""
     named = None if config.chain is None else config.chain.baseline
@@ -156,7 +153,7 @@ def with_baseline_kept(config: Config, place: Path) -> Config:
     if settings.baseline is None and folder is None:
         why = "none, and this is no service that has a folder: a restart would begin again at zero"
         raise BadInputError(place, f"chain.baseline: {why}; possible: a file")
-    path = baseline_path(config, folder or SERVICE_FOLDER)
+    path = baseline_path(config, service_folder(place))
     return config.model_copy(update={"chain": settings.model_copy(update={"baseline": path})})
 
 

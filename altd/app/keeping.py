@@ -15,8 +15,8 @@ from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.kept_frames.store import RecordingStore
-from altd.app.baseline import SERVICE_FOLDER
 from altd.app.parts import AnyCalibration, led_plate_of
+from altd.app.settings import service_folder
 from altd.config import Config
 from altd.errors import one_line
 from altd.history.columns import columns_of
@@ -149,9 +149,9 @@ def history_place(config: Config) -> tuple[Path | None, str]:
     return folder / FILE_NAME, ""
 
 
-def history_to_read(config: Config) -> Path:
+def history_to_read(config: Config, place: Path) -> Path:
     """The history of the daemon that runs with this config, as a service or by hand."""
-    return config.history.file or (state_folder() or SERVICE_FOLDER) / FILE_NAME
+    return config.history.file or service_folder(place) / FILE_NAME
 
 
 def history_about(config: Config, calibration: AnyCalibration, quantities: Quantities) -> About:

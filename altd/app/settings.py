@@ -14,8 +14,11 @@ from altd.config.table import shown
 from altd.config.wording import Fault
 from altd.errors import BadInputError
 from altd.publish.serial.telegram import longest_bytes
-from altd.runtime.service_manager import runtime_folder
+from altd.runtime.service_manager import runtime_folder, state_folder
 from altd.serial_port.port import seconds_on_line
+
+SERVICE_CONFIG = Path("/etc/altd/altd.toml")
+"""The settings file of the service (docs/install.md)."""
 
 SERVICE_SOCKET = LocalSettings().socket
 """Its place for the service (docs/install.md)."""
@@ -33,9 +36,26 @@ def local_socket_of(config: Config) -> Path | None:
     return None if folder is None else folder / SERVICE_SOCKET.name
 
 
-def socket_to_ask(config: Config) -> Path:
+def service_name(place: Path) -> str:
+    """The folder in /run and /var/lib of the service with the settings at ``place``.
+
+    ``altd``, or ``altd-NAME`` for /etc/altd/NAME.toml: that of the service altd@NAME (``altd@.service``).
+    """
+    place = place.absolute()
+    is_instance = place.parent == SERVICE_CONFIG.parent and place.name != SERVICE_CONFIG.name
+    return f"altd-{place.stem}" if is_instance else "altd"
+
+
+def service_folder(place: Path) -> Path:
+    """The folder of the service's data (``StateDirectory=``); of this process where it is that service."""
+    return state_folder() or Path("/var/lib", service_name(place))
+
+
+def socket_to_ask(config: Config, place: Path) -> Path:
     """The socket of the daemon that runs with this config, as a service or by hand."""
-    return SERVICE_SOCKET if config.local is None else config.local.socket
+    if config.local is not None:
+        return config.local.socket
+    return Path("/run", service_name(place), SERVICE_SOCKET.name)
 
 
 def load_settings(path: Path) -> Config:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from altd.app.baseline import SERVICE_FOLDER, BaselineFile, baseline_path
+from altd.app.baseline import BaselineFile, baseline_path
 from altd.app.chain_replay import open_chain_replay
+from altd.app.settings import service_folder
 from altd.calibration.file import load_calibration
 from altd.config import ChainSettings, Config, RecordingCameraSettings
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
 from altd.records import counted
-from altd.runtime.service_manager import state_folder
 
 
 def store_baseline(
@@ -33,7 +33,7 @@ def store_baseline(
         raise BadInputError(place, f'unit.instrument: "{config.unit.instrument}" has no baseline')
     settings = config.chain or ChainSettings()
     calibration = load_calibration(config.unit.calibration, config.unit.serial)
-    path = baseline_path(config, state_folder() or SERVICE_FOLDER)
+    path = baseline_path(config, service_folder(place))
     file = BaselineFile(path, calibration, settings)
     if os.path.lexists(path) and not replace:
         raise BadInputError(path, "is there already; --replace renames it")

@@ -47,7 +47,8 @@ def socket_of(options: argparse.Namespace) -> Path:
     if options.socket is not None:
         path: Path = options.socket
         return path
-    return SERVICE_SOCKET if options.config is None else socket_to_ask(load_settings(options.config))
+    place: Path | None = options.config
+    return SERVICE_SOCKET if place is None else socket_to_ask(load_settings(place), place)
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
@@ -141,7 +142,8 @@ def history_of(options: argparse.Namespace) -> Path:
     from altd.app.keeping import history_to_read
     from altd.app.settings import load_settings
 
-    return history_to_read(load_settings(options.config if "config" in options else DEFAULT_CONFIG))
+    place: Path = options.config if "config" in options else DEFAULT_CONFIG
+    return history_to_read(load_settings(place), place)
 
 
 _CHOICE = re.compile(r"argument (.+?): invalid choice: (.+?) \(choose from ", re.DOTALL)

@@ -13,10 +13,12 @@ from typing import Protocol
 
 from altd import __version__
 from altd.cli import (
+    backup,
     baseline,
     calibrate,
     check_config,
     devices,
+    diagnose,
     doctor,
     events,
     export,
@@ -28,6 +30,7 @@ from altd.cli import (
     refraction,
     registers,
     replay,
+    restore,
     run,
     scan,
     selfcheck,
@@ -75,9 +78,12 @@ COMMANDS: dict[str, Command] = {
     "refraction": refraction,
     "devices": devices,
     "doctor": doctor,
+    "diagnose": diagnose,
+    "backup": backup,
+    "restore": restore,
 }
 
-_WITHOUT_CONFIG = ("doctor", "status", "watch")
+_WITHOUT_CONFIG = ("diagnose", "doctor", "status", "watch")
 
 _FIRST_STEPS = """first steps:
   altd doctor             list the faults of this computer, with remedies

@@ -250,8 +250,8 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
     service = machine.service()
     if service is not None:
         if not service.low_ports:
-            remedy = "sudo systemctl edit altd   # [Service] AmbientCapabilities=CAP_NET_BIND_SERVICE"
-            yield wrong(subject, "the service may not listen on a port below 1024", remedy)
+            remedy = f"sudo sysctl net.ipv4.ip_unprivileged_port_start={port}   # and in /etc/sysctl.d"
+            yield wrong(subject, f"the service may not listen on a port below {first or 1024}", remedy)
     elif machine.account.uid != 0:
         remedy = "docs/install.md   # run it as the service, which may; or choose a port from 1024 on"
         yield wrong(subject, f"{machine.account.name} may not listen on a port below 1024", remedy)

@@ -9,8 +9,6 @@ import sys
 import tomllib
 import zipfile
 from importlib.metadata import entry_points, version
-from importlib.util import cache_from_source
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
@@ -73,18 +71,13 @@ class TestLock:
 
 
 @pytest.fixture(scope="module")
-def wheel_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The names of the files in the wheel."""
     folder = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "pip", "wheel", "-qq", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*build, "--wheel-dir", folder, ROOT], check=True)
     (path,) = folder.glob("*.whl")
-    return path
-
-
-@pytest.fixture(scope="module")
-def wheel(wheel_file: Path) -> list[str]:
-    """The names of the files in the wheel."""
-    with zipfile.ZipFile(wheel_file) as archive:
+    with zipfile.ZipFile(path) as archive:
         return archive.namelist()
 
 
@@ -102,18 +95,6 @@ class TestInstalled:
     def test_the_command_says_the_version(self) -> None:
         assert altd("--version").out == f"altd {package.__version__}\n"
         assert version("altd") == package.__version__
-
-    def test_it_has_byte_code_where_the_service_may_write_none(
-        self, wheel_file: Path, tmp_path: Path
-    ) -> None:
-        """Installed by the options of docs/install.md; else each start would compile all of it again."""
-        page = (ROOT / "docs" / "install.md").read_text()
-        (options,) = set(re.findall(r"/bin/pip install (.*) altd==", page))
-        install = [sys.executable, "-m", "pip", "install", *options.split(), "--no-deps", "--target"]
-        subprocess.run([*install, tmp_path, wheel_file], check=True, capture_output=True)
-        sources = list((tmp_path / "altd").rglob("*.py"))
-        assert len(sources) > 100
-        assert [file for file in sources if not Path(cache_from_source(file)).is_file()] == []
 
     @pytest.mark.parametrize("name", PROJECT["project"]["scripts"])
     def test_each_command_is_there(self, name: str) -> None:

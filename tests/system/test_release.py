@@ -12,7 +12,7 @@ from support.foreign import need
 from support.places import ROOT
 
 PAGE = (ROOT / "docs" / "install.md").read_text()
-ARCHIVE = "altd-0.1.0.tar.gz"
+ARCHIVE = "altd_0.1.0_amd64.deb"
 
 
 def command(beginning: str) -> str:
@@ -28,9 +28,10 @@ def run(folder: Path, line: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def release(tmp_path: Path) -> Path:
-    """A folder with a key, an archive and its signature, made as the page says."""
+    """A folder with a key, a package and its signature, made as the page says."""
     need(shutil.which("ssh-keygen") is not None, "ssh-keygen (openssh-client) is not there")
-    (tmp_path / ARCHIVE).write_bytes(b"a release")
+    (tmp_path / "dist").mkdir()
+    (tmp_path / "dist" / ARCHIVE).write_bytes(b"a release")
     for line in (
         command("ssh-keygen -t ") + " -N '' -q",  # for the test without a passphrase
         command('echo "altd-release '),
@@ -38,6 +39,8 @@ def release(tmp_path: Path) -> Path:
     ):
         done = run(tmp_path, line)
         assert done.returncode == 0, done.stderr
+    for file in (tmp_path / "dist").iterdir():
+        file.rename(tmp_path / file.name)
     return tmp_path
 
 
@@ -56,7 +59,7 @@ def test_a_changed_archive_is_refused(release: Path) -> None:
 def test_the_signature_of_another_key_is_refused(release: Path) -> None:
     for name in ("altd-release", "altd-release.pub", f"{ARCHIVE}.sig"):
         (release / name).unlink()
-    for line in (command("ssh-keygen -t ") + " -N '' -q", command("ssh-keygen -Y sign")):
+    for line in (command("ssh-keygen -t ") + " -N '' -q", command("ssh-keygen -Y sign").replace("dist/", "")):
         assert run(release, line).returncode == 0
     done = run(release, command("ssh-keygen -Y verify"))
     assert done.returncode != 0

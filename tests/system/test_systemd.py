@@ -22,6 +22,9 @@ from support.played_unit import PlayedUnit
 from support.recordings import write_beams
 from support.unit_toml import write_config
 
+from altd.app.settings import service_name
+from tools.deb import units
+
 UNIT = ROOT / "systemd" / "altd.service"
 WIDEST_PAUSE_S = 2.0
 """Between two words of a daemon that is well: ten times what it aims at, for a busy machine."""
@@ -32,12 +35,13 @@ def settings(unit: str) -> dict[str, str]:
     return {key: value for key, _, value in lines if key}
 
 
-@pytest.fixture(scope="module")
-def unit_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=["altd.service", "altd@press.service"])
+def unit_copy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The unit as it is, but for a program that exists here: a missing one is a complaint too."""
-    text = UNIT.read_text()
+    name: str = request.param
+    text = units()[name.replace("press", "")]
     program = settings(text)["ExecStart"].split()[0]
-    copy = tmp_path_factory.mktemp("unit") / UNIT.name
+    copy = tmp_path_factory.mktemp("unit") / name
     copy.write_text(text.replace(program, sys.executable))
     return copy
 
@@ -50,9 +54,17 @@ class TestUnitFile:
         assert (judged.stdout, judged.stderr, judged.returncode) == ("", "", 0)
 
     def test_its_exposure_is_low(self, unit_copy: Path) -> None:
-        judge = [systemd_analyze(), "security", "--offline=true", "--threshold=20", "--no-pager", unit_copy]
+        judge = [systemd_analyze(), "security", "--offline=true", "--threshold=15", "--no-pager", unit_copy]
         judged = subprocess.run(judge, capture_output=True, text=True, check=False)
         assert judged.returncode == 0, judged.stdout.splitlines()[-1:] + judged.stderr.splitlines()
+
+    def test_an_instance_shares_no_folder_with_another_one(self) -> None:
+        one, other = (settings(units()[name]) for name in ("altd.service", "altd@.service"))
+        names = ("StateDirectory", "RuntimeDirectory", "ExecStart", "ExecStopPost")
+        assert {key for key in one if one[key] != other.get(key)} == {"Description", *names}
+        assert all("%i" in other[key] for key in names)
+        place = Path(other["ExecStart"].split()[-1].replace("%i", "press"))
+        assert service_name(place) == other["RuntimeDirectory"].replace("%i", "press")
 
     def test_it_talks_to_no_public_network(self) -> None:
         unit = settings(UNIT.read_text())

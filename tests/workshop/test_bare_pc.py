@@ -1,18 +1,24 @@
-"""docs/install.md and docs/maintain.md on a clean Debian, from a release to its removal."""
+"""docs/install.md and docs/maintain.md on a clean Debian, from a package to its removal.
+
+Under Python 3.11 that is Debian 12, under 3.13 Debian 13: a package is for the Python that makes it.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import cache_from_source
 from pathlib import Path
 
 import pytest
-from support.bare_debian import BareDebian, bare_debian
+from support.bare_debian import BareDebian, bare_debian, install_debian
 from support.documented import commands_of
 from support.foreign import need, need_program
 from support.places import DOCS, ROOT
@@ -22,15 +28,33 @@ SETTINGS_FILE = "etc/altd/altd.toml"
 GOOD = "verdict  good"
 SETTINGS = {'"ALT-0001"': '"SIM-1"', '"22334455"': '"SIM-1-front"', '"22334456"': '"SIM-1-rear"'}
 """The technician's changes to the settings of the release."""
-NOT_HERE = ("udevadm ", "sysctl ")
-"""Commands for a kernel of one's own."""
+SUITES = {(3, 11): "bookworm", (3, 13): "trixie"}
+MAX_INSTALLED_MIB = 150
+ARCHIVE = "dist/altd_0.1.0_amd64.deb"
+AS_VERSION = (
+    "rm -rf tree && dpkg-deb -R dist/altd_0.1.0_*.deb tree",
+    "find tree -type f -path '*DEBIAN/[cp]*' -o -type f -path '*bin/altd' -o -path '*/altd/__init__.py' |"
+    " xargs sed -i 's/0\\.1\\.0/VERSION/'",
+    "find tree -path '*/altd/__pycache__/__init__*' -delete",
+)
+"""Make another release of a package, in ``tree``."""
+DEFECT = (
+    "file=$(find tree -name service_manager.py) && rm $(dirname $file)/__pycache__/service_manager* && "
+    "sed -i 's/^        self._log_status(line, now_ns)$/        os._exit(1)/' $file && grep -q _exit $file"
+)
+"""A daemon that reports that it is ready, and ends then."""
+AS_PACKAGE = "dpkg-deb --root-owner-group -Zgzip -z1 --build tree dist"
 
 pytestmark = pytest.mark.timeout(1800)
 
 
 def run_here(folder: Path, line: str) -> None:
+    line = line.replace("make deb", ".venv/bin/python -m tools.deb")
     line = line.replace(".venv/bin/python", sys.executable).replace("~/.ssh", str(folder))
-    done = subprocess.run(["bash", "-c", line], cwd=folder, capture_output=True, text=True, check=False)
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": "1795161600"}
+    done = subprocess.run(
+        ["bash", "-c", line], cwd=folder, capture_output=True, text=True, check=False, env=environment
+    )
     assert done.returncode == 0, (line, done.stderr)
 
 
@@ -43,8 +67,7 @@ def folder() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def release(folder: Path) -> Path:
-    """Archives of two releases, their signatures and the signers' key, made as the page says."""
-    need(sys.version_info[:2] == (3, 11), "Debian 12 has Python 3.11: a release for it is made by that")
+    """A clone with the packages of three releases in ``dist``, made and signed as the page says."""
     clone = folder / "clone"
     clone.mkdir()
     copy = (
@@ -59,25 +82,37 @@ def release(folder: Path) -> Path:
     made.remove("make test-all")
     for line in made:
         run_here(clone, line)
-    run_here(
-        clone,
-        "sed -i 's/0.1.0/0.2.0/' altd/__init__.py && mkdir altd-0.2.0 && ln altd-0.1.0/*.whl altd-0.2.0",
-    )
-    run_here(clone, "rm altd-0.2.0/altd-0.1.0*")
-    for line in made:
-        if " pip download " not in line:
-            run_here(clone, line.replace("0.1.0", "0.2.0"))
+    for version, defect in (("0.2.0", "true"), ("0.3.0", DEFECT)):
+        for line in (*AS_VERSION, defect, AS_PACKAGE, made[-1]):
+            run_here(
+                clone, line.replace("VERSION", version).replace(ARCHIVE, ARCHIVE.replace("0.1.0", version))
+            )
     return clone
 
 
 @pytest.fixture(scope="module")
-def machine(folder: Path) -> Iterator[BareDebian]:
+def base(folder: Path) -> Path:
     """A clean Debian. Only root may make one."""
     need(os.geteuid() == 0, "only root may boot a Debian in namespaces")
+    need(sys.version_info[:2] in SUITES, "a Debian with this Python is not installed here")
     need_program("ssh-keygen", "openssh-client")
     need_program("arv-fake-gv-camera-0.8", "aravis-tools")
-    root = folder / "root"
+    root = folder / "base"
     root.mkdir()
+    install_debian(root, SUITES[sys.version_info[:2]])
+    return root
+
+
+@pytest.fixture(scope="module")
+def machine(base: Path, folder: Path) -> Iterator[BareDebian]:
+    """The PC of a unit."""
+    with booted(base, folder / "root") as debian:
+        yield debian
+
+
+@contextmanager
+def booted(base: Path, root: Path) -> Iterator[BareDebian]:
+    subprocess.run(["cp", "-a", base, root], check=True)
     with bare_debian(root) as debian:
         yield debian
 
@@ -109,8 +144,6 @@ class Technician:
 
     def enter(self, line: str, expected_status: int = 0) -> str:
         """One command, which must end so; what it prints."""
-        if line.startswith(NOT_HERE):
-            return ""
         if line.startswith("cd "):
             self._folder = str(Path(self._folder) / line[3:])
             return ""
@@ -125,7 +158,7 @@ class Technician:
             return self._machine.run(line).stdout
         if line.startswith("altd password "):
             line = f"echo 'a new password' | {line}"
-        online = line.startswith("apt-get ")
+        online = line.startswith(("apt ", "apt-get "))
         done = self._machine.run(line, self._folder, online=online)
         assert done.returncode == expected_status, (line, done.stdout, done.stderr)
         return done.stdout + done.stderr
@@ -139,10 +172,30 @@ class Technician:
         self.settings.write_text(text)
 
 
+def test_the_package_is_small_and_of_good_form(release: Path, folder: Path) -> None:
+    package = release / ARCHIVE
+    lintian = [need_program("lintian"), "--fail-on=error,warning", package]
+    judged = subprocess.run(lintian, capture_output=True, text=True, check=False)
+    assert judged.returncode == 0, judged.stdout
+    subprocess.run(["dpkg-deb", "-x", package, folder / "unpacked"], check=True)
+    used = subprocess.run(["du", "-sm", folder / "unpacked"], capture_output=True, text=True, check=True)
+    assert int(used.stdout.split()[0]) <= MAX_INSTALLED_MIB
+    sources = list((folder / "unpacked").rglob("site-packages/altd/**/*.py"))
+    assert len(sources) > 100
+    lacking = [file for file in sources if not Path(cache_from_source(file)).is_file()]
+    assert lacking == [], "the service may write no byte code: each start would compile it again"
+
+
+def test_equal_sources_give_equal_packages(release: Path) -> None:
+    package = release / ARCHIVE
+    before = package.read_bytes()
+    run_here(release, "make deb")
+    assert package.read_bytes() == before
+
+
 def test_the_steps_lead_to_a_unit_that_measures(release: Path, machine: BareDebian, stage: Path) -> None:
-    for pattern in ("altd-*.tar.gz*", "altd-release.signers"):
-        for file in release.glob(pattern):
-            file.rename(machine.root / "root" / file.name)
+    for file in (*release.glob("dist/altd_*"), release / "altd-release.signers"):
+        shutil.copy(file, machine.root / "root")
     technician = Technician(machine)
 
     installed = technician.follow("2. ")
@@ -191,11 +244,58 @@ def test_the_steps_lead_to_a_unit_that_measures(release: Path, machine: BareDebi
     technician.enter("systemctl stop rehearsal && systemctl start altd")
 
 
-def test_a_unit_is_maintained(machine: BareDebian, stage: Path) -> None:
+def test_a_service_that_fails_comes_back(machine: BareDebian, stage: Path) -> None:
     technician = Technician(machine)
+    for ended, result in (("KILL", "signal"), ("STOP", "watchdog")):  # the second one hangs
+        pid = main_pid(technician)
+        technician.enter(f"kill -{ended} {pid}")
+        deadline = time.monotonic() + 60
+        while main_pid(technician) in ("0", pid):
+            assert time.monotonic() < deadline, technician.enter("journalctl -n 20")
+            time.sleep(0.2)
+        reports(technician)
+        assert f"result '{result}'" in technician.enter("journalctl -u altd | grep result | tail -n 1")
+
+
+def test_two_units_on_one_pc(machine: BareDebian, stage: Path) -> None:
+    technician = Technician(machine)
+    other = technician.settings.with_name("press.toml")
+    own_port = technician.settings.read_text().replace("[modbus_tcp]", "[modbus_tcp]\nport = 503")
+    other.write_text(own_port.replace("[http]", ""))
+    technician.follow("Several units")
+    assert "unit         SIM-1" in reports(technician, "--config /etc/altd/press.toml")
+    assert main_pid(technician) != main_pid(technician, "altd@press")
+    assert "history.db\n" in technician.enter("ls /var/lib/altd-press")
+    technician.enter("systemctl disable --now altd@press")
+    other.unlink()
+
+
+def test_an_update_goes_well_or_back(machine: BareDebian, stage: Path) -> None:
+    technician = Technician(machine)
+    running, events = main_pid(technician), starts(technician)
+    good = technician.settings.read_text()
+    technician.settings.write_text(f"{good}\n[no_such_table]\n")
+    refused = technician.enter("apt install -y ./altd_0.2.0_amd64.deb", expected_status=100)
+    assert "no_such_table" in refused
+    assert "altd: 0.2.0 does not accept /etc/altd/altd.toml: 0.1.0 runs on" in refused
+    assert main_pid(technician) == running, "it was not even restarted"
+    technician.settings.write_text(good)
+    technician.enter("dpkg --configure altd")
+    assert "altd 0.2.0\n" in technician.enter("altd --version")
+    assert main_pid(technician) != running
+
+    refused = technician.enter("apt install -y ./altd_0.3.0_amd64.deb", expected_status=100)
+    assert "altd: rolled back to 0.2.0" in refused
+    assert "altd 0.2.0, calibration" in reports(technician)
+    technician.enter("apt install -y --allow-downgrades ./altd_0.1.0_amd64.deb")
+    assert "altd 0.1.0, calibration" in reports(technician)
+
     assert technician.follow("Update", MAINTAIN).count("altd 0.2.0") == 2  # the last one is of the daemon
     assert "altd 0.1.0\n" in technician.follow("Roll back", MAINTAIN)
-    assert "altd 0.1.0, calibration" in technician.enter("sleep 2; altd status")
+    assert "altd 0.1.0, calibration" in reports(technician)
+    assert technician.enter("cd /usr/lib/altd && echo [0-9]*") == "0.1.0 0.2.0\n"
+    assert starts(technician)[: len(events)] == events, "the history is kept"
+    assert len(starts(technician)) > len(events) + 4
 
     technician.edit(("[http]\n", "[http]\nport = 8081\n"))
     assert "settings reloaded: http.port" in technician.follow("Reload the settings", MAINTAIN)
@@ -206,28 +306,63 @@ def test_a_unit_is_maintained(machine: BareDebian, stage: Path) -> None:
     technician.edit(("ports = 8081\n", ""))
     assert "settings reloaded: http.port" in technician.follow("Reload the settings", MAINTAIN)
 
+
+def test_a_unit_is_maintained(machine: BareDebian, stage: Path, base: Path, folder: Path) -> None:
+    technician = Technician(machine)
     technician.enter("systemctl stop altd")
     technician.follow("Change credentials", MAINTAIN)
     technician.edit(("[http]\n", '[http]\ncredentials = "/etc/altd/credentials"\n'))
     technician.enter("systemctl start altd")
-    well = technician.enter("sleep 2; altd status").partition("\nok ")[2]
+    well = reports(technician).partition("\nok ")[2]
     assert "http 0.0.0.0:8080" in " ".join(well.split())
 
     technician.follow("Back up", MAINTAIN)
-    kept = "sha256sum /etc/altd/*; altd events --history /var/lib/altd/history.db | head -n 5"
-    before = technician.enter(kept)
-    technician.follow("Remove altd", MAINTAIN)
-    technician.enter("systemctl is-active altd", expected_status=3)
-    technician.enter("command -v altd || ls /etc/altd || ls /var/lib/altd || id altd", expected_status=1)
-
-    technician = Technician(machine)
-    technician.enter("rm -r altd-0.1.0")
-    technician.follow("2. ")
-    assert GOOD in technician.follow("Restore", MAINTAIN)
+    kept = "sha256sum /etc/altd/*; stat -c '%U %G %a' /etc/altd/*"
+    before, events = technician.enter(kept), starts(technician)
+    assert "stop it first" in technician.enter("altd restore unit.tar.gz", expected_status=2)
+    technician.enter("altd diagnose -o running.zip")
+    remove, purge = commands_of(MAINTAIN, "Remove altd")
+    technician.enter(remove)
+    technician.enter("! systemctl is-active altd")
     assert technician.enter(kept) == before
-    technician.edit(('"SIM-1"', '"SIM-2"'))
-    refused = technician.enter("altd check-config", expected_status=2)
-    assert "calibration.json: is for unit 'SIM-1', this is unit 'SIM-2'" in refused
+    technician.enter(purge)
+    places = "/etc/altd /var/lib/altd* /usr/lib/altd /usr/bin/altd"
+    assert technician.enter(f"ls -d {places} 2>/dev/null; true") == ""
+
+    with booted(base, folder / "second") as second:
+        for file in (*machine.root.glob("root/altd*"), machine.root / "root" / "unit.tar.gz"):
+            shutil.copy(file, second.root / "root")
+        technician = Technician(second)
+        technician.follow("2. ")
+        for line in commands_of(MAINTAIN, "Restore"):
+            if not line.endswith("selfcheck"):  # it has no cameras
+                technician.enter(line)
+        assert technician.enter(kept) == before
+        assert "unit         SIM-1" in reports(technician)
+        assert starts(technician)[: len(events)] == events
+        technician.edit(('"SIM-1"', '"SIM-2"'))
+        refused = technician.enter("altd check-config", expected_status=2)
+        assert "calibration.json: is for unit 'SIM-1', this is unit 'SIM-2'" in refused
+        technician.enter("systemctl stop altd")
+        refused = technician.enter("altd restore unit.tar.gz", expected_status=2)
+        assert "is of unit 'SIM-2', the backup is of 'SIM-1'" in refused
+
+
+def main_pid(technician: Technician, unit: str = "altd") -> str:
+    return technician.enter(f"systemctl show -P MainPID {unit}").strip()
+
+
+def starts(technician: Technician) -> list[str]:
+    return technician.enter("altd events --kind started --history /var/lib/altd/history.db").splitlines()
+
+
+def reports(technician: Technician, options: str = "") -> str:
+    """What the daemon says, once it has measured, or knows why not."""
+    deadline = time.monotonic() + 60
+    while "state  " not in (said := technician.enter(f"altd status {options}; true")):
+        assert time.monotonic() < deadline, said
+        time.sleep(0.5)
+    return said
 
 
 ELSEWHERE = {"clock", "camera front", "camera rear", "serial"}

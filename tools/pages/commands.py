@@ -36,12 +36,21 @@ PAGES = {
     "refraction": "refraction.md",
     "devices": "cameras.md",
     "doctor": "doctor.md",
+    "diagnose": "maintain.md",
+    "backup": "maintain.md",
+    "restore": "maintain.md",
     "demo": "simulator.md",
     "chain": "chain.md",
     "chain-demo": "chain.md",
 }
 """The page that explains a command."""
 
+EXIT_STATUS = {
+    "0": "good",
+    "1": "any other failure, also of standard output; see the command",
+    "2": "wrong arguments, or a file that cannot be used",
+    "128 + n": "ended by signal n: 130 after Ctrl-C",
+}
 _EXIT_1 = {
     "run": "a defect ended the daemon; a stop by a signal is 0",
     "record": "a camera or the lamps failed",
@@ -52,6 +61,7 @@ _EXIT_1 = {
     "status": "the measurement is not valid or not live, the state is worse than maintenance, or no answer",
     "watch": "the terminal was closed",
     "doctor": "something is wrong",
+    "backup": "a file is not in the archive; it is listed",
 }
 """Meaning of exit status 1 of a command, besides its meaning for all."""
 
@@ -64,6 +74,7 @@ def page() -> str:
         for name, (module, summary) in SIMULATOR_COMMANDS.items()
         if name not in _FOR_TESTS
     )
+    statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in EXIT_STATUS.items())
     further = "\n".join(f"- `{name}`: {SIMULATOR_COMMANDS[name][1]}" for name in _FOR_TESTS)
     return wrapped(f"""# Commands
 
@@ -77,10 +88,7 @@ messages to standard error. The commands of the serial console are in
 
 | exit status | meaning |
 |---|---|
-| 0 | good |
-| 1 | any other failure, also of standard output; see the command |
-| 2 | wrong arguments, or a file that cannot be used |
-| 128 + n | ended by signal n: 130 after Ctrl-C |
+{statuses}
 
 ## altd
 
@@ -109,6 +117,21 @@ class _Arguments(argparse.ArgumentParser):
     def add_mutually_exclusive_group(self, **_settings: Any) -> Any:
         """The page lists the arguments of a group as all others."""
         return self
+
+
+def arguments_of(module: Any) -> list[tuple[str, tuple[str, ...], tuple[str, ...], str]]:
+    """Of each argument of a command: title, names, choices and help."""
+    arguments = _Arguments()
+    module.add_arguments(arguments)
+    return [
+        (
+            _title(names, _values(names, settings)),
+            names,
+            tuple(map(str, settings.get("choices") or ())),
+            settings["help"],
+        )
+        for names, settings in arguments.added
+    ]
 
 
 def _command(name: str, program: str, summary: str, module: Any) -> str:

@@ -29,10 +29,8 @@ def page() -> str:
 
 This page describes the OPC UA server of the unit, `opc.tcp://UNIT:4840/altd`.
 
-It needs a table [`[opcua]`](config.md#opcua) and the extra `altd[opcua]`:
-
-    pip install 'altd[opcua]'
-
+It needs a table [`[opcua]`](config.md#opcua) and the extra `altd[opcua]`, which a package has that is made by
+`make deb EXTRAS=opcua` ([installation](install.md#make-a-release)).
 
 ## Nodes
 

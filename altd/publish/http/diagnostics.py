@@ -1,4 +1,4 @@
-"""All that a technician mails to an expert on the unit: one archive, made on request.
+"""All that a technician mails to an expert on the unit: one archive, made on request or by ``altd diagnose``.
 
 Each part is bounded in size and time; one that cannot be had is named in the archive and costs no other.
 """
@@ -19,6 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from altd.errors import one_line
+from altd.history.history import History
 from altd.history.reader import MAX_ROWS, Reader
 from altd.history.records import SummaryPoint
 from altd.history.schema import MINUTES
@@ -28,7 +29,7 @@ from altd.publish.http.past import Past, event_object
 from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
 from altd.publish.http.stream import time_of
 from altd.status.board import Board
-from altd.status.health import Health
+from altd.status.health import DiagnosticPart, Health
 from altd.status.measurement_json import as_object_now
 from altd.status.target_area import as_object
 
@@ -52,7 +53,7 @@ _SUMMARY_PARTS = {"": "mean", "sigma_": "sigma", "min_": "low", "max_": "high"}
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class Part:
     """A file of the archive; ``make`` gives its content."""
 
     name: str
@@ -81,58 +82,25 @@ class Diagnostics:
 
         async def made() -> Response:
             now = self._past.now() or _NO_TIME
-            content = await self.made(now)
-            name = f"altd-{self._health.facts.get('serial', 'unit')}-{now:%Y%m%dT%H%M%SZ}.zip"
-            return sent_whole(content, ZIP, saved_as(name))
+            serial = self._health.facts.get("serial", "")
+            content = await archive_of(self._parts(now), serial, now)
+            return sent_whole(content, ZIP, saved_as(archive_name(serial, now)))
 
         return Download(self._downloads, made)
 
-    async def made(self, now: datetime) -> bytes:
-        """The archive of this moment, ``now`` in UTC."""
-        files: dict[str, bytes] = {}
-        said: list[str] = []
-        missing: list[str] = []
-        for part in self._parts(now):
-            try:
-                async with asyncio.timeout(_PART_TIMEOUT_S):
-                    content = await part.make()
-            except TimeoutError:
-                missing.append(f"{part.name}: it took longer than {_PART_TIMEOUT_S:g} s")
-            except Exception as error:  # whatever a part's maker raises: it may cost this part only
-                missing.append(one_line(f"{part.name}: {str(error) or type(error).__name__}"))
-            else:
-                files[part.name] = _cut(content)
-                cut = f" (its first {MAX_PART_BYTES} bytes)" if len(content) > MAX_PART_BYTES else ""
-                said.append(f"{part.name}: {part.meaning}{cut}")
-        serial = one_line(self._health.facts.get("serial", ""))
-        files = {_README: _readme(serial, now, said, missing), **files}
-        return await asyncio.to_thread(_zipped, files, now)
-
-    def _parts(self, now: datetime) -> Iterator[_Part]:
-        end_us = round(now.timestamp()) * _US + _US
-        yield _of("status.json", "state of each part of the unit", lambda: _json(self._health.as_object()))
-        yield _of("measurement.json", "the latest measurement", self._measurement)
-        yield _of("self-check.json", "the last self-check", self._self_check)
+    def _parts(self, now: datetime) -> Iterator[Part]:
+        yield part_of(
+            "status.json", "state of each part of the unit", lambda: _json(self._health.as_object())
+        )
+        yield part_of("measurement.json", "the latest measurement", self._measurement)
+        yield part_of("self-check.json", "the last self-check", self._self_check)
         targets = "the targets, and where each is measured"
-        yield _of("targets.json", targets, lambda: _json(as_object(self._health.targets)))
+        yield part_of("targets.json", targets, lambda: _json(as_object(self._health.targets)))
         calibration = "content of the calibration"
-        yield _of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
-        yield _of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
-        events_from = end_us - _EVENT_DAYS * _DAY_S * _US
-        yield _Part(
-            "events.jsonl",
-            f"events of the last {_EVENT_DAYS} days, one per line, the newest first, at most "
-            f"{MAX_EVENT_PAGES * MAX_ROWS}",
-            lambda: self._past.history.ask(lambda reader: _events(reader, events_from, end_us)),
-        )
-        trend_from = end_us - _DAY_S * _US
-        yield _Part(
-            "trend.csv",
-            "the last day, a row a minute, its columns as `altd export` names them",
-            lambda: self._past.history.ask(lambda reader: _trend(reader, trend_from, end_us)),
-        )
-        for each in self._health.diagnostics:
-            yield _Part(each.name, each.meaning, partial(asyncio.to_thread, each.make))
+        yield part_of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
+        yield part_of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
+        yield from history_parts(self._past.history, now)
+        yield from map(further_part, self._health.diagnostics)
 
     def _measurement(self) -> bytes:
         measurement = self._board.read()
@@ -147,13 +115,62 @@ class Diagnostics:
         return _json(service.latest.document)
 
 
-def _of(name: str, meaning: str, make: Callable[[], bytes]) -> _Part:
+async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes:
+    """The archive of these parts of a unit; ``now`` is in UTC."""
+    files: dict[str, bytes] = {}
+    said: list[str] = []
+    missing: list[str] = []
+    for part in parts:
+        try:
+            async with asyncio.timeout(_PART_TIMEOUT_S):
+                content = await part.make()
+        except TimeoutError:
+            missing.append(f"{part.name}: it took longer than {_PART_TIMEOUT_S:g} s")
+        except Exception as error:  # whatever a part's maker raises: it may cost this part only
+            missing.append(one_line(f"{part.name}: {str(error) or type(error).__name__}"))
+        else:
+            files[part.name] = _cut(content)
+            cut = f" (its first {MAX_PART_BYTES} bytes)" if len(content) > MAX_PART_BYTES else ""
+            said.append(f"{part.name}: {part.meaning}{cut}")
+    files = {_README: _readme(one_line(serial), now, said, missing), **files}
+    return await asyncio.to_thread(_zipped, files, now)
+
+
+def archive_name(serial: str, now: datetime) -> str:
+    """The name of the archive of a unit; ``now`` is in UTC."""
+    return f"altd-{serial or 'unit'}-{now:%Y%m%dT%H%M%SZ}.zip"
+
+
+def history_parts(history: History, now: datetime) -> Iterator[Part]:
+    """The events and the trend before ``now``."""
+    end_us = round(now.timestamp()) * _US + _US
+    events_from = end_us - _EVENT_DAYS * _DAY_S * _US
+    yield Part(
+        "events.jsonl",
+        f"events of the last {_EVENT_DAYS} days, one per line, the newest first, at most "
+        f"{MAX_EVENT_PAGES * MAX_ROWS}",
+        lambda: history.ask(lambda reader: _events(reader, events_from, end_us)),
+    )
+    trend_from = end_us - _DAY_S * _US
+    yield Part(
+        "trend.csv",
+        "the last day, a row a minute, its columns as `altd export` names them",
+        lambda: history.ask(lambda reader: _trend(reader, trend_from, end_us)),
+    )
+
+
+def further_part(part: DiagnosticPart) -> Part:
+    """A part that is made in a thread."""
+    return Part(part.name, part.meaning, partial(asyncio.to_thread, part.make))
+
+
+def part_of(name: str, meaning: str, make: Callable[[], bytes]) -> Part:
     """A part that is there at once."""
 
     async def made() -> bytes:
         return make()
 
-    return _Part(name, meaning, made)
+    return Part(name, meaning, made)
 
 
 def _json(document: Mapping[str, object]) -> bytes:

@@ -13,6 +13,8 @@ from support.places import ROOT
 from support.played_unit import PlayedUnit
 from support.ports import free_port
 
+from altd.app.backup import back_up
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 FRAME = "altd.recording.reader:Recording.frame 5"
 EXPOSE = "hw_sim.unit:Unit.expose 5"
@@ -113,6 +115,9 @@ COMMANDS = {
     ),
     "events": Command("events --history {history}", "altd.history.reader:Reader.events_after 1"),
     "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
+    "backup": Command("backup --config {config} -o b.tar.gz", "altd.app.backup:_add 2"),
+    "restore": Command("restore {archive} --config altd.toml", "altd.app.restore:_stage 2"),
+    "diagnose": Command("diagnose --config {served} -o d.zip", "altd.app.diagnostics:_versions 1"),
     "check-config": Command("check-config {config}", "altd.config.loading:read_config 1"),
     "registers": Command("registers --format csv", "csv:DictWriter.writeheader 1"),
     "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
@@ -156,6 +161,9 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     lamps.write_text(unit.config.read_text() + '[lamps]\ndriver = "gpiod"\nchip = "none"\nlines = ["L"]\n')
     served = folder.parent / "served.toml"  # no daemon is there
     served.write_text(unit.config.read_text() + f'[http]\nhost = "127.0.0.1"\nport = {free_port()}\n')
+    archive = folder.parent / "unit.tar.gz"
+    if "{archive}" in line:
+        back_up(unit.config, archive)
     scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan", "check": folder.parent / "check"}
     files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config}
     files |= {
@@ -163,6 +171,7 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
         "cal_3": folder.parent / "cal-3.json",
         "lamps": lamps,
         "served": served,
+        "archive": archive,
     }
     return shlex.split(line.format(**scans, **files))
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -73,6 +74,13 @@ def test_its_numbers_as_json_are_those_of_http(unit: LocalDaemon) -> None:
     assert 0 <= measured["sequence"] - document["measurement"]["sequence"] < 200
     assert document["status"]["serial"] == "TEST-1"
     assert document["self_check"]["verdict"] is None
+
+
+def test_diagnostics_without_an_interface_are_those_of_the_daemon(unit: LocalDaemon, tmp_path: Path) -> None:
+    said = altd_here("diagnose", "--config", unit.config, "-o", tmp_path / "d.zip")
+    assert (said.status, said.err) == (0, "")
+    with zipfile.ZipFile(tmp_path / "d.zip") as archive:
+        assert {"status.json", "measurement.json", "metrics.txt", "settings.json"} <= set(archive.namelist())
 
 
 def test_the_socket_is_for_owner_and_group_and_goes_with_the_daemon(ended_unit: LocalDaemon) -> None:

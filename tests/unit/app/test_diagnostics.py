@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import platform
 import re
+import zipfile
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from support.history import batch, event, store
 from support.played_unit import PlayedUnit
 
 from altd import __version__
-from altd.app.diagnostics import diagnostic_parts
+from altd.app.diagnostics import diagnose, diagnostic_parts
 from altd.app.settings import load_settings
 from altd.config import Config
 
@@ -40,6 +44,40 @@ def test_the_settings_are_those_that_were_read_without_any_secret(config: Config
     assert settings["http"]["credentials"] == str(config.http and config.http.credentials)
     assert settings["http"]["port"] == 8080, "defaults are told, too"
     assert not any(SECRET.encode() in content for content in made.values())
+
+
+def content_of(archive: bytes) -> dict[str, str]:
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        return {name: opened.read(name).decode() for name in opened.namelist()}
+
+
+def test_a_stopped_unit_has_diagnostics_of_its_files(
+    config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    kept = store(tmp_path)
+    now_s = int(datetime.now(UTC).timestamp())
+    kept.write(batch(now_s - 60, (), [event(1, now_s - 60, text="the camera was unplugged")]))
+    kept.end(None)
+    name, archive, why = diagnose(tmp_path / "altd.toml")
+    files = content_of(archive)
+    assert re.fullmatch(r"altd-TEST-1-\d{8}T\d{6}Z\.zip", name)
+    assert "the daemon does not run" in why
+    assert why in files["daemon.txt"]
+    assert set(files) == {
+        *("README.txt", "daemon.txt", "settings.json", "versions.txt", "events.jsonl", "trend.csv"),
+    }
+    assert "the camera was unplugged" in files["events.jsonl"]
+    assert not any(SECRET in content for content in files.values())
+
+
+def test_settings_that_cannot_be_used_are_told_in_the_diagnostics(config: Config, tmp_path: Path) -> None:
+    (tmp_path / "altd.toml").write_text("[no_such_table]\n")
+    _, archive, why = diagnose(tmp_path / "altd.toml")
+    files = content_of(archive)
+    assert "no_such_table" in why
+    assert "no_such_table" in files["daemon.txt"]
+    assert "events.jsonl: " in files["README.txt"].partition("Not in it:")[2]
 
 
 def test_no_key_of_the_settings_holds_a_secret() -> None:

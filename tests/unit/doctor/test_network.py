@@ -249,9 +249,11 @@ class TestListening:
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
         tree.write("/etc/systemd/system/altd.service", "[Service]\nUser=altd")
         words = "the service may not listen on a port below 1024"
-        assert (
-            "CAP_NET_BIND" in says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words).remedy
-        )
+        found = says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words)
+        assert "ip_unprivileged_port_start=502" in found.remedy
+        tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 502)
+        assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
+        tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 1024)
         tree.write("/etc/systemd/system/altd.service", "[Service]\nAmbientCapabilities=CAP_NET_BIND_SERVICE")
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
 

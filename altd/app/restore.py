@@ -1,0 +1,211 @@
+"""``altd restore``: the files of a backup in their places, once all of them are known to be good."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import gzip
+import hashlib
+import io
+import os
+import pwd
+import re
+import shutil
+import socket
+import tarfile
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, BinaryIO, cast
+
+from altd.app.backup import INDEX, MAX_FILE_BYTES, MODE, Entry, Index, Places, check_index
+from altd.app.keeping import FILE_NAME, history_to_read
+from altd.app.parts import check_files
+from altd.app.settings import SERVICE_SOCKET, load_settings, service_name, socket_to_ask
+from altd.errors import BadInputError
+from altd.files.documents import parse_json, parse_toml
+from altd.files.reading import read_file
+from altd.files.writing import check_replaceable
+from altd.history.opening import WriteLock
+from altd.history.schema import UnusableFileError
+
+BEFORE_RESTORE = ".before-restore"
+_MAX_INDEX_BYTES = 1 << 20
+_MAX_HEADER_BYTES = 1 << 16
+"""From one file of an archive to the next: a header may announce any length."""
+_PIECE_BYTES = 1 << 20
+
+
+def restore(source: Path, settings: Path) -> str:
+    """Put the files of an archive in their places, ``settings`` for the settings; returns the unit's serial.
+
+    All of it is read and checked beside those places first: an archive that is refused changes nothing. What
+    is replaced is kept as ``….before-restore``. The settings come last. Raises BadInputError.
+    """
+    places = Places(settings)
+    with ExitStack() as stack:
+        _check_stopped(places, stack)
+        staged = Places(settings)
+        try:
+            index = _read(source, staged, places, stack)
+        except OSError as error:
+            raise BadInputError(error.filename or source, error.strerror or str(error)) from error
+        _check_content(index, staged, places, source)
+        members = sorted(index.files, key=lambda member: member == index.settings)
+        for member in members:
+            target = places.path(member)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            check_replaceable(target)
+        os.sync()
+        for member in members:
+            target = places.path(member)
+            for ending in ("-wal", "-shm", ""):  # a log that stayed would be written into another history
+                with suppress(FileNotFoundError):
+                    old = target.with_name(target.name + ending)
+                    old.replace(target.with_name(target.name + BEFORE_RESTORE + ending))
+            staged.path(member).replace(target)
+        os.sync()
+    return index.serial
+
+
+def _check_stopped(places: Places, stack: ExitStack) -> None:
+    """Refuse while a daemon runs: it has these files open; keep it from writing the history."""
+    try:
+        config = load_settings(places.settings)
+        place, history = socket_to_ask(config, places.settings), history_to_read(config, places.settings)
+    except BadInputError:  # none, or what the archive shall replace
+        place = Path("/run", service_name(places.settings), SERVICE_SOCKET.name)
+        history = places.folders["data"] / FILE_NAME
+    with socket.socket(socket.AF_UNIX) as trial, suppress(FileNotFoundError, ConnectionRefusedError):
+        trial.setblocking(False)  # one that hangs lets its queue fill up
+        with suppress(BlockingIOError):
+            trial.connect(str(place))
+        raise BadInputError(place, "a daemon runs: stop it first (systemctl stop altd)")
+    if not history.with_name(f"{history.name}.lock").exists():
+        return
+    try:
+        stack.callback(WriteLock(history).release)
+    except (UnusableFileError, OSError) as error:
+        raise BadInputError(history, f"{error}: stop it first (systemctl stop altd)") from error
+
+
+def _make_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        folder.mkdir(parents=True, mode=0o755)
+        if folder.parent == Path("/var/lib"):
+            with suppress(LookupError, PermissionError):
+                shutil.chown(folder, "altd", "altd")
+
+
+class _Limited(io.RawIOBase):
+    """A stream of which ``left`` more bytes may be read."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.left = _MAX_HEADER_BYTES
+
+    def read(self, size: int = -1) -> bytes:
+        if not 0 <= size <= self.left:
+            raise ValueError("a header is too long")
+        self.left -= size
+        return self._stream.read(size)
+
+
+def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Index:
+    """Write all files of an archive to their staged places; raises BadInputError, OSError."""
+    try:
+        with gzip.open(source) as unpacked:
+            stream = _Limited(cast("BinaryIO", unpacked))
+            with tarfile.open(fileobj=stream, mode="r|") as archive:
+                members = _regular(archive, stream)
+                name, size, content = next(members, ("", 0, io.BytesIO()))
+                if name != INDEX or size > _MAX_INDEX_BYTES:
+                    raise BadInputError(source, "is no backup of altd")
+                index = check_index(parse_json(content.read()), source)
+                _check_serial(index.serial, places.settings)
+                for folder in {member.partition("/")[0] for member in index.files}:
+                    _make_folder(places.folders[folder])
+                    work = TemporaryDirectory(dir=places.folders[folder], prefix=".restore-")
+                    staged.folders[folder] = Path(stack.enter_context(work))
+                size = sum(entry.size for entry in index.files.values())
+                if size > shutil.disk_usage(places.settings.parent).free:
+                    raise BadInputError(source, f"{size} bytes: {os.strerror(errno.ENOSPC)}")
+                missing = dict(index.files)
+                for name, size, content in members:
+                    entry = missing.pop(name, None)
+                    if entry is None or entry.size != size:
+                        raise ValueError(f"{name} is not the file of its index")
+                    _stage(staged.path(name), content, entry)
+    except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError, OverflowError) as error:
+        raise BadInputError(source, f"is damaged or no backup of altd: {error}") from error
+    if missing:
+        raise BadInputError(source, f"is damaged: it ends before {min(missing)}")
+    return index
+
+
+def _regular(archive: tarfile.TarFile, stream: _Limited) -> Iterator[tuple[str, int, BinaryIO]]:
+    """Name, size and content of each member, which must be a regular file."""
+    while (member := archive.next()) is not None:
+        content = archive.extractfile(member) if member.isreg() and not member.issparse() else None
+        if content is None:
+            raise ValueError(f"{member.name} is no regular file")
+        stream.left = member.size + _MAX_HEADER_BYTES
+        yield member.name, member.size, cast("BinaryIO", content)
+
+
+def _stage(path: Path, content: BinaryIO, entry: Entry) -> None:
+    digest = hashlib.sha256()
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o755)
+    with path.open("xb") as file:
+        os.fchmod(file.fileno(), entry.mode & MODE)
+        with suppress(LookupError, PermissionError):
+            os.fchown(file.fileno(), pwd.getpwnam(entry.user).pw_uid, grp.getgrnam(entry.group).gr_gid)
+        while piece := content.read(_PIECE_BYTES):
+            digest.update(piece)
+            file.write(piece)
+    if digest.hexdigest() != entry.sha256:
+        raise ValueError(f"the sum of {path.name} does not fit")
+
+
+def _check_serial(serial: str, settings: Path) -> None:
+    """Refuse to make one unit of another."""
+    if not os.path.lexists(settings):
+        return
+    try:
+        unit: Any = parse_toml(read_file(settings, MAX_FILE_BYTES)).get("unit")
+    except ValueError as error:
+        raise BadInputError(
+            settings, f"which unit this is cannot be read; move it away first: {error}"
+        ) from error
+    found = unit.get("serial") if isinstance(unit, dict) else None
+    if found != serial:
+        raise BadInputError(
+            settings, f"is of unit {found!r}, the backup is of {serial!r}; move it away first"
+        )
+
+
+def _check_content(index: Index, staged: Places, places: Places, source: Path) -> None:
+    """Refuse settings, a calibration or credentials that the daemon could not use."""
+    text = staged.path(index.settings).read_bytes()
+    trial = staged.path(index.settings).with_name(".trial.toml")
+    for name, folder in places.folders.items():
+        text = text.replace(f"{folder}/".encode(), f"{staged.folders[name]}/".encode())
+    trial.write_bytes(text)
+    try:
+        config = load_settings(trial)
+        _, errors = check_files(config)
+        if config.unit.serial != index.serial:
+            errors = [BadInputError(trial, f"unit.serial: the backup is of {index.serial!r}")]
+        if errors:
+            raise errors[0]
+    except BadInputError as error:
+        said = re.sub(
+            r"\.restore-[^/]*/(\.trial\.toml)?",
+            lambda found: index.settings.split("/")[-1] * bool(found[1]),
+            str(error),
+        )
+        raise BadInputError(source, said) from error
+    if places.path(index.settings) != places.settings:
+        raise BadInputError(places.settings, f"the settings of the backup are {places.path(index.settings)}")

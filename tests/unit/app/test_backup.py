@@ -1,0 +1,288 @@
+"""A backup of a unit whose daemon writes; its restoration; damaged, forged and foreign archives."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import random
+import shutil
+import socket
+import tarfile
+from collections.abc import Callable, Mapping
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+from support.history import START_S, event, store, write_seconds
+from support.history import batch as batch_of
+from support.played_unit import PlayedUnit
+from support.unit_toml import write_config
+
+from altd.app.backup import back_up
+from altd.app.restore import BEFORE_RESTORE, restore
+from altd.credentials.file import change
+from altd.credentials.hashes import PasswordHash
+from altd.errors import BadInputError
+from altd.files.documents import checksum_of
+from altd.history.opening import WriteLock
+from altd.history.reader import Reader
+from altd.history.schema import MINUTES
+from altd.status.proof import unit_number
+
+Members = list[tuple[tarfile.TarInfo, bytes]]
+CHECKS = f"self-checks-{unit_number('TEST-1'):08X}.json"
+
+
+@pytest.fixture
+def settings(played_unit: PlayedUnit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Of a unit with credentials, self-checks and a minute of history."""
+    etc, data = tmp_path / "etc", tmp_path / "data"
+    etc.mkdir()
+    data.mkdir()
+    monkeypatch.setenv("STATE_DIRECTORY", str(data))
+    shutil.copy(played_unit.calibration, etc / "cal.json")
+    change(etc / "credentials", "ana", lambda known: known.with_password("ana", PasswordHash.of("a" * 12)))
+    (etc / "credentials").chmod(0o640)
+    (data / CHECKS).write_text("{}")
+    more = f'[http]\ncredentials = "{etc}/credentials"\n[local]\nsocket = "{tmp_path}/altd.sock"\n'
+    kept = store(data)
+    write_seconds(kept, START_S, [1.0] * 60, rate=2)
+    kept.end(None)
+    return write_config(etc / "altd.toml", Path("cal.json"), played_unit.beams, more)
+
+
+@pytest.fixture
+def archive(settings: Path, tmp_path: Path) -> Path:
+    """The backup of that unit."""
+    assert back_up(settings, tmp_path / "unit.tar.gz") == []
+    return tmp_path / "unit.tar.gz"
+
+
+def state(settings: Path) -> Mapping[str, tuple[bytes, int]]:
+    """Content and mode of every file of the unit."""
+    folders = settings.parent, settings.parent.parent / "data"
+    return {
+        str(path): (path.read_bytes(), path.stat().st_mode)
+        for folder in folders
+        for path in folder.rglob("*")
+        if path.is_file() and not path.name.endswith((".lock", "-wal", "-shm"))
+    }
+
+
+def test_a_lost_unit_is_as_it_was(settings: Path, archive: Path) -> None:
+    before = state(settings)
+    shutil.rmtree(settings.parent)
+    shutil.rmtree(settings.parent.parent / "data")
+    assert restore(archive, settings) == "TEST-1"
+    after = state(settings)
+    assert {Path(name).name for name in after} == {
+        "altd.toml",
+        "cal.json",
+        "credentials",
+        CHECKS,
+        "history.db",
+    }
+    history = str(settings.parent.parent / "data" / "history.db")
+    assert {name: after[name] for name in after if name != history} == {
+        name: before[name] for name in before if name != history
+    }
+    with Reader(Path(history)) as reader:
+        assert sum(point.n for point in reader.summaries(MINUTES, 0, 2**62)) == 120
+    assert archive.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_history_that_is_written_is_copied_as_it_is_at_one_moment(settings: Path, tmp_path: Path) -> None:
+    data = settings.parent.parent / "data"
+    writing = store(data)
+    writing.write(batch_of(START_S + 100, (), [event(7, START_S + 100, text="in the log beside the file")]))
+    back_up(settings, tmp_path / "unit.tar.gz")
+    writing.write(batch_of(START_S + 101, (), [event(8, START_S + 101, text="later")]))
+    writing.end(None)
+    restore(tmp_path / "unit.tar.gz", settings)
+    with Reader(data / "history.db") as reader:
+        texts = [each.text for each in reader.events(0, 2**62)]
+    assert "in the log beside the file" in texts
+    assert "later" not in texts
+    with Reader(data / f"history.db{BEFORE_RESTORE}") as reader:
+        assert "later" in [each.text for each in reader.events(0, 2**62)]
+
+
+def test_a_file_elsewhere_is_named_and_not_in_it(settings: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "cal.json"
+    (settings.parent / "cal.json").rename(outside)
+    settings.write_text(settings.read_text().replace('"cal.json"', f'"{outside}"'))
+    (line,) = back_up(settings, tmp_path / "unit.tar.gz")
+    assert line.startswith(f"{outside}: not in the backup")
+
+
+def refused(archive: Path, settings: Path) -> str:
+    """Why an archive is refused; nothing may have changed."""
+    before = state(settings)
+    with pytest.raises(BadInputError) as caught:
+        restore(archive, settings)
+    assert state(settings) == before
+    assert len(caught.value.lines) == 1
+    return str(caught.value)
+
+
+def test_every_damage_is_seen(settings: Path, archive: Path, tmp_path: Path) -> None:
+    whole, good = archive.read_bytes(), state(settings)
+    chance = random.Random(1)
+    damaged = [whole[: round(part * len(whole))] for part in (0, 0.001, 0.1, 0.5, 0.9, 0.999)]
+    for _ in range(60):
+        at = chance.randrange(len(whole))
+        damaged.append(whole[:at] + bytes([whole[at] ^ 1 << chance.randrange(8)]) + whole[at + 1 :])
+    seen = 0
+    for content in damaged:
+        (tmp_path / "damaged").write_bytes(content)
+        try:
+            restore(tmp_path / "damaged", settings)
+        except BadInputError:
+            seen += 1
+            assert state(settings) == good
+        else:  # in the time or the name that gzip's header has, which nothing reads
+            assert gzip.decompress(content) == gzip.decompress(whole)
+            good = state(settings)
+    assert seen > 60
+
+
+def rewritten(archive: Path, edit: Callable[[Members], Members]) -> Path:
+    with tarfile.open(archive) as read:
+        members = [(each, (read.extractfile(each) or io.BytesIO()).read()) for each in read]
+    with tarfile.open(archive, "w:gz", format=tarfile.PAX_FORMAT) as written:
+        for member, content in edit(members):
+            written.addfile(member, io.BytesIO(content))
+    return archive
+
+
+def with_index(members: Members, change_index: Callable[[dict[str, object]], object]) -> Members:
+    """An index that an attacker has changed, with its checksum."""
+    index = json.loads(members[0][1])
+    del index["checksum"]
+    change_index(index)
+    index["checksum"] = checksum_of(index)
+    content = json.dumps(index).encode()
+    members[0][0].size = len(content)
+    return [(members[0][0], content), *members[1:]]
+
+
+def with_file(members: Members, name: str, content: bytes) -> Members:
+    """A file that an attacker has changed, with its sums."""
+    changed = [(member, content if member.name == name else old) for member, old in members]
+    for member, new in changed:
+        member.size = len(new)
+
+    def enter(index: dict[str, object]) -> None:
+        files = index["files"]
+        assert isinstance(files, dict)
+        files[name] |= {"size": len(content), "sha256": sha256(content).hexdigest()}
+
+    return with_index(changed, enter)
+
+
+def of_kind(kind: bytes) -> Callable[[Members], Members]:
+    def edit(members: Members) -> Members:
+        for member, _ in members[1:2]:
+            member.type, member.linkname, member.size = kind, "/etc/passwd", 0
+        return members
+
+    return edit
+
+
+def renamed(name: str) -> Callable[[Members], Members]:
+    """A file with such a name, listed like all others."""
+
+    def edit(members: Members) -> Members:
+        old, members[1][0].name = members[1][0].name, name
+
+        def enter(index: dict[str, object]) -> None:
+            files = index["files"]
+            assert isinstance(files, dict)
+            files[name] = files.pop(old)
+
+        return with_index(members, enter)
+
+    return edit
+
+
+def long_header(members: Members) -> Members:
+    members[1][0].pax_headers = {"comment": "x" * (1 << 20)}
+    return members
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        of_kind(tarfile.SYMTYPE),
+        of_kind(tarfile.LNKTYPE),
+        of_kind(tarfile.CHRTYPE),
+        of_kind(tarfile.BLKTYPE),
+        of_kind(tarfile.FIFOTYPE),
+        of_kind(tarfile.DIRTYPE),
+        renamed("settings/../../evil"),
+        renamed("/etc/evil"),
+        renamed("data/.hidden"),
+        renamed("elsewhere/evil"),
+        long_header,
+        lambda members: members[1:],
+        lambda members: [*members, members[-1]],
+        lambda members: members[:-1],
+        lambda members: with_index(members, lambda index: index.update(format="altd-backup/2")),
+        lambda members: with_index(members, lambda index: index.update(format=7)),
+        lambda members: with_index(members, lambda index: index.update(settings="settings/none")),
+        lambda members: with_index(members, lambda index: index.update(more=1)),
+        lambda members: with_index(members, lambda index: index.update(serial="TEST-2")),
+        lambda members: with_file(members, "settings/altd.toml", b"[unit]\nserial = 'TEST-1'\n"),
+        lambda members: with_file(members, "settings/cal.json", b"{}"),
+        lambda members: with_file(members, "settings/credentials", b"no credentials"),
+    ],
+)
+def test_a_forged_archive_changes_nothing(
+    edit: Callable[[Members], Members], settings: Path, archive: Path, tmp_path: Path
+) -> None:
+    outside = set(tmp_path.iterdir())
+    why = refused(rewritten(archive, edit), settings)
+    assert str(tmp_path / "etc" / ".restore") not in why
+    assert set(tmp_path.iterdir()) == outside
+
+
+def test_an_archive_of_another_kind_is_named(settings: Path, tmp_path: Path) -> None:
+    with tarfile.open(tmp_path / "other.tar.gz", "w:gz") as other:
+        other.add(settings, "altd.toml")
+    assert "no backup of altd" in refused(tmp_path / "other.tar.gz", settings)
+    (tmp_path / "other.zip").write_bytes(b"PK\x03\x04")
+    assert "no backup of altd" in refused(tmp_path / "other.zip", settings)
+
+
+@pytest.mark.parametrize("now", ["TEST-2", "TEST-1\n["])
+def test_a_unit_does_not_become_another_one(now: str, settings: Path, archive: Path) -> None:
+    settings.write_text(settings.read_text().replace("TEST-1", now))
+    assert "move it away first" in refused(archive, settings)
+
+
+def test_faulty_settings_of_the_same_unit_are_replaced(settings: Path, archive: Path) -> None:
+    good = settings.read_text()
+    settings.write_text(f"{good}\n[no_such_table]\n")
+    restore(archive, settings)
+    assert settings.read_text() == good
+
+
+def test_no_file_gets_more_rights_than_a_unit_needs(settings: Path, archive: Path) -> None:
+    def enter(index: dict[str, object]) -> None:
+        files = index["files"]
+        assert isinstance(files, dict)
+        files["settings/cal.json"]["mode"] = 0o104777
+
+    restore(rewritten(archive, lambda members: with_index(members, enter)), settings)
+    assert (settings.parent / "cal.json").stat().st_mode == 0o100664
+
+
+def test_it_waits_for_no_running_daemon(settings: Path, archive: Path, tmp_path: Path) -> None:
+    lock = WriteLock(tmp_path / "data" / "history.db")
+    assert "stop it first" in refused(archive, settings)
+    lock.release()
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "altd.sock"))
+        listener.listen()  # of a daemon that hangs
+        assert "stop it first" in refused(archive, settings)
