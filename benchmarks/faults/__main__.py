@@ -1,4 +1,4 @@
-"""``python -m benchmarks.faults`` (``make faults``): faults into the whole daemon, all it publishes judged."""
+"""``python -m benchmarks.faults`` (``make faults``): the whole daemon, disturbed; all it shows, judged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from altd.errors import BadInputError
 from benchmarks.campaign.clips import SimulatedRig, rig_of
-from benchmarks.faults import tables
+from benchmarks.faults import real, tables
 from benchmarks.faults.catalogue import FAULTS, Fault, chosen
 from benchmarks.faults.episode import drawn, run_episode
 from benchmarks.faults.tables import Run
@@ -30,11 +30,14 @@ _PAIRS = 5
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, print the table; 1 when a detectable fault let a wrong value be shown, or no reason, or lasted."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
-    parser.add_argument("--runs", type=int, default=40, help="so many (default 40)")
+    parser.add_argument("--runs", type=int, default=40, help="on the set clock (default 40)")
+    parser.add_argument("--real", type=int, default=0, help="of each fault of a process, in real time (0)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", metavar="NAME,...", help="faults or groups; --list shows them")
     parser.add_argument("--units", default=",".join(UNITS), metavar="NAME,...", help="units of the campaign")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="keep each run there; continues the file")
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="keep the runs in a file, or continue it"
+    )
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")
     parser.add_argument("--list", action="store_true", help="show the faults and end")
     options = parser.parse_args(arguments)
@@ -50,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         took_s = time.monotonic() - began_s
         print("\n".join(tables.text(runs)))
         if options.page is not None:
-            command = f"python -m benchmarks.faults --runs {options.runs} --seed {options.seed}"
+            command = f"python -m benchmarks.faults --runs {options.runs} --real {options.real}"
+            command += f" --seed {options.seed}" + f" --only {options.only}" * bool(options.only)
             tables.write_page(options.page, runs, command)
     except BadInputError as error:
         print(f"faults: {error}", file=sys.stderr)
@@ -72,16 +76,20 @@ def _runs(options: argparse.Namespace) -> Iterator[Run]:
             parts.enter_context(broker(places.mqtt_port))
         else:
             del places.tables["mqtt"]
-        for number in range(options.runs):
+        wanted = [*range(options.runs), *range(-options.real * len(real.FAULTS), 0)]
+        for count, number in enumerate(wanted, start=1):
             run = known.get(number)
             if run is None:
-                run = _run(number, options.seed, faults, units, rigs, places)
+                if number < 0:
+                    name = tuple(real.FAULTS)[number % len(real.FAULTS)]
+                    run = Run(number, "in real time", (name,), "", "", False, real.run_real(name))
+                else:
+                    run = _run(number, options.seed, faults, units, rigs, places)
                 if options.results is not None:
                     with options.results.open("a") as file:
                         file.write(run.as_json() + "\n")
-            show(f"{number + 1} of {options.runs} runs: {', '.join(run.names)}")
+            show(f"{count} of {len(wanted)} runs: {', '.join(run.names)}" if count < len(wanted) else "")
             yield run
-        show("")
 
 
 def _run(

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
+from unittest import mock
 
+from altd.acquisition.frame_pairs import FramePairs
 from altd.app.daemon import Daemon
 from altd.config import Measuring
+from altd.measuring.pairing import Pair
 from altd.ports import CameraError, CameraLostError, CameraNotFoundError, CameraTimeoutError, Stop
-from altd.records import CameraIdentity, Frame, Origin
+from altd.records import CameraIdentity, Frame, Measurement, Origin
 from benchmarks.campaign.clips import SimulatedRig
 from benchmarks.campaign.timed import SteppedClock
 from benchmarks.campaign.way import CAMERAS
@@ -124,14 +126,13 @@ class EpisodeCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveUnit:
-    """The daemon, its cameras and its clock. ``wires`` are the places of its interfaces."""
+    """The daemon's cameras and its clock. ``wires`` are the places of its interfaces."""
 
-    daemon: Daemon
     clock: LiveClock
     cameras: dict[str, EpisodeCamera]
     wires: Interfaces
     socket: Path
-    _sets: list[int]
+    _is_done: Callable[[], bool]
 
     async def deliver(self, frame: Frame) -> None:
         """Hand over a frame and wait until the daemon has done all that it does with it."""
@@ -147,11 +148,12 @@ class LiveUnit:
         give_up_s = time.monotonic() + _PATIENCE_S
         quiet = 0
         while quiet < 2:
-            waits = [camera.is_open and (camera.frames or camera.is_unplugged) for camera in self.cameras.values()]
-            is_quiet = self.clock.is_held(len(CAMERAS)) and not any(waits)
-            quiet = quiet + 1 if is_quiet and self._sets[0] == self._sets[1] else 0
+            is_quiet = self.clock.is_held(len(CAMERAS)) and not any(
+                camera.is_open and (camera.frames or camera.is_unplugged) for camera in self.cameras.values()
+            )
+            quiet = quiet + 1 if is_quiet and self._is_done() else 0
             if time.monotonic() > give_up_s:
-                raise TimeoutError(f"the daemon does not come to rest: {self._sets}")
+                raise TimeoutError("the daemon does not come to rest")
             await asyncio.sleep(0 if quiet else _POLL_S)
         await self.clock.settle()
 
@@ -160,48 +162,62 @@ class LiveUnit:
 async def live_unit(
     rig: SimulatedRig,
     wires: Interfaces,
-    folder: Path,
     telegram: Path,
     now_ns: int,
     pair_by: Literal["sequence", "time"],
 ) -> AsyncIterator[LiveUnit]:
     """A daemon with default settings that serves on ``wires``; it measures when this yields."""
-    clock, socket = LiveClock(now_ns), folder / "altd.sock"
+    clock, socket = LiveClock(now_ns), telegram.with_name("altd.sock")
     port, *lines = wires.tables["serial"]
     tables = {**wires.tables, "serial": [{**port, "device": telegram}, *lines]}
     config = make_config(**tables, measuring=Measuring(pair_by=pair_by), local={"socket": socket})
     cameras = {name: EpisodeCamera(name, clock) for name in CAMERAS}
     daemon = Daemon(config, rig.calibration, cameras, clock=clock, rehearsal=True)
-    sets = _counted(daemon)
-    task = asyncio.create_task(daemon.run(), name="daemon")
-    try:
-        async with asyncio.timeout(_PATIENCE_S):
-            while not clock.is_held(len(CAMERAS)) and not task.done():
-                await asyncio.sleep(0.001)
-        if task.done():
-            task.result()
-        yield LiveUnit(daemon, clock, cameras, wires, socket, sets)
-    finally:
-        clock.end()
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+    with _watched(daemon) as is_done:
+        task = asyncio.create_task(daemon.run(), name="daemon")
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                while not clock.is_held(len(CAMERAS)) and not task.done():  # noqa: ASYNC110  of threads
+                    await asyncio.sleep(0.001)
+            if task.done():
+                task.result()
+            yield LiveUnit(clock, cameras, wires, socket, is_done)
+        finally:
+            clock.end()
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
 
 
-def _counted(daemon: Daemon) -> list[int]:
-    """Frame sets that were paired, and those that were measured; updated as the daemon works."""
-    sets = [0, 0]
-    pair, add = daemon.chain.pairer.add, daemon.chain.add
+class _WatchedPairs(FramePairs):
+    """The daemon's frame pairs, which tell how many were taken to be located."""
 
-    def pair_and_count(*frame):  # type: ignore[no-untyped-def]
-        pairs = pair(*frame)
-        sets[0] += len(pairs)
+    made: ClassVar[_WatchedPairs]
+    taken = 0
+
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
+        _WatchedPairs.made = self
+
+    def take(self) -> list[Pair[Frame]]:
+        """As the daemon takes them."""
+        pairs = super().take()
+        self.taken += len(pairs)
         return pairs
 
-    def add_and_count(located):  # type: ignore[no-untyped-def]
-        sets[1] += 1
+
+@contextlib.contextmanager
+def _watched(daemon: Daemon) -> Iterator[Callable[[], bool]]:
+    """Whether every frame set that waits was taken, located and measured.
+
+    Nothing that a daemon shows tells that: its frame pairs and its chain are watched.
+    """
+    measured, add = [0], daemon.chain.add
+
+    def add_and_count(located: Pair[Any]) -> Measurement | None:
+        measured[0] += 1
         return add(located)
 
-    daemon.chain.pairer.add = pair_and_count
-    daemon.chain.add = add_and_count
-    return sets
+    pairs = f"{Daemon.__module__}.FramePairs"
+    with mock.patch.object(daemon.chain, "add", add_and_count), mock.patch(pairs, _WatchedPairs):
+        yield lambda: _WatchedPairs.made.is_empty and _WatchedPairs.made.taken == measured[0]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import os
 import socket
 import struct
-from collections.abc import AsyncIterator, Awaitable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, date, datetime
 from pathlib import Path
 
 import aiomqtt
@@ -25,70 +26,84 @@ from benchmarks.wire_errors.polled import raw_terminal
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 DAY = date(2026, 11, 20)
 """Of every run, which lasts less: a telegram has a time and no date."""
-_TIMEOUT_S = 5.0
 _ORIGINS = ("rehearsal", "simulated", "calibration_simulated")
 """Warnings that every measurement of this suite has: no reason why one is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What an interface shows: the numbers (None: it shows none), as of ``utc``, and why there are none."""
+    """What an interface shows: the numbers (None: it shows none), as of ``utc``, and why there are none.
+
+    ``contradicts``: it is marked invalid and has a number, or valid and lacks one. ``frames`` were averaged.
+    """
 
     wire: str
-    values: FloatArray | None
-    sigma: FloatArray | None
-    utc: datetime | None
-    reasons: tuple[str, ...]
+    values: FloatArray | None = None
+    sigma: FloatArray | None = None
+    utc: datetime | None = None
+    reasons: tuple[str, ...] = ()
     frames: int = 0
-    """Exposures averaged."""
     age_s: float | None = None
     contradicts: bool = False
-    """It is marked invalid and has numbers, or valid and lacks one."""
+
+    @classmethod
+    def of(  # noqa: PLR0913  as it is shown
+        cls,
+        wire: str,
+        valid: bool,
+        numbers: Sequence[float | None],
+        sigmas: Sequence[float | None],
+        utc: datetime | None,
+        reasons: Iterable[str],
+        frames: int,
+        age_s: float | None = None,
+    ) -> Published:
+        """Numbers count whatever ``valid`` says; an unknown sigma is as good as none."""
+        known = {number is not None for number in numbers}
+        return cls(
+            wire,
+            np.array(numbers, np.float64) if known == {True} else None,
+            np.array([sigma or np.nan for sigma in sigmas], np.float64) if known == {True} else None,
+            utc,
+            tuple(reason for reason in reasons if reason not in _ORIGINS),
+            frames,
+            age_s,
+            contradicts=known != {valid},
+        )
 
 
-def of_json(wire: str, text: bytes | str) -> Published:
-    """A measurement of HTTP, the local socket or MQTT. Any number counts, whatever ``valid`` says."""
+def of_json(wire: str, text: bytes) -> Published:
+    """A measurement of HTTP, the local socket or MQTT (``docs/http.md``)."""
     told = json.loads(text)
-    numbers = [told.get(key) for key in KEYS]
-    has_all = None not in numbers
-    sigma = told.get("sigma") or {}
-    utc = told.get("time")
-    return Published(
-        wire,
-        np.array(numbers, np.float64) if has_all else None,
-        np.array([sigma.get(key) or np.nan for key in KEYS]) if has_all else None,
-        None if utc is None else datetime.fromisoformat(utc),
-        _reasons(told["status"]),
-        told["frames"],
-        None if wire == "mqtt" else told["age_s"],  # it may wait for its broker while the clock is set
-        contradicts=len({bool(told["valid"]), has_all, any(n is not None for n in numbers)}) > 1,
+    numbers, sigmas = ([of.get(key) for key in KEYS] for of in (told, told["sigma"]))
+    utc = None if told["time"] is None else datetime.fromisoformat(told["time"])
+    return Published.of(
+        wire, told["valid"], numbers, sigmas, utc, told["status"], told["frames"], told["age_s"]
     )
-
-
-def _reasons(status: Iterable[str]) -> tuple[str, ...]:
-    return tuple(reason for reason in status if reason not in _ORIGINS)
 
 
 def of_registers(registers: bytes) -> Published:
     """The header and the values of a Modbus answer from address 0 (``docs/modbus.md``)."""
-    status, *_ = struct.unpack_from(">H", registers)
-    reasons = struct.unpack_from(">3H", registers, 4)
+    status, *reasons = struct.unpack_from(">H2x3H", registers)
     age_ms, frames = struct.unpack_from(">HH", registers, 12)
     utc_s, utc_ms = struct.unpack_from(">IH", registers, 20)
-    values = np.array(struct.unpack_from(">4f", registers, 40), np.float64)
-    sigma = np.array(struct.unpack_from(">4f", registers, 68), np.float64)
-    known = np.isfinite(values)
-    is_known = utc_s != 0xFFFF_FFFF
-    return Published(
-        "modbus",
-        values if known.all() else None,
-        sigma if known.all() else None,
-        datetime.fromtimestamp(utc_s, UTC) + timedelta(milliseconds=utc_ms) if is_known else None,
-        tuple(str(reason) for reason in reasons if reason),
-        frames,
-        None if age_ms == 0xFFFF else age_ms * 1e-3,
-        contradicts=len({bool(status & 1), bool(known.all()), bool(known.any())}) > 1,
+    utc = None if utc_s == 0xFFFF_FFFF else datetime.fromtimestamp(utc_s + utc_ms * 1e-3, UTC)
+    numbers, sigmas = (
+        [value if math.isfinite(value) else None for value in struct.unpack_from(">4f", registers, at)]
+        for at in (40, 68)
     )
+    codes = [f"reason {reason}" for reason in reasons if reason]
+    age_s = None if age_ms == 0xFFFF else age_ms * 1e-3
+    return Published.of("modbus", bool(status & 1), numbers, sigmas, utc, codes, frames, age_s)
+
+
+def of_telegram(reading: Reading) -> Published:
+    """A telegram, of any mode; one that the reader refuses counts as none."""
+    numbers, sigmas = ([getattr(reading, before + key) for key in KEYS] for before in ("", "sigma_"))
+    utc = None if reading.time is None else datetime.combine(DAY, reading.time, UTC)
+    valid = reading.mode != "V" and not reading.fault
+    reasons = [*reading.reasons, *([reading.fault] if reading.fault else [])]
+    return Published.of("telegram", valid, numbers, sigmas, utc, reasons, reading.frames or 0)
 
 
 class TelegramLine:
@@ -138,21 +153,7 @@ class TelegramLine:
         data = b""
         with contextlib.suppress(BlockingIOError):
             data = os.read(self.line, 65536)
-        return [self._published(reading) for reading in self._reader.feed(data)]
-
-    def _published(self, reading: Reading) -> Published:
-        numbers = [getattr(reading, key) for key in KEYS]
-        has_all = None not in numbers
-        utc = None if reading.time is None else datetime.combine(DAY, reading.time, UTC)
-        return Published(
-            "telegram",
-            np.array(numbers, np.float64) if has_all else None,
-            np.array([getattr(reading, f"sigma_{key}") or np.nan for key in KEYS]) if has_all else None,
-            utc,
-            _reasons(reading.reasons) or ((reading.fault,) if reading.fault else ()),
-            reading.frames or 0,
-            contradicts=len({reading.mode != "V" and not reading.fault, has_all, any(n is not None for n in numbers)}) > 1,
-        )
+        return [of_telegram(reading) for reading in self._reader.feed(data)]
 
 
 Link = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -164,8 +165,11 @@ class Wires:
     HTTP answers once on a connection, Modbus keeps it.
     """
 
-    def __init__(self, places: Interfaces, telegram: TelegramLine, socket: Path) -> None:
+    def __init__(
+        self, places: Interfaces, telegram: TelegramLine, socket: Path, within_s: float = 5.0
+    ) -> None:
         self.telegram = telegram
+        self._within_s = within_s
         self.came: list[Published] = []
         self._places = places
         self._socket = socket
@@ -180,7 +184,7 @@ class Wires:
     def reset(self) -> None:
         """Reset every connection; the next request makes it anew."""
         for link in (self._modbus, self._beside):
-            if link is not None:
+            if link is not None and not link[1].transport.is_closing():
                 end = link[1].get_extra_info("socket")
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                 link[1].transport.abort()
@@ -188,14 +192,23 @@ class Wires:
 
     async def read(self) -> list[Published]:
         """Ask HTTP, the local socket and Modbus; take what telegram and MQTT have sent."""
-        async with asyncio.timeout(_TIMEOUT_S):
-            shown = await asyncio.gather(
-                _get("http", asyncio.open_connection(HOST, self._places.http_port)),
-                _get("local", asyncio.open_unix_connection(self._socket)),
-                self._poll(),
-            )
+        asked = (
+            _get("http", asyncio.open_connection(HOST, self._places.http_port)),
+            _get("local", asyncio.open_unix_connection(self._socket)),
+            self._poll(),
+        )
+        shown = [answer for ask in asked if (answer := await self._answered(ask)) is not None]
         came, self.came = self.came, []
         return [*shown, *self.telegram.read(), *came]
+
+    async def _answered(self, ask: Awaitable[Published]) -> Published | None:
+        """An answer; None, and a new connection: there is none, or none in time."""
+        try:
+            async with asyncio.timeout(self._within_s):
+                return await ask
+        except (OSError, TimeoutError, asyncio.IncompleteReadError):
+            self.reset()
+            return None
 
     async def _poll(self) -> Published:
         if self._modbus is None:
@@ -211,7 +224,7 @@ class Wires:
             self._beside = await asyncio.open_connection(HOST, self._places.modbus_port)
         reader, writer = self._beside
         writer.write(READ * copies)
-        async with asyncio.timeout(_TIMEOUT_S):
+        async with asyncio.timeout(self._within_s):
             answers = await reader.readexactly(ANSWER_BYTES * copies)
         self.came += [
             of_registers(answers[at + 9 : at + ANSWER_BYTES]) for at in range(0, len(answers), ANSWER_BYTES)
@@ -242,7 +255,7 @@ async def _get(wire: str, connecting: Awaitable[Link]) -> Published:
     finally:
         writer.close()
     if head.startswith(b"HTTP/1.1 503"):  # before the first measurement
-        return Published(wire, None, None, None, ("unavailable",))
+        return Published(wire, reasons=("unavailable",))
     if not head.startswith(b"HTTP/1.1 200"):
         raise ConnectionError(head.decode())
     return of_json(wire, body)
