@@ -167,7 +167,8 @@ class _Film:
             at_ns = np.linspace(now_ns - MAX_AGE_S * 1e9, now_ns, 240)
             errors = np.abs(self._places(self._path, at_ns) - one.values)
             return np.asarray(errors[(errors / LIMITS).max(axis=1).argmin()])
-        return np.abs(self._places(self._truth, exposures_ns(t_ns, one.frames)).mean(axis=0) - one.values)
+        truth = self._places(self._truth, exposures_ns(t_ns, one.frames)).mean(axis=0)
+        return np.asarray(np.abs(truth - one.values))
 
     def _places(self, path: FloatArray, at_ns: FloatArray) -> FloatArray:
         times_ns = START_NS + PERIOD_NS * np.arange(self.length)
@@ -177,7 +178,7 @@ class _Film:
 def _window_means(truth: FloatArray) -> FloatArray:
     """The path of the window's mean about each exposure: without the vibration, as far as it averages."""
     padded = np.pad(truth, ((WINDOW // 2, WINDOW - WINDOW // 2 - 1), (0, 0)), mode="edge")
-    return np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0).mean(axis=-1)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0).mean(axis=-1))
 
 
 def run_episode(

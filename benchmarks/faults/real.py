@@ -156,7 +156,7 @@ async def _watched(unit: _Process, wires: Wires, name: str) -> Result:
         assert one.values is not None  # noqa: S101  the judge has asked
         poses = [truth.truth(round(at_ns)) for at_ns in exposures_ns(t_ns, one.frames)]
         places = [(pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg) for pose in poses]
-        return np.abs(np.mean(places, axis=0) - one.values)
+        return np.asarray(np.abs(np.mean(places, axis=0) - one.values))
 
     async def read(judge: Judge, seconds: float, until_back: bool = False) -> None:
         end_s = time.monotonic() + seconds

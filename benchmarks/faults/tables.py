@@ -51,9 +51,9 @@ class Run:
     def of_json(cls, line: str) -> Run:
         """The output of ``as_json``."""
         told = json.loads(line)
-        result = told.pop("result")
-        counted = {key: Counter(result.pop(key)) for key in ("judged", "reasons")}
-        return cls(**{**told, "names": tuple(told["names"])}, result=Result(**counted, **result))
+        result = Result(**told["result"])
+        result.judged, result.reasons = Counter(result.judged), Counter(result.reasons)
+        return cls(**{**told, "names": tuple(told["names"]), "result": result})
 
 
 def failures(run: Run) -> list[str]:

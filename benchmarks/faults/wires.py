@@ -264,7 +264,7 @@ async def _get(wire: str, connecting: Awaitable[Link]) -> Published:
 async def _listen(client: aiomqtt.Client, wires: Wires) -> None:
     async for message in client.messages:
         if message.payload:
-            wires.came.append(of_json("mqtt", bytes(message.payload)))  # type: ignore[arg-type]
+            wires.came.append(of_json("mqtt", bytes(message.payload)))
 
 
 async def _end(task: asyncio.Task[None]) -> None:

@@ -204,6 +204,6 @@ def lamp_flicker(draw: Draw) -> Spoil:
 
     def light(scene: Scene, since: int) -> Scene:
         now = 1.0 + depth * math.sin(2.0 * math.pi * turns * since)
-        return scene.veiled(np.float32(level * FULL_WELL_E * now))
+        return scene.veiled(level * FULL_WELL_E * now)
 
     return Spoil(f"{level:.0%} of full scale, {depth:.0%} deep", light=light, varies=True)
