@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from altd.measuring.freshness import FreshnessCheck
 from altd.records import FloatArray
 from benchmarks.faults import __main__ as faults
 from benchmarks.faults.judging import Judge, Result
@@ -97,12 +99,19 @@ def test_reason_and_recovery_count_when_all_polled_wires_agree() -> None:
 NAMES = "laser_off,camera_unplugged,port_flood,clock_set"
 
 
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A place for the unit's scan and calibration."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ALTD_CAMPAIGN_CACHE", str(tmp_path_factory.mktemp("campaign")))
+        yield
+
+
 @pytest.mark.timeout(1200)
 def test_the_daemon_shows_reasons_and_no_wrong_value_and_a_run_repeats_by_its_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    units: None, tmp_path: Path
 ) -> None:
-    """A scan, its calibration, and eight runs: a minute."""
-    monkeypatch.setenv("ALTD_CAMPAIGN_CACHE", str(tmp_path))
+    """Eight runs: half a minute, and as much for a scan and its calibration."""
     results = [tmp_path / "first", tmp_path / "again"]
     for file in results:
         command = ["--runs", "4", "--seed", "7", "--only", NAMES, "--units", "plain", "--results", str(file)]
@@ -122,6 +131,15 @@ def test_the_daemon_shows_reasons_and_no_wrong_value_and_a_run_repeats_by_its_se
     assert all(run.result.reason_s is not None and run.result.reason_s <= 1.0 for run in blind)
     assert all(run.result.valid > 50 and run.result.back_s <= 3.0 for run in first)
     assert "|clock_set|" in (tmp_path / "page.md").read_text()
+
+
+@pytest.mark.timeout(1200)
+def test_a_daemon_that_takes_a_frozen_picture_for_a_new_one_fails(
+    units: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(FreshnessCheck, "repeated", lambda self, frame: "")
+    assert faults.main(["--runs", "1", "--seed", "1", "--only", "frozen", "--units", "plain"]) == 1
+    assert " wrong of " in capsys.readouterr().out
 
 
 def test_an_unknown_fault_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
