@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from datetime import timedelta
 from pathlib import Path
 
@@ -127,11 +128,10 @@ async def test_a_disk_that_hangs_holds_a_check_for_a_moment_and_its_history_is_n
     await unit.run((0.0, FIRST))
     kept = unit.path.read_bytes()
     monkeypatch.setattr(memory_of, "_DISK_TIMEOUT_S", 0.05)
-    reader, writer = os.pipe()  # reading hangs until the pipe is written to
-    real = memory_of.read_file
+    answers, real = threading.Event(), memory_of.read_file
 
     def hanging(path: Path, largest_bytes: int) -> bytes:
-        os.read(reader, 1)
+        answers.wait()
         return real(path, largest_bytes)
 
     monkeypatch.setattr(memory_of, "read_file", hanging)
@@ -143,7 +143,7 @@ async def test_a_disk_that_hangs_holds_a_check_for_a_moment_and_its_history_is_n
         await memory.save()
     assert unit.path.read_bytes() == kept
     assert warnings == ["self-check history: not read: the disk does not answer within 2 s"]
-    os.write(writer, b"..")
+    answers.set()
     while unit.days() == 1:
         await memory.add(check(0.0), tomorrow)
         await memory.save()
