@@ -33,7 +33,7 @@ BEFORE, BACK = 22, 80
 """Exposures before the onset, and within which the unit must be back."""
 _STEADY_NS = 250 * MS
 _SHORTEST, _LONGEST = 20, 40
-"""Exposures of a fault that does not end by itself."""
+"""Exposures of a fault without an end of its own."""
 _TRANSFER_NS = 5 * MS
 _READ_AFTER_NS = 25 * MS
 _START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)

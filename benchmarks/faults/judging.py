@@ -29,7 +29,7 @@ POLLED = ("http", "local", "modbus")
 
 @dataclass(slots=True)
 class Result:
-    """What one run showed. Errors are the largest of values that were shown, in mm, ° and sigmas."""
+    """The sums of one run. Errors are the largest of values that were shown, in mm, ° and sigmas."""
 
     judged: Counter[str] = field(default_factory=Counter)
     """By wire."""

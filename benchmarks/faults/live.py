@@ -120,7 +120,7 @@ class EpisodeCamera:
         raise CameraError("not settable")
 
     def close(self) -> None:
-        """What arrives until it is opened again is lost."""
+        """Lose all that arrives until it is opened again."""
         self.is_open = False
 
 

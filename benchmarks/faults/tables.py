@@ -57,7 +57,7 @@ class Run:
 
 
 def failures(run: Run) -> list[str]:
-    """What the unit did wrong in a run whose faults can be detected, in words."""
+    """The failures of the unit in a run whose faults can be detected, in words."""
     result, found = run.result, []
     if run.undetectable:
         return []
@@ -150,7 +150,7 @@ This page states what the interfaces of a disturbed unit show, and how soon the 
 Command: `{command}`.
 
 Each run starts the daemon with default settings and simulated cameras, disturbs it after 22 exposures, and
-ends the fault after 1 to 2 s, or when it ends by itself. HTTP, the local socket and Modbus TCP are asked at
+ends the fault after 1 to 2 s, or at an end of its own. HTTP, the local socket and Modbus TCP are asked at
 each exposure. The telegram (every 0.1 s, through a pseudo terminal) and MQTT (every measurement, through
 Mosquitto) are read as they come. Every answer is compared with the truth at its own time. The daemon's clock
 is set, so that a run takes less than real time; threads, sockets and terminals are real. Faults of the

@@ -32,7 +32,7 @@ _ORIGINS = ("rehearsal", "simulated", "calibration_simulated")
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What an interface shows: the numbers (None: it shows none), as of ``utc``, and why there are none.
+    """The content of one answer or message: numbers as of ``utc``, or why there are none.
 
     ``contradicts``: it is marked invalid and has a number, or valid and lacks one. ``frames`` were averaged.
     """
@@ -117,7 +117,7 @@ class TelegramLine:
 
     @property
     def line(self) -> int:
-        """The far end, for who disturbs it; -1: it is unplugged."""
+        """The far end; -1: it is unplugged."""
         return self._ends[0]
 
     def plug(self) -> None:
@@ -147,7 +147,7 @@ class TelegramLine:
         self._reader, self.is_read = Reader(), True
 
     def read(self) -> list[Published]:
-        """What has come."""
+        """The telegrams that have come."""
         if not self.is_read or self.line < 0:
             return []
         data = b""
@@ -182,7 +182,7 @@ class Wires:
         return [line for line in (self.telegram.line, *self._places.rtu) if line >= 0]
 
     def reset(self) -> None:
-        """Reset every connection; the next request makes it anew."""
+        """Reset every connection; the next request makes a new one."""
         for link in (self._modbus, self._beside):
             if link is not None and not link[1].transport.is_closing():
                 end = link[1].get_extra_info("socket")

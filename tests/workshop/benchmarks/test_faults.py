@@ -38,7 +38,7 @@ def shown(wire: str, message: dict[str, Any]) -> Published:
 
 
 def judged(message: dict[str, Any], wire: str = "http") -> Result:
-    """What is made of one message at 10 s; the truth is 1 in every quantity."""
+    """The judgement of one message at 10 s; the truth is 1 in every quantity."""
 
     def error_of(one: Published, t_ns: float, now_ns: int) -> FloatArray:
         assert one.values is not None
