@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -17,6 +17,7 @@ BROWSERS ?= emulated
 LOAD_S ?= 600
 PAGE_S ?= 3600
 CAMPAIGN_S ?= 180
+FAULT_RUNS ?= 120
 FUZZ_S ?= 600
 HOSTILE ?= 100000
 SPRAY_S ?= 600
@@ -166,6 +167,10 @@ bench-wires: venv ## errors on every wire and what a reader finds of them: docs/
 
 campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=36000 for ten hours
 	@exec $(python) -m benchmarks.campaign --seconds $(CAMPAIGN_S)
+
+faults: venv ## faults into the whole daemon, all interfaces judged by truth; FAULT_RUNS=1000 for half an hour
+	@.ci/programs may mosquitto
+	exec $(python) -m benchmarks.faults --runs $(FAULT_RUNS) --real 1
 
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m studies -o docs/studies

@@ -187,3 +187,23 @@ def other_laser(draw: Draw) -> Spoil:
         return scene.beam_plus(other)
 
     return Spoil(f"{share:.0%}, {far_mm:.0f} mm aside", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def laser_off(draw: Draw) -> Spoil:
+    """The laser is off or blocked; ambient light stays."""
+    cameras = draw.targets()
+    words = " and ".join(sorted(cameras))
+    return Spoil(words, light=lambda scene, since: scene.without_laser(), cameras=cameras, no_beam=True)
+
+
+@WAYS.add()
+def lamp_flicker(draw: Draw) -> Spoil:
+    """Ambient light that beats with the exposures, as of lamps on the mains."""
+    level, depth, turns = draw.log(0.01, 0.4), draw.uniform(0.2, 1.0), draw.uniform(0.0, 0.5)
+
+    def light(scene: Scene, since: int) -> Scene:
+        now = 1.0 + depth * math.sin(2.0 * math.pi * turns * since)
+        return scene.veiled(level * FULL_WELL_E * now)
+
+    return Spoil(f"{level:.0%} of full scale, {depth:.0%} deep", light=light, varies=True)

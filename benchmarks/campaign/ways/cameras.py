@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -64,18 +66,39 @@ def upside_down(draw: Draw) -> Spoil:
     return _turned_over(draw, -1, "half a turn")
 
 
+def _mapped(pixels: PixelArray, matrix: np.ndarray, bits: int) -> PixelArray:
+    """A picture, moved by an affine map."""
+    rows, columns = pixels.shape
+    warped = cv2.warpAffine(
+        pixels, matrix, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return grey(np.minimum(warped, (1 << bits) - 1), pixels)
+
+
 def _moved(draw: Draw, note: str, matrix: np.ndarray) -> Spoil:
     """The picture of some cameras, moved by an affine map."""
-
-    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        rows, columns = pixels.shape
-        warped = cv2.warpAffine(
-            pixels, matrix, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-        )
-        return grey(np.minimum(warped, (1 << bits) - 1), pixels)
-
     cameras = draw.targets()
-    return Spoil(note, pixels=change, cameras=cameras, undetectable=on_a_plate(cameras))
+    return Spoil(
+        note,
+        pixels=lambda pixels, before, bits: _mapped(pixels, matrix, bits),
+        cameras=cameras,
+        undetectable=on_a_plate(cameras),
+    )
+
+
+def _moving(draw: Draw, note: str, matrix_of: Callable[[int], np.ndarray]) -> Spoil:
+    """The picture of some cameras, moved by another map at each exposure since the onset."""
+    cameras = draw.targets()
+
+    def stream(shots: list[Shot], onset: int) -> list[Shot]:
+        return [
+            replace(shot, pixels=_mapped(shot.pixels, matrix_of(shot.k - onset), shot.bits))
+            if shot.k >= onset and shot.camera in cameras
+            else shot
+            for shot in shots
+        ]
+
+    return Spoil(note, stream=stream, cameras=cameras, undetectable=on_a_plate(cameras))
 
 
 def _shifted(draw: Draw, by_px: int) -> Spoil:
@@ -148,3 +171,36 @@ def tilted(draw: Draw) -> Spoil:
 
     cameras = draw.one()
     return Spoil(f"by {lean:.3f}", pixels=change, cameras=cameras, undetectable=on_a_plate(cameras))
+
+
+@WAYS.add()
+def slow_drift(draw: Draw) -> Spoil:
+    """A camera's mount gives way: its picture creeps by 0.3 to 3 px a second."""
+    px, angle = draw.log(0.3, 3.0) / 20, draw.angle()
+    right, down = px * math.cos(angle), px * math.sin(angle)
+    return _moving(
+        draw, f"{20 * px:.1f} px a second", lambda n: np.array([[1, 0, right * n], [0, 1, down * n]])
+    )
+
+
+@WAYS.add()
+def thermal_growth(draw: Draw) -> Spoil:
+    """Lens and mount warm up: the picture grows or shrinks by 0.01 to 0.3 % a second."""
+    rate = draw.sign() * draw.log(0.0001, 0.003) / 20
+    return _moving(
+        draw,
+        f"{20 * rate:+.2%} a second",
+        lambda n: cv2.getRotationMatrix2D((375.5, 239.5), 0.0, 1.0 + rate * n),
+    )
+
+
+@WAYS.add()
+def target_loose(draw: Draw) -> Spoil:
+    """A loose target or camera rattles: the picture is elsewhere at each exposure, by 0.5 to 8 px."""
+    px, seed = draw.log(0.5, 8.0), draw.seed()
+
+    def matrix_of(n: int) -> np.ndarray:
+        right, down = np.random.default_rng([seed, n]).normal(0.0, px, 2)
+        return np.array([[1, 0, right], [0, 1, down]])
+
+    return _moving(draw, f"by {px:.1f} px", matrix_of)

@@ -1,0 +1,121 @@
+"""``python -m benchmarks.faults`` (``make faults``): the whole daemon, disturbed; all it shows, judged."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from altd.errors import BadInputError
+from benchmarks.campaign.clips import SimulatedRig, rig_of
+from benchmarks.faults import real, tables
+from benchmarks.faults.catalogue import FAULTS, Fault, chosen
+from benchmarks.faults.episode import drawn, run_episode
+from benchmarks.faults.tables import Run
+from benchmarks.interfaces import BROKER, Interfaces, broker, interfaces
+from benchmarks.progress import show
+
+UNITS = ("flat", "plain", "bits-12", "shaking", "ellipse", "dusty")
+_PAIRS = 5
+"""Of so many runs one has two faults at once."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run, print the table; 1 when a detectable fault let a wrong value be shown, or no reason, or lasted."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
+    parser.add_argument("--runs", type=int, default=40, help="on the set clock (default 40)")
+    parser.add_argument("--real", type=int, default=0, help="of each fault of a process, in real time (0)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", metavar="NAME,...", help="faults or groups; --list shows them")
+    parser.add_argument("--units", default=",".join(UNITS), metavar="NAME,...", help="units of the campaign")
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="keep the runs in a file, or continue it"
+    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")
+    parser.add_argument("--list", action="store_true", help="show the faults and end")
+    options = parser.parse_args(arguments)
+    if options.list:
+        for fault in FAULTS.values():
+            print(f"{fault.group:<9} {fault.name:<22} {fault.summary}")
+        return 0
+    logging.getLogger("altd").setLevel(logging.CRITICAL)
+    cv2.setNumThreads(1)
+    try:
+        began_s = time.monotonic()
+        runs = list(_runs(options))
+        took_s = time.monotonic() - began_s
+        print("\n".join(tables.text(runs)))
+        if options.page is not None:
+            command = f"python -m benchmarks.faults --runs {options.runs} --real {options.real}"
+            command += f" --seed {options.seed}" + f" --only {options.only}" * bool(options.only)
+            tables.write_page(options.page, runs, command)
+    except BadInputError as error:
+        print(f"faults: {error}", file=sys.stderr)
+        return 2
+    print(f"{len(runs)} runs, seed {options.seed}, {took_s:.0f} s")
+    return 1 if any(tables.failures(run) for run in runs) else 0
+
+
+def _runs(options: argparse.Namespace) -> Iterator[Run]:
+    """All runs in order; those of an earlier call come from the file of results."""
+    faults, units = chosen(options.only), options.units.split(",")
+    known = {}
+    if options.results is not None and options.results.exists():
+        known = {run.number: run for run in map(Run.of_json, options.results.read_text().splitlines())}
+    rigs: dict[str, SimulatedRig] = {}
+    with interfaces(1) as places, contextlib.ExitStack() as parts:
+        del places.tables["opcua"]
+        if BROKER:
+            parts.enter_context(broker(places.mqtt_port))
+        else:
+            del places.tables["mqtt"]
+        wanted = [*range(options.runs), *range(-options.real * len(real.FAULTS), 0)]
+        for count, number in enumerate(wanted, start=1):
+            run = known.get(number)
+            if run is None:
+                if number < 0:
+                    name = tuple(real.FAULTS)[number % len(real.FAULTS)]
+                    run = Run(number, "in real time", (name,), "", "", False, real.run_real(name))
+                else:
+                    run = _run(number, options.seed, faults, units, rigs, places)
+                if options.results is not None:
+                    with options.results.open("a") as file:
+                        file.write(run.as_json() + "\n")
+            show(f"{count} of {len(wanted)} runs: {', '.join(run.names)}" if count < len(wanted) else "")
+            yield run
+
+
+def _run(
+    number: int,
+    seed: int,
+    faults: Sequence[Fault],
+    units: Sequence[str],
+    rigs: dict[str, SimulatedRig],
+    places: Interfaces,
+) -> Run:
+    """One run from a seed of its own; faults come in turn, a second one is drawn."""
+    rng = np.random.default_rng([seed, number])
+    unit = units[int(rng.integers(len(units)))]
+    if unit not in rigs:
+        rig = rig_of(unit)
+        if not isinstance(rig, SimulatedRig):
+            raise BadInputError("--units", f"{unit} is not simulated")
+        rigs[unit] = rig
+    together = [faults[number % len(faults)]]
+    if number % _PAIRS == _PAIRS - 1 and len(faults) > 1:
+        others = [fault for fault in faults if fault is not together[0]]
+        together.append(others[int(rng.integers(len(others)))])
+    made = drawn(together, rigs[unit], rng)
+    result = run_episode(rigs[unit], made, rng, places, bool(BROKER))
+    return Run(number, unit, made.names, made.note, made.undetectable, made.is_blind, result)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,238 @@
+"""One run: undisturbed exposures, disturbed ones, undisturbed ones, through the daemon and onto its wires."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from altd.devices.aravis.device_clock import DeviceClock
+from altd.records import FloatArray, Frame
+from benchmarks.campaign.clips import SimulatedClip, SimulatedRig
+from benchmarks.campaign.detectability import Subject
+from benchmarks.campaign.scene import Scene
+from benchmarks.campaign.timed import START_NS
+from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
+from benchmarks.campaign.ways.times import MS, PERIOD_NS, Delivery, Mistimed
+from benchmarks.faults.catalogue import Act, Fault
+from benchmarks.faults.judging import LIMITS, MAX_AGE_S, WINDOW, Judge, Result, exposures_ns
+from benchmarks.faults.live import live_unit
+from benchmarks.faults.wires import Published, TelegramLine, wires_of
+from benchmarks.interfaces import Interfaces
+from hw_sim.beam import BeamPose
+from hw_sim.measure import random_poses
+
+BEFORE, BACK = 22, 80
+"""Exposures before the onset, and within which the unit must be back."""
+_STEADY_NS = 250 * MS
+_SHORTEST, _LONGEST = 20, 40
+"""Exposures of a fault without an end of its own."""
+_TRANSFER_NS = 5 * MS
+_READ_AFTER_NS = 25 * MS
+_START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A run's faults with their parameters: at most what the three kinds of them need."""
+
+    names: tuple[str, ...]
+    note: str
+    spoil: Spoil
+    times: tuple[Mistimed, ...]
+    acts: tuple[Act, ...]
+    is_moving: bool
+    is_blind: bool
+    undetectable: str
+
+
+def drawn(faults: Sequence[Fault], rig: SimulatedRig, rng: np.random.Generator) -> Drawn:
+    """Draw the parameters of one fault, or of two at once."""
+    spoil, times, notes, hidden = Spoil(""), [], [], ""
+    for fault in faults:
+        if fault.way is None:
+            continue
+        made = fault.way.make(Draw(rng))
+        hidden = hidden or fault.way.invisible
+        if isinstance(made, Mistimed):
+            times.append(made)
+            notes.append(f"{made.note} (by {made.pair_by})")
+        elif isinstance(made, Spoil):
+            notes.append(made.note)
+            spoil = made if not spoil.note else both(spoil, made)
+            hidden = hidden or made.undetectable(Subject.of(rig.spec))
+    ways = [fault.way for fault in faults if fault.way is not None]
+    moving = bool(times) or any(way.moving for way in ways) or rng.random() < 0.2
+    return Drawn(
+        names=tuple(fault.name for fault in faults),
+        note="; ".join(notes),
+        spoil=spoil,
+        times=tuple(times),
+        acts=tuple(fault.act for fault in faults if fault.act is not None),
+        is_moving=moving,
+        is_blind=spoil.no_beam or any(fault.is_blind for fault in faults),
+        undetectable=hidden,
+    )
+
+
+class _Film:
+    """The frames of one run, and when they arrive; the beam's truth."""
+
+    def __init__(self, rig: SimulatedRig, faults: Drawn, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self.bits = rig.bits
+        self._clocks = {camera: DeviceClock() for camera in CAMERAS}
+        self._own_clock = any(one.own_clock for one in faults.times)
+        self.faults = faults
+        own_end_ns = [one.end_ns for one in faults.times if one.end_ns is not None]
+        lasts = math.ceil(max(own_end_ns) / PERIOD_NS) if own_end_ns else 0
+        if not own_end_ns or len(faults.names) > 1:
+            lasts = max(lasts, int(rng.integers(_SHORTEST, _LONGEST + 1)))
+        self.end = BEFORE + max(lasts, 1)
+        self.length = self.end + BACK + 40
+        self.clip = self._clip(rig)
+        self._truth = np.array([self.clip.truth(k) for k in range(self.length)])
+        self._path = _window_means(self._truth)
+        self.onset_ns = START_NS + BEFORE * PERIOD_NS
+        shots, deliveries = self._shots(), self._deliveries(range(self.end))
+        for one in faults.times:
+            deliveries = one.change(deliveries, self.onset_ns)
+        self.pixels = {(shot.camera, shot.k): shot.pixels for shot in shots}
+        last_ns = max((one.arrives_ns for one in deliveries), default=0)
+        self.end_ns = max(START_NS + self.end * PERIOD_NS, last_ns - _TRANSFER_NS)
+        self.arrivals = sorted(
+            [*deliveries, *self._deliveries(range(self.end, self.length))], key=lambda one: one.arrives_ns
+        )
+        self.held_ns = max((one.held_ns for one in faults.times), default=0)
+
+    def _clip(self, rig: SimulatedRig) -> SimulatedClip:
+        rng = self._rng
+        if not self.faults.is_moving and not rig.spec.drives:
+            (pose,) = random_poses(1, rig.spec.config.target_distance_mm, rng)
+            return SimulatedClip(rig, pose, np.zeros(4), 0, self.length, rng)
+        x, y = rng.uniform(-15, 15, 2)
+        speed = rng.uniform(-1, 1, 4) * (4.0, 4.0, 0.006, 0.006) * min(1.0, 100 / self.length)
+        return SimulatedClip(rig, BeamPose(float(x), float(y)), speed, 0, self.length, rng)
+
+    def _shots(self) -> list[Shot]:
+        """The frames up to the end of the fault, disturbed."""
+        spoil, shots = self.faults.spoil, list[Shot]()
+        lit: dict[str, Scene] = {}
+        for k in range(self.end):
+            for camera in CAMERAS:
+                scene = self.clip.scene(camera, k)
+                if spoil.light is not None and k >= BEFORE and camera in spoil.cameras:
+                    if camera not in lit or not self.clip.still or spoil.varies:
+                        lit[camera] = spoil.light(scene, k - BEFORE)
+                    scene = lit[camera]
+                shots.append(Shot(camera, k, k, 0, self.clip.snap(scene, k, self._rng), self.bits))
+        spoil_pixels(spoil, shots, BEFORE)
+        return shots if spoil.stream is None else spoil.stream(shots, BEFORE)
+
+    @staticmethod
+    def _deliveries(exposures: range) -> list[Delivery]:
+        return [
+            Delivery(camera, t_ns, 100_000 + k, t_ns, t_ns + _TRANSFER_NS)
+            for k in exposures
+            for camera in CAMERAS
+            for t_ns in (START_NS + k * PERIOD_NS,)
+        ]
+
+    def frame(self, one: Delivery) -> Frame | None:
+        """A frame as its driver hands it over; None: the driver gives it no time."""
+        k = (one.true_ns - START_NS) // PERIOD_NS
+        pixels = self.pixels.get((one.camera, k))
+        if pixels is None:
+            pixels = self.clip.snap(self.clip.scene(one.camera, k), k, self._rng)
+        pixels.flags.writeable = False
+        t_ns = self._clocks[one.camera].host_ns(one.t_ns, one.arrives_ns) if self._own_clock else one.t_ns
+        return None if t_ns is None else Frame(one.camera, one.sequence, t_ns, pixels, self.bits)
+
+    def error_of(self, one: Published, t_ns: float, now_ns: int) -> FloatArray:
+        """The error of a value at ``t_ns``, shown at ``now_ns``: x and y in mm, yaw and pitch in °.
+
+        Where the fault is one of times, the value may be of any time of which a reader may be shown one.
+        """
+        assert one.values is not None  # noqa: S101  the judge has asked
+        if self.faults.spoil.no_beam and self.onset_ns <= t_ns + PERIOD_NS / 2 < self.end_ns:
+            return np.full(4, np.inf)
+        if self.faults.times:
+            at_ns = np.linspace(now_ns - MAX_AGE_S * 1e9, now_ns, 240)
+            errors = np.abs(self._places(self._path, at_ns) - one.values)
+            return np.asarray(errors[(errors / LIMITS).max(axis=1).argmin()])
+        truth = self._places(self._truth, exposures_ns(t_ns, one.frames)).mean(axis=0)
+        return np.asarray(np.abs(truth - one.values))
+
+    def _places(self, path: FloatArray, at_ns: FloatArray) -> FloatArray:
+        times_ns = START_NS + PERIOD_NS * np.arange(self.length)
+        return np.stack([np.interp(at_ns, times_ns, column) for column in path.T], axis=1)
+
+
+def _window_means(truth: FloatArray) -> FloatArray:
+    """The path of the window's mean about each exposure: without the vibration, as far as it averages."""
+    padded = np.pad(truth, ((WINDOW // 2, WINDOW - WINDOW // 2 - 1), (0, 0)), mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0).mean(axis=-1))
+
+
+def run_episode(
+    rig: SimulatedRig, faults: Drawn, rng: np.random.Generator, places: Interfaces, has_broker: bool
+) -> Result:
+    """Run a daemon through the faults and judge all that its interfaces show."""
+    film = _Film(rig, faults, rng)
+    with (
+        tempfile.TemporaryDirectory(prefix="altd-faults-") as folder,
+        contextlib.closing(TelegramLine(Path(folder, "ttyUSB0"))) as telegram,
+    ):
+        return asyncio.run(_run(rig, film, rng, places, telegram, has_broker))
+
+
+async def _run(
+    rig: SimulatedRig,
+    film: _Film,
+    rng: np.random.Generator,
+    places: Interfaces,
+    telegram: TelegramLine,
+    has_broker: bool,
+) -> Result:
+    pair_by = film.faults.times[0].pair_by if film.faults.times else "time"
+    judge = Judge(film.error_of, film.onset_ns, film.end_ns, film.held_ns)
+    async with (
+        live_unit(rig, places, telegram.device, START_NS, pair_by) as unit,
+        wires_of(places, telegram, unit.socket, has_broker) as wires,
+    ):
+        waiting = list(reversed(film.arrivals))
+        acts = [act(unit, wires, Draw(rng)) for act in film.faults.acts]
+        for k in range(film.length):
+            now_ns = START_NS + k * PERIOD_NS + _READ_AFTER_NS
+            since_ns = now_ns - film.onset_ns
+            if 0 < since_ns < film.held_ns:
+                continue
+            is_held = film.held_ns > 0 and 0 <= since_ns - film.held_ns < PERIOD_NS
+            while waiting and waiting[-1].arrives_ns <= now_ns:
+                one = waiting.pop()
+                await unit.clock.set(one.arrives_ns, at_one_blow=is_held)
+                await unit.settle()
+                if (frame := film.frame(one)) is not None:
+                    await unit.deliver(frame)
+            await unit.clock.set(now_ns, at_one_blow=is_held)
+            await unit.settle()
+            if now_ns >= film.end_ns:
+                for act in acts:
+                    await act.aclose()
+                acts = []
+            elif now_ns >= film.onset_ns:
+                for act in acts:
+                    await anext(act)
+            shown = await wires.read()
+            judge.take(shown, now_ns, _START + unit.clock.utc_step)
+            is_back = judge.back_ns is not None and now_ns - judge.back_ns > _STEADY_NS
+            if is_back or now_ns - film.end_ns > BACK * PERIOD_NS:
+                break
+    return judge.result

@@ -1,0 +1,180 @@
+"""Faults that need a real process and real time: the daemon of ``hw_sim demo``, on the machine's clock."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from altd.calibration.file import save_calibration
+from altd.errors import BadInputError
+from altd.records import FloatArray
+from benchmarks.campaign.units import calibrated
+from benchmarks.faults.judging import Judge, Result, exposures_ns
+from benchmarks.faults.wires import Published, TelegramLine, Wires
+from benchmarks.interfaces import Interfaces
+from benchmarks.live.parts import Running, running
+from hw_sim.gige.command import make_unit
+from hw_sim.ports import free_port
+
+UNIT, _SEED = "plain", 1
+_BEFORE_S, _LASTS_S, _STEADY_S = 1.0, 3.0, 0.5
+_START_S, _BACK_S = 60.0, 15.0
+_READ_INTERVAL_S = 0.05
+_ANSWER_S = 0.5
+"""A controller that waits longer for an answer uses no number of it."""
+_SLICE_S, _SHARE = 0.1, 0.25
+"""A control group with a quarter of a processor runs so of each tenth of a second."""
+
+
+@dataclass(slots=True)
+class _Process:
+    """The daemon's process, to be started again, and its folder, a small disk where that is possible."""
+
+    command: list[str]
+    folder: Path
+    life: contextlib.ExitStack
+    running: Running
+
+    @classmethod
+    def started(cls, command: list[str], folder: Path, life: contextlib.ExitStack) -> _Process:
+        return cls(command, folder, life, life.enter_context(running(command, folder.with_suffix(".log"))))
+
+    @property
+    def is_alive(self) -> bool:
+        return self.running.process.poll() is None
+
+    def start_again(self) -> None:
+        self.running.process.wait()
+        self.running = _Process.started(self.command, self.folder, self.life).running
+
+
+@contextlib.contextmanager
+def kill_9(unit: _Process) -> Iterator[None]:
+    """The process is killed (SIGKILL), and started again after three seconds."""
+    unit.running.send(signal.SIGKILL)
+    yield
+    unit.start_again()
+
+
+@contextlib.contextmanager
+def stopped(unit: _Process) -> Iterator[None]:
+    """The process is stopped (SIGSTOP) for three seconds, and continued."""
+    unit.running.send(signal.SIGSTOP)
+    yield
+    unit.running.send(signal.SIGCONT)
+
+
+@contextlib.contextmanager
+def memory(unit: _Process) -> Iterator[None]:
+    """The process gets no more memory; one that ends for it is started again."""
+    pid = unit.running.process.pid
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
+    unlimited = resource.prlimit(pid, resource.RLIMIT_AS)
+    resource.prlimit(pid, resource.RLIMIT_AS, (pages * resource.getpagesize(), unlimited[1]))
+    yield
+    if unit.is_alive:
+        resource.prlimit(pid, resource.RLIMIT_AS, unlimited)
+    else:
+        unit.start_again()
+
+
+@contextlib.contextmanager
+def disk_full(unit: _Process) -> Iterator[None]:
+    """The disk of history and recordings is full, and then is not."""
+    if not unit.folder.is_mount():
+        raise BadInputError("disk_full", "only root can mount a small disk")
+    filler = unit.folder / "filler"
+    with contextlib.suppress(OSError), filler.open("wb", 0) as file:
+        while True:
+            file.write(bytes(1 << 16))
+    yield
+    filler.unlink()
+
+
+@contextlib.contextmanager
+def cpu_quarter(unit: _Process) -> Iterator[None]:
+    """The process, cameras included, gets a quarter of a processor: it is stopped for 75 of each 100 ms."""
+    over = threading.Event()
+
+    def limit() -> None:
+        while not over.wait(_SLICE_S * _SHARE):
+            unit.running.send(signal.SIGSTOP)
+            over.wait(_SLICE_S * (1 - _SHARE))
+            unit.running.send(signal.SIGCONT)
+
+    thread = threading.Thread(target=limit)
+    thread.start()
+    yield
+    over.set()
+    thread.join()
+
+
+FAULTS = {fault.__name__: fault for fault in (kill_9, stopped, memory, disk_full, cpu_quarter)}
+
+
+def run_real(name: str) -> Result:
+    """Let a fault last three seconds, and judge all that is shown; raises BadInputError where it cannot."""
+    with contextlib.ExitStack() as parts:
+        folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-faults-")))
+        save_calibration(calibrated(UNIT), folder / "calibration.json")
+        disk = folder / "disk"
+        disk.mkdir()
+        if os.geteuid() == 0:
+            mount = ["mount", "-t", "tmpfs", "-o", "size=24m", "tmpfs", str(disk)]
+            subprocess.run(mount, check=True)  # noqa: S603
+            parts.callback(subprocess.run, ["umount", "-l", str(disk)], check=True)
+        http, modbus = free_port(), free_port()
+        command = [sys.executable, "-m", "hw_sim", "demo", "--seed", str(_SEED), "--keep", str(disk)]
+        command += ["--calibration", str(folder / "calibration.json")]
+        command += ["--http-port", str(http), "--modbus-port", str(modbus)]
+        unit = _Process.started(command, disk, parts)
+        line = parts.enter_context(contextlib.closing(TelegramLine(folder / "unused")))
+        wires = Wires(Interfaces({}, modbus, http, 0, 0, -1, ()), line, disk / "altd.sock", _ANSWER_S)
+        return asyncio.run(_watched(unit, wires, name))
+
+
+async def _watched(unit: _Process, wires: Wires, name: str) -> Result:
+    """Read as a controller does, from the first valid value until the unit is back after the fault."""
+    truth = make_unit(_SEED, drive=True)
+
+    def error_of(one: Published, t_ns: float, _now_ns: int) -> FloatArray:
+        assert one.values is not None  # noqa: S101  the judge has asked
+        poses = [truth.truth(round(at_ns)) for at_ns in exposures_ns(t_ns, one.frames)]
+        places = [(pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg) for pose in poses]
+        return np.asarray(np.abs(np.mean(places, axis=0) - one.values))
+
+    async def read(judge: Judge, seconds: float, until_back: bool = False) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and not (until_back and judge.back_ns is not None):
+            asked_ns = time.monotonic_ns()
+            shown = [replace(one, age_s=None) for one in await wires.read()]  # on one computer UTC is better
+            utc_zero = datetime.now(UTC) - timedelta(seconds=time.monotonic())
+            judge.take(shown, asked_ns, utc_zero)
+            await asyncio.sleep(_READ_INTERVAL_S)
+
+    await read(Judge(error_of, math.inf, 0.0), _START_S, until_back=True)
+    judge = Judge(error_of, math.inf, math.inf)
+    await read(judge, _BEFORE_S)
+    judge.onset_ns = time.monotonic_ns()
+    with FAULTS[name](unit):
+        await read(judge, _LASTS_S)
+    judge.end_ns = time.monotonic_ns()
+    await read(judge, _BACK_S, until_back=True)
+    await read(judge, _STEADY_S)
+    wires.reset()
+    return judge.result
