@@ -37,7 +37,8 @@ def interfaces_of(
         if config.mqtt.sparkplug is None:
             from altd.publish.mqtt.publisher import MqttPublisher
 
-            yield place, MqttPublisher(config.mqtt, board, health, health.component(place), spread)
+            component = health.component(place)
+            yield place, MqttPublisher(config.mqtt, board, health, component, spread, past.outbox)
         else:
             from altd.publish.mqtt.edge_node import EdgeNodePublisher
 

@@ -194,6 +194,8 @@ class MqttSettings(Table):
     """First part of the topics: `altd/ALT-0007/summary`."""
     every_measurement: bool = False
     """Publish every measurement, not only the summary of each second."""
+    store_and_forward: bool = False
+    """Keep the summaries of 1 s until an ingest has acknowledged them: `fleet.md`. Needs the history."""
     home_assistant: Topic | None = None
     """Discovery prefix of Home Assistant, usually `homeassistant`; announces the unit."""
     sparkplug: SparkplugSettings | None = None
