@@ -20,6 +20,8 @@ from altd.cli import (
     doctor,
     events,
     export,
+    fleet,
+    ingest,
     lamps,
     locate,
     map,  # noqa: A004  the command's name
@@ -75,6 +77,8 @@ COMMANDS: dict[str, Command] = {
     "refraction": refraction,
     "devices": devices,
     "doctor": doctor,
+    "ingest": ingest,
+    "fleet": fleet,
 }
 
 _WITHOUT_CONFIG = ("doctor", "status", "watch")

@@ -150,6 +150,9 @@ def _broker(host: str) -> str:
     return host
 
 
+BrokerHost = Annotated[str, AfterValidator(_broker)]
+
+
 _TOPIC = re.compile(r"[A-Za-z0-9_.:-]+(/[A-Za-z0-9_.:-]+)*", re.ASCII)
 
 
@@ -186,7 +189,7 @@ class SparkplugSettings(Table):
 class MqttSettings(Table):
     """Publishes to an MQTT 5 broker."""
 
-    host: Annotated[str, AfterValidator(_broker)]
+    host: BrokerHost
     """The broker's name or IP address, as in its certificate."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """Default 1883, with `ca` 8883."""

@@ -56,12 +56,17 @@ class _Message(BaseModel):
 
 
 class Batch(_Message):
-    """Consecutive seconds of a unit. The unit has none below ``oldest`` any more."""
+    """Consecutive seconds of a unit.
+
+    It has none below ``oldest`` any more, and some up to ``newest``. ``dropped`` are those that it deleted
+    before they were acknowledged, since the file was begun.
+    """
 
     file: _Random
     oldest: Annotated[int, Field(ge=1, lt=2**53)]
     first: Annotated[int, Field(ge=1, lt=2**53)]
     last: _Whole
+    newest: _Whole
     dropped: _Whole
     quantities: Annotated[list[_Key], Field(max_length=MAX_QUANTITIES)]
     rows: Annotated[list[Second], Field(max_length=MAX_NUMBERS)]

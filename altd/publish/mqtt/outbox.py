@@ -113,6 +113,7 @@ class OutboxSender:
                 "oldest": min(mark.oldest, self._sent + 1),
                 "first": self._sent + 1,
                 "last": last,
+                "newest": mark.complete,
                 "dropped": mark.dropped,
                 "quantities": quantities,
                 "rows": [_row(row, quantities) for row in rows],
