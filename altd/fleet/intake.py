@@ -38,8 +38,11 @@ class Intake:
 
     def unit_of(self, topic: str) -> str:
         """The serial number in a topic; empty: it is none of a unit's outbox."""
-        *beginning, serial, last = topic.split("/")
-        return unquote(serial) if beginning == self._levels and last == "outbox" else ""
+        levels = topic.split("/")
+        if levels[:-2] != self._levels or levels[-1] != "outbox":
+            return ""
+        unit = unquote(levels[-2])
+        return unit if unit.isprintable() else ""
 
     def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:
         """The batch of a message; ``now_s`` is monotonic."""

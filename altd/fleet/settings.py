@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from altd.config.fields import expected, field_at
 from altd.config.interfaces import BrokerHost, Topic
-from altd.config.places import Places
+from altd.config.places import Place, Places
 from altd.config.table import Table, shown
 from altd.config.wording import UNUSABLE, WHY
 from altd.errors import BadInputError, did_you_mean
@@ -82,7 +82,7 @@ def load_fleet_settings(path: Path) -> FleetSettings:
         document = parse_toml(content)
         settings = FleetSettings.model_validate(document)
     except TomlError as error:
-        place = "" if error.line is None else f"{error.line}:{error.column}: "
+        place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
         raise BadInputError(path, f"{place}{error}") from error
     except ValidationError as error:
         text = content.decode()
@@ -99,7 +99,8 @@ def load_fleet_settings(path: Path) -> FleetSettings:
 def _faults(error: ValidationError, document: dict[str, Any], places: Places) -> Iterator[str]:
     for detail in error.errors(include_url=False):
         keys = tuple(detail["loc"])
-        place = places.value(keys) or places.nearest(keys)
+        of_key = places.key if detail["type"] == "extra_forbidden" else places.value
+        place = of_key(keys) or places.nearest(keys)
         where = f"{f'{place}: ' if place else ''}{'.'.join(map(str, keys))}"
         if detail["type"] == "extra_forbidden":
             above = field_at(keys[:-1], document, FleetSettings)
