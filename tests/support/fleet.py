@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
-import pwd
-import shutil
-import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
@@ -24,6 +19,8 @@ from altd.history.outbox import Outbox
 from altd.history.reader import Reader
 from altd.history.schema import SECONDS
 from altd.history.store import Store
+from benchmarks.postgresql import Cluster, programs
+from benchmarks.postgresql import postgresql as server
 from support.foreign import need
 from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample, state
 from support.mqtt import PublishingUnit
@@ -31,94 +28,12 @@ from support.mqtt import PublishingUnit
 Row = tuple[object, ...]
 
 
-@dataclass
-class Cluster:
-    """A server on a socket in ``folder``, which is its own user's."""
-
-    folder: Path
-    programs: Path
-    user: str | None
-    server: subprocess.Popen[bytes] | None = None
-    databases: int = 0
-
-    def start(self) -> None:
-        """Start, and wait until it answers."""
-        options = [
-            "-k",
-            str(self.folder),
-            "-c",
-            "listen_addresses=",
-            "-c",
-            "fsync=off",
-            "-c",
-            "max_connections=50",
-        ]
-        self.server = self._run("postgres", "-D", str(self.folder / "data"), *options)
-        deadline_s = time.monotonic() + 60
-        while True:
-            try:
-                psycopg.connect(self.connection("postgres")).close()
-            except psycopg.OperationalError:
-                assert time.monotonic() < deadline_s
-                assert self.server.poll() is None, (self.folder / "log").read_text()
-                time.sleep(0.02)
-            else:
-                return
-
-    def stop(self, how: signal.Signals = signal.SIGINT) -> None:
-        """Stop: SIGINT in order, SIGQUIT as in a crash."""
-        assert self.server is not None
-        self.server.send_signal(how)
-        self.server.wait()
-
-    def connection(self, database: str) -> str:
-        return f"host={self.folder} dbname={database} user=altd"
-
-    def new_database(self) -> str:
-        """The connection string of an empty database."""
-        self.databases += 1
-        name = f"fleet_{self.databases}"
-        with psycopg.connect(self.connection("postgres"), autocommit=True) as connection:
-            connection.execute(f"CREATE DATABASE {name}".encode())
-        return self.connection(name)
-
-    def _run(self, program: str, *arguments: str) -> subprocess.Popen[bytes]:
-        with (self.folder / "log").open("ab") as log:
-            words = [str(self.programs / program), *arguments]
-            return subprocess.Popen(
-                words,
-                stdout=log,
-                stderr=log,
-                user=self.user,
-                cwd=self.folder,
-                extra_groups=[] if self.user else None,
-            )
-
-    def initialise(self) -> None:
-        made = self._run("initdb", "-D", str(self.folder / "data"), "-U", "altd", "-A", "trust", "--no-sync")
-        assert made.wait() == 0, (self.folder / "log").read_text()
-
-
 @contextlib.contextmanager
 def postgresql() -> Iterator[Cluster]:
     """A cluster that runs; a skip where Debian's package is not installed."""
-    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
-    need(bool(found), "PostgreSQL is not installed (Debian package postgresql)")
-    user = None
-    folder = Path(tempfile.mkdtemp(prefix="altd-pg-"))
-    if os.getuid() == 0:  # it refuses root
-        user = "postgres"
-        entry = pwd.getpwnam(user)
-        os.chown(folder, entry.pw_uid, entry.pw_gid)
-    cluster = Cluster(folder, found[-1].parent, user)
-    try:
-        cluster.initialise()
-        cluster.start()
+    need(programs() is not None, "PostgreSQL is not installed (Debian package postgresql)")
+    with server("fsync=off") as cluster:
         yield cluster
-    finally:
-        if cluster.server is not None and cluster.server.poll() is None:
-            cluster.stop()
-        shutil.rmtree(folder)
 
 
 def fleet_toml(folder: Path, port: int, connection: str, more: str = "") -> Path:

@@ -36,6 +36,8 @@ PAGES = {
     "refraction": "refraction.md",
     "devices": "cameras.md",
     "doctor": "doctor.md",
+    "ingest": "fleet.md",
+    "fleet": "fleet.md",
     "demo": "simulator.md",
     "chain": "chain.md",
     "chain-demo": "chain.md",
