@@ -35,13 +35,13 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S
 from altd.status.outbox import MAX_NUMBERS, Second
 from altd.status.proof import sealed
-from benchmarks.interfaces import free_port
 from benchmarks.postgresql import postgresql
+from hw_sim.ports import free_port
 
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 ROWS_PER_BATCH = MAX_NUMBERS // (len(Second._fields) + 4 * len(QUANTITIES))
 WEEK_S = 7 * 86_400
-_TIMEOUT_S = 600.0
+_TIMEOUT_S = 120.0
 
 
 @dataclass
@@ -218,12 +218,16 @@ def servers(settings: list[str]) -> Iterator[tuple[int, str]]:
         (folder / "fleet.toml").write_text(
             f'[broker]\nhost = "127.0.0.1"\nport = {port}\n[database]\nconnection = "{connection}"\n'
         )
+        log = folder / "log"
         ingest = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(folder / "fleet.toml")]
         for words in (["mosquitto", "-c", str(folder / "mosquitto.conf")], ingest):
-            process = subprocess.Popen(words, stderr=subprocess.DEVNULL)  # noqa: S603
+            with log.open("wb") as out:
+                process = subprocess.Popen(words, stderr=out)  # noqa: S603
             stack.callback(process.wait)
             stack.callback(process.terminate)
-            time.sleep(3.0)
+        while b"connected to" not in log.read_bytes():  # the ingest has subscribed
+            assert process.poll() is None, log.read_text()  # noqa: S101
+            time.sleep(0.1)
         yield port, connection
 
 

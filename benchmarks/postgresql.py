@@ -77,7 +77,7 @@ class Cluster:
         return self.connection(name)
 
     def _run(self, program: str, *arguments: str) -> subprocess.Popen[bytes]:
-        groups = None if self.user is None else []
+        groups: list[int] | None = None if self.user is None else []
         with (self.folder / "log").open("ab") as log:
             return subprocess.Popen(  # noqa: S603
                 [str(self.programs / program), *arguments],

@@ -65,6 +65,7 @@ class Ingest:
             manual_ack=True,
         )
         self._client.on_connect = self._on_connect
+        self._client.on_subscribe = self._on_subscribe
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
         if broker.credentials is not None:
@@ -101,7 +102,12 @@ class Ingest:
             return
         self._connections += 1
         client.subscribe(f"$share/{broker.group}/{broker.topic}/+/outbox", qos=1)
-        log.info("ingest: connected to %s", broker.host)
+
+    def _on_subscribe(self, client: Client, userdata: Any, mid: int, codes: list[ReasonCode], _: Any) -> None:
+        if any(code.is_failure for code in codes):
+            log.warning("ingest: the broker refuses the subscription: %s", ", ".join(map(str, codes)))
+        else:
+            log.info("ingest: connected to %s", self._settings.broker.host)
 
     def _on_disconnect(self, client: Client, userdata: Any, flags: Any, code: ReasonCode, _: Any) -> None:
         log.warning("ingest: the connection to the broker has ended: %s", code)

@@ -96,8 +96,9 @@ class OutboxSender:
             return False
         self._follow(mark)
         if mark.complete > self._sent and self._sent - self._acknowledged < MAX_UNACKNOWLEDGED_S:
+            after = self._sent  # an acknowledgement that comes during the query may move it
             try:
-                mark, rows, quantities = await self._outbox.after(self._sent, _MAX_ROWS)
+                mark, rows, quantities = await self._outbox.after(after, _MAX_ROWS)
             except NoHistoryError as error:
                 self._component.set_state(State.DEGRADED, str(error))
                 return False
@@ -110,8 +111,8 @@ class OutboxSender:
                 "serial": self._serial,
                 "file": mark.file,
                 "stream": mark.stream,
-                "oldest": min(mark.oldest, self._sent + 1),
-                "first": self._sent + 1,
+                "oldest": min(mark.oldest, after + 1),
+                "first": after + 1,
                 "last": last,
                 "newest": mark.complete,
                 "dropped": mark.dropped,
@@ -120,7 +121,7 @@ class OutboxSender:
             }
             if self._sent == self._acknowledged:
                 self._wait_for_answer()
-            self._sent, self._highest = last, max(self._highest, last)
+            self._sent, self._highest = max(self._sent, last), max(self._highest, last)
             await broker.send(self._topic, self._with_proof(document), expiry_s=BATCH_EXPIRY_S)
             self._component.count("batches_sent")
         self._report(mark)

@@ -84,11 +84,17 @@ class Sending:
         finally:
             await stop(task)
 
-    async def sent(self, last: int) -> None:
-        """Let time pass until this sequence was sent, by a thread that the clock does not know."""
-        while not self.broker.batches or self.broker.batches[-1].last < last:
-            await self.clock.advance(0.2)
+    async def until(self, condition: Callable[[], bool], step_s: float = 0.2) -> None:
+        """Let time pass until it is so; the thread that reads the history is unknown to the clock."""
+        for _ in range(3000):
+            if condition():
+                return
+            await self.clock.advance(step_s)
             await asyncio.sleep(0.002)
+        raise AssertionError(self.broker.batches)
+
+    async def sent(self, last: int) -> None:
+        await self.until(lambda: bool(self.broker.batches) and self.broker.batches[-1].last >= last)
 
 
 @pytest.fixture
@@ -138,9 +144,7 @@ async def test_what_is_not_acknowledged_comes_again_and_less_and_less_often(send
     async with sending.running():
         for _ in range(7):
             number = len(sending.broker.batches)
-            while len(sending.broker.batches) == number:
-                await sending.clock.advance(1.0)
-                await asyncio.sleep(0.002)
+            await sending.until(lambda before=number: len(sending.broker.batches) > before, 1.0)
             times_s.append(sending.clock.now_ns * 1e-9)
         waits_s = [after - before for before, after in itertools.pairwise(times_s)]
         assert waits_s == pytest.approx([30, 60, 120, 240, 480, 480], abs=3)
@@ -151,6 +155,24 @@ async def test_what_is_not_acknowledged_comes_again_and_less_and_less_often(send
         await sending.clock.advance(2.0)
         assert sending.component.state is State.OK
     assert {(each.first, each.last) for each in sending.broker.batches} == {(1, 10)}
+
+
+async def test_an_acknowledgement_during_a_query_makes_no_wrong_batch(sending: Sending) -> None:
+    """Of a batch that is sent again: the rows were asked for before the acknowledgement came."""
+    sending.write(10)
+    after = sending.outbox.after
+
+    async def acknowledged_meanwhile(sequence: int, limit: int) -> Any:
+        found = await after(sequence, limit)
+        if sending.broker.batches:
+            sending.acknowledge(10)
+        return found
+
+    async with sending.running():
+        await sending.sent(10)
+        sending.outbox.after = acknowledged_meanwhile  # type: ignore[method-assign]
+        await sending.until(lambda: len(sending.broker.batches) == 2, 1.0)
+    assert [(each.first, each.last, len(each.rows)) for each in sending.broker.batches] == [(1, 10, 10)] * 2
 
 
 WRONG = {
