@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -206,29 +207,46 @@ def faults(connection: str, units: Units) -> tuple[int, int]:
 
 
 @contextlib.contextmanager
-def servers(settings: list[str]) -> Iterator[tuple[int, str]]:
-    """Broker, database and ingest; the broker's port and the database."""
+def servers(settings: list[str]) -> Iterator[tuple[int, str, dict[str, int]]]:
+    """Broker, database and ingest; the broker's port, the database and the processes."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         port = free_port()
         lines = (f"listener {port} 127.0.0.1", "allow_anonymous true", "max_inflight_messages 1000",
                  "max_queued_messages 100000", "user root")  # fmt: skip
         (folder / "mosquitto.conf").write_text("\n".join(lines) + "\n")
-        connection = stack.enter_context(postgresql(*settings)).new_database()
+        cluster = stack.enter_context(postgresql(*settings))
+        connection = cluster.new_database()
+        assert cluster.server is not None  # noqa: S101
+        pids = {"database": cluster.server.pid}
         (folder / "fleet.toml").write_text(
             f'[broker]\nhost = "127.0.0.1"\nport = {port}\n[database]\nconnection = "{connection}"\n'
         )
         log = folder / "log"
         ingest = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(folder / "fleet.toml")]
-        for words in (["mosquitto", "-c", str(folder / "mosquitto.conf")], ingest):
+        broker = ["mosquitto", "-c", str(folder / "mosquitto.conf")]
+        for name, words in (("broker", broker), ("ingest", ingest)):
             with log.open("wb") as out:
                 process = subprocess.Popen(words, stderr=out)  # noqa: S603
+            pids[name] = process.pid
             stack.callback(process.wait)
             stack.callback(process.terminate)
         while b"connected to" not in log.read_bytes():  # the ingest has subscribed
             assert process.poll() is None, log.read_text()  # noqa: S101
             time.sleep(0.1)
-        yield port, connection
+        yield port, connection, pids | {"units": os.getpid()}
+
+
+def cpu_s(name: str, pid: int) -> float:
+    """The time for which a process has worked; of the database, with its children."""
+    pids = [pid]
+    if name == "database":
+        pids += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    ticks = 0
+    for each in pids:
+        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> int:
@@ -241,9 +259,11 @@ def main() -> int:
     parser.add_argument("--backlog-units", type=int, default=60, help="units that have it (default: 60)")
     options = parser.parse_args()
     start_s = int(time.time()) - WEEK_S
-    with servers(["shared_buffers=512MB", "max_wal_size=4GB"]) as (port, connection):
+    with servers(["shared_buffers=512MB", "max_wal_size=4GB"]) as (port, connection, pids):
+        before_s = {name: cpu_s(name, pid) for name, pid in pids.items()}
         units = live(port, options.units, options.hz, options.seconds, start_s)
         _, p99_s, _ = ages_at_s = np.percentile(units.ages_s, [50, 99, 100])
+        worked_s = {name: cpu_s(name, pid) - before_s[name] for name, pid in pids.items()}
         lost, twice = faults(connection, units)
         live_copy_s, live_rows = plain_copy_s(connection)
         rate = options.units * options.hz
@@ -251,6 +271,8 @@ def main() -> int:
         names = ("p50", "p99", "worst")
         shown = [f"{name} {age_s * 1e3:.0f} ms" for name, age_s in zip(names, ages_at_s, strict=True)]
         print(f"  made to acknowledged: {', '.join(shown)}")
+        of_core = [f"{name} {100 * each_s / options.seconds:.0f} %" for name, each_s in worked_s.items()]
+        print(f"  CPU, of a core: {', '.join(of_core)}")
         print(f"  rows {live_rows}, lost {lost}, twice {twice}")
         print(f"  plain COPY of a second's rows: {live_copy_s / options.seconds * 1e3:.1f} ms")
         print(f"  p99 / plain COPY of a second's rows: {p99_s / (live_copy_s / options.seconds):.1f}")

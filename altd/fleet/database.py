@@ -129,7 +129,7 @@ class Writer:
             "FROM STDIN"
         ) as copy:
             for batch in batches:
-                copy.write(_lines(batch, *ids[batch.serial, batch.file]))
+                copy.write(copied_lines(batch, *ids[batch.serial, batch.file]))
         execute(
             "WITH new AS (INSERT INTO altd.seconds SELECT * FROM staged "
             "ORDER BY unit, time, file, sequence ON CONFLICT DO NOTHING RETURNING unit, time) "
@@ -173,16 +173,21 @@ class Writer:
 
     def _show(self, latest: Sequence[tuple[int, Second, int, int]]) -> None:
         """The newest second of each unit, for the table of the fleet."""
-        with self._connection.cursor() as cursor:
-            cursor.executemany(
-                "UPDATE altd.units SET last_time = to_timestamp(%s), heard = now(), worst = %s, cause = %s "
-                "WHERE id = %s",
-                [(row.t_s, row.worst, row.cause, unit) for unit, row, _, _ in latest],
-            )
-            cursor.executemany(
-                "UPDATE altd.files SET dropped = %s WHERE id = %s AND dropped < %s",
-                [(dropped, file, dropped) for _, _, file, dropped in latest if dropped],
-            )
+        rows = [(unit, file, row.t_s, row.worst, row.cause, dropped) for unit, row, file, dropped in latest]
+        if not rows:
+            return
+        units, files, times_s, worst, causes, dropped = map(list, zip(*rows, strict=True))
+        self._connection.execute(
+            "UPDATE altd.units SET last_time = to_timestamp(t_s), heard = now(), worst = new.worst, "
+            "cause = new.cause FROM unnest(%s::int[], %s::bigint[], %s::int[], %s::text[]) "
+            "AS new (unit, t_s, worst, cause) WHERE id = unit",
+            (units, times_s, worst, causes),
+        )
+        self._connection.execute(
+            "UPDATE altd.files SET dropped = new.dropped FROM unnest(%s::int[], %s::bigint[]) "
+            "AS new (file, dropped) WHERE id = new.file AND files.dropped < new.dropped",
+            (files, dropped),
+        )
 
     def _count(self, refused: Mapping[tuple[str, str], int]) -> None:
         rows = [(unit, reason, count) for (unit, reason), count in sorted(refused.items())]
@@ -196,7 +201,7 @@ class Writer:
         )
 
 
-def _lines(batch: Batch, unit: int, file: int) -> str:
+def copied_lines(batch: Batch, unit: int, file: int) -> str:
     """The rows in the text format of COPY; no text of a batch has a character that it would escape."""
     lines = []
     for row in batch.rows:

@@ -32,8 +32,11 @@ from altd.status.outbox import Batch, acknowledgement_of
 MAX_WAITING = 1000
 """Messages on their way that are not acknowledged (Receive Maximum of MQTT 5)."""
 
-MAX_ROWS = 20_000
-"""Seconds in one transaction."""
+MAX_BYTES_AT_ONCE = 4 << 20
+"""Of messages in one transaction: some 20,000 seconds."""
+
+GATHER_S = 0.05
+"""Messages that come within this time share a transaction."""
 
 MAINTENANCE_INTERVAL_S = 60.0
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 10.0
@@ -121,13 +124,11 @@ class Ingest:
             messages = [self._messages.get(timeout=1.0)]
         except queue.Empty:
             return []
-        with_rows = len(messages[0][1].payload)
-        while with_rows < MAX_ROWS * 200 and len(messages) < MAX_WAITING:
-            try:
-                messages.append(self._messages.get_nowait())
-            except queue.Empty:
-                break
-            with_rows += len(messages[-1][1].payload)
+        time.sleep(GATHER_S)
+        size = len(messages[0][1].payload)
+        while size < MAX_BYTES_AT_ONCE and len(messages) < MAX_WAITING and not self._messages.empty():
+            messages.append(self._messages.get_nowait())
+            size += len(messages[-1][1].payload)
         return messages
 
     def take(self, messages: list[tuple[int, MQTTMessage]]) -> None:
@@ -147,7 +148,7 @@ class Ingest:
         for each in progress:
             topic = f"{self._settings.broker.topic}/{quote(each.serial, safe='')}/ack"
             text = acknowledgement_of(each.serial, each.stream, each.sequence)
-            self._client.publish(topic, text, qos=1, retain=True)
+            self._client.publish(topic, text, qos=0, retain=True)  # one that is lost: the batch comes again
         self.rows += sum(len(batch.rows) for batch in batches)
         self._report(now_s)
 

@@ -10,7 +10,7 @@ from altd.history.records import OutboxMark, QueuedSecond
 
 
 class Outbox:
-    """What waits in the history for an ingest. ``mark`` is None until the file is open."""
+    """The seconds that wait in the history for an ingest. ``mark`` is None until the file is open."""
 
     def __init__(self, history: History) -> None:
         self._history = history

@@ -1,6 +1,6 @@
 """The messages between a unit's outbox and the ingest, as both sides read them.
 
-A batch states ``first`` to ``last``: each sequence in it is a row, or was dropped by the unit for ever.
+A batch states ``first`` to ``last``: each sequence in it is a row, or was dropped by the unit.
 ``file`` is a history, ``stream`` one opening of it. The reader of a batch checks its CRC first
 (``proof.is_sealed``).
 """

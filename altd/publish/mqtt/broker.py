@@ -167,7 +167,7 @@ class Broker(aiomqtt.Client):
     ) -> None:
         """Pass each message on ``topic`` to ``take``, and whether it is retained; raises BrokerError.
 
-        ``with_retained``: the message that the broker retains comes first, and only that one says so.
+        ``with_retained``: the message that the broker retains comes first, and only that one is marked.
         """
         self._topic, self._take = topic, take
         handling = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE

@@ -106,7 +106,7 @@ async def test_crashes_of_broker_ingest_and_database_lose_nothing(cluster: Clust
 
 
 async def batches_of(unit: FleetUnit) -> list[bytes]:
-    """All that a unit sends to a broker behind which nobody acknowledges."""
+    """All that a unit sends to a broker behind which there is no ingest."""
     messages = []
     async with ChosenBroker() as chosen, unit.running(chosen.port):
         last = 0
@@ -336,7 +336,7 @@ async def test_a_daemon_keeps_its_seconds_until_the_ingest_has_them(
         more += "store_and_forward = true\n"
         with playing(played_unit, tmp_path, subprocess.DEVNULL, more=more) as daemon:
             await asyncio.to_thread(daemon.wait_until_valid)
-            await asyncio.sleep(2.0)  # seconds of nobody's
+            await asyncio.sleep(2.0)  # seconds that no ingest takes
             with ingesting(fleet_toml(tmp_path, port, connection)):
                 await until(lambda: len(stored_rows(connection)) >= 5)
                 daemon.process.send_signal(signal.SIGTERM)
