@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from altd.status.outbox import Batch
 from altd.status.proof import is_sealed
 
-MAX_BYTES = 1 << 20
+MAX_BYTES = 256 << 10
 """Of a message; the broker does not deliver larger ones."""
 
 RATE_HZ, BURST = 10.0, 100.0

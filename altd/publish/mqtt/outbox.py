@@ -56,7 +56,7 @@ class OutboxSender:
         self._highest = 0
         self._heard_ns = self._resend_ns = self._clock.monotonic_ns()
         self._resend_s = RESEND_AFTER_S
-        component.set_state(State.STARTING, "the history is not open yet")
+        component.set_state(State.OK, self._waiting)
 
     def take_acknowledgement(self, payload: bytes, is_retained: bool) -> None:
         """Believe an acknowledgement of what was sent since the history was opened, and no other.
@@ -157,7 +157,9 @@ class OutboxSender:
 
     def _waiting(self, _now_ns: int) -> str:
         mark = self._outbox.mark
-        return "" if mark is None else f"seconds that wait for an acknowledgement: {mark.waiting}"
+        if mark is None:
+            return "the history is not open yet"
+        return f"seconds that wait for an acknowledgement: {mark.waiting}"
 
 
 _MAX_ROWS = MAX_NUMBERS // (len(Second._fields) + 4)

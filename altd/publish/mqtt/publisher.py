@@ -23,7 +23,7 @@ from altd.publish.mqtt.outbox import OutboxSender
 from altd.reasons import Signal
 from altd.records import Measurement, Quantities
 from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component, Health, State
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Stamps
 
@@ -63,6 +63,8 @@ class MqttPublisher(BrokerPublisher[Broker]):
             self._sender = OutboxSender(
                 outbox, topics, self._serial, health.component("outbox"), self._with_proof
             )
+        elif settings.store_and_forward:
+            health.component("outbox").set_state(State.DEGRADED, "there is no history: no second is kept")
         self._unsummarised = board.cursor()
         self._since_summary: list[Measurement] = []
         self._told: Measurement | None = None

@@ -14,16 +14,25 @@ from altd.status.proof import sealed
 
 _ROW = [5, 2, 1_795_161_600, 20, 19, 1, "front_dim", "front_spot_missing", [[10.0, 0.004, 9.9, 10.1], None]]
 _BATCH = {
-    "schema": 1, "serial": "ALT-7", "file": "0123456789abcdef", "stream": "fedcba9876543210", "oldest": 1, "first": 4,
-    "last": 6, "newest": 6, "dropped": 0, "quantities": ["x_mm", "roll_deg"], "rows": [_ROW], "unit": "00000000",
-}  # fmt: skip
+    "schema": 1,
+    "serial": "ALT-7",
+    "file": "0123456789abcdef",
+    "stream": "fedcba9876543210",
+    "oldest": 1,
+    "first": 4,
+    "last": 6,
+    "newest": 6,
+    "dropped": 0,
+    "quantities": ["x_mm", "roll_deg"],
+    "rows": [_ROW],
+}
 
 NAME = "outbox"
 EXAMPLES = spoilt_document(st.just(_BATCH))
 
 
 def check(example: Any) -> None:
-    """Each line of a batch that is accepted has eleven columns, the last of which is JSON of finite numbers."""
+    """Each line of an accepted batch has eleven columns, the last of them JSON of finite numbers."""
     try:
         payload = sealed(json.dumps(example)).encode()
     except (ValueError, RecursionError):
