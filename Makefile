@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -19,6 +19,7 @@ PAGE_S ?= 3600
 CAMPAIGN_S ?= 180
 FAULT_RUNS ?= 120
 FUZZ_S ?= 600
+FLEET ?= 1000
 HOSTILE ?= 100000
 SPRAY_S ?= 600
 # Workers of the tests: more than cores, for some tests wait; those with limits of real time get a core each.
@@ -125,6 +126,10 @@ bench: venv ## time per stage, highest rate, latency
 bench-area: venv ## beams anywhere on 140 × 110 mm against their truth; takes minutes
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.area
 
+bench-fleet: venv ## many units, one broker, one ingest, one PostgreSQL: ages, rows lost, a week's backlog; FLEET=100 for a hundred units
+	@.ci/programs must mosquitto '/usr/lib/postgresql/*/bin/initdb=postgresql'
+	exec $(python) -m benchmarks.fleet --units $(FLEET)
+
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/system/test_guest_unit.py -k "pair or truth or figures"
 
@@ -212,7 +217,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium curl debootstrap lintian ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium curl debootstrap lintian ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients '/usr/lib/postgresql/*/bin/initdb=postgresql' socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@.ci/npm node-opcua-client@2.186.0 sparkplug-payload@1.0.3
 	header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \

@@ -185,7 +185,7 @@ class Interfaces:
             if settings.sparkplug is None:
                 from altd.publish.mqtt.publisher import MqttPublisher
 
-                return MqttPublisher(settings, board, health, component, spread)
+                return MqttPublisher(settings, board, health, component, spread, past.outbox)
             from altd.publish.mqtt.edge_node import EdgeNodePublisher
 
             return EdgeNodePublisher(settings, board, health, component, spread)

@@ -21,6 +21,7 @@ from altd.config import Config
 from altd.errors import one_line
 from altd.history.columns import columns_of
 from altd.history.history import History, NoHistoryError
+from altd.history.outbox import Outbox
 from altd.history.reader import Reader
 from altd.history.recorder import HistoryRecorder
 from altd.history.records import About
@@ -180,6 +181,7 @@ class DaemonHistory:
         self.events = health.events
         self.history = History(None, "this daemon keeps no history")
         """For interfaces."""
+        self.outbox: Outbox | None = None
         self._board = board
         self._health = health
         self._state = state
@@ -194,14 +196,18 @@ class DaemonHistory:
             self.leave_out(why)
         else:
             about = history_about(config, calibration, self._board.quantities)
-            self.keep_in(path, config.history.max_mb * 10**6, about)
+            has_outbox = config.mqtt is not None and config.mqtt.store_and_forward
+            self.keep_in(path, config.history.max_mb * 10**6, about, has_outbox)
 
-    def keep_in(self, path: Path, max_bytes: int, about: About) -> None:
+    def keep_in(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
         """Keep the history in this file. Before ``recorded``."""
         component = self._health.component(COMPONENT)
-        store = Store(path, max_bytes, about)
-        self._recorder = HistoryRecorder(store, self.events, self._state.read, component, self._clock)
+        store = Store(path, max_bytes, about, has_outbox)
         self.history = History(path, serial=about.facts.get("serial"))
+        self.outbox = Outbox(self.history) if has_outbox else None
+        self._recorder = HistoryRecorder(
+            store, self.events, self._state.read, component, self._clock, self.outbox
+        )
 
     def record(self, measurement: Measurement) -> None:
         """Take what is published; without a history nothing is kept of it."""

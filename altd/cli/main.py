@@ -22,6 +22,8 @@ from altd.cli import (
     doctor,
     events,
     export,
+    fleet,
+    ingest,
     lamps,
     locate,
     map,  # noqa: A004  the command's name
@@ -81,6 +83,8 @@ COMMANDS: dict[str, Command] = {
     "diagnose": diagnose,
     "backup": backup,
     "restore": restore,
+    "ingest": ingest,
+    "fleet": fleet,
 }
 
 _WITHOUT_CONFIG = ("diagnose", "doctor", "status", "watch")

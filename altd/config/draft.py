@@ -25,6 +25,7 @@ from altd.config.interfaces import (
     MqttSettings,
     OpcUaSettings,
 )
+from altd.config.keeping import HistorySettings
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
 from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
@@ -32,7 +33,7 @@ from altd.config.whole import Config
 
 _TABLES = (
     *("unit", "chain", "plate", "measuring", "installation", "modbus_tcp", "http", "mqtt", "opcua"),
-    *("lamps", "switches", "indicators", "inclinometer", "stage"),
+    *("lamps", "switches", "indicators", "inclinometer", "stage", "history"),
 )
 
 
@@ -58,6 +59,7 @@ class Draft:
     inclinometer: InclinometerSettings | None
     thermometers: tuple[HwmonThermometerSettings | None, ...]
     stage: GrblStageSettings | None
+    history: HistorySettings | None
 
     @property
     def is_planar(self) -> bool:

@@ -150,6 +150,9 @@ def _broker(host: str) -> str:
     return host
 
 
+BrokerHost = Annotated[str, AfterValidator(_broker)]
+
+
 _TOPIC = re.compile(r"[A-Za-z0-9_.:-]+(/[A-Za-z0-9_.:-]+)*", re.ASCII)
 
 
@@ -186,7 +189,7 @@ class SparkplugSettings(Table):
 class MqttSettings(Table):
     """Publishes to an MQTT 5 broker."""
 
-    host: Annotated[str, AfterValidator(_broker)]
+    host: BrokerHost
     """The broker's name or IP address, as in its certificate."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """Default 1883, with `ca` 8883."""
@@ -194,6 +197,8 @@ class MqttSettings(Table):
     """First part of the topics: `altd/ALT-0007/summary`."""
     every_measurement: bool = False
     """Publish every measurement, not only the summary of each second."""
+    store_and_forward: bool = False
+    """Keep the summaries of 1 s until an ingest has acknowledged them: `fleet.md`. Needs the history."""
     home_assistant: Topic | None = None
     """Discovery prefix of Home Assistant, usually `homeassistant`; announces the unit."""
     sparkplug: SparkplugSettings | None = None

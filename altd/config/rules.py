@@ -198,10 +198,21 @@ def _certificates(draft: Draft) -> Iterator[Fault]:
 
 
 def _sparkplug(draft: Draft) -> Iterator[Fault]:
-    """Home Assistant reads the topics in JSON, which Sparkplug takes the place of."""
-    if draft.mqtt is not None and draft.mqtt.sparkplug is not None and draft.mqtt.home_assistant is not None:
-        text = "does not go with [mqtt.sparkplug]; possible: one of the two"
-        yield Fault(("mqtt", "home_assistant"), text, about=(("mqtt", "sparkplug"),))
+    """Home Assistant and the ingest read topics in JSON, which Sparkplug takes the place of."""
+    if draft.mqtt is None or draft.mqtt.sparkplug is None:
+        return
+    for key in ("home_assistant", "store_and_forward"):
+        if getattr(draft.mqtt, key):
+            text = "does not go with [mqtt.sparkplug]; possible: one of the two"
+            yield Fault(("mqtt", key), text, about=(("mqtt", "sparkplug"),))
+
+
+def _outbox(draft: Draft) -> Iterator[Fault]:
+    """The outbox is a table of the history's file."""
+    is_kept = draft.history is None or draft.history.enabled
+    if draft.mqtt is not None and draft.mqtt.store_and_forward and not is_kept:
+        text = "needs the history; possible: enabled = true in [history]"
+        yield Fault(("mqtt", "store_and_forward"), text, about=(("history", "enabled"),))
 
 
 def _serial_ports(draft: Draft) -> Iterator[Fault]:
@@ -321,6 +332,7 @@ RULES: tuple[Rule, ...] = (
     _listeners,
     _certificates,
     _sparkplug,
+    _outbox,
     _serial_ports,
     _inclinometer,
     _lamps_on_cameras,

@@ -80,7 +80,7 @@ WHY = {
 }
 """The sentence about a value, by the type of pydantic's error."""
 
-_UNUSABLE = "cannot be used"
+UNUSABLE = "cannot be used"
 _SECRETS = ("login", "password", "token", "user", "username")
 
 
@@ -148,9 +148,9 @@ def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
         yield _tag_fault(keys, value, document)
     elif what == "key":
         takes = expected(*_key_type(keys), shown)
-        yield Fault(keys, f"a name {WHY.get(kind, _UNUSABLE)}; possible: {takes}", "key")
+        yield Fault(keys, f"a name {WHY.get(kind, UNUSABLE)}; possible: {takes}", "key")
     else:
-        why = _UNUSABLE if what == "member" else WHY.get(kind, _UNUSABLE)
+        why = UNUSABLE if what == "member" else WHY.get(kind, UNUSABLE)
         suggestion = _suggestion(kind, value, context)
         yield Fault(keys, f"{shown(value)} {why}{_possible_values(keys, document)}{suggestion}")
 

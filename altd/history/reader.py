@@ -17,7 +17,14 @@ from typing import Any, Self
 from altd.history.columns import Column, columns_in
 from altd.history.facts import check_unit, codes_in, fault_in
 from altd.history.opening import damage_told, open_to_read
-from altd.history.records import StoredEvent, StoredMeasurement, SummaryPoint, SummaryValue, Trend
+from altd.history.records import (
+    QueuedSecond,
+    StoredEvent,
+    StoredMeasurement,
+    SummaryPoint,
+    SummaryValue,
+    Trend,
+)
 from altd.history.schema import (
     HOURS,
     MEASUREMENT_PARTS,
@@ -126,6 +133,27 @@ class Reader:
             for row in rows:
                 yield self._summary(row, table, columns)
             first = _further(rows[-1][0], first - 1) + 1
+
+    def queued(self, stream: str, after: int, last: int, limit: int) -> list[QueuedSecond]:
+        """The summaries in the outbox with these sequences, oldest first.
+
+        Raises UnusableFileError where the file in this place is of another opening than ``stream``.
+        """
+        if self.facts().get("stream") != stream:
+            raise UnusableFileError("was opened again")
+        columns = self._chosen(None)
+        names = [column_name(part, number) for number, _ in columns for part in SUMMARY_PARTS]
+        sql = (
+            f"SELECT sequence, epoch, key, n, n_valid, worst, lost{''.join(f', {name}' for name in names)} "  # noqa: S608
+            "FROM outbox CROSS JOIN seconds USING (key) WHERE sequence > ? AND sequence <= ? "
+            "ORDER BY sequence LIMIT ?"
+        )
+        rows = self.rows(sql, (after, last, min(limit, MAX_ROWS)))
+        found = []
+        for row in rows:
+            number, epoch = _whole(row[:2], "outbox")
+            found.append(QueuedSecond(number, epoch, self._summary(row[2:], SECONDS, columns)))
+        return found
 
     def measurements_after(self, after: int, limit: int) -> list[StoredMeasurement]:
         """The measurements with a larger id, oldest first. Raises ValueError for a limit that cannot be."""

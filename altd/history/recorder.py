@@ -8,6 +8,7 @@ import sqlite3
 from collections import deque
 from collections.abc import Callable
 
+from altd.history.outbox import Outbox
 from altd.history.records import Batch, ClockSet, Item, Sample, StateSample, Written
 from altd.history.schema import MovedFileError, UnusableFileError
 from altd.history.store import Store
@@ -47,8 +48,10 @@ class HistoryRecorder:
         read_state: Callable[[], StateReport],
         component: Component,
         clock: Clock,
+        outbox: Outbox | None = None,
     ) -> None:
         self._store = store
+        self._outbox = outbox
         self._log = events
         self._read_state = read_state
         self._component = component
@@ -125,6 +128,8 @@ class HistoryRecorder:
         finally:
             del writing, batch  # an error that came in it refers to this frame
         self._events_written = self._events_taken
+        if self._outbox is not None:
+            self._outbox.mark = written.outbox
         if self._events_lost:
             self._component.count("events_lost", self._events_lost)
         self._backoff_s = WRITE_INTERVAL_S
@@ -142,7 +147,9 @@ class HistoryRecorder:
         events = self._log.after(self._events_written)
         self._events_taken = events[-1].number if events else self._events_written
         self._events_lost = self._events_taken - self._events_written - len(events)
-        return Batch(now_ns, self._wall_us(), items, [event for event in events if not event.is_recorded])
+        new = [event for event in events if not event.is_recorded]
+        acknowledged = None if self._outbox is None else self._outbox.acknowledged
+        return Batch(now_ns, self._wall_us(), items, new, acknowledged)
 
     def _put_back(self, batch: Batch | None) -> None:
         if batch is None:

@@ -95,6 +95,36 @@ class StoredEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class OutboxMark:
+    """The outbox after a batch was written.
+
+    ``file`` identifies the file, ``stream`` one opening of it: sequences up to ``complete`` will not change.
+    ``oldest`` is the first that is still there. ``dropped`` were deleted before they were acknowledged, since
+    the file was begun.
+    """
+
+    file: str
+    stream: str
+    oldest: int
+    complete: int
+    dropped: int
+
+    @property
+    def waiting(self) -> int:
+        """Complete seconds that are not acknowledged."""
+        return self.complete - self.oldest + 1
+
+
+@dataclass(frozen=True, slots=True)
+class QueuedSecond:
+    """A summary of 1 s in the outbox, under its sequence."""
+
+    sequence: int
+    epoch: int
+    point: SummaryPoint
+
+
+@dataclass(frozen=True, slots=True)
 class Sample:
     """A measurement, and the UTC at which it was published, µs."""
 
@@ -122,12 +152,16 @@ Item = Sample | StateSample | ClockSet
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Of about a second. ``monotonic_ns`` is when it was handed over."""
+    """Of about a second. ``monotonic_ns`` is when it was handed over.
+
+    ``acknowledged``: a stream of the outbox, and the sequence up to which an ingest has it.
+    """
 
     monotonic_ns: int
     wall_us: int
     items: Sequence[Item]
     events: Sequence[Event] = ()
+    acknowledged: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +186,11 @@ class Notice:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """The result of a batch: the other events that were written, and the size of the file's used pages."""
+    """The result of a batch: the other events that were written, and the size of the file's used pages.
+
+    ``outbox`` is None where there is none.
+    """
 
     notices: Sequence[Notice]
     used_bytes: int
+    outbox: OutboxMark | None = None

@@ -67,6 +67,8 @@ class Retention:
             deleted.append(Deleted("events", self._delete_events()))
         if self.used_bytes() > self._max_bytes:
             deleted += self._delete_for_room()
+        if dropped := self._drop_from_outbox():
+            deleted.append(Deleted("summaries of 1 s that no ingest has acknowledged", dropped))
         return deleted
 
     def give_back(self) -> None:
@@ -125,6 +127,19 @@ class Retention:
         )
         self.rows[table.name] -= counted
         return gone
+
+    def _drop_from_outbox(self) -> int:
+        """Delete the oldest entries, those of summaries that are gone, and count them in the file."""
+        dropped = self._connection.execute(
+            "DELETE FROM outbox WHERE sequence < (SELECT coalesce((SELECT sequence FROM outbox CROSS JOIN "
+            "seconds USING (key) ORDER BY sequence LIMIT 1), (SELECT max(sequence) + 1 FROM outbox)))"
+        ).rowcount
+        if dropped:
+            self._connection.execute(
+                "INSERT INTO facts VALUES ('dropped', ?) ON CONFLICT DO UPDATE SET value = value + ?",
+                (dropped, dropped),
+            )
+        return dropped
 
     def _delete_events(self, where: str = "", *values: str) -> int:
         gone = self._connection.execute(

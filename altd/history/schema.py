@@ -75,7 +75,10 @@ _VERSION_2 = ("CREATE INDEX events_by_time ON events (t_us)",)
 _VERSION_3 = ("SELECT number FROM columns",)
 """Measurements hold the part of sigma that scatters, too: a column ``random_N`` for each quantity N."""
 
-MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2, _VERSION_3)
+_VERSION_4 = ("CREATE TABLE outbox (sequence INTEGER PRIMARY KEY AUTOINCREMENT, key INTEGER NOT NULL)",)
+"""The summaries of 1 s that no ingest has acknowledged yet; a sequence is never given twice in one file."""
+
+MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
 """The statements that make version n + 1 from version n; an empty file has version 0.
 
 The numbers that a SELECT gives are those of the quantities that get a new column.
@@ -83,7 +86,10 @@ The numbers that a SELECT gives are those of the quantities that get a new colum
 
 VERSION = len(MIGRATIONS)
 
-_TABLES = {"facts", "epochs", "columns", "reasons", "measurements", "events", *(t.name for t in SUMMARIES)}
+_TABLES = {
+    *("facts", "epochs", "columns", "reasons", "measurements", "events", "outbox"),
+    *(t.name for t in SUMMARIES),
+}
 _OTHERS = {"sqlite_sequence", "sqlite_autoindex_reasons_1", "events_by_severity", "events_by_time"}
 MAX_COLUMNS = 128
 MEASUREMENT_PARTS = ("value", "sigma", "random")

@@ -23,10 +23,21 @@ from altd.history.opening import (
     touched,
     transaction,
 )
-from altd.history.records import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
+from altd.history.records import (
+    About,
+    Batch,
+    ClockSet,
+    Item,
+    Notice,
+    OutboxMark,
+    Sample,
+    StateSample,
+    Written,
+)
 from altd.history.retention import Retention
 from altd.history.schema import (
     MEASUREMENT_PARTS,
+    SECONDS,
     SUMMARIES,
     MovedFileError,
     TouchedFileError,
@@ -50,13 +61,15 @@ class Store:
     """The history of one daemon. After a failure the next batch opens the file again.
 
     A file that is damaged or of another unit is moved aside, and a new one begun. Each opening begins an
-    epoch, so that nothing that was written before is touched again.
+    epoch, so that nothing that was written before is touched again. ``has_outbox``: summaries of 1 s are
+    queued for an ingest.
     """
 
-    def __init__(self, path: Path, max_bytes: int, about: About) -> None:
+    def __init__(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
         self.path = path
         self._max_bytes = max_bytes
         self._about = about
+        self._has_outbox = has_outbox
         self._session = secrets.token_hex(8)
         self._unwritten: list[Notice] = []
         self._untold: list[Notice] = []
@@ -71,7 +84,7 @@ class Store:
                 self._open = self._opened(batch)
             used_bytes = self._open.write(batch)
             notices, self._untold = [*self._untold, *self._open.take_notices()], []
-            return Written(notices, used_bytes)
+            return Written(notices, used_bytes, self._open.outbox_mark() if self._has_outbox else None)
         except (OSError, sqlite3.Error, UnusableFileError) as error:
             self._close_file()
             if (aside := set_aside(self.path, error)) is not None:
@@ -111,7 +124,7 @@ class Store:
         try:
             with damage_told():
                 check_unit(connection, self._about.facts)
-                opened = _OpenStore(connection, self.path, self._max_bytes, self._about)
+                opened = _OpenStore(connection, self.path, self._max_bytes, self._about, self._has_outbox)
                 if opened.epochs.was_interrupted and not self._was_open:
                     check_pages(connection)  # by another daemon, or by a power cut
                 opened.begin(batch, self._session, [*self._unwritten, *_begun(self.path, is_new)])
@@ -136,10 +149,14 @@ class Store:
 class _OpenStore:
     """One connection, and what is known of its file."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, max_bytes: int, about: About) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, path: Path, max_bytes: int, about: About, has_outbox: bool
+    ) -> None:
         self._connection = connection
         self._path = path
         self._about = about
+        self._has_outbox = has_outbox
+        self._stream = secrets.token_hex(8)
         self._touched = touched(path)
         self._notices: list[Notice] = []
         self._told: set[str] = set()
@@ -167,7 +184,9 @@ class _OpenStore:
                 self._notices.append(Notice(EventKind.NOT_ENDED, f"the daemon before was not ended{until}"))
             self._notices += [
                 *notices,
-                *changed_facts(self._connection, {**self._about.facts, "session": session}),
+                *changed_facts(
+                    self._connection, {**self._about.facts, "session": session, "stream": self._stream}
+                ),
             ]
             self._connection.execute(
                 "INSERT OR IGNORE INTO facts VALUES ('file', ?)", (secrets.token_hex(8),)
@@ -183,6 +202,8 @@ class _OpenStore:
         """Write a batch in one transaction; returns the bytes of the pages that are in use."""
         self._check_place()
         with transaction(self._connection):
+            if batch.acknowledged is not None and batch.acknowledged[0] == self._stream:
+                self._connection.execute("DELETE FROM outbox WHERE sequence <= ?", batch.acknowledged[1:])
             for item in batch.items:
                 self._take(item, batch.monotonic_ns)
             self._write_spans()
@@ -202,6 +223,21 @@ class _OpenStore:
         used_bytes = self.retention.used_bytes()
         self._touched = touched(self._path)  # the last statement may have put the log into the file
         return used_bytes
+
+    def outbox_mark(self) -> OutboxMark:
+        """The outbox as the last transaction left it."""
+        facts = dict(
+            self._connection.execute("SELECT name, value FROM facts WHERE name IN ('file', 'dropped')")
+        )
+        last, oldest = self._connection.execute(
+            "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0), "
+            "(SELECT min(sequence) FROM outbox)"
+        ).fetchone()
+        opened = [spans.first_open for spans in self._spans if spans.first_open is not None]
+        complete = min(opened) - 1 if opened else last
+        oldest = last + 1 if oldest is None else oldest
+        dropped = int(facts.get("dropped", 0))
+        return OutboxMark(facts["file"], self._stream, min(oldest, complete + 1), complete, dropped)
 
     def end(self, wall_us: int) -> None:
         """Mark the epoch as ended."""
@@ -251,7 +287,12 @@ class _OpenStore:
         self._summarised_numbers = [number for _, number in pairs]
 
     def _new_spans(self) -> None:
-        self._spans = [OpenSpans(table, self._summarised, self._summarised_numbers) for table in SUMMARIES]
+        self._spans = [
+            OpenSpans(
+                table, self._summarised, self._summarised_numbers, self._has_outbox and table is SECONDS
+            )
+            for table in SUMMARIES
+        ]
         self._delay_s, self._last_us = 0.0, 0
 
     def _take(self, item: Item, now_ns: int) -> None:

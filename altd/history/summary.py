@@ -115,13 +115,21 @@ class _OpenSpan:
     summary: Summary
     key: int | None = None
     is_changed: bool = True
+    sequence: int | None = None
+    """In the outbox."""
 
 
 class OpenSpans:
-    """The spans of one table that still take measurements. ``numbers`` are those of its columns."""
+    """The spans of one table that still take measurements. ``numbers`` are those of its columns.
 
-    def __init__(self, table: SummaryTable, columns: Sequence[Column], numbers: Sequence[int]) -> None:
+    ``is_queued``: its rows are put into the outbox, too.
+    """
+
+    def __init__(
+        self, table: SummaryTable, columns: Sequence[Column], numbers: Sequence[int], is_queued: bool
+    ) -> None:
         self.table = table
+        self._is_queued = is_queued
         self._columns = columns
         names = [column_name(part, number) for number in numbers for part in SUMMARY_PARTS]
         fields = ["key", "epoch", "n", "n_valid", "worst", "lost", *names]
@@ -148,6 +156,9 @@ class OpenSpans:
             if span.key is None:
                 span.key = self._free_key(connection, begin_s)
                 new += span.key is not None
+                if self._is_queued and span.key is not None:
+                    queue = "INSERT INTO outbox (key) VALUES (?)"
+                    span.sequence = connection.execute(queue, (span.key,)).lastrowid
             if span.key is not None:
                 connection.execute(self._insert, _row(span.key, epoch, span.summary, number_of))
             span.is_changed = False
@@ -157,6 +168,11 @@ class OpenSpans:
         """No more is expected for spans that ended before this second; what they hold is written."""
         for begin_s in [begin_s for begin_s in self._open if begin_s + self.table.span_s < until_s]:
             del self._open[begin_s]
+
+    @property
+    def first_open(self) -> int | None:
+        """The lowest sequence in the outbox whose row may still change; None: there is none."""
+        return min((span.sequence for span in self._open.values() if span.sequence is not None), default=None)
 
     def _free_key(self, connection: sqlite3.Connection, begin_s: int) -> int | None:
         """The first free key of a span; None: a clock has been set to it a thousand times."""

@@ -10,7 +10,7 @@ from altd.reasons import Reason
 from altd.records import Measurement, Quantities, Quantity, Value, utc_text
 from altd.records.sensors import Quality, SensorValue
 from altd.status.board import Board
-from altd.status.proof import Stamp, crc32
+from altd.status.proof import Stamp, sealed
 
 _KNOWN_DECIMALS = 4
 """Of where a stage put the beam, mm, and of what a measurement differs from it."""
@@ -186,8 +186,7 @@ def with_proof(document: Mapping[str, Any], board: Board, stamp: Stamp) -> str:
 
     The last member is ``crc32``: of all bytes before ``, "crc32":``, as they are sent.
     """
-    line = line_of({**document, **proof_of(board, stamp)}).removesuffix("}")
-    return f'{line}, "crc32": "{_hexadecimal(crc32(line.encode("ascii")))}"}}'
+    return sealed(line_of({**document, **proof_of(board, stamp)}))
 
 
 def reserved_names(quantities: Quantities) -> frozenset[str]:

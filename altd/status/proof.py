@@ -74,3 +74,15 @@ def unit_number(serial: str) -> int:
 def crc32(data: bytes) -> int:
     """The CRC-32 of IEEE 802.3 (polynomial 0x04C11DB7, reflected, begun with and inverted by all ones)."""
     return zlib.crc32(data)
+
+
+def sealed(line: str) -> str:
+    """A JSON object in one line, ASCII, with ``crc32`` as its last member: of all bytes before that."""
+    body = line.removesuffix("}")
+    return f'{body}, "crc32": "{crc32(body.encode("ascii")):08X}"}}'
+
+
+def is_sealed(message: bytes) -> bool:
+    """Whether a message ends with the right ``crc32``."""
+    body, _, rest = message.rpartition(b', "crc32": ')
+    return rest == b'"%08X"}' % crc32(body)

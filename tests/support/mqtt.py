@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from altd.config import MqttSettings
+from altd.history.outbox import Outbox
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import Clock
 from altd.publish.mqtt.edge_node import EdgeNodePublisher
@@ -151,15 +152,22 @@ class PublishingUnit:
     clock: Clock
 
     @classmethod
-    def made(cls, port: int, clock: Clock | None = None, **settings: Any) -> Self:
+    def made(
+        cls,
+        port: int,
+        clock: Clock | None = None,
+        serial: str = SERIAL,
+        outbox: Outbox | None = None,
+        **settings: Any,
+    ) -> Self:
         clock = clock or SystemClock()
-        health, board = Health(clock), Board(clock, 10.0, QUANTITIES, Identity.drawn(SERIAL))
-        health.facts |= {"serial": SERIAL, "version": "0.1.0"}
+        health, board = Health(clock), Board(clock, 10.0, QUANTITIES, Identity.drawn(serial))
+        health.facts |= {"serial": serial, "version": "0.1.0"}
         health.state = UnitState(board, health, clock).read
         component = health.component("mqtt")
         mqtt = MqttSettings(**{"host": "127.0.0.1", "port": port} | settings)
-        profile = EdgeNodePublisher if mqtt.sparkplug else MqttPublisher
-        publisher = profile(mqtt, board, health, component, random.Random(1))
+        about = (mqtt, board, health, component, random.Random(1))
+        publisher = EdgeNodePublisher(*about) if mqtt.sparkplug else MqttPublisher(*about, outbox)
         return cls(board, health, component, publisher, clock)
 
     def measure(self, sequence: int, **changes: Any) -> None:

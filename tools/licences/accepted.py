@@ -89,6 +89,7 @@ PURPOSES = {
     "protobuf": "the payload of Sparkplug",
     "prometheus-client": "the numbers for Prometheus, in its format",
     "wsproto": "pictures over a WebSocket",
+    "psycopg": "PostgreSQL, for the ingest (extra `fleet`)",
     "pydantic": "the settings, checked",
     "pygobject": "GigE Vision cameras, through Aravis (extra `aravis`)",
     "pymodbus": "Modbus",
@@ -147,6 +148,10 @@ STATED = {
 POSITIONS = {
     "asyncua": Position(
         frozenset({"LGPL-3.0-or-later"}),
+        "imported, unchanged, from files of its own, which another build can replace",
+    ),
+    "psycopg": Position(
+        frozenset({"LGPL-3.0-only"}),
         "imported, unchanged, from files of its own, which another build can replace",
     ),
     "gpiod": Position(
@@ -272,6 +277,7 @@ the wheels' own lists, which are read too."""
 TEXTS = {
     ("asyncua", "LGPL"): "its own",
     ("gpiod", "LGPL"): "its own",
+    ("psycopg", "LGPL"): "its own",
     ("numpy", "GPL"): "libgfortran's, with GCC's exception",
     ("opencv-python-headless", "LGPL"): "FFmpeg's; another is of Qt, which only wheels with windows have",
     ("opencv-python-headless", "MPL"): "libsrt's, which only the wheels for macOS have",

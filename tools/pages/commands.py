@@ -39,6 +39,8 @@ PAGES = {
     "diagnose": "maintain.md",
     "backup": "maintain.md",
     "restore": "maintain.md",
+    "ingest": "fleet.md",
+    "fleet": "fleet.md",
     "demo": "simulator.md",
     "chain": "chain.md",
     "chain-demo": "chain.md",

@@ -13,6 +13,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S
 from altd.publish.mqtt.connecting import MAX_JITTER_S
 from altd.publish.mqtt.messages import Birth, Topics, summary_model, summary_of
+from altd.publish.mqtt.outbox import BATCH_EXPIRY_S
 from altd.publish.mqtt.publisher import (
     EXPIRE_AFTER_S,
     NUMBERS_EXPIRY_S,
@@ -42,6 +43,7 @@ def page() -> str:
     summary = json.loads(with_proof(summary_of([MEASURED], shown, clock()), shown, STAMP))
     identifier = f"altd_{STAMP.identity.unit:08x}"
     refresh, expiry = f"{REFRESH_INTERVAL_S:g} s", f"{RETAINED_EXPIRY_S} s"
+    lifetime = f"{BATCH_EXPIRY_S} s"
     silent = f"{1.5 * KEEP_ALIVE_S:g} s"
     return wrapped(f"""\
 # MQTT
@@ -57,7 +59,8 @@ All keys: [Settings](config.md#mqtt). Show everything that a unit publishes:
 
     mosquitto_sub -V 5 -h broker.plant.example -t 'altd/{SERIAL}/#' -v
 
-The unit subscribes to nothing and takes no command. With `[mqtt.sparkplug]` it is an edge node of
+The unit takes no command. It subscribes to `{_TOPICS.ack}` with `store_and_forward = true`, else to nothing
+([fleet](fleet.md)). With `[mqtt.sparkplug]` it is an edge node of
 [Sparkplug B](sparkplug.md) instead.
 
 ## Topics
@@ -74,9 +77,10 @@ The QoS is 1.
 | `{_TOPICS.state}` | NE 107 signal and its causes | when it changes, and each {refresh} | yes | {expiry} |
 | `{_TOPICS.summary}` | the measurements of a second | each second | no | {NUMBERS_EXPIRY_S} s |
 | `{_TOPICS.measurement}` | one measurement | with `every_measurement = true` | no | {NUMBERS_EXPIRY_S} s |
+| `{_TOPICS.outbox}` | [batches](fleet.md#messages) | with `store_and_forward = true` | no | {lifetime} |
 
-Except for the availability, payloads are JSON with the schema [mqtt.schema.json](mqtt.schema.json). Keys may
-be added.
+Except for availability and outbox, payloads are JSON with the schema [mqtt.schema.json](mqtt.schema.json).
+Keys may be added.
 
 ## Use a number
 
@@ -133,9 +137,10 @@ the worst first ([states](reasons.md#states)).
 | the broker restarts | `birth`, `state` and `online` again, with the same `session` |
 | unit and broker lose power | `online` until it has expired, if the broker has kept it; no numbers |
 
-Without a broker the unit queues nothing and retries after {MIN_BACKOFF_S:g} s, then up to {MAX_BACKOFF_S:g}
-s, with up to {MAX_JITTER_S:g} s at random. `altd status` gives the cause, and the unit requires maintenance
-(`face_failed`). A message that is not acknowledged for {ACK_TIMEOUT_S:g} s ends the connection.
+Without a broker the unit queues nothing but the outbox. It retries after {MIN_BACKOFF_S:g} s, then up to
+{MAX_BACKOFF_S:g} s, with up to {MAX_JITTER_S:g} s at random. `altd status` gives the cause, and the unit
+requires maintenance (`face_failed`). A message that is not acknowledged for {ACK_TIMEOUT_S:g} s ends the
+connection.
 
 ## TLS and login
 

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import sys
 
-from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S, MAX_RECEIVED_BYTES_PER_MESSAGE
-from altd.publish.mqtt.edge_node import MAX_PACKET_BYTES, REBIRTH_INTERVAL_S
+from altd.publish.mqtt.broker import (
+    ACK_TIMEOUT_S,
+    KEEP_ALIVE_S,
+    MAX_PACKET_BYTES,
+    MAX_RECEIVED_BYTES_PER_MESSAGE,
+)
+from altd.publish.mqtt.edge_node import REBIRTH_INTERVAL_S
 from altd.publish.mqtt.messages import birth_of
 from altd.publish.mqtt.sparkplug import (
     NAMESPACE,

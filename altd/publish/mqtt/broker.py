@@ -9,7 +9,7 @@ import math
 import socket
 import ssl
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from types import TracebackType
 from typing import Any, Self
 
@@ -19,6 +19,7 @@ from paho.mqtt.client import Client as PahoClient
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from altd.config import MqttSettings
 from altd.errors import one_line
@@ -38,6 +39,12 @@ GOODBYE_TIMEOUT_S = 1.0
 MAX_RECEIVED_BYTES = 64 << 10
 MAX_RECEIVED_BYTES_PER_MESSAGE = 256
 """The bytes that a broker may send: handshake and CONNACK, and an acknowledgement of each message."""
+
+MAX_PACKET_BYTES = 4096
+"""The broker drops larger packets to the unit (Maximum Packet Size of MQTT 5)."""
+
+MAX_UNACKNOWLEDGED = 8
+"""Messages to the unit on their way at once (Receive Maximum of MQTT 5)."""
 
 _TCP_INFO_BYTES = 136
 _BYTES_RECEIVED = struct.Struct("=128xQ")
@@ -76,9 +83,11 @@ class Broker(aiomqtt.Client):
         will: aiomqtt.Will,
         login: Login = None,
         tls: ssl.SSLContext | None = None,
-        properties: Properties | None = None,
     ) -> None:
         user, password = login or (None, None)
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.MaximumPacketSize = MAX_PACKET_BYTES
+        properties.ReceiveMaximum = MAX_UNACKNOWLEDGED
         super().__init__(
             settings.host,
             settings.port_or_default,
@@ -102,6 +111,8 @@ class Broker(aiomqtt.Client):
         """Whether there was a server to which CONNECT was sent, whatever followed."""
         self._watched: socket.socket | None = None
         self._sent = 0
+        self._topic = ""
+        self._take: Callable[[bytes, bool], None] = lambda payload, is_retained: None
 
     async def __aenter__(self) -> Self:
         """Connect; raises BrokerError."""
@@ -150,6 +161,23 @@ class Broker(aiomqtt.Client):
             properties.MessageExpiryInterval = expiry_s
         async with self._acknowledged():
             await self.publish(topic, payload, 1, retain, properties)
+
+    async def subscribe_to(
+        self, topic: str, take: Callable[[bytes, bool], None], with_retained: bool = False
+    ) -> None:
+        """Pass each message on ``topic`` to ``take``, and whether it is retained; raises BrokerError.
+
+        ``with_retained``: the message that the broker retains comes first, and only that one is marked.
+        """
+        self._topic, self._take = topic, take
+        handling = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE
+        if not with_retained:
+            handling = SubscribeOptions.RETAIN_DO_NOT_SEND
+        options = SubscribeOptions(1, retainAsPublished=not with_retained, retainHandling=handling)
+        async with self._acknowledged():
+            granted = [str(code) for code in await self.subscribe(topic, options=options)]
+        if granted != ["Granted QoS 1"]:
+            raise BrokerError(f"the broker refuses the subscription of {topic}: {', '.join(granted)}")
 
     @contextlib.asynccontextmanager
     async def _acknowledged(self) -> AsyncIterator[None]:
@@ -223,6 +251,8 @@ class Broker(aiomqtt.Client):
             self._client.loop_read()
             while isinstance(sock, ssl.SSLSocket) and sock.fileno() >= 0 and sock.pending():
                 self._client.loop_read()
+            if self._client._in_messages:  # noqa: SLF001  paho keeps these until the broker releases them
+                raise BrokerError("the broker sent a message with QoS 2, and the subscription has QoS 1")
         except BrokerError as error:
             self._stop_reading(sock, error)
         except Exception as error:  # paho raises many kinds for malformed packets
@@ -235,14 +265,19 @@ class Broker(aiomqtt.Client):
         self._fail(error)
 
     def _check_received(self, sock: socket.socket) -> None:
-        """Nothing may come but acknowledgements: paho would keep 256 MB of one packet, and many packets."""
+        """Little may come but acknowledgements: paho would keep 256 MB of one packet, and many packets."""
         info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_BYTES)
         received: int = _BYTES_RECEIVED.unpack(info)[0]
         if received > MAX_RECEIVED_BYTES + MAX_RECEIVED_BYTES_PER_MESSAGE * self._sent:
             raise BrokerError("the broker sends more than acknowledgements")
 
     def _on_message(self, client: PahoClient, userdata: Any, message: Any) -> None:
-        self._fail(BrokerError("the broker sent a message, and the unit subscribes to nothing"))
+        if message.topic == self._topic:
+            self._take(message.payload, message.retain)
+        elif self._topic:
+            self._fail(BrokerError("the broker sent a message on another topic than that of commands"))
+        else:
+            self._fail(BrokerError("the broker sent a message, and the unit subscribes to nothing"))
 
     def _on_publish(
         self, client: PahoClient, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties

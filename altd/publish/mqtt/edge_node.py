@@ -6,18 +6,13 @@ import asyncio
 import random
 import socket
 import ssl
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 from urllib.parse import quote
 
 import aiomqtt
-from paho.mqtt.client import Client as PahoClient
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
-from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from altd.config import MqttSettings
-from altd.publish.mqtt.broker import Broker, BrokerError, Login
+from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
 from altd.publish.mqtt.messages import birth_of
 from altd.publish.mqtt.sparkplug import (
@@ -39,15 +34,9 @@ from altd.status.health import Component, Health
 REBIRTH_INTERVAL_S = 1.0
 """From one birth to the next at least, however many are asked for."""
 
-MAX_PACKET_BYTES = 4096
-"""The broker drops larger packets to the unit (Maximum Packet Size of MQTT 5)."""
-
-MAX_UNACKNOWLEDGED = 8
-"""Commands on their way at once (Receive Maximum of MQTT 5)."""
-
 
 class EdgeNodeSession(Broker):
-    """A connection that takes messages on one topic, and sends data with QoS 0, as Sparkplug has it."""
+    """A connection that sends data with QoS 0, as Sparkplug has it."""
 
     def __init__(
         self,
@@ -57,25 +46,9 @@ class EdgeNodeSession(Broker):
         login: Login = None,
         tls: ssl.SSLContext | None = None,
     ) -> None:
-        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-        properties.MaximumPacketSize = MAX_PACKET_BYTES
-        properties.ReceiveMaximum = MAX_UNACKNOWLEDGED
-        super().__init__(settings, identifier, will, login, tls, properties)
+        super().__init__(settings, identifier, will, login, tls)
         self._answered = asyncio.Event()
         self._is_born = False
-        self._topic = ""
-        self._take: Callable[[bytes, bool], None] = lambda payload, is_retained: None
-
-    async def subscribe_to(self, topic: str, take: Callable[[bytes, bool], None]) -> None:
-        """Pass each message on ``topic`` to ``take``, with its retain flag; raises BrokerError."""
-        self._topic, self._take = topic, take
-        options = SubscribeOptions(
-            1, retainAsPublished=True, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND
-        )
-        async with self._acknowledged():
-            granted = [str(code) for code in await self.subscribe(topic, options=options)]
-        if granted != ["Granted QoS 1"]:
-            raise BrokerError(f"the broker refuses the subscription of {topic}: {', '.join(granted)}")
 
     async def send_data(self, topic: str, payload: bytes) -> None:
         """Publish with QoS 0, and wait until the broker has read it; raises BrokerError."""
@@ -101,16 +74,8 @@ class EdgeNodeSession(Broker):
 
     def _read(self, sock: socket.socket) -> None:
         super()._read(sock)
-        if self._client._in_messages:  # noqa: SLF001  paho keeps these until the broker releases them
-            self._fail(BrokerError("the broker sent a message with QoS 2, and the subscription has QoS 1"))
         if not self._client._ping_t:  # noqa: SLF001  zero: there is no ping without an answer
             self._answered.set()
-
-    def _on_message(self, client: PahoClient, userdata: Any, message: Any) -> None:
-        if message.topic != self._topic:
-            self._fail(BrokerError("the broker sent a message on another topic than that of commands"))
-        else:
-            self._take(message.payload, message.retain)
 
     async def _leave(self) -> None:
         """Send NDEATH if there was a birth. No DISCONNECT: so the broker sends the will in any case."""

@@ -31,6 +31,8 @@ class Topics:
     state: str
     summary: str
     measurement: str
+    outbox: str
+    ack: str
 
     @classmethod
     def of(cls, beginning: str, serial: str) -> Self:

@@ -5,21 +5,25 @@ Each message is made after the one before it was acknowledged.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import random
 import ssl
+from collections.abc import Mapping
 from typing import Any
 
 import aiomqtt
 
 from altd.config import MqttSettings
+from altd.history.outbox import Outbox
 from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics, birth_of, state_of, summary_of
+from altd.publish.mqtt.outbox import OutboxSender
 from altd.reasons import Signal
 from altd.records import Measurement, Quantities
 from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component, Health, State
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Stamps
 
@@ -48,10 +52,19 @@ class MqttPublisher(BrokerPublisher[Broker]):
         health: Health,
         component: Component,
         chance: random.Random,
+        outbox: Outbox | None = None,
     ) -> None:
         super().__init__(settings, board, health, component, chance)
         self._topics = Topics.of(settings.topic, self._serial)
         self._stamps = Stamps(board)
+        self._sender: OutboxSender | None = None
+        if outbox is not None:
+            topics = self._topics.outbox, self._topics.ack
+            self._sender = OutboxSender(
+                outbox, topics, self._serial, health.component("outbox"), self._with_proof
+            )
+        elif settings.store_and_forward:
+            health.component("outbox").set_state(State.DEGRADED, "there is no history: no second is kept")
         self._unsummarised = board.cursor()
         self._since_summary: list[Measurement] = []
         self._told: Measurement | None = None
@@ -62,7 +75,16 @@ class MqttPublisher(BrokerPublisher[Broker]):
         will = aiomqtt.Will(self._topics.availability, OFFLINE, qos=1, retain=True)
         return Broker(self._settings, self._identifier, will, login, tls)
 
+    def _with_proof(self, document: Mapping[str, Any]) -> str:
+        return with_proof(document, self._board, self._stamps.next())
+
     async def _listen(self, broker: Broker) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._collect(), name="mqtt summary")
+            if self._sender is not None:
+                tasks.create_task(self._sender.run(broker), name="mqtt outbox")
+
+    async def _collect(self) -> None:
         """Take each measurement for the next summary. A connection without summaries ends in seconds."""
         self._since_summary.clear()
         while True:
@@ -73,7 +95,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
     async def _introduce(self, broker: Broker) -> None:
         """Say who this is; ``online`` comes last, so that a client that sees it has all the rest."""
         topics, version = self._topics, self._health.facts.get("version", "")
-        birth = with_proof(birth_of(self._board, self._health, self._clock), self._board, self._stamps.next())
+        birth = self._with_proof(birth_of(self._board, self._health, self._clock))
         await broker.send(topics.birth, birth, expiry_s=None, retain=True)
         if (prefix := self._settings.home_assistant) is not None:
             device = discovery_of(self._board.quantities, topics, self._identifier, self._serial, version)
@@ -98,7 +120,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             await self._send_measurement(broker)
         summary = summary_of(self._since_summary, self._board, self._clock)
         self._since_summary.clear()
-        line = with_proof(summary, self._board, self._stamps.next())
+        line = self._with_proof(summary)
         await broker.send(self._topics.summary, line, expiry_s=NUMBERS_EXPIRY_S)
         self._has_sent()
 
@@ -120,7 +142,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
         if (state := (report.signal, causes)) == self._told_state:
             return
         self._told_state = state
-        line = with_proof(state_of(report, self._clock), self._board, self._stamps.next())
+        line = self._with_proof(state_of(report, self._clock))
         await broker.send(self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)
 
 

@@ -123,6 +123,10 @@ COMMANDS = {
     "refraction": Command("refraction --distance 10 100", "altd.cli.refraction:bending 2"),
     "devices": Command("devices", "altd.cli.devices:lines 1"),
     "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
+    "ingest": Command(
+        "ingest --config {fleet}", "altd.fleet.ingest:Ingest.take 1", ends_with=0, says="(altd: .*\n)+"
+    ),
+    "fleet": Command("fleet --config {fleet}", "altd.fleet.database:connect 1"),
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),
     "hw_sim flat": Command("flat -o kept --exposures 4", EXPOSE, module=HW_SIM),
     "hw_sim plate": Command("plate -o kept", EXPOSE, module=HW_SIM),
@@ -164,6 +168,10 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     archive = folder.parent / "unit.tar.gz"
     if "{archive}" in line:
         back_up(unit.config, archive)
+    fleet = folder.parent / "fleet.toml"  # neither broker nor database are there
+    fleet.write_text(
+        f'[broker]\nhost = "127.0.0.1"\nport = {free_port()}\n[database]\nconnection = "host={folder}"\n'
+    )
     scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan", "check": folder.parent / "check"}
     files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config}
     files |= {
@@ -172,6 +180,7 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
         "lamps": lamps,
         "served": served,
         "archive": archive,
+        "fleet": fleet,
     }
     return shlex.split(line.format(**scans, **files))
 

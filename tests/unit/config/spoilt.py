@@ -247,6 +247,12 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "mqtt.home_assistant",
         "does not go with [mqtt.sparkplug]",
     ),
+    (
+        "[opcua]",
+        "store_and_forward = «true\n[history]\nenabled = false\n[opcua]",
+        "mqtt.store_and_forward",
+        "needs the history; possible: enabled = true in [history]",
+    ),
     ('home_assistant = "homeassistant"', "«sparkplug = {}", "mqtt.sparkplug.group", "is missing"),
     (
         'home_assistant = "homeassistant"',

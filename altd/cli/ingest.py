@@ -1,0 +1,29 @@
+"""``altd ingest``: from the broker into PostgreSQL, for many units."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from contextlib import suppress
+from pathlib import Path
+
+from altd.process.endings import EndedBySignal
+from altd.process.logs import logging_to_stderr
+
+SUMMARY = "take the units' outboxes from a broker into PostgreSQL (extra altd[fleet])"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the command."""
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="settings, fleet.toml")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run until a signal ends it: status 0, as a service ends."""
+    from altd.fleet.ingest import Ingest
+    from altd.fleet.settings import load_fleet_settings
+
+    ingest = Ingest(load_fleet_settings(options.config))
+    with logging_to_stderr(logging.INFO), suppress(EndedBySignal):
+        ingest.run()
+    return 0

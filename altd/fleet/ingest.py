@@ -1,0 +1,215 @@
+"""``altd ingest``: takes batches from the broker, commits them, then acknowledges to the broker and the unit.
+
+It keeps no state: what it has not committed when it ends, the units send again.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import secrets
+import threading
+import time
+from collections import Counter
+from typing import Any
+from urllib.parse import quote
+
+import psycopg
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from altd.credentials.certificates import client_context
+from altd.credentials.file import load_login
+from altd.errors import one_line
+from altd.fleet.database import Progress, Writer, connect, maintain, migrate
+from altd.fleet.intake import MAX_BYTES, Intake, Refusal
+from altd.fleet.settings import FleetSettings
+from altd.status.outbox import Batch, acknowledgement_of
+
+MAX_WAITING = 1000
+"""Messages on their way that are not acknowledged (Receive Maximum of MQTT 5)."""
+
+MAX_BYTES_AT_ONCE = 4 << 20
+"""Of messages in one transaction: some 20,000 seconds."""
+
+GATHER_S = 0.05
+"""Messages that come within this time share a transaction."""
+
+MAINTENANCE_INTERVAL_S = 60.0
+_MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 10.0
+_REPORT_INTERVAL_S = 60.0
+
+log = logging.getLogger("altd")
+
+
+class Ingest:
+    """One instance. Any number of them share the messages of a broker."""
+
+    def __init__(self, settings: FleetSettings) -> None:
+        """Raises BadInputError for credentials and certificates that cannot be used."""
+        self._settings = settings
+        broker = settings.broker
+        self._intake = Intake(broker.topic)
+        self._messages: queue.Queue[tuple[int, MQTTMessage]] = queue.Queue()
+        self._connections = 0
+        self._refused: Counter[tuple[str, str]] = Counter()
+        self._writer: Writer | None = None
+        self._connection: psycopg.Connection | None = None
+        self._reported_s = time.monotonic()
+        self.rows = 0
+        """Seconds that were committed, with those that were there before."""
+        self._client = Client(
+            CallbackAPIVersion.VERSION2,
+            f"altd_ingest_{secrets.token_hex(8)}",
+            protocol=MQTTProtocolVersion.MQTTv5,
+            manual_ack=True,
+        )
+        self._client.on_connect = self._on_connect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_message = self._on_message
+        if broker.credentials is not None:
+            self._client.username_pw_set(*load_login(broker.credentials))
+        if broker.ca is not None:
+            self._client.tls_set_context(client_context(broker.ca, broker.certificate, broker.key))
+
+    def run(self) -> None:
+        """Take messages until a signal ends the process."""
+        try:
+            self._open_database()
+        except psycopg.OperationalError as error:  # it is tried again with the first message
+            log.warning("ingest: no database yet: %s", one_line(str(error).strip()))
+        threading.Thread(target=self._maintain, name="maintenance", daemon=True).start()
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.ReceiveMaximum = MAX_WAITING
+        properties.MaximumPacketSize = MAX_BYTES
+        broker = self._settings.broker
+        self._client.reconnect_delay_set(1, 30)
+        self._client.connect_async(
+            broker.host, broker.port_or_default, keepalive=10, clean_start=True, properties=properties
+        )
+        self._client.loop_start()
+        try:
+            while True:
+                self.take(self._next_messages())
+        finally:
+            self._client.loop_stop()
+
+    def _on_connect(self, client: Client, userdata: Any, flags: Any, code: ReasonCode, _: Any) -> None:
+        broker = self._settings.broker
+        if code.is_failure:
+            log.warning("ingest: the broker refuses the connection: %s", code)
+            return
+        self._connections += 1
+        client.subscribe(f"$share/{broker.group}/{broker.topic}/+/outbox", qos=1)
+
+    def _on_subscribe(self, client: Client, userdata: Any, mid: int, codes: list[ReasonCode], _: Any) -> None:
+        if any(code.is_failure for code in codes):
+            log.warning("ingest: the broker refuses the subscription: %s", ", ".join(map(str, codes)))
+        else:
+            log.info("ingest: connected to %s", self._settings.broker.host)
+
+    def _on_disconnect(self, client: Client, userdata: Any, flags: Any, code: ReasonCode, _: Any) -> None:
+        log.warning("ingest: the connection to the broker has ended: %s", code)
+
+    def _on_message(self, client: Client, userdata: Any, message: MQTTMessage) -> None:
+        self._messages.put((self._connections, message))
+
+    def _next_messages(self) -> list[tuple[int, MQTTMessage]]:
+        """Those that have come, once there are any."""
+        try:
+            messages = [self._messages.get(timeout=1.0)]
+        except queue.Empty:
+            return []
+        time.sleep(GATHER_S)
+        size = len(messages[0][1].payload)
+        while size < MAX_BYTES_AT_ONCE and len(messages) < MAX_WAITING and not self._messages.empty():
+            messages.append(self._messages.get_nowait())
+            size += len(messages[-1][1].payload)
+        return messages
+
+    def take(self, messages: list[tuple[int, MQTTMessage]]) -> None:
+        """Verify, commit, acknowledge to the broker, then to the units."""
+        now_s = time.monotonic()
+        batches = []
+        for _, message in messages:
+            found = self._intake.check(message.topic, bytes(message.payload), now_s)
+            if isinstance(found, Batch):
+                batches.append(found)
+            else:
+                self._refuse(self._intake.unit_of(message.topic), found)
+        progress = self._commit(batches)
+        for connection, message in messages:
+            if connection == self._connections:
+                self._client.ack(message.mid, message.qos)
+        for each in progress:
+            topic = f"{self._settings.broker.topic}/{quote(each.serial, safe='')}/ack"
+            text = acknowledgement_of(each.serial, each.stream, each.sequence)
+            self._client.publish(topic, text, qos=0, retain=True)  # one that is lost: the batch comes again
+        self.rows += sum(len(batch.rows) for batch in batches)
+        self._report(now_s)
+
+    def _refuse(self, unit: str, reason: Refusal) -> None:
+        if len(self._refused) < 10_000:
+            self._refused[unit, str(reason)] += 1
+        else:
+            self._refused["", str(reason)] += 1
+
+    def _commit(self, batches: list[Batch]) -> list[Progress]:
+        """Write until the database takes it; a batch that it can never take is refused."""
+        backoff_s = _MIN_BACKOFF_S
+        while batches or self._refused:
+            try:
+                writer = self._writer or self._open_database()
+                progress = writer.write(batches, self._refused)
+            except (psycopg.OperationalError, psycopg.InterfaceError) as error:
+                log.warning("ingest: the database does not take it: %s", one_line(str(error).strip()))
+                self._close_database()
+                time.sleep(backoff_s)
+                backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
+            except psycopg.Error as error:
+                log.exception("ingest: a defect")
+                self._close_database()
+                if len(batches) <= 1:
+                    if batches:
+                        self._refuse(batches[0].serial, Refusal.DATABASE)
+                    else:
+                        self._refused.clear()
+                    log.warning("ingest: refused by the database: %s", one_line(str(error).strip()))
+                    return []
+                return [each for batch in batches for each in self._commit([batch])]
+            else:
+                self._refused.clear()
+                return progress
+        return []
+
+    def _open_database(self) -> Writer:
+        self._connection = connect(self._settings)
+        migrate(self._connection)
+        self._writer = Writer(self._connection, self._settings)
+        return self._writer
+
+    def _close_database(self) -> None:
+        self._writer = None
+        if self._connection is not None:
+            self._connection.close()
+
+    def _maintain(self) -> None:
+        """Roll up and delete, in a thread with a connection of its own."""
+        while True:
+            try:
+                with connect(self._settings) as connection:
+                    while True:
+                        maintain(connection, self._settings)
+                        time.sleep(MAINTENANCE_INTERVAL_S)
+            except psycopg.Error as error:
+                log.warning("ingest: maintenance of the database: %s", one_line(str(error).strip()))
+                time.sleep(_MAX_BACKOFF_S)
+
+    def _report(self, now_s: float) -> None:
+        if now_s - self._reported_s > _REPORT_INTERVAL_S:
+            self._reported_s = now_s
+            log.info("ingest: %d seconds committed since the start", self.rows)

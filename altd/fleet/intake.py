@@ -1,0 +1,67 @@
+"""A message of the broker: a batch that verifies, or the reason for which it is refused."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from urllib.parse import unquote
+
+from pydantic import ValidationError
+
+from altd.status.outbox import Batch
+from altd.status.proof import is_sealed
+
+MAX_BYTES = 256 << 10
+"""Of a message; the broker does not deliver larger ones."""
+
+RATE_HZ, BURST = 10.0, 100.0
+"""Messages that one instance takes of a unit; a unit that catches up sends 5 a second."""
+
+MAX_UNITS = 100_000
+
+
+class Refusal(StrEnum):
+    """Why a message is refused."""
+
+    RATE = "rate"
+    CRC = "crc"
+    SCHEMA = "schema"
+    UNIT = "unit"
+    DATABASE = "database"
+
+
+class Intake:
+    """Checks the messages of all units; a unit that floods is refused before its messages are read."""
+
+    def __init__(self, topic: str) -> None:
+        self._levels = topic.split("/")
+        self._tokens: dict[str, tuple[float, float]] = {}
+
+    def unit_of(self, topic: str) -> str:
+        """The serial number in a topic; empty: it is none of a unit's outbox."""
+        levels = topic.split("/")
+        if levels[:-2] != self._levels or levels[-1] != "outbox":
+            return ""
+        unit = unquote(levels[-2])
+        return unit if unit.isprintable() else ""
+
+    def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:
+        """The batch of a message; ``now_s`` is monotonic."""
+        unit = self.unit_of(topic)
+        if not self._has_token(unit, now_s):
+            return Refusal.RATE
+        if not is_sealed(payload):
+            return Refusal.CRC
+        try:
+            batch = Batch.model_validate_json(payload)
+        except ValidationError:
+            return Refusal.SCHEMA
+        return batch if batch.serial == unit else Refusal.UNIT
+
+    def _has_token(self, unit: str, now_s: float) -> bool:
+        if len(self._tokens) > MAX_UNITS:
+            self._tokens.clear()
+        tokens, then_s = self._tokens.get(unit, (BURST, now_s))
+        tokens = min(tokens + (now_s - then_s) * RATE_HZ, BURST)
+        has_token = tokens >= 1
+        self._tokens[unit] = tokens - has_token, now_s
+        return has_token

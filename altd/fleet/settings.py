@@ -1,0 +1,118 @@
+"""``fleet.toml``: the settings of ``altd ingest`` and ``altd fleet``."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+
+from altd.config.fields import expected, field_at
+from altd.config.interfaces import BrokerHost, Topic
+from altd.config.places import Place, Places
+from altd.config.table import Table, shown
+from altd.config.wording import UNUSABLE, WHY
+from altd.errors import BadInputError, did_you_mean
+from altd.files.documents import TomlError, parse_toml
+from altd.files.reading import read_file
+
+_MAX_BYTES = 1 << 16
+
+
+class BrokerSettings(Table):
+    """The broker that the units publish to, any of MQTT 5 with shared subscriptions."""
+
+    host: BrokerHost
+    """As in `[mqtt]` of a unit, and so are the other keys."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """Default 1883, with `ca` 8883."""
+    topic: Topic = "altd"
+    """First part of the units' topics."""
+    group: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$", max_length=60)] = "altd"
+    """Name of the shared subscription: the instances of one group share the messages."""
+    ca: Path | None = None
+    """Authorities of the broker's certificate, PEM: TLS only."""
+    certificate: Path | None = None
+    """Certificate chain of the ingest, PEM. With `key` and `ca`."""
+    key: Path | None = None
+    """Its private key, PEM, without a passphrase."""
+    credentials: Path | None = None
+    """File with the user name in line 1 and the password in line 2, readable by its owner and group only."""
+
+    @property
+    def port_or_default(self) -> int:
+        """The port that is connected to."""
+        return self.port or (1883 if self.ca is None else 8883)
+
+
+class DatabaseSettings(Table):
+    """PostgreSQL 14 or later."""
+
+    connection: Annotated[str, Field(min_length=1, max_length=1000)]
+    """Connection string of libpq, such as `host=/run/postgresql dbname=altd`. `passfile` in it names the file
+    with the password."""
+
+
+class RetentionSettings(Table):
+    """The time that is kept; summaries of 1 h stay."""
+
+    seconds_days: Annotated[int, Field(ge=8, le=36_500)] = 93
+    """Of summaries of 1 s."""
+    minutes_days: Annotated[int, Field(ge=8, le=36_500)] = 731
+    """Of summaries of 1 min."""
+
+
+class FleetSettings(Table):
+    """The whole of ``fleet.toml``."""
+
+    broker: BrokerSettings
+    database: DatabaseSettings
+    retention: RetentionSettings = RetentionSettings()
+
+
+def load_fleet_settings(path: Path) -> FleetSettings:
+    """Read and check the file; paths in it count from its folder.
+
+    Raises BadInputError that names the file and, fault by fault, line, column and key.
+    """
+    content = read_file(path, _MAX_BYTES)
+    try:
+        document = parse_toml(content)
+        settings = FleetSettings.model_validate(document)
+    except TomlError as error:
+        place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
+        raise BadInputError(path, f"{place}{error}") from error
+    except ValidationError as error:
+        text = content.decode()
+        raise BadInputError(path, *_faults(error, document, Places(text, tomllib.loads(text)))) from error
+    broker = settings.broker
+    paths = {
+        name: path.parent / value
+        for name in ("ca", "certificate", "key", "credentials")
+        if (value := getattr(broker, name)) is not None
+    }
+    return settings.model_copy(update={"broker": broker.model_copy(update=paths)})
+
+
+def _faults(error: ValidationError, document: dict[str, Any], places: Places) -> Iterator[str]:
+    for detail in error.errors(include_url=False):
+        keys = tuple(detail["loc"])
+        of_key = places.key if detail["type"] == "extra_forbidden" else places.value
+        place = of_key(keys) or places.nearest(keys)
+        where = f"{f'{place}: ' if place else ''}{'.'.join(map(str, keys))}"
+        if detail["type"] == "extra_forbidden":
+            above = field_at(keys[:-1], document, FleetSettings)
+            table = FleetSettings if above is None or not keys[:-1] else above[0]
+            names = list(table.model_fields)
+            suggestion = did_you_mean(keys[-1], names)
+            yield f"{where}: there is no such key; possible: {', '.join(names)}{suggestion}"
+        elif detail["type"] == "missing":
+            yield f"{where}: this key is missing"
+        elif "faults" in detail.get("ctx", {}):
+            yield f"{where}: {'; '.join(text for _, text in detail['ctx']['faults'])}"
+        else:
+            found = field_at(keys, document, FleetSettings)
+            takes = "" if found is None else f"; possible: {expected(*found, shown)}"
+            yield f"{where}: {shown(detail['input'])} {WHY.get(detail['type'], UNUSABLE)}{takes}"

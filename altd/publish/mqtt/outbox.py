@@ -1,0 +1,173 @@
+"""Sends the outbox to the ingest, beside the live messages, and takes the ingest's acknowledgements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from altd.history.history import NoHistoryError
+from altd.history.outbox import Outbox
+from altd.history.records import OutboxMark, QueuedSecond
+from altd.publish.mqtt.broker import Broker
+from altd.status.health import Component, State, duration
+from altd.status.outbox import MAX_NUMBERS, SCHEMA, Acknowledgement, Second
+from altd.status.proof import is_sealed
+
+LIVE_INTERVAL_S = 1.0
+CATCH_UP_INTERVAL_S = 0.2
+"""From one batch to the next while there are more: 1400 seconds a second for a beam, 350 kB."""
+
+MAX_UNACKNOWLEDGED_S = 2000
+"""Seconds that are sent and not acknowledged by the ingest: it sets the rate of all units together."""
+
+RESEND_AFTER_S = 30.0
+"""Without an acknowledgement for so long all is sent again; then after twice the time, and so on."""
+
+MAX_RESEND_S = 480.0
+BATCH_EXPIRY_S = 60
+"""A broker that no ingest reads from forgets a batch after this time: it comes again."""
+
+NO_INGEST_S = 600.0
+"""Without an acknowledgement for so long the component is degraded."""
+
+
+class OutboxSender:
+    """One batch on its way to the broker at a time, and nothing is trimmed on the broker's word."""
+
+    def __init__(
+        self,
+        outbox: Outbox,
+        topics: tuple[str, str],
+        serial: str,
+        component: Component,
+        with_proof: Callable[[Mapping[str, Any]], str],
+    ) -> None:
+        self._outbox = outbox
+        self._topic, self._ack_topic = topics
+        self._serial = serial
+        self._component = component
+        self._clock = component.clock
+        self._with_proof = with_proof
+        self._stream = ""
+        self._acknowledged = 0
+        self._sent = 0
+        self._highest = 0
+        self._heard_ns = self._resend_ns = self._clock.monotonic_ns()
+        self._resend_s = RESEND_AFTER_S
+        component.set_state(State.OK, self._waiting)
+
+    def take_acknowledgement(self, payload: bytes, is_retained: bool) -> None:
+        """Believe an acknowledgement of what was sent since the history was opened, and no other.
+
+        The retained one may be of an earlier opening: it is passed over.
+        """
+        try:
+            message = Acknowledgement.model_validate_json(payload) if is_sealed(payload) else None
+        except ValidationError:
+            message = None
+        is_of_earlier = message is not None and message.stream != self._stream
+        if is_retained and (is_of_earlier or not payload):
+            return
+        is_wrong = message is None or is_of_earlier or message.serial != self._serial
+        if is_wrong or message is None or message.sequence > self._highest:
+            self._component.count("acknowledgements_refused")
+            return
+        if message.sequence > self._acknowledged:
+            self._acknowledged = message.sequence
+            self._sent = max(self._sent, message.sequence)
+            self._outbox.acknowledged = (self._stream, message.sequence)
+            self._heard_ns, self._resend_s = self._clock.monotonic_ns(), RESEND_AFTER_S
+            self._wait_for_answer()
+
+    async def run(self, broker: Broker) -> None:
+        """Send until cancelled; raises BrokerError."""
+        await broker.subscribe_to(self._ack_topic, self.take_acknowledgement, with_retained=True)
+        self._sent = self._acknowledged  # of what was on its way, nothing is known
+        while True:
+            is_more = await self._send_next(broker)
+            await self._clock.sleep(CATCH_UP_INTERVAL_S if is_more else LIVE_INTERVAL_S)
+
+    async def _send_next(self, broker: Broker) -> bool:
+        """Send a batch if one is due; returns whether another one is."""
+        mark = self._outbox.mark
+        if mark is None:
+            return False
+        self._follow(mark)
+        if mark.complete > self._sent and self._sent - self._acknowledged < MAX_UNACKNOWLEDGED_S:
+            after = self._sent  # an acknowledgement that comes during the query may move it
+            try:
+                mark, rows, quantities = await self._outbox.after(after, _MAX_ROWS)
+            except NoHistoryError as error:
+                self._component.set_state(State.DEGRADED, str(error))
+                return False
+            if mark.stream != self._stream:
+                return True
+            rows = rows[: max(MAX_NUMBERS // (len(Second._fields) + 4 * len(quantities)), 1)]
+            last = rows[-1].sequence if len(rows) else mark.complete
+            document = {
+                "schema": SCHEMA,
+                "serial": self._serial,
+                "file": mark.file,
+                "stream": mark.stream,
+                "oldest": min(mark.oldest, after + 1),
+                "first": after + 1,
+                "last": last,
+                "newest": mark.complete,
+                "dropped": mark.dropped,
+                "quantities": quantities,
+                "rows": [_row(row, quantities) for row in rows],
+            }
+            if self._sent == self._acknowledged:
+                self._wait_for_answer()
+            self._sent, self._highest = max(self._sent, last), max(self._highest, last)
+            await broker.send(self._topic, self._with_proof(document), expiry_s=BATCH_EXPIRY_S)
+            self._component.count("batches_sent")
+        self._report(mark)
+        return mark.complete > self._sent and self._sent - self._acknowledged < MAX_UNACKNOWLEDGED_S
+
+    def _follow(self, mark: OutboxMark) -> None:
+        """Begin again with a new stream, and after a time without an answer."""
+        now_ns = self._clock.monotonic_ns()
+        if mark.stream != self._stream:
+            self._stream, self._acknowledged = mark.stream, mark.oldest - 1
+            self._sent = self._highest = self._acknowledged
+        elif mark.oldest - 1 > self._acknowledged:  # the oldest were dropped
+            self._acknowledged = mark.oldest - 1
+            self._sent = max(self._sent, self._acknowledged)
+        elif self._sent > self._acknowledged and now_ns >= self._resend_ns:
+            self._resend_s = min(2 * self._resend_s, MAX_RESEND_S)
+            self._sent = self._acknowledged
+            self._component.count("times_sent_again")
+
+    def _wait_for_answer(self) -> None:
+        self._resend_ns = self._clock.monotonic_ns() + round(self._resend_s * 1e9)
+
+    def _report(self, mark: OutboxMark) -> None:
+        self._component.counters["seconds_dropped"] = mark.dropped
+        if mark.waiting <= 0:
+            self._heard_ns = self._clock.monotonic_ns()
+        silent_s = (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
+        if silent_s > NO_INGEST_S:
+            text = f"no acknowledgement of an ingest for {duration(silent_s)}"
+            self._component.set_state(State.DEGRADED, text)
+        else:
+            self._component.set_state(State.OK, self._waiting)
+
+    def _waiting(self, _now_ns: int) -> str:
+        mark = self._outbox.mark
+        if mark is None:
+            return "the history is not open yet"
+        return f"seconds that wait for an acknowledgement: {mark.waiting}"
+
+
+_MAX_ROWS = MAX_NUMBERS // (len(Second._fields) + 4)
+
+
+def _row(second: QueuedSecond, quantities: Any) -> Second:
+    point = second.point
+    known = [point.values.get(key) for key in quantities]
+    values = [None if each is None else (each.mean, each.sigma, each.low, each.high) for each in known]
+    about = (point.n, point.n_valid, point.worst, point.worst_code, point.lost_to)
+    return Second(second.sequence, second.epoch, point.t_us // 10**6, *about, values)

@@ -1,0 +1,160 @@
+"""Debian's PostgreSQL, `altd ingest` as a process, and units with real histories."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psycopg
+
+from altd.history.history import History
+from altd.history.outbox import Outbox
+from altd.history.reader import Reader
+from altd.history.schema import SECONDS
+from altd.history.store import Store
+from benchmarks.postgresql import Cluster, programs
+from benchmarks.postgresql import postgresql as server
+from support.foreign import need
+from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample, state
+from support.mqtt import PublishingUnit
+
+Row = tuple[object, ...]
+
+
+@contextlib.contextmanager
+def postgresql() -> Iterator[Cluster]:
+    """A cluster that runs; a skip where Debian's package is not installed."""
+    need(programs() is not None, "PostgreSQL is not installed (Debian package postgresql)")
+    with server("fsync=off") as cluster:
+        yield cluster
+
+
+def fleet_toml(folder: Path, port: int, connection: str, more: str = "") -> Path:
+    path = folder / "fleet.toml"
+    text = f'[broker]\nhost = "127.0.0.1"\nport = {port}\n{more}\n[database]\nconnection = "{connection}"\n'
+    path.write_text(text)
+    return path
+
+
+@contextlib.contextmanager
+def ingesting(config: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """`altd ingest` as a process, once it has subscribed; its log is beside the settings."""
+    log = config.with_name(f"ingest-{time.monotonic_ns()}.log")
+    with log.open("wb") as out:
+        words = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(config)]
+        process = subprocess.Popen(words, stdout=out, stderr=out)
+    try:
+        deadline_s = time.monotonic() + 60
+        while b"connected to" not in log.read_bytes():
+            assert process.poll() is None, log.read_text()
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        process.wait()
+
+
+@dataclass
+class FleetUnit:
+    """A unit whose history is written by the second, and sent by the real publisher."""
+
+    serial: str
+    folder: Path
+    store: Store = field(init=False)
+    history: History = field(init=False)
+    outbox: Outbox = field(init=False)
+    written_s: int = START_S
+
+    def __post_init__(self) -> None:
+        self.folder.mkdir(exist_ok=True)
+        self.history = History(self.path, serial=self.serial)
+        self.open(Outbox(self.history))
+
+    @property
+    def path(self) -> Path:
+        return self.folder / "history.db"
+
+    def open(self, outbox: Outbox) -> None:
+        """As a daemon that starts, and begins a new stream."""
+        self.store = Store(self.path, MAX_BYTES, renamed(ABOUT, serial=self.serial), has_outbox=True)
+        self.outbox = outbox
+
+    def write(self, seconds: int = 0, x_mm: float = 10.0) -> None:
+        """Write seconds of one measurement, and delete what was acknowledged."""
+        items: list[Any] = []
+        for _ in range(seconds):
+            self.written_s += 1
+            items += [state(self.written_s), sample(self.written_s, x_mm + self.written_s % 100 * 1e-3)]
+        made = batch(self.written_s + 5, items)
+        self.outbox.mark = self.store.write(
+            type(made)(made.monotonic_ns, made.wall_us, made.items, (), self.outbox.acknowledged)
+        ).outbox
+
+    def waiting(self) -> int:
+        assert self.outbox.mark is not None
+        return self.outbox.mark.waiting
+
+    def close(self) -> None:
+        self.store.end(None)
+
+    @contextlib.asynccontextmanager
+    async def running(self, port: int, **settings: object) -> AsyncIterator[PublishingUnit]:
+        """Published under supervision, while acknowledgements reach the history."""
+        unit = PublishingUnit.made(port, serial=self.serial, outbox=self.outbox, **settings)
+        trimming = asyncio.create_task(self._trim())
+        try:
+            async with unit.running():
+                yield unit
+        finally:
+            trimming.cancel()
+            await asyncio.gather(trimming, return_exceptions=True)
+            await self.history.end()
+
+    async def _trim(self) -> None:
+        while True:
+            self.write()
+            await asyncio.sleep(0.05)
+
+    def rows(self) -> set[Row]:
+        """All seconds of the history, as ``stored_rows`` has those of the database."""
+        with Reader(self.path) as reader:
+            points = reader.summaries(SECONDS, 0, 2**52)
+            return {
+                (
+                    self.serial,
+                    point.t_us // 10**6,
+                    point.n,
+                    point.n_valid,
+                    point.worst,
+                    point.worst_code,
+                    point.lost_to,
+                    tuple(sorted((key, (v.mean, v.sigma, v.low, v.high)) for key, v in point.values.items())),
+                )
+                for point in points
+            }
+
+
+def stored_rows(connection: str) -> list[Row]:
+    """All seconds of the database, in the order of their sequences."""
+    with psycopg.connect(connection) as opened:
+        found = opened.execute(
+            "SELECT serial, extract(epoch FROM time)::bigint, n, n_valid, s.worst, s.cause, lost_to, "
+            "quantities FROM altd.seconds AS s JOIN altd.units ON units.id = unit ORDER BY serial, sequence"
+        ).fetchall()
+    return [(*row[:7], tuple(sorted((key, tuple(value)) for key, value in row[7].items()))) for row in found]
+
+
+async def until(condition: Callable[[], bool], within_s: float = 60.0) -> None:
+    deadline_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline_s
+        await asyncio.sleep(0.05)

@@ -1,0 +1,84 @@
+"""Each query of the dashboards and alerts in `examples/grafana`, on the real database with data."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psycopg
+import pytest
+import yaml
+from support.fleet import FleetUnit, fleet_toml, ingesting, postgresql, until
+from support.history import batch, sample, state
+from support.mqtt import mosquitto
+from support.places import ROOT
+
+GRAFANA = ROOT / "examples" / "grafana"
+QUERIES = {
+    f"{path.stem}: {panel['title']}": target["rawSql"]
+    for path in sorted((GRAFANA / "dashboards").glob("*.json"))
+    for panel in json.loads(path.read_text())["panels"]
+    for target in panel["targets"]
+}
+ALERTS = {
+    rule["title"]: rule["data"][0]["model"]["rawSql"]
+    for group in yaml.safe_load((GRAFANA / "provisioning/alerting/altd.yaml").read_text())["groups"]
+    for rule in group["rules"]
+}
+ALL_TIME = r"\1 BETWEEN '2020-01-01' AND '2040-01-01'"
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[psycopg.Connection]:
+    """Of a unit that was blind for a second, and was restarted; and of one that has sent garbage."""
+    folder = tmp_path_factory.mktemp("fleet")
+    unit = FleetUnit("ALT-1", folder / "unit")
+    unit.write(100)
+    unit.store.end(None)
+    unit.open(unit.outbox)
+    unit.written_s += 1
+    blind: list[Any] = [state(unit.written_s, 2, "front_spot_missing"), sample(unit.written_s, None)]
+    unit.store.write(batch(unit.written_s + 5, blind))
+
+    async def send(port: int) -> None:
+        async with unit.running(port):
+            await until(lambda: unit.outbox.mark is not None and unit.waiting() == 0)
+
+    with postgresql() as cluster, mosquitto(folder, "allow_anonymous true") as (port, _):
+        connection = cluster.new_database()
+        with ingesting(fleet_toml(folder, port, connection)):
+            asyncio.run(send(port))
+        with psycopg.connect(connection, autocommit=True) as opened:
+            opened.execute("INSERT INTO altd.refused VALUES ('ALT-1', 'crc', 3)")
+            while opened.execute("SELECT altd.roll_up('0 s')").fetchone() == (True,):
+                pass
+            yield opened
+    unit.close()
+
+
+@pytest.mark.parametrize("title", QUERIES)
+def test_each_panel_shows_the_data(title: str, database: psycopg.Connection) -> None:
+    sql = re.sub(r"\$__timeFilter\(([a-z.]+)\)", ALL_TIME, QUERIES[title])
+    found = database.execute(sql.replace("${unit:sqlstring}", "'ALT-1'").encode())
+    rows = found.fetchall()
+    assert rows, "no data"
+    assert "$" not in sql.replace("${unit:sqlstring}", "")
+    columns = [column.name for column in found.description or ()]
+    assert len(set(columns)) == len(columns)
+
+
+@pytest.mark.parametrize("title", ALERTS)
+def test_each_alert_names_the_unit(title: str, database: psycopg.Connection) -> None:
+    rows = database.execute(ALERTS[title].encode()).fetchall()
+    assert rows == ([] if "too little" in title else [("ALT-1", 3 if "deleted" in title else 1)])
+
+
+def test_all_dashboards_use_the_provisioned_source() -> None:
+    (source,) = yaml.safe_load((GRAFANA / "provisioning/datasources/altd.yaml").read_text())["datasources"]
+    texts = [path.read_text() for path in (GRAFANA / "dashboards").glob("*.json")]
+    assert set(re.findall(r'"type": "postgres",\s*"uid": "([a-z]+)"', "".join(texts))) == {source["uid"]}
+    assert Path(GRAFANA / "dashboards/unit.json").exists()

@@ -1,0 +1,114 @@
+"""The checks that a message passes before anything of it gets into the database."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from altd.fleet.intake import BURST, RATE_HZ, Intake, Refusal
+from altd.status.outbox import Batch
+from altd.status.proof import sealed
+
+TOPIC = "plant/line-4/ALT%2F7/outbox"
+ROW = [5, 2, 1_795_161_600, 20, 19, 1, "front_dim", "front_spot_missing", [[10.0, 0.004, 9.9, 10.1], None]]
+BATCH = {
+    "schema": 1,
+    "serial": "ALT/7",
+    "file": "0123456789abcdef",
+    "stream": "fedcba9876543210",
+    "oldest": 1,
+    "first": 4,
+    "last": 6,
+    "newest": 6,
+    "dropped": 0,
+    "quantities": ["x_mm", "roll_deg"],
+    "rows": [ROW],
+    "unit": "00000000",
+}
+
+
+def message(**changes: object) -> bytes:
+    return sealed(json.dumps({**BATCH, **changes})).encode()
+
+
+def check(payload: bytes, topic: str = TOPIC) -> Batch | Refusal:
+    return Intake("plant/line-4").check(topic, payload, 0.0)
+
+
+def row(place: int, value: object) -> dict[str, Any]:
+    return {"rows": [[*ROW[:place], value, *ROW[place + 1 :]]]}
+
+
+def test_a_batch_that_verifies() -> None:
+    batch = check(message())
+    assert isinstance(batch, Batch)
+    assert batch.rows[0].values == [(10.0, 0.004, 9.9, 10.1), None]
+    assert isinstance(check(message(rows=[], first=6)), Batch), "all of it was dropped"
+
+
+def test_each_damaged_byte_is_found() -> None:
+    good = message()
+    for place in range(len(good)):
+        damaged = bytearray(good)
+        damaged[place] ^= 1
+        assert check(bytes(damaged)) is Refusal.CRC, place
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"schema": 2},
+        {"schema": True},
+        {"file": "x"},
+        {"oldest": 0},
+        {"oldest": 5},
+        {"first": 7},
+        {"last": 2**53},
+        {"last": "6"},
+        {"dropped": -1},
+        {"quantities": ["x_mm"]},
+        {"quantities": ["x_mm", "Robert'); DROP"]},
+        {"quantities": ["x_mm", 'a":[1]}\t']},
+        {"rows": [ROW, ROW]},
+        {"serial": "\u0000"},
+        row(0, 3),
+        row(0, 7),
+        row(1, -1),
+        row(2, 1.5),
+        row(2, 2**35),
+        row(3, 18),
+        row(5, 5),
+        row(6, "a\tb"),
+        row(7, "\\N\n"),
+        row(8, [[10.0, 0.004, 9.9], None]),
+        row(8, [["10.0", 0.004, 9.9, 10.1], None]),
+        row(8, [[float("nan"), 0.004, 9.9, 10.1], None]),
+        row(8, [[float("inf"), 0.004, 9.9, 10.1], None]),
+    ],
+)
+def test_what_no_unit_sends_is_refused_with_the_right_crc(changes: dict[str, object]) -> None:
+    assert check(message(**changes)) is Refusal.SCHEMA
+
+
+@pytest.mark.parametrize("payload", [b"", b"{}", b"\xff\x00", sealed("{" + "[" * 9000 + "}").encode()])
+def test_garbage(payload: bytes) -> None:
+    assert check(payload) in (Refusal.CRC, Refusal.SCHEMA)
+
+
+@pytest.mark.parametrize(
+    "topic", ["plant/line-4/ALT%2F8/outbox", "plant/ALT%2F7/outbox", "ALT%2F7", "plant/line-4/%00/outbox"]
+)
+def test_a_batch_on_the_topic_of_another_unit(topic: str) -> None:
+    assert check(message(), topic) is Refusal.UNIT
+
+
+def test_a_flood_is_refused_before_it_is_read_and_others_are_not() -> None:
+    intake = Intake("plant/line-4")
+    found = [intake.check(TOPIC, b"flood", 10.0) for _ in range(1000)]
+    assert found.count(Refusal.CRC) == BURST
+    assert found[-1] is Refusal.RATE
+    assert isinstance(intake.check(TOPIC.replace("7", "8"), message(serial="ALT/8"), 10.0), Batch)
+    later = [intake.check(TOPIC, b"flood", 12.0) for _ in range(1000)]
+    assert later.count(Refusal.CRC) == 2 * RATE_HZ
