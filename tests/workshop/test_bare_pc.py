@@ -357,7 +357,7 @@ def starts(technician: Technician) -> list[str]:
 
 
 def reports(technician: Technician, options: str = "") -> str:
-    """What the daemon says, once it has measured, or knows why not."""
+    """Output of `altd status`, once the daemon has measured or knows why not."""
     deadline = time.monotonic() + 60
     while "state  " not in (said := technician.enter(f"altd status {options}; true")):
         assert time.monotonic() < deadline, said
