@@ -196,8 +196,7 @@ class DaemonHistory:
             self.leave_out(why)
         else:
             about = history_about(config, calibration, self._board.quantities)
-            has_outbox = config.mqtt is not None and config.mqtt.store_and_forward
-            self.keep_in(path, config.history.max_mb * 10**6, about, has_outbox)
+            self.keep_in(path, config.history.max_mb * 10**6, about, config.has_outbox)
 
     def keep_in(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
         """Keep the history in this file. Before ``recorded``."""

@@ -89,7 +89,10 @@ class Reloading:
             raise BadInputError(self._place, *map(str, missing))
         old, new = self._config.model_dump(mode="json"), config.model_dump(mode="json")
         changed = list(changed_keys(old, new))
-        if fixed := [key for key in changed if key.split(".")[0] not in RELOADED]:
+        fixed = [key for key in changed if key.split(".")[0] not in RELOADED]
+        if config.has_outbox != self._config.has_outbox:  # the history is open already
+            fixed.append("mqtt.store_and_forward")
+        if fixed:
             raise BadInputError(self._place, *(f"{key}: {_FIXED}" for key in fixed))
         loaded, path = self._calibration.file, config.unit.calibration
         if loaded is None or sha256(read_file(path, MAX_BYTES)).hexdigest() != loaded.sha256:

@@ -138,6 +138,8 @@ def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Ind
                     if entry is None or entry.size != size:
                         raise ValueError(f"{name} is not the file of its index")
                     _stage(staged.path(name), content, entry)
+            if len(unpacked.read(_MAX_HEADER_BYTES)) == _MAX_HEADER_BYTES:  # its end has a sum of all
+                raise ValueError("it does not end")
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError, OverflowError) as error:
         raise BadInputError(source, f"is damaged or no backup of altd: {error}") from error
     if missing:

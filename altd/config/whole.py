@@ -62,6 +62,11 @@ class Config(Table):
         return tuple(target for target in self.targets if is_row or target.switched)
 
     @property
+    def has_outbox(self) -> bool:
+        """Whether the history keeps its seconds for an ingest."""
+        return self.mqtt is not None and self.mqtt.store_and_forward
+
+    @property
     def measuring_cameras(self) -> tuple[str, ...]:
         """The cameras of the targets, in beam order; without targets the one of the plate."""
         return tuple(target.camera for target in self.targets) or tuple(self.cameras)

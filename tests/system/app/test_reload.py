@@ -207,6 +207,10 @@ FAULTS: dict[str, tuple[Callable[[Unit], str | None], str]] = {
         r"altd\.toml: unit\.calibration: .*cal\.json is not there yet; .*",
     ),
     "another calibration": (other_calibration, r"cal\.json: is another file than was loaded: restart altd"),
+    "outbox switched on": (
+        lambda unit: unit.config.read_text() + '[mqtt]\nhost = "127.0.0.1"\nstore_and_forward = true\n',
+        r"altd\.toml: mqtt\.store_and_forward: cannot change while the unit measures: restart altd",
+    ),
     "no credentials": (
         lambda unit: unit.config.read_text().replace("[http]", '[http]\ncredentials = "none"'),
         r"none: No such file or directory.*",
