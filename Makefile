@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -68,6 +68,10 @@ demo-chain: venv ## a simulated row of switched glass targets along a tunnel, on
 
 demo-planar: venv ## a simulated plate that a machine moves, measured by one camera: values and errors; Ctrl-C ends it
 	@exec $(python) -m hw_sim planar
+
+demo-fleet: venv ## twenty simulated units, a broker, PostgreSQL and the ingest; two units fail; Ctrl-C ends it
+	@.ci/programs must mosquitto '/usr/lib/postgresql/*/bin/initdb=postgresql'
+	exec $(python) -m benchmarks.demo_fleet
 
 unit: venv ## the tests within one process, on all cores: two minutes on two
 	@exec $(pytest) $(side_by_side) tests/unit

@@ -10,11 +10,11 @@ from pydantic import ValidationError
 from altd.status.outbox import Batch
 from altd.status.proof import is_sealed
 
-MAX_BYTES = 256 << 10
+MAX_BYTES = 64 << 10
 """Of a message; the broker does not deliver larger ones."""
 
-RATE_HZ, BURST = 10.0, 100.0
-"""Messages that one instance takes of a unit; a unit that catches up sends 5 a second."""
+RATE_HZ, BURST = 20.0, 200.0
+"""Messages that one instance takes of a unit; a unit that catches up sends 10 a second."""
 
 MAX_UNITS = 100_000
 

@@ -27,6 +27,7 @@ KEYS = (
     "dropped",
     "refused",
 )
+_SIGNALS = {signal.severity: str(signal) for signal in Signal}
 _HEAD = ("unit", "newest", "state", "cause", "lag", "valid in 1 h", "backlog", "dropped", "refused")
 
 
@@ -70,7 +71,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     return (
         row["unit"],
         "-" if time is None else utc_text(time)[:19] + "Z",
-        "-" if row["worst"] is None else str(list(Signal)[row["worst"]]),
+        "-" if row["worst"] is None else _SIGNALS[row["worst"]],
         row["cause"] or "-",
         "-" if lag_s is None else duration(max(lag_s, 0.0)),
         "-" if share is None else f"{100 * share:.1f} %",

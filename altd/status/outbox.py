@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from altd.status.proof import sealed
 
 SCHEMA = 1
-MAX_NUMBERS = 10_000
-"""Of one batch, which has 70 kB then."""
+MAX_NUMBERS = 2500
+"""Of one batch: 100 seconds of a beam, 16 kB, which a line of 64 kbit/s takes in 2 s."""
 
 MAX_QUANTITIES = 128
 

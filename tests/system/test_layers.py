@@ -21,6 +21,7 @@ BREAKS = {
     "The settings": ("altd/config/devices.py", "import altd.config.rules"),
     "An interface sees": ("altd/publish/http/answers.py", "import altd.measuring.calibration"),
     "A driver sees": ("altd/devices/grbl/line.py", "import altd.status.health"),
+    "The ingest knows": ("altd/fleet/table.py", "import altd.measuring.gate"),
     "Publishers do not know": ("altd/publish/serial/words.py", "import altd.publish.modbus.registers"),
     "Drivers do not know": ("altd/devices/gpio/lamps.py", "import altd.devices.grbl.line"),
     "Instruments do not know": ("altd/instruments/beam/solver.py", "import altd.instruments.toy"),

@@ -12,6 +12,7 @@ from typing import Any
 import psycopg
 import pytest
 import yaml
+from support.cli import altd_here
 from support.fleet import FleetUnit, fleet_toml, ingesting, postgresql, until
 from support.history import batch, sample, state
 from support.mqtt import mosquitto
@@ -75,6 +76,29 @@ def test_each_panel_shows_the_data(title: str, database: psycopg.Connection) -> 
 def test_each_alert_names_the_unit(title: str, database: psycopg.Connection) -> None:
     rows = database.execute(ALERTS[title].encode()).fetchall()
     assert rows == ([] if "too little" in title else [("ALT-1", 3 if "deleted" in title else 1)])
+
+
+def test_the_table_in_a_terminal_shows_the_worst(database: psycopg.Connection, tmp_path: Path) -> None:
+    """Severity 2 is *out of specification*, the third of NE 107 (`altd/reasons.py`)."""
+    config = fleet_toml(tmp_path, 1883, database.info.dsn)
+    head, row = altd_here("fleet", "--config", config).out.splitlines()
+    assert head.split() == [
+        "unit",
+        "newest",
+        "state",
+        "cause",
+        "lag",
+        "valid",
+        "in",
+        "1",
+        "h",
+        "backlog",
+        "dropped",
+        "refused",
+    ]
+    cells = re.split(r" {2,}", row)
+    assert cells[:4] == ["ALT-1", "2026-11-20T08:01:41Z", "out_of_specification", "front_spot_missing"]
+    assert cells[5:] == ["-", "0.0 s", "0", "3"]
 
 
 def test_all_dashboards_use_the_provisioned_source() -> None:

@@ -18,6 +18,7 @@ from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample
 from altd.history.history import History
 from altd.history.outbox import Outbox
 from altd.history.store import Store
+from altd.publish.mqtt.broker import BrokerError
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S, OutboxSender
 from altd.status.health import Component, State
 from altd.status.outbox import Batch, acknowledgement_of
@@ -29,10 +30,13 @@ class Taking:
     """A connection that takes all that is sent."""
 
     batches: list[Batch] = field(default_factory=list)
+    refuses: bool = False
     acknowledge: Callable[[bytes, bool], None] = lambda payload, is_retained: None
 
     async def subscribe_to(self, topic: str, take: Callable[[bytes, bool], None], **_: Any) -> None:
         assert topic == "ack"
+        if self.refuses:
+            raise BrokerError("the broker refuses the subscription")
         self.acknowledge = take
 
     async def send(self, topic: str, payload: str, **_: Any) -> None:
@@ -155,6 +159,20 @@ async def test_what_is_not_acknowledged_comes_again_and_less_and_less_often(send
         await sending.clock.advance(2.0)
         assert sending.component.state is State.OK
     assert {(each.first, each.last) for each in sending.broker.batches} == {(1, 10)}
+
+
+async def test_a_refused_subscription_is_said_and_tried_again_while_live_messages_continue(
+    sending: Sending,
+) -> None:
+    sending.write(10)
+    sending.broker.refuses = True
+    async with sending.running():
+        await sending.clock.advance(100.0)
+        assert (sending.component.state, sending.broker.batches) == (State.DEGRADED, [])
+        assert sending.component.message == "the broker refuses the subscription"
+        sending.broker.refuses = False
+        await sending.sent(10)
+        assert sending.component.state is State.OK
 
 
 async def test_an_acknowledgement_during_a_query_makes_no_wrong_batch(sending: Sending) -> None:

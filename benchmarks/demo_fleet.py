@@ -1,0 +1,145 @@
+"""``python -m benchmarks.demo_fleet``: twenty simulated units, broker, PostgreSQL, ingest and `altd fleet`.
+
+Each unit has a real history, outbox and MQTT publisher; its measurements are invented, two a second. Two of
+the units fail. One loses its beam for ten seconds in each half minute: its state, its cause and its share of
+valid measurements show it. The other one has no network for forty seconds in each minute, and catches up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import dataclasses
+import math
+import random
+import sys
+import tempfile
+from collections.abc import Awaitable
+from pathlib import Path
+
+from altd.app.keeping import DaemonHistory
+from altd.config import MqttSettings
+from altd.fleet.settings import FleetSettings
+from altd.fleet.table import as_text, units
+from altd.history.columns import columns_of
+from altd.history.records import About
+from altd.instruments.beam.instrument import QUANTITIES, values_of
+from altd.instruments.beam.solver import Beam
+from altd.publish.mqtt.publisher import MqttPublisher
+from altd.reasons import Reason
+from altd.records import Fault, Measurement
+from altd.runtime.clock import SystemClock
+from altd.runtime.supervision import keep_running
+from altd.status.board import Board
+from altd.status.health import MEASURING, Health, State
+from altd.status.proof import Identity
+from altd.status.state import UnitState
+from benchmarks.fleet import servers
+
+_UNITS = 20
+_BLIND, _CUT_OFF = 7, 13
+"""The units that fail, by their numbers."""
+
+_INTERVAL_S = 0.5
+_SHOWN_EVERY_S = 5.0
+_MAX_BYTES = 64 * 10**6
+_AGE_S = 2.0
+
+
+class DemoUnit:
+    """A unit without cameras."""
+
+    def __init__(self, number: int, folder: Path, port: int) -> None:
+        self.number = number
+        self._clock = SystemClock()
+        serial = f"ALT-{number:04d}"
+        self._board = Board(self._clock, _AGE_S, QUANTITIES, Identity.drawn(serial))
+        self._health = Health(self._clock)
+        self._health.facts |= {"serial": serial, "version": "demo"}
+        self._health.component(MEASURING).set_state(State.OK)
+        state = UnitState(self._board, self._health, self._clock)
+        self._health.state = state.read
+        self._past = DaemonHistory(self._board, self._health, state, self._clock)
+        about = About(columns_of(QUANTITIES, ()), {"serial": serial})
+        self._past.keep_in(folder / f"{serial}.db", _MAX_BYTES, about, has_outbox=True)
+        self._component = self._health.component("mqtt")
+        settings = MqttSettings(host="127.0.0.1", port=port, store_and_forward=True)
+        self._publisher = MqttPublisher(
+            settings, self._board, self._health, self._component, random.Random(number), self._past.outbox
+        )
+
+    async def run(self) -> None:
+        """Measure, store and publish until cancelled."""
+        async with self._past.recorded():
+            await asyncio.gather(self._measure(), self._publish())
+
+    async def _measure(self) -> None:
+        sequence = 0
+        while True:
+            now_ns = self._clock.monotonic_ns()
+            sequence += 1
+            phase = now_ns * 1e-9 / 60 + self.number
+            beam = Beam(
+                10 * math.sin(phase), self.number, 0.5 * math.cos(phase), -1.0, 0.004, 0.004, 0.0011, 0.0011
+            )
+            is_blind = self.number == _BLIND and now_ns * 1e-9 % 30 < 10
+            measurement = Measurement(
+                sequence, now_ns, self._clock.utc(now_ns), 20, QUANTITIES, values_of(beam), {}
+            )
+            if is_blind:
+                status = (Fault(Reason.SPOT_MISSING, "front"),)
+                measurement = dataclasses.replace(measurement, values={}, status=status)
+            self._board.publish(dataclasses.replace(measurement, last_exposure_ns=now_ns))
+            self._past.record(measurement)
+            await asyncio.sleep(_INTERVAL_S)
+
+    async def _publish(self) -> None:
+        """The cable of one unit is pulled and plugged."""
+        while True:
+            has_network = self.number != _CUT_OFF or self._clock.monotonic_ns() * 1e-9 % 60 < 20
+            if has_network:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(20.0 if self.number == _CUT_OFF else None):
+                        await keep_running("mqtt", self._publisher, self._component, self._clock)
+            else:
+                await asyncio.sleep(0.5)
+
+
+async def _show(connection: str) -> None:
+    settings = FleetSettings.model_validate(
+        {"broker": {"host": "127.0.0.1"}, "database": {"connection": connection}}
+    )
+    while True:
+        await asyncio.sleep(_SHOWN_EVERY_S)
+        rows = await asyncio.to_thread(units, settings)
+        print("\n".join(["\x1b[2J\x1b[H" if sys.stdout.isatty() else "", *as_text(rows)]), flush=True)
+
+
+async def _demo(folder: Path, port: int, connection: str, seconds: float | None) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            work: list[Awaitable[None]] = [
+                DemoUnit(number, folder, port).run() for number in range(1, _UNITS + 1)
+            ]
+            await asyncio.gather(*work, _show(connection))
+
+
+def main() -> int:
+    """Run until Ctrl-C."""
+    parser = argparse.ArgumentParser(prog="benchmarks.demo_fleet", description="twenty simulated units")
+    parser.add_argument("--seconds", type=float, help="end after this time (default: never)")
+    options = parser.parse_args()
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        tempfile.TemporaryDirectory() as folder,
+        servers([]) as served,
+    ):
+        port, connection, _ = served
+        print(f"broker: 127.0.0.1 port {port}; database: {connection}", flush=True)
+        asyncio.run(_demo(Path(folder), port, connection, options.seconds))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

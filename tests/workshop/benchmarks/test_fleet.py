@@ -1,0 +1,31 @@
+"""The benchmark of the fleet finds all that it sent, and its demo shows units that fail."""
+
+from __future__ import annotations
+
+from support.cli import Outcome, altd
+from support.foreign import need, need_program
+
+from benchmarks.postgresql import programs
+
+
+def measured(module: str, *arguments: str) -> Outcome:
+    need(programs() is not None, "PostgreSQL is not installed (Debian package postgresql)")
+    need_program("mosquitto")
+    return altd(*arguments, module=module)
+
+
+def test_no_row_is_lost_or_twice() -> None:
+    outcome = measured(
+        "benchmarks.fleet",
+        *["--units", "20", "--hz", "3", "--seconds", "3", "--backlog", "3000", "--backlog-units", "4"],
+    )
+    assert outcome.status == 0, outcome
+    assert "live: 20 units, 60 rows a second, 3 s" in outcome.out
+    assert "  rows 180, lost 0, twice 0" in outcome.out
+    assert "backlog: 3000 rows of 4 units" in outcome.out
+
+
+def test_twenty_units_are_shown() -> None:
+    outcome = measured("benchmarks.demo_fleet", "--seconds", "20")
+    assert outcome.status == 0, outcome
+    assert outcome.out.rpartition("unit")[2].count("ALT-00") >= 19, outcome.out
