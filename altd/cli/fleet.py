@@ -18,9 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """A line for each unit."""
-    from altd.fleet.settings import load_fleet_settings
+    from altd.fleet.settings import check_client, load_fleet_settings
+
+    settings = load_fleet_settings(options.config)
+    check_client()
     from altd.fleet.table import as_json, as_text, units
 
-    rows = units(load_fleet_settings(options.config))
+    rows = units(settings)
     say(*([as_json(rows)] if options.json else as_text(rows)))
     return 0

@@ -20,10 +20,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run until a signal ends it: status 0, as a service ends."""
-    from altd.fleet.ingest import Ingest
-    from altd.fleet.settings import load_fleet_settings
+    from altd.fleet.settings import check_client, load_fleet_settings
 
-    ingest = Ingest(load_fleet_settings(options.config))
+    settings = load_fleet_settings(options.config)
+    check_client()
+    from altd.fleet.ingest import Ingest
+
+    ingest = Ingest(settings)
     with logging_to_stderr(logging.INFO), suppress(EndedBySignal):
         ingest.run()
     return 0

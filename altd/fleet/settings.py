@@ -96,6 +96,15 @@ def load_fleet_settings(path: Path) -> FleetSettings:
     return settings.model_copy(update={"broker": broker.model_copy(update=paths)})
 
 
+def check_client() -> None:
+    """Raise BadInputError where the database's client is missing: psycopg, or the libpq that it loads."""
+    try:
+        import psycopg  # noqa: F401
+    except ImportError as error:
+        text = "needs psycopg, which comes with the extra altd[fleet], and libpq (Debian package libpq5)"
+        raise BadInputError("database.connection", text) from error
+
+
 def _faults(error: ValidationError, document: dict[str, Any], places: Places) -> Iterator[str]:
     for detail in error.errors(include_url=False):
         keys = tuple(detail["loc"])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+from ctypes.util import find_library
 from pathlib import Path
 
 import pytest
 from support.cli import altd_here
+from support.foreign import need
 from support.places import ROOT
 
 from altd.errors import BadInputError
@@ -71,8 +74,23 @@ def test_a_fault_is_said_with_its_place(tmp_path: Path, before: str, after: str,
 
 
 def test_a_database_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    need(find_library("pq") is not None, "libpq is not installed (Debian package libpq5)")
     path = tmp_path / "fleet.toml"
     path.write_text(GOOD.replace("dbname=altd", f"host={tmp_path} dbname=altd"))
     outcome = altd_here("fleet", "--config", path)
     assert (outcome.status, outcome.out, outcome.err.count("\n")) == (2, "", 1)
     assert outcome.err.startswith("altd fleet: database.connection: ")
+
+
+def test_without_the_databases_client_one_line_names_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "psycopg", None)
+    for module in ("database", "ingest", "table"):
+        monkeypatch.delitem(sys.modules, f"altd.fleet.{module}", raising=False)
+    path = tmp_path / "fleet.toml"
+    path.write_text(GOOD)
+    for command in ("ingest", "fleet"):
+        outcome = altd_here(command, "--config", path)
+        assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+        assert "database.connection: needs psycopg" in outcome.err
