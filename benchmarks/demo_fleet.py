@@ -54,7 +54,7 @@ class DemoUnit:
         self.number = number
         self._clock = SystemClock()
         serial = f"ALT-{number:04d}"
-        self._board = Board(self._clock, _AGE_S, QUANTITIES, Identity.drawn(serial))
+        self._board = Board(self._clock, _AGE_S, QUANTITIES, Identity.drawn(serial), rehearsal=True)
         self._health = Health(self._clock)
         self._health.facts |= {"serial": serial, "version": "demo"}
         self._health.component(MEASURING).set_state(State.OK)
@@ -84,14 +84,12 @@ class DemoUnit:
                 10 * math.sin(phase), self.number, 0.5 * math.cos(phase), -1.0, 0.004, 0.004, 0.0011, 0.0011
             )
             is_blind = self.number == _BLIND and now_ns * 1e-9 % 30 < 10
+            values = {} if is_blind else values_of(beam)
+            status = (Fault(Reason.SIMULATED), *([Fault(Reason.SPOT_MISSING, "front")] if is_blind else []))
             measurement = Measurement(
-                sequence, now_ns, self._clock.utc(now_ns), 20, QUANTITIES, values_of(beam), {}
+                sequence, now_ns, self._clock.utc(now_ns), 20, QUANTITIES, values, {}, status=status
             )
-            if is_blind:
-                status = (Fault(Reason.SPOT_MISSING, "front"),)
-                measurement = dataclasses.replace(measurement, values={}, status=status)
-            self._board.publish(dataclasses.replace(measurement, last_exposure_ns=now_ns))
-            self._past.record(measurement)
+            self._past.record(self._board.publish(dataclasses.replace(measurement, last_exposure_ns=now_ns)))
             await asyncio.sleep(_INTERVAL_S)
 
     async def _publish(self) -> None:
