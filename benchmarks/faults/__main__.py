@@ -107,7 +107,7 @@ def _run(
             raise BadInputError("--units", f"{unit} is not simulated")
         rigs[unit] = rig
     together = [faults[number % len(faults)]]
-    if number % _PAIRS == _PAIRS - 1 and len(faults) > 1:
+    if (number + number // len(faults)) % _PAIRS == _PAIRS - 1 and len(faults) > 1:  # not always the same
         others = [fault for fault in faults if fault is not together[0]]
         together.append(others[int(rng.integers(len(others)))])
     made = drawn(together, rigs[unit], rng)
