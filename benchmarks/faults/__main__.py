@@ -8,6 +8,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,8 +20,9 @@ from benchmarks.faults import real, tables
 from benchmarks.faults.catalogue import FAULTS, Fault, chosen
 from benchmarks.faults.episode import drawn, run_episode
 from benchmarks.faults.tables import Run
-from benchmarks.interfaces import BROKER, Interfaces, broker, interfaces
+from benchmarks.interfaces import BROKER, broker, interfaces
 from benchmarks.progress import show
+from hw_sim.ports import free_port
 
 UNITS = ("flat", "plain", "bits-12", "shaking", "ellipse", "dusty")
 _PAIRS = 5
@@ -70,12 +72,8 @@ def _runs(options: argparse.Namespace) -> Iterator[Run]:
     if options.results is not None and options.results.exists():
         known = {run.number: run for run in map(Run.of_json, options.results.read_text().splitlines())}
     rigs: dict[str, SimulatedRig] = {}
-    with interfaces(1) as places, contextlib.ExitStack() as parts:
-        del places.tables["opcua"]
-        if BROKER:
-            parts.enter_context(broker(places.mqtt_port))
-        else:
-            del places.tables["mqtt"]
+    broker_port = free_port()
+    with broker(broker_port) if BROKER else contextlib.nullcontext():
         wanted = [*range(options.runs), *range(-options.real * len(real.FAULTS), 0)]
         for count, number in enumerate(wanted, start=1):
             run = known.get(number)
@@ -84,7 +82,7 @@ def _runs(options: argparse.Namespace) -> Iterator[Run]:
                     name = tuple(real.FAULTS)[number % len(real.FAULTS)]
                     run = Run(number, "in real time", (name,), "", "", False, real.run_real(name))
                 else:
-                    run = _run(number, options.seed, faults, units, rigs, places)
+                    run = _run(number, options.seed, faults, units, rigs, broker_port)
                 if options.results is not None:
                     with options.results.open("a") as file:
                         file.write(run.as_json() + "\n")
@@ -98,7 +96,7 @@ def _run(
     faults: Sequence[Fault],
     units: Sequence[str],
     rigs: dict[str, SimulatedRig],
-    places: Interfaces,
+    broker_port: int,
 ) -> Run:
     """One run from a seed of its own; faults come in turn, a second one is drawn."""
     rng = np.random.default_rng([seed, number])
@@ -109,11 +107,16 @@ def _run(
             raise BadInputError("--units", f"{unit} is not simulated")
         rigs[unit] = rig
     together = [faults[number % len(faults)]]
-    if number % _PAIRS == _PAIRS - 1 and len(faults) > 1:
+    if (number + number // len(faults)) % _PAIRS == _PAIRS - 1 and len(faults) > 1:  # not always the same
         others = [fault for fault in faults if fault is not together[0]]
         together.append(others[int(rng.integers(len(others)))])
     made = drawn(together, rigs[unit], rng)
-    result = run_episode(rigs[unit], made, rng, places, bool(BROKER))
+    with interfaces(1) as places:  # on new ports: another program may have taken those of the run before
+        del places.tables["opcua"]
+        places.tables["mqtt"]["port"] = broker_port
+        if not BROKER:
+            del places.tables["mqtt"]
+        result = run_episode(rigs[unit], made, rng, replace(places, mqtt_port=broker_port), bool(BROKER))
     return Run(number, unit, made.names, made.note, made.undetectable, made.is_blind, result)
 
 

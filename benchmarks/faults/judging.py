@@ -118,9 +118,10 @@ class Judge:
         else:  # after a clock was set there are values with the time of before
             labels = ((one.utc - zero).total_seconds() * 1e9 for zero in self._utc_zeros)
             t_ns = min(labels, key=lambda label_ns: abs(label_ns - now_ns))
-        # a message waits for its broker while the clock is set: it is as old as it says that it was when sent
-        age_s = one.age_s if one.wire == "mqtt" and one.age_s is not None else (now_ns - t_ns) * 1e-9
-        result.stale += age_s > MAX_AGE_S
+        if one.wire == "mqtt" and one.age_s is not None:
+            # the clock is set while a message waits for its broker: it counts as read when it was sent
+            now_ns = round(t_ns + one.age_s * 1e9)
+        result.stale += now_ns - t_ns > MAX_AGE_S * 1e9
         error = self._error_of(one, t_ns, now_ns)
         sigmas = float((error / one.sigma).max())
         result.beyond_sigmas += not sigmas <= SIGMAS

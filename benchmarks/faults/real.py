@@ -33,7 +33,7 @@ from hw_sim.ports import free_port
 
 UNIT, _SEED = "plain", 1
 _BEFORE_S, _LASTS_S, _STEADY_S = 1.0, 3.0, 0.5
-_START_S, _BACK_S = 60.0, 15.0
+_START_S, _BACK_S = 60.0, 60.0
 _READ_INTERVAL_S = 0.05
 _ANSWER_S = 0.5
 """A controller that waits longer for an answer uses no number of it."""

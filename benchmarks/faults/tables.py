@@ -193,7 +193,7 @@ In `tests/system/`, most of them against real parts:
 def write_page(path: Path, runs: Sequence[Run], command: str) -> None:
     """Write the page; raises BadInputError when the disk refuses."""
     told = [run for run in runs if not run.undetectable]
-    units = ", ".join(sorted({run.unit for run in runs}))
+    units = ", ".join(sorted({run.unit for run in runs if run.number >= 0}))
     listed = "\n".join(f"- {line}" for line in totals(runs))
     sections = [_PAGE.format(totals=listed, command=command, units=units)]
     if failed := list(_failed(runs)):
