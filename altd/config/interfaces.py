@@ -77,8 +77,7 @@ class ModbusTcpSettings(Table):
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
     """IP address to listen on, or localhost; `0.0.0.0`: every address, `::`: every IPv6 one."""
     port: TcpPort | None = None
-    """Default 502, with `certificate` 802. Below 1024 it needs CAP_NET_BIND_SERVICE, which the service
-    has."""
+    """Default 502, with `certificate` 802. The service may use ports from 502 up (`install.md`)."""
     unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
     word_order: WordOrder = "ABCD"

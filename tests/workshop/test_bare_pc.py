@@ -154,12 +154,14 @@ class Technician:
             flat = self._machine.root / self._folder.lstrip("/") / "flat"
             run_here(ROOT, f".venv/bin/python -m hw_sim flat --seed 1 -o {flat}")
             return ""
-        if line.endswith(("altd doctor", "altd status")):  # both find faults in a simulated unit
+        if re.match("altd (doctor|status)", line):  # both find faults in a simulated unit
             return self._machine.run(line).stdout
         if line.startswith("altd password "):
             line = f"echo 'a new password' | {line}"
-        online = line.startswith(("apt ", "apt-get "))
-        done = self._machine.run(line, self._folder, online=online)
+        if line.startswith(("apt install ", "apt-get install ")):
+            # a package's scripts must not change the host's network
+            self._machine.run(f"{line} --download-only", self._folder, online=True)
+        done = self._machine.run(line, self._folder, online=line == "apt-get update")
         assert done.returncode == expected_status, (line, done.stdout, done.stderr)
         return done.stdout + done.stderr
 
@@ -177,9 +179,10 @@ def test_the_package_is_small_and_of_good_form(release: Path, folder: Path) -> N
     lintian = [need_program("lintian"), "--fail-on=error,warning", package]
     judged = subprocess.run(lintian, capture_output=True, text=True, check=False)
     assert judged.returncode == 0, judged.stdout
+    field = ["dpkg-deb", "-f", package, "Installed-Size"]  # KiB (Debian policy, 5.6.20)
+    size_kib = subprocess.run(field, capture_output=True, text=True, check=True).stdout
+    assert int(size_kib) <= MAX_INSTALLED_MIB * 1024
     subprocess.run(["dpkg-deb", "-x", package, folder / "unpacked"], check=True)
-    used = subprocess.run(["du", "-sm", folder / "unpacked"], capture_output=True, text=True, check=True)
-    assert int(used.stdout.split()[0]) <= MAX_INSTALLED_MIB
     sources = list((folder / "unpacked").rglob("site-packages/altd/**/*.py"))
     assert len(sources) > 100
     lacking = [file for file in sources if not Path(cache_from_source(file)).is_file()]
@@ -293,7 +296,10 @@ def test_an_update_goes_well_or_back(machine: BareDebian, stage: Path) -> None:
     assert technician.follow("Update", MAINTAIN).count("altd 0.2.0") == 2  # the last one is of the daemon
     assert "altd 0.1.0\n" in technician.follow("Roll back", MAINTAIN)
     assert "altd 0.1.0, calibration" in reports(technician)
-    assert technician.enter("cd /usr/lib/altd && echo [0-9]*") == "0.1.0 0.2.0\n"
+    assert technician.enter("ls -d /usr/lib/altd/[0-9]*").split() == [
+        "/usr/lib/altd/0.1.0",
+        "/usr/lib/altd/0.2.0",
+    ]
     assert starts(technician)[: len(events)] == events, "the history is kept"
     assert len(starts(technician)) > len(events) + 4
 

@@ -162,7 +162,7 @@ def test_where_the_process_or_the_right_is_not_known_the_answer_says_what_to_do(
 ) -> None:
     for number, answer in (
         (errno.EADDRINUSE, r"in use: `sudo ss -ltnp 'sport = :502'` shows by which program; end it"),
-        (errno.EACCES, r"need CAP_NET_BIND_SERVICE, which the service has .*; by hand, choose a port from"),
+        (errno.EACCES, r"the service may use ports from 502 up .*; by hand, choose a port from"),
     ):
         refusing = Mock(side_effect=OSError(number, "no"))
         monkeypatch.setattr(socket, "create_server", refusing)
