@@ -60,7 +60,7 @@ class TestUnitFile:
 
     def test_an_instance_shares_no_folder_with_another_one(self) -> None:
         one, other = (settings(units()[name]) for name in ("altd.service", "altd@.service"))
-        names = ("StateDirectory", "RuntimeDirectory", "ExecStart", "ExecStopPost")
+        names = ("StateDirectory", "RuntimeDirectory", "ExecStart", "ExecReload", "ExecStopPost")
         assert {key for key in one if one[key] != other.get(key)} == {"Description", *names}
         assert all("%i" in other[key] for key in names)
         place = Path(other["ExecStart"].split()[-1].replace("%i", "press"))
