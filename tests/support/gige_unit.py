@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.foreign import need, need_program
+from support.foreign import need, need_program, need_receive_buffer
 
 BUFFERS = 16
 FRAME_WITHIN_US = 20_000_000
@@ -197,6 +197,7 @@ def new_addresses() -> dict[str, str]:
 
 def need_gige() -> None:
     """Aravis, and the right to give lo another address."""
+    need_receive_buffer()
     need_program("arv-tool-0.8", "aravis-tools-cli")
     need_program("ip", "iproute2")
     need(os.geteuid() == 0, "only root may give lo the addresses that these cameras are served at")

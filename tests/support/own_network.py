@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from support.foreign import need, need_namespaces, need_program
+from support.foreign import need, need_namespaces, need_program, need_receive_buffer
 
 MARKER = "own_network"
 FILE_TIMEOUT_S = 400.0
@@ -43,6 +43,7 @@ def note(report: pytest.TestReport) -> None:
 def run_inside(item: pytest.Item) -> None:
     """Outside: fail a test with what it said inside."""
     need(importlib.util.find_spec("gi") is not None, "PyGObject is not installed (make programs venv)")
+    need_receive_buffer()
     need_program("arv-fake-gv-camera-0.8", "aravis-tools")
     need_program("arv-tool-0.8", "aravis-tools-cli")
     need_program("ip", "iproute2")
