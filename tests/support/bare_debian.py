@@ -61,6 +61,7 @@ class BareDebian:
             timeout=timeout_s,
             check=False,
             stdin=subprocess.DEVNULL,
+            start_new_session=True,  # a signal to its group is not one to the tests
         )
 
     @contextlib.contextmanager

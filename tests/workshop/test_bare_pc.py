@@ -251,6 +251,7 @@ def test_a_service_that_fails_comes_back(machine: BareDebian, stage: Path) -> No
     technician = Technician(machine)
     for ended, result in (("KILL", "signal"), ("STOP", "watchdog")):  # the second one hangs
         pid = main_pid(technician)
+        assert int(pid) > 0, technician.enter("systemctl status altd")  # 0 would be the group of this test
         technician.enter(f"kill -{ended} {pid}")
         deadline = time.monotonic() + 60
         while main_pid(technician) in ("0", pid):
