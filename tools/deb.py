@@ -63,7 +63,7 @@ files = {module.__file__ for module in sys.modules.values() if getattr(module, "
 print(*(file for file in files if file.startswith(sys.argv[1]) and file.endswith(".py")), sep="\\n")
 """
 """Prints the files of all modules that altd imports; those of further arguments may be missing."""
-_MAY_MISS = ("gi", "matplotlib", "asyncua", "pyarrow", "libkernel")
+_MAY_MISS = ("gi", "matplotlib", "asyncua", "psycopg", "pyarrow", "libkernel")
 _STUBS = {
     "libopenblasp": "ABORT", "libavcodec": "ABORT", "libavformat": "ABORT", "libavutil": "ABORT",
     "libswscale": "ABORT", "libaom": "FAIL",
