@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,9 +78,11 @@ def test_a_crash_loses_no_second_and_completes_those_that_were_open(tmp_path: Pa
     writing = queueing(tmp_path)
     assert write(writing, 2.0, seconds(0, 2)).complete == 0
     writing.end(None)  # as by SIGKILL: the epoch is not ended
-    mark = write(queueing(tmp_path), 3.0, seconds(2, 1))
+    later = queueing(tmp_path)
+    mark = write(later, 3.0, seconds(2, 1))
     assert mark.complete == 2
     assert [each.epoch for each in queued(tmp_path, mark)] == [1, 1]
+    later.end(None)
 
 
 def test_what_a_clock_that_is_set_ends_is_complete(tmp_path: Path) -> None:
@@ -108,7 +111,7 @@ def test_what_the_history_deletes_unacknowledged_is_counted_over_restarts(
     mark = write(later, 41.0, [])
     assert (mark.oldest, mark.complete, mark.dropped) == (7, 12, 6)
     later.end(None)
-    with sqlite3.connect(tmp_path / "history.db") as foreign:
+    with closing(sqlite3.connect(tmp_path / "history.db")) as foreign:
         texts = [text for (text,) in foreign.execute("SELECT text FROM events WHERE kind = 'history'")]
     assert "for want of room the oldest summaries of 1 s that no ingest has acknowledged are deleted" in texts
 
@@ -117,5 +120,5 @@ def test_without_an_outbox_nothing_is_queued(tmp_path: Path) -> None:
     writing = store(tmp_path)
     assert writing.write(batch(START_S + 20, seconds(0, 10))).outbox is None
     writing.end(None)
-    with sqlite3.connect(tmp_path / "history.db") as foreign:
+    with closing(sqlite3.connect(tmp_path / "history.db")) as foreign:
         assert foreign.execute("SELECT count(*) FROM outbox").fetchone() == (0,)
