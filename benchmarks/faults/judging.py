@@ -60,7 +60,7 @@ class Result:
 class Judge:
     """Judges what is shown. ``error_of`` gives the error of a value at its time, ns, from the truth.
 
-    The fault lasts from ``onset_ns`` to ``end_ns``; for ``held_ns`` of it the process stands still.
+    The fault lasts from ``onset_ns`` to ``end_ns``; the process is stopped for ``held_ns`` of it.
     """
 
     def __init__(
