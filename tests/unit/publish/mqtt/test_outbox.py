@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.clock import FakeClock, stop
+from support.clock import FakeClock, settle, stop
 from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample
 
 from altd.history.history import History
@@ -60,6 +60,15 @@ class Sending:
         )
         self.broker = Taking()
         self.seconds = 0
+        self._queries = 0
+        self._after, self.outbox.after = self.outbox.after, self._noted_after  # type: ignore[method-assign]
+
+    async def _noted_after(self, sequence: int, limit: int) -> Any:
+        self._queries += 1
+        try:
+            return await self._after(sequence, limit)
+        finally:
+            self._queries -= 1
 
     def write(self, count: int = 0) -> None:
         items = [sample(START_S + self.seconds + n + 0.1, 10.0) for n in range(count)]
@@ -88,14 +97,20 @@ class Sending:
         finally:
             await stop(task)
 
-    async def until(self, condition: Callable[[], bool], step_s: float = 0.2) -> None:
-        """Let time pass until it is so; the thread that reads the history is unknown to the clock."""
-        for _ in range(3000):
+    async def until(self, condition: Callable[[], bool], step_s: float = 0.05) -> None:
+        """Let time pass until it is so, but not during a query: the clock does not know the history's thread."""
+        for _ in range(20_000):
             if condition():
                 return
             await self.clock.advance(step_s)
-            await asyncio.sleep(0.002)
+            while self._queries:
+                await asyncio.sleep(0.001)
+            await settle()
         raise AssertionError(self.broker.batches)
+
+    async def advance(self, seconds: float) -> None:
+        end_ns = self.clock.now_ns + round(seconds * 1e9)
+        await self.until(lambda: self.clock.now_ns >= end_ns)
 
     async def sent(self, last: int) -> None:
         await self.until(lambda: bool(self.broker.batches) and self.broker.batches[-1].last >= last)
@@ -135,8 +150,7 @@ async def test_no_more_than_a_window_waits_for_the_ingest(sending: Sending) -> N
     async with sending.running():
         await sending.sent(MAX_UNACKNOWLEDGED_S)
         last = sending.broker.batches[-1].last
-        await sending.clock.advance(20.0)
-        await asyncio.sleep(0.05)
+        await sending.advance(20.0)
         assert sending.broker.batches[-1].last == last
         sending.acknowledge(last)
         await sending.sent(MAX_UNACKNOWLEDGED_S + 1500)
@@ -148,7 +162,7 @@ async def test_what_is_not_acknowledged_comes_again_and_less_and_less_often(send
     async with sending.running():
         for _ in range(7):
             number = len(sending.broker.batches)
-            await sending.until(lambda before=number: len(sending.broker.batches) > before, 1.0)
+            await sending.until(lambda before=number: len(sending.broker.batches) > before, 0.5)
             times_s.append(sending.clock.now_ns * 1e-9)
         waits_s = [after - before for before, after in itertools.pairwise(times_s)]
         assert waits_s == pytest.approx([30, 60, 120, 240, 480, 480], abs=3)
@@ -156,7 +170,7 @@ async def test_what_is_not_acknowledged_comes_again_and_less_and_less_often(send
         assert "no acknowledgement of an ingest for" in sending.component.message
         sending.acknowledge(10)
         sending.write()
-        await sending.clock.advance(2.0)
+        await sending.advance(2.0)
         assert sending.component.state is State.OK
     assert {(each.first, each.last) for each in sending.broker.batches} == {(1, 10)}
 
@@ -167,7 +181,7 @@ async def test_a_refused_subscription_is_said_and_tried_again_while_live_message
     sending.write(10)
     sending.broker.refuses = True
     async with sending.running():
-        await sending.clock.advance(100.0)
+        await sending.advance(100.0)
         assert (sending.component.state, sending.broker.batches) == (State.DEGRADED, [])
         assert sending.component.message == "the broker refuses the subscription"
         sending.broker.refuses = False
