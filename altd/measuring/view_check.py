@@ -13,6 +13,7 @@ from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.texture import Sample
 
 _EXAMINATION_INTERVAL_NS = 190_000_000
 """Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
@@ -21,6 +22,8 @@ _MAX_FRAME_GAP_NS = 400_000_000
 _INITIAL_EXAMINATIONS = 3
 _MAX_MOVE_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN_EXAMINATIONS = 4
+_STACKED_FRAMES = 8
+"""Dim frames that decide together: at 3 % of the light a shift is found in four of them."""
 _MAX_JUMP_PX = 0.5
 _MAX_JUMP_MEDIANS = 3.0
 """From where steady motion would have brought it: a picture that is moved moves its spot. The larger of both
@@ -78,8 +81,9 @@ class ViewCheck:
     """One camera's check, frame by frame. Its memory is what the last frames told.
 
     A frame is examined, for about a millisecond, when the camera begins to deliver or does so again, when the
-    spot has jumped or lies on new ground, and every 0.2 s. What is wrong is wrong at once; after three such
-    verdicts only a frame that verifies the view ends it, before that any frame that finds nothing wrong.
+    spot has jumped or lies on new ground, and every 0.2 s; each frame while dim ones decide together. What is
+    wrong is wrong at once; after three such verdicts only a frame that verifies the view ends it, before that
+    any frame that finds nothing wrong.
     """
 
     def __init__(
@@ -115,6 +119,8 @@ class ViewCheck:
         self._last: Spot | None = None
         self._before_last: Spot | None = None
         self._jumps_px: deque[float] = deque(maxlen=_COMPARED_JUMPS)
+        self._faint: deque[Sample] = deque(maxlen=_STACKED_FRAMES - 1)
+        """Of the last frames that were examined and too dim to decide alone, since the spot jumped last."""
 
     def compare_with(self, fingerprint: Fingerprint | None) -> None:
         """Hold the frames from now on against another fingerprint; the next one is examined."""
@@ -140,6 +146,8 @@ class ViewCheck:
             self._restart_examination()
         self._frames_since += 1
         has_jumped = self._has_jumped(spot)
+        if has_jumped:
+            self._faint.clear()  # the view before may have been another one
         if self._fingerprint is not None and self._is_due(frame, spot, has_jumped):
             self._examine(self._fingerprint, analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
@@ -167,6 +175,8 @@ class ViewCheck:
             return True
         if frame.t_ns - self._examined_ns >= _EXAMINATION_INTERVAL_NS:
             return True
+        if 0 < len(self._faint) < _STACKED_FRAMES - 1:
+            return True
         if not isinstance(spot, Spot):
             return False
         if self._place is None or self._last is None or has_jumped:
@@ -189,7 +199,11 @@ class ViewCheck:
         return jump_px > max(_MAX_JUMP_PX, _MAX_JUMP_MEDIANS * usual_px)
 
     def _examine(self, fingerprint: Fingerprint, analysis: FrameAnalysis, spot: Spot | NoSpot) -> None:
-        verdict = fingerprint.examine(analysis, isinstance(spot, Spot))
+        verdict = fingerprint.examine(analysis, isinstance(spot, Spot), tuple(self._faint))
+        if verdict.faint is None:
+            self._faint.clear()
+        else:
+            self._faint.append(verdict.faint)
         self._examined += 1
         self._examined_ns, self._frames_since = analysis.frame.t_ns, 0
         self._place = spot if isinstance(spot, Spot) else None

@@ -8,6 +8,7 @@ dim or too small, there are no hot pixels.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal, Self
@@ -15,7 +16,7 @@ from typing import Literal, Self
 from altd.records import FloatArray
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels
-from altd.vision.texture import Match, Sample, Texture, match, sample_of
+from altd.vision.texture import Match, Sample, Texture, match, sample_of, stacked
 
 TextureSource = Literal["flat", "scan"]
 
@@ -65,6 +66,7 @@ class ViewVerdict:
     is the part of it that is certain enough to add to the uncertainty of a spot, with what a doubled image
     does; None where that is not known. ``doubled_px`` is what may be caused by that image, or by the error of
     the print's model. ``is_print_seen``: a spot shows print on a target that has none; None without a spot.
+    ``faint`` is the sample of a frame with too little light to decide alone: several together may.
     """
 
     outcome: ViewOutcome
@@ -75,6 +77,7 @@ class ViewVerdict:
     displaced_px: float | None = None
     doubled_px: float | None = None
     is_print_seen: bool | None = None
+    faint: Sample | None = None
 
     @classmethod
     def refuted(cls, reason: str) -> Self:
@@ -105,8 +108,11 @@ class Fingerprint:
     usual_doubled_px: float | None = None
     moved: FloatArray | None = None
 
-    def examine(self, analysis: FrameAnalysis, has_spot: bool) -> ViewVerdict:
-        """The verdict of one frame; ``has_spot``: a good spot was found in it."""
+    def examine(self, analysis: FrameAnalysis, has_spot: bool, earlier: Sequence[Sample] = ()) -> ViewVerdict:
+        """The verdict of one frame; ``has_spot``: a good spot was found in it.
+
+        ``earlier`` are the faint samples of frames before it that show the same view.
+        """
         sensor = self.hot.compare(analysis.frame.pixels)
         if sensor.is_other:
             reason = (
@@ -116,10 +122,10 @@ class Fingerprint:
             if sensor.offset_px is not None:
                 reason += f", u {sensor.offset_px[0]:+d} v {sensor.offset_px[1]:+d} px beside"
             return replace(ViewVerdict.refuted(reason), is_other_sensor=True)
-        view = self._examine_spot(analysis) if has_spot else ViewVerdict.undecided(_NO_SPOT)
+        view = self._examine_spot(analysis, earlier) if has_spot else ViewVerdict.undecided(_NO_SPOT)
         return replace(view, is_same_sensor=sensor.is_same)
 
-    def _examine_spot(self, analysis: FrameAnalysis) -> ViewVerdict:
+    def _examine_spot(self, analysis: FrameAnalysis, earlier: Sequence[Sample]) -> ViewVerdict:
         if self.texture is None:
             return ViewVerdict.undecided("the calibration knows nothing of the target's surface")
         sample = sample_of(analysis)
@@ -129,7 +135,11 @@ class Fingerprint:
         if not is_patterned and sample.contrast > _MIN_SEEN_PRINT_CONTRAST:
             reason = f"print is seen (contrast {sample.contrast:.2f}) on a target without"
             return replace(ViewVerdict.refuted(reason), is_print_seen=True)
-        return replace(self._compare(sample, self.texture, is_patterned), is_print_seen=False)
+        verdict = self._compare(sample, self.texture, is_patterned)
+        if verdict.faint is not None and earlier:
+            verdict = self._compare(stacked([*earlier, sample]), self.texture, is_patterned)
+            verdict = replace(verdict, faint=sample)
+        return replace(verdict, is_print_seen=False)
 
     def _compare(self, sample: Sample, texture: Texture, is_patterned: bool) -> ViewVerdict:
         found = match(sample, texture, self.moved)
@@ -139,7 +149,8 @@ class Fingerprint:
         if mismatch is not None:
             return ViewVerdict.refuted(mismatch)
         if found.significance < _MIN_SIGNIFICANCE:
-            return ViewVerdict.undecided(f"too little is seen of the target ({found.significance:.1f} sigma)")
+            reason = f"too little is seen of the target ({found.significance:.1f} sigma)"
+            return replace(ViewVerdict.undecided(reason), faint=sample)
         if found.shift_px > max(MAX_SHIFT_PX, _MIN_SIGNIFICANCE * found.sigma_px):
             place = "where it was calibrated" if self.moved is None else "where the self-check found it"
             shift = f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from {place}"

@@ -9,6 +9,7 @@ significance of a peak follows from the frame itself.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -110,6 +111,27 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
         variance.astype(np.float32),
         bool(np.mean(clipped[smooth > 0.5 * patch.peak]) > _MAX_CLIPPED_SHARE),
     )
+
+
+def stacked(samples: Sequence[Sample]) -> Sample:
+    """One sample of several of the same view, over all pixels that any of them covers.
+
+    The noise of photons and read-out averages; texture stays, wherever the spot was.
+    """
+    left, top = min(each.left for each in samples), min(each.top for each in samples)
+    right = max(each.left + each.relative.shape[1] for each in samples)
+    bottom = max(each.top + each.relative.shape[0] for each in samples)
+    weight, light, noise = np.zeros((3, bottom - top, right - left), dtype=np.float32)
+    for each in samples:
+        rows, columns = each.relative.shape
+        part = np.s_[each.top - top : each.top - top + rows, each.left - left : each.left - left + columns]
+        weight[part] += each.weight
+        light[part] += each.weight * each.relative
+        noise[part] += np.square(each.weight) * np.where(np.isfinite(each.variance), each.variance, 0)
+    is_covered = weight > 0
+    divisor = np.where(is_covered, weight, np.float32(1))
+    variance = np.where(is_covered, noise / np.square(divisor), np.float32(np.inf))
+    return Sample(left, top, light / divisor, variance, any(each.is_clipped for each in samples))
 
 
 def _curvature_preserving(once: Image) -> tuple[Image, Image]:

@@ -76,10 +76,10 @@ def near_on_both(far_mm: float) -> Undetectable:
 
 
 def on_a_plate(cameras: frozenset[str]) -> Undetectable:
-    """The view of a plain plate alone has moved."""
+    """The view of a plain plate has moved, alone or with that of the window, whose own shift may be small."""
 
     def undetectable(subject: Subject) -> str:
-        if subject.has_flat or "front" in cameras:
+        if subject.has_flat or "rear" not in cameras:
             return ""
         return (
             "a plain plate without a recorded flat has no features that show its camera's pose. Error: up to "

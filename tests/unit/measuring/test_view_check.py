@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from unittest.mock import Mock
 
@@ -19,6 +20,7 @@ from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.settings import SpotSettings
+from altd.vision.texture import Sample
 
 PICTURE = frame(light(Blob(300, 200)))
 SPOT = Spot(300.0, 200.0, 0.01, 44.0, 150.0)
@@ -28,6 +30,10 @@ PERIOD_NS = 50_000_000
 GOOD = ViewVerdict(ViewOutcome.VERIFIED, shift_px=0.04)
 DOUBT = ViewVerdict.undecided("nothing is known of the target under the spot")
 NOTHING_KNOWN = Fingerprint(HotPixels(places_of([]), places_of([])), None, None)
+FAINT = replace(
+    ViewVerdict.undecided("too little is seen of the target"),
+    faint=Sample(0, 0, np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32)),
+)
 WRONG = ViewVerdict.refuted("another print is seen")
 OTHER_SENSOR = replace(ViewVerdict.refuted("0 of 20 hot pixels are in their places"), is_other_sensor=True)
 SAME_SENSOR = replace(ViewVerdict.undecided("no spot to see it by"), is_same_sensor=True)
@@ -38,6 +44,8 @@ class Bench:
     check: ViewCheck
     verdict: ViewVerdict = GOOD
     examined: list[int] = field(default_factory=list)
+    stacked: list[int] = field(default_factory=list)
+    """With how many earlier samples each of them was."""
     number: int = 0
     t_ns: int = 0
 
@@ -90,8 +98,11 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
         )
     )
 
-    def examine(_: Fingerprint, seen: FrameAnalysis, has_spot: bool) -> ViewVerdict:
+    def examine(
+        _: Fingerprint, seen: FrameAnalysis, has_spot: bool, earlier: Sequence[Sample]
+    ) -> ViewVerdict:
         made.examined.append(seen.frame.sequence)
+        made.stacked.append(len(earlier))
         return made.verdict
 
     monkeypatch.setattr(Fingerprint, "examine", examine)
@@ -137,6 +148,22 @@ def test_a_beam_that_shakes_is_examined_like_a_still_one_and_at_once_when_it_jum
         bench.push(1, spot=shaken())
     bench.push(1, spot=shaken(304.0))
     assert bench.examined[-1] == bench.number
+
+
+def test_dim_frames_are_examined_one_after_another_until_eight_decide_together(bench: Bench) -> None:
+    bench.push(4)
+    bench.push(16, FAINT)
+    assert bench.examined[1:] == [5, 6, 7, 8, 9, 10, 11, 15, 19]
+    assert bench.stacked[1:] == [0, 1, 2, 3, 4, 5, 6, 7, 7]
+
+
+def test_dim_frames_before_a_jump_and_before_a_bright_one_do_not_count(bench: Bench) -> None:
+    bench.push(4, FAINT)
+    bench.push(2, FAINT, spot=replace(SPOT, u_px=301.0))
+    assert bench.stacked == [0, 1, 2, 3, 0, 0]  # the second has jumped from where the first would have led
+    bench.push(1, GOOD, spot=replace(SPOT, u_px=301.0))
+    bench.push(4, FAINT, spot=replace(SPOT, u_px=301.0))
+    assert bench.stacked[6:] == [1, 0]
 
 
 def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(bench: Bench) -> None:

@@ -17,6 +17,8 @@ from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.settings import SpotSettings
 
 PRINT = DottedPrint(1)
+PLATE = DottedPrint(1, contrast=0.12)
+"""With a faint texture."""
 CHECKED = Motion(0.5, -0.33, turn_deg=0.1)
 """The result of the last self-check: 0.6 px and 0.1°."""
 SPOT = Blob(200.0, 130.0, 60.0, peak=55.0)
@@ -78,6 +80,36 @@ def test_a_shift_that_was_known_in_part_adds_what_is_left_of_it(calibrated: Fing
         found = verdict(replace(calibrated, moved=affine(Motion(known_px))), shown)
         assert found.outcome is ViewOutcome.VERIFIED
         assert found.displaced_px == pytest.approx(left_px, abs=0.03)
+
+
+def _of_dim_frames(fingerprint: Fingerprint, motion: Motion, count: int) -> list[ViewVerdict]:
+    """Of frames in a row with little light, each with noise of its own, as the daemon examines them."""
+    image = light(replace(SPOT, peak=4.0)) * PLATE.response(motion.of)
+    found: list[ViewVerdict] = []
+    for seed in range(count):
+        shown = FrameAnalysis(frame(image, np.random.default_rng(seed), noise=0.7), SpotSettings())
+        earlier = [each.faint for each in found if each.faint is not None]
+        found.append(fingerprint.examine(shown, True, earlier))
+    return found
+
+
+def test_dim_frames_that_decide_nothing_alone_refute_a_moved_view_together() -> None:
+    """A camera that was turned while the laser became dim gave 0.064° of error, marked valid."""
+    found = _of_dim_frames(PLATE.fingerprint(), Motion(1.2), 8)
+    assert found[0].outcome is ViewOutcome.UNDECIDED
+    refuted = [each for each in found if each.outcome is ViewOutcome.REFUTED]
+    assert len(refuted) >= 3
+    assert [each.shift_px for each in refuted] == pytest.approx([1.2] * len(refuted), abs=0.15)
+    for each in found:  # the others add to sigma
+        assert each.outcome is not ViewOutcome.VERIFIED or (each.displaced_px or 0.0) > 0.5
+
+
+def test_dim_frames_that_decide_nothing_alone_verify_a_view_together() -> None:
+    found = _of_dim_frames(PLATE.fingerprint(), Motion(), 8)
+    assert found[0].outcome is ViewOutcome.UNDECIDED
+    assert ViewOutcome.REFUTED not in {each.outcome for each in found}
+    assert found[-1].outcome is ViewOutcome.VERIFIED
+    assert found[-1].displaced_px == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize("beside_px", [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.25)])

@@ -60,15 +60,16 @@ class Sending:
         )
         self.broker = Taking()
         self.seconds = 0
-        self._queries = 0
+        self._is_answered = asyncio.Event()
+        self._is_answered.set()
         self._after, self.outbox.after = self.outbox.after, self._noted_after  # type: ignore[method-assign]
 
     async def _noted_after(self, sequence: int, limit: int) -> Any:
-        self._queries += 1
+        self._is_answered.clear()
         try:
             return await self._after(sequence, limit)
         finally:
-            self._queries -= 1
+            self._is_answered.set()
 
     def write(self, count: int = 0) -> None:
         items = [sample(START_S + self.seconds + n + 0.1, 10.0) for n in range(count)]
@@ -98,13 +99,12 @@ class Sending:
             await stop(task)
 
     async def until(self, condition: Callable[[], bool], step_s: float = 0.05) -> None:
-        """Let time pass until it is so, but not during a query: the clock does not know the history's thread."""
+        """Let time pass until it is so, not during a query: the clock does not know the history's thread."""
         for _ in range(20_000):
             if condition():
                 return
             await self.clock.advance(step_s)
-            while self._queries:
-                await asyncio.sleep(0.001)
+            await self._is_answered.wait()
             await settle()
         raise AssertionError(self.broker.batches)
 
