@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults soak studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -18,6 +18,7 @@ LOAD_S ?= 600
 PAGE_S ?= 3600
 CAMPAIGN_S ?= 180
 FAULT_RUNS ?= 120
+SOAK_H ?= 100
 FUZZ_S ?= 600
 FLEET ?= 1000
 HOSTILE ?= 100000
@@ -180,6 +181,10 @@ campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=
 faults: venv ## faults into the whole daemon, all interfaces judged by truth; FAULT_RUNS=1000 for half an hour
 	@.ci/programs may mosquitto
 	exec $(python) -m benchmarks.faults --runs $(FAULT_RUNS) --real 1
+
+soak: venv ## the daemon for a hundred hours of a clock that is set: memory, descriptors, threads, exposures; SOAK_H=2
+	@.ci/programs may mosquitto
+	exec env OPENBLAS_NUM_THREADS=1 $(python) -m benchmarks.soak --hours $(SOAK_H)
 
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m studies -o docs/studies

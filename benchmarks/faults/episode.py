@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.records import FloatArray, Frame
 from benchmarks.campaign.clips import SimulatedClip, SimulatedRig
@@ -204,7 +205,7 @@ async def _run(
     pair_by = film.faults.times[0].pair_by if film.faults.times else "time"
     judge = Judge(film.error_of, film.onset_ns, film.end_ns, film.held_ns)
     async with (
-        live_unit(rig, places, telegram.device, START_NS, pair_by) as unit,
+        live_unit(rig, places, telegram.device, START_NS, Measuring(pair_by=pair_by)) as unit,
         wires_of(places, telegram, unit.socket, has_broker) as wires,
     ):
         waiting = list(reversed(film.arrivals))

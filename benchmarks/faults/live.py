@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 from unittest import mock
 
 from altd.acquisition.frame_pairs import FramePairs
@@ -128,6 +128,7 @@ class EpisodeCamera:
 class LiveUnit:
     """The daemon's cameras and its clock. ``wires`` are the places of its interfaces."""
 
+    daemon: Daemon
     clock: LiveClock
     cameras: dict[str, EpisodeCamera]
     wires: Interfaces
@@ -164,15 +165,17 @@ async def live_unit(
     wires: Interfaces,
     telegram: Path,
     now_ns: int,
-    pair_by: Literal["sequence", "time"],
+    measuring: Measuring,
 ) -> AsyncIterator[LiveUnit]:
-    """A daemon with default settings that serves on ``wires``; it measures when this yields."""
+    """A daemon that serves on ``wires``, with default settings beside these; it measures when this yields."""
     clock, socket = LiveClock(now_ns), telegram.with_name("altd.sock")
     port, *lines = wires.tables["serial"]
     tables = {**wires.tables, "serial": [{**port, "device": telegram}, *lines]}
-    config = make_config(**tables, measuring=Measuring(pair_by=pair_by), local={"socket": socket})
+    config = make_config(**tables, measuring=measuring, local={"socket": socket})
     cameras = {name: EpisodeCamera(name, clock) for name in CAMERAS}
     daemon = Daemon(config, rig.calibration, cameras, clock=clock, rehearsal=True)
+    if config.history.file is not None:
+        daemon.past.keep_as(config, rig.calibration)
     with _watched(daemon) as is_done:
         task = asyncio.create_task(daemon.run(), name="daemon")
         try:
@@ -181,7 +184,7 @@ async def live_unit(
                     await asyncio.sleep(0.001)
             if task.done():
                 task.result()
-            yield LiveUnit(clock, cameras, wires, socket, is_done)
+            yield LiveUnit(daemon, clock, cameras, wires, socket, is_done)
         finally:
             clock.end()
             task.cancel()

@@ -1,0 +1,176 @@
+"""``python -m benchmarks.soak`` (``make soak``): a daemon for many hours of a clock that is set.
+
+Two simulated cameras deliver a frame each second; history and all interfaces but OPC UA run, and are read
+once a minute. Every ten minutes one camera loses a frame, once an hour both are silent for ten seconds, and
+frames are kept. Memory, descriptors and threads are those of this process, cameras and readers included. The
+frames come from a stock that is longer than the memory of the check for repeated pictures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from altd.config import Measuring
+from altd.measuring.freshness import MAX_COMPARED_FRAMES
+from altd.records import Frame, PixelArray
+from benchmarks.campaign.clips import SimulatedClip, SimulatedRig, rig_of
+from benchmarks.campaign.timed import START_NS
+from benchmarks.campaign.way import CAMERAS
+from benchmarks.faults.live import LiveUnit, live_unit
+from benchmarks.faults.wires import TelegramLine, Wires, wires_of
+from benchmarks.interfaces import BROKER, broker, interfaces
+from benchmarks.process_memory import resident_mb
+from benchmarks.progress import show
+from hw_sim.beam import BeamPose
+from hw_sim.ports import free_port
+
+UNIT = "plain"
+MEASURING = Measuring(window=4, pair_by="time", silent_after_s=2.0, stale_after_s=5.0)
+MINUTE, HOUR = 60, 3600
+"""Exposures."""
+_SILENT = 10
+_SAMPLE = 15 * MINUTE
+_WARM_HOURS = 5.0
+"""Buffers, the ring of frames and the trends' minutes fill up before."""
+MAX_GROWTH_MB_PER_HOUR = 1.0
+_TRANSFER_NS = 5_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The process at an hour of the set clock."""
+
+    hour: float
+    memory_mb: float
+    descriptors: int
+    threads: int
+
+    @classmethod
+    def taken(cls, hour: float) -> Sample:
+        """That of this instant."""
+        descriptors = sum(1 for _ in Path("/proc/self/fd").iterdir())
+        return cls(hour, resident_mb(), descriptors, threading.active_count())
+
+
+def stock_of(rig: SimulatedRig) -> dict[str, list[PixelArray]]:
+    """Pictures of a beam at rest, each with noise of its own."""
+    rng = np.random.default_rng(1)
+    count = MAX_COMPARED_FRAMES + 32
+    clip = SimulatedClip(rig, BeamPose(4.0, -3.0, 0.02, -0.03), np.zeros(4), 0, count, rng)
+    return {camera: [clip.snap(clip.scene(camera, k), k, rng) for k in range(count)] for camera in CAMERAS}
+
+
+def lost_cameras(k: int) -> tuple[str, ...]:
+    """The cameras that deliver nothing at an exposure."""
+    if k % HOUR >= HOUR - _SILENT:
+        return CAMERAS
+    return (CAMERAS[k // (10 * MINUTE) % 2],) if k % (10 * MINUTE) == 5 * MINUTE else ()
+
+
+@dataclass(frozen=True, slots=True)
+class Soak:
+    """The result: samples, exposures of which a frame was delivered, those that were measured, and losses."""
+
+    samples: list[Sample]
+    delivered: int
+    measured: int
+    lost: int
+    valid: int
+
+    def faults(self) -> Iterator[str]:
+        """Growth and losses, in words."""
+        warm = [
+            sample for sample in self.samples if sample.hour > min(_WARM_HOURS, self.samples[-1].hour / 2)
+        ]
+        growth = float(np.polyfit([each.hour for each in warm], [each.memory_mb for each in warm], 1)[0])
+        print(f"memory after {warm[0].hour:g} h: {growth:+.3f} MB an hour")
+        if growth > MAX_GROWTH_MB_PER_HOUR:
+            yield f"memory grows by {growth:.2f} MB an hour"
+        for name in ("descriptors", "threads"):
+            numbers = [getattr(sample, name) for sample in warm]
+            if max(numbers[len(numbers) // 2 :]) > max(numbers[: len(numbers) // 2 + 1]):
+                yield f"{name} grow: {numbers[0]} to {numbers[-1]}"
+        if self.lost or self.measured != self.delivered:
+            yield f"{self.lost} frames lost; {self.measured} of {self.delivered} exposures measured"
+
+
+async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | None) -> Soak:
+    """Let the hours pass."""
+    with interfaces(1) as places, contextlib.closing(TelegramLine(folder / "ttyUSB0")) as telegram:
+        del places.tables["opcua"]
+        places.tables["history"] = {"file": folder / "history.db"}
+        places.tables["kept_frames"] = {"folder": folder / "recordings", "disk_mb": 50}
+        places.tables["mqtt"]["port"] = broker_port
+        if broker_port is None:
+            del places.tables["mqtt"]
+        places = replace(places, mqtt_port=broker_port or 0)
+        async with (
+            live_unit(rig, places, telegram.device, START_NS, MEASURING) as unit,
+            wires_of(places, telegram, unit.socket, has_broker=broker_port is not None) as wires,
+        ):
+            count, stock = round(hours * HOUR), stock_of(rig)
+            samples = [sample async for sample in _samples(count, stock, unit, wires)]
+            counters = unit.daemon.health.component("measuring").counters
+            lost = sum(number for name, number in counters.items() if name.startswith(("dropped", "late")))
+            delivered = sum(len(lost_cameras(k)) < len(CAMERAS) for k in range(count))
+            return Soak(samples, delivered, unit.daemon.chain.frame_sets, lost, counters["valid"])
+
+
+async def _samples(
+    count: int, stock: dict[str, list[PixelArray]], unit: LiveUnit, wires: Wires
+) -> AsyncIterator[Sample]:
+    """Let so many exposures pass; a sample each quarter of an hour."""
+    for k in range(count):
+        t_ns = START_NS + (k + 1) * 10**9
+        await unit.clock.set(t_ns + _TRANSFER_NS)
+        for camera in CAMERAS:
+            if camera not in lost_cameras(k):
+                pixels = stock[camera][k % len(stock[camera])]
+                await unit.deliver(Frame(camera, k, t_ns, pixels, 8))
+        if k % MINUTE == MINUTE - 1:
+            await wires.read()
+        if k % _SAMPLE == _SAMPLE - 1:
+            yield Sample.taken((k + 1) / HOUR)
+            show(f"{(k + 1) / HOUR:.2f} of {count / HOUR:g} hours")
+
+
+def main() -> int:
+    """Run, print; 1: memory, descriptors or threads grow, or an exposure is lost that was delivered."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser.add_argument("--hours", type=float, default=100.0, help="of the set clock (default 100)")
+    options = parser.parse_args()
+    logging.getLogger("altd").setLevel(logging.CRITICAL)
+    cv2.setNumThreads(1)
+    rig, port, began_s = rig_of(UNIT), free_port(), time.monotonic()
+    assert isinstance(rig, SimulatedRig)  # noqa: S101
+    with tempfile.TemporaryDirectory() as folder, broker(port) if BROKER else contextlib.nullcontext():
+        result = asyncio.run(run(options.hours, rig, Path(folder), port if BROKER else None))
+        history_mb = Path(folder, "history.db").stat().st_size * 1e-6
+    show("")
+    for sample in result.samples[:: max(len(result.samples) // 10, 1)]:
+        numbers = f"{sample.descriptors} descriptors, {sample.threads} threads"
+        print(f"{sample.hour:7.2f} h: {sample.memory_mb:.1f} MB, {numbers}")
+    print(
+        f"{result.measured} of {result.delivered} exposures measured, {result.lost} frames lost, "
+        f"{result.valid} measurements valid; history {history_mb:.1f} MB; {time.monotonic() - began_s:.0f} s"
+    )
+    faults = list(result.faults())
+    print("\n".join(faults) or "no fault")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
