@@ -5,6 +5,7 @@ It keeps no state: what it has not committed when it ends, the units send again.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import secrets
@@ -104,6 +105,9 @@ class Ingest:
             log.warning("ingest: the broker refuses the connection: %s", code)
             return
         self._connections += 1
+        with contextlib.suppress(queue.Empty):
+            while True:  # they can no longer be acknowledged, and come again
+                self._messages.get_nowait()
         client.subscribe(f"$share/{broker.group}/{broker.topic}/+/outbox", qos=1)
 
     def _on_subscribe(self, client: Client, userdata: Any, mid: int, codes: list[ReasonCode], _: Any) -> None:

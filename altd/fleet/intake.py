@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from urllib.parse import unquote
+from urllib.parse import quote, unquote
 
 from pydantic import ValidationError
 
@@ -42,7 +42,10 @@ class Intake:
         if levels[:-2] != self._levels or levels[-1] != "outbox":
             return ""
         unit = unquote(levels[-2])
-        return unit if unit.isprintable() else ""
+        is_canonical = (
+            quote(unit, safe="") == levels[-2]
+        )  # an access list tells units apart as they are written
+        return unit if unit.isprintable() and is_canonical else ""
 
     def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:
         """The batch of a message; ``now_s`` is monotonic."""

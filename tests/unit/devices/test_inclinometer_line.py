@@ -73,6 +73,7 @@ def test_an_answer_that_waits_while_the_machine_is_busy_is_read_to_its_end(
 def test_a_process_that_sleeps_while_it_asks_has_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     """pyserial's own clock jumps by a second at each look: its write would call the port gone."""
     times_s = count(0.0, 1.0)
+    monkeypatch.setattr(driver, "_ANSWER_TIMEOUT_S", 30.0)
     with answering(lambda request: frame(b"\x04\x02\x01\x2c", 1)) as wire:
         line = Line(settings(wire.device), 19200, 1)
         monkeypatch.setattr(serial.serialutil.Timeout, "TIME", lambda *_: next(times_s))
@@ -96,8 +97,13 @@ def test_a_line_that_does_not_take_a_request_is_reported_at_once(
         line.ask(4, 0, 1)
 
 
-def test_a_line_that_is_an_answer_behind_gives_no_roll_that_is_believed() -> None:
+def test_a_line_that_is_an_answer_behind_gives_no_roll_that_is_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """As where each answer comes twice: then that of the question before is the first to be heard."""
+    monkeypatch.setattr(
+        driver, "_ANSWER_TIMEOUT_S", 30.0
+    )  # each question gets an answer, on a busy machine late
     sensor = Inclinometer.balluff()
     sensor.roll_deg = -3.0
     is_behind, before = False, b""

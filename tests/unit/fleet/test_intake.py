@@ -98,7 +98,14 @@ def test_garbage(payload: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "topic", ["plant/line-4/ALT%2F8/outbox", "plant/ALT%2F7/outbox", "ALT%2F7", "plant/line-4/%00/outbox"]
+    "topic",
+    [
+        "plant/line-4/ALT%2F8/outbox",
+        "plant/line-4/%41LT%2F7/outbox",  # another user name for an access list
+        "plant/ALT%2F7/outbox",
+        "ALT%2F7",
+        "plant/line-4/%00/outbox",
+    ],
 )
 def test_a_batch_on_the_topic_of_another_unit(topic: str) -> None:
     assert check(message(), topic) is Refusal.UNIT

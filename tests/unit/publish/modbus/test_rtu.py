@@ -168,6 +168,14 @@ async def test_what_others_say_on_the_bus_is_none_of_our_business(
     assert await controller.is_answered()
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine is late with the rest of a frame, with an answer and with an echo."""
+    monkeypatch.setattr(rtu, "FRAGMENT_TIMEOUT_S", 60.0)
+    monkeypatch.setattr(rtu, "RESPONSE_TIMEOUT_S", 60.0)
+
+
+@pytest.mark.usefixtures("patient")
 async def test_the_end_of_anothers_answer_is_no_request(controller: Controller, component: Component) -> None:
     for torn_at in (len(COLLIDING), len(COLLIDING) - 8, 40, 62 % len(COLLIDING)):
         controller.send(READ_OF_20)
@@ -180,13 +188,7 @@ async def test_the_end_of_anothers_answer_is_no_request(controller: Controller, 
     assert await controller.is_answered()
 
 
-@pytest.fixture
-def late_echo(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy machine is late with the echo."""
-    monkeypatch.setattr(rtu, "FRAGMENT_TIMEOUT_S", 60.0)
-
-
-@pytest.mark.usefixtures("late_echo")
+@pytest.mark.usefixtures("patient")
 async def test_the_echo_of_our_answer_in_pieces_is_not_answered(controller: Controller) -> None:
     controller.send(frame(ONE))
     answer = await controller.answer()
@@ -207,7 +209,7 @@ async def test_a_request_that_the_controller_gave_up_is_not_answered(controller:
     assert await controller.hears_nothing()
 
 
-@pytest.mark.usefixtures("late_echo")
+@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00", "08 0000 1234"])
 async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller, request_hex: str) -> None:
     controller.send(frame(bytes.fromhex(request_hex)))
