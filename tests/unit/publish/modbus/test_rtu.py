@@ -125,6 +125,7 @@ async def test_a_request_in_pieces_is_answered_once_and_a_torn_one_never(
         await asyncio.sleep(0.01)
         controller.send(request[3:])
         assert await controller.hear(9) == frame(ONE_ANSWER)
+    monkeypatch.setattr(rtu, "FRAGMENT_TIMEOUT_S", 0.0)
     controller.send(request[:3])
     await asyncio.sleep(0.15)
     controller.send(request[3:])
