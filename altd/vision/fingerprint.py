@@ -66,7 +66,7 @@ class ViewVerdict:
     is the part of it that is certain enough to add to the uncertainty of a spot, with what a doubled image
     does; None where that is not known. ``doubled_px`` is what may be caused by that image, or by the error of
     the print's model. ``is_print_seen``: a spot shows print on a target that has none; None without a spot.
-    ``faint`` is the sample of a frame with too little light to decide alone: several together may.
+    ``faint`` is the sample of a frame with too little light to decide alone, where several together may.
     """
 
     outcome: ViewOutcome
@@ -150,7 +150,8 @@ class Fingerprint:
             return ViewVerdict.refuted(mismatch)
         if found.significance < _MIN_SIGNIFICANCE:
             reason = f"too little is seen of the target ({found.significance:.1f} sigma)"
-            return replace(ViewVerdict.undecided(reason), faint=sample)
+            faint = sample if self.source == "flat" else None
+            return replace(ViewVerdict.undecided(reason), faint=faint)
         if found.shift_px > max(MAX_SHIFT_PX, _MIN_SIGNIFICANCE * found.sigma_px):
             place = "where it was calibrated" if self.moved is None else "where the self-check found it"
             shift = f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from {place}"

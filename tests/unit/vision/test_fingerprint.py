@@ -112,6 +112,12 @@ def test_dim_frames_that_decide_nothing_alone_verify_a_view_together() -> None:
     assert found[-1].displaced_px == pytest.approx(0.0, abs=0.1)
 
 
+def test_dim_frames_are_not_kept_for_a_texture_that_refutes_nothing() -> None:
+    """Most plates show none, whatever the light: to stack their frames would cost time for no verdict."""
+    found = _of_dim_frames(replace(PLATE.fingerprint(), source="scan"), Motion(), 2)
+    assert [(each.outcome, each.faint) for each in found] == [(ViewOutcome.UNDECIDED, None)] * 2
+
+
 @pytest.mark.parametrize("beside_px", [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.25)])
 def test_a_small_shift_after_the_check_is_uncertainty(
     moved: Fingerprint, beside_px: tuple[float, float]
