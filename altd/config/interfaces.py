@@ -185,8 +185,8 @@ class SparkplugSettings(Table):
     """The edge node identifier; default: the serial number."""
 
 
-class MqttSettings(Table):
-    """Publishes to an MQTT 5 broker."""
+class BrokerSettings(Table):
+    """The keys of a connection to an MQTT 5 broker."""
 
     host: BrokerHost
     """The broker's name or IP address, as in its certificate."""
@@ -194,18 +194,10 @@ class MqttSettings(Table):
     """Default 1883, with `ca` 8883."""
     topic: Topic = "altd"
     """First part of the topics: `altd/ALT-0007/summary`."""
-    every_measurement: bool = False
-    """Publish every measurement, not only the summary of each second."""
-    store_and_forward: bool = False
-    """Keep the summaries of 1 s until an ingest has acknowledged them: `fleet.md`. Needs the history."""
-    home_assistant: Topic | None = None
-    """Discovery prefix of Home Assistant, usually `homeassistant`; announces the unit."""
-    sparkplug: SparkplugSettings | None = None
-    """Table of its own, below."""
     ca: Path | None = None
     """Authorities of the broker's certificate, PEM: TLS only."""
     certificate: Path | None = None
-    """The unit's own certificate chain, PEM, if the broker asks for one. With `key` and `ca`."""
+    """The client's own certificate chain, PEM, if the broker asks for one. With `key` and `ca`."""
     key: Path | None = None
     """Its private key, PEM, without a passphrase."""
     credentials: Path | None = None
@@ -215,6 +207,19 @@ class MqttSettings(Table):
     def port_or_default(self) -> int:
         """The port that is connected to."""
         return self.port or (1883 if self.ca is None else 8883)
+
+
+class MqttSettings(BrokerSettings):
+    """Publishes to an MQTT 5 broker."""
+
+    every_measurement: bool = False
+    """Publish every measurement, not only the summary of each second."""
+    store_and_forward: bool = False
+    """Keep the summaries of 1 s until an ingest has acknowledged them: `fleet.md`. Needs the history."""
+    home_assistant: Topic | None = None
+    """Discovery prefix of Home Assistant, usually `homeassistant`; announces the unit."""
+    sparkplug: SparkplugSettings | None = None
+    """Table of its own, below."""
 
 
 class OpcUaSettings(Table):

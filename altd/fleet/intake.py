@@ -42,9 +42,7 @@ class Intake:
         if levels[:-2] != self._levels or levels[-1] != "outbox":
             return ""
         unit = unquote(levels[-2])
-        is_canonical = (
-            quote(unit, safe="") == levels[-2]
-        )  # an access list tells units apart as they are written
+        is_canonical = quote(unit, safe="") == levels[-2]  # an access list compares the written names
         return unit if unit.isprintable() and is_canonical else ""
 
     def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:

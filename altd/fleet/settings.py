@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from altd.config.fields import expected, field_at
-from altd.config.interfaces import BrokerHost, Topic
+from altd.config.interfaces import BrokerSettings
 from altd.config.places import Place, Places
 from altd.config.table import Table, shown
 from altd.config.wording import UNUSABLE, WHY
@@ -21,30 +21,11 @@ from altd.files.reading import read_file
 _MAX_BYTES = 1 << 16
 
 
-class BrokerSettings(Table):
+class FleetBrokerSettings(BrokerSettings):
     """The broker that the units publish to, any of MQTT 5 with shared subscriptions."""
 
-    host: BrokerHost
-    """As in `[mqtt]` of a unit, and so are the other keys."""
-    port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    """Default 1883, with `ca` 8883."""
-    topic: Topic = "altd"
-    """First part of the units' topics."""
     group: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$", max_length=60)] = "altd"
     """Name of the shared subscription: the instances of one group share the messages."""
-    ca: Path | None = None
-    """Authorities of the broker's certificate, PEM: TLS only."""
-    certificate: Path | None = None
-    """Certificate chain of the ingest, PEM. With `key` and `ca`."""
-    key: Path | None = None
-    """Its private key, PEM, without a passphrase."""
-    credentials: Path | None = None
-    """File with the user name in line 1 and the password in line 2, readable by its owner and group only."""
-
-    @property
-    def port_or_default(self) -> int:
-        """The port that is connected to."""
-        return self.port or (1883 if self.ca is None else 8883)
 
 
 class DatabaseSettings(Table):
@@ -67,7 +48,7 @@ class RetentionSettings(Table):
 class FleetSettings(Table):
     """The whole of ``fleet.toml``."""
 
-    broker: BrokerSettings
+    broker: FleetBrokerSettings
     database: DatabaseSettings
     retention: RetentionSettings = RetentionSettings()
 

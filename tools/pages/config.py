@@ -52,7 +52,7 @@ from altd.config.fields import expected
 from altd.config.interfaces import SerialPortSettings
 from altd.config.loading import config_of
 from altd.errors import BadInputError
-from altd.fleet.settings import BrokerSettings, DatabaseSettings, RetentionSettings
+from altd.fleet.settings import DatabaseSettings, FleetBrokerSettings, RetentionSettings
 from tools.markdown import wrapped
 
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
@@ -143,7 +143,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
     ("[scan]", Scan, ""),
     ("[scan.limits]", ScanLimits, "Terms of the uncertainty budget: `budget.md`."),
-    ("[broker] of fleet.toml", BrokerSettings, "The file of `altd ingest` and `altd fleet`: `fleet.md`."),
+    ("[broker] of fleet.toml", FleetBrokerSettings, "File of `altd ingest` and `altd fleet`: `fleet.md`."),
     ("[database] of fleet.toml", DatabaseSettings, ""),
     ("[retention] of fleet.toml", RetentionSettings, ""),
 )
