@@ -23,7 +23,7 @@ _INITIAL_EXAMINATIONS = 3
 _MAX_MOVE_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN_EXAMINATIONS = 4
 _STACKED_FRAMES = 8
-"""Dim frames that decide together: at 3 % of the light a shift is found in four of them."""
+"""Dim frames that decide together: at 3 % of the light a shift was found in six of them."""
 _MAX_JUMP_PX = 0.5
 _MAX_JUMP_MEDIANS = 3.0
 """From where steady motion would have brought it: a picture that is moved moves its spot. The larger of both
