@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -47,6 +47,10 @@ _INTERPOLATION_LOSS = 0.02
 """Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
 _MIN_RIVAL_SHARE = 0.7
 """The most that a peak between two lags may lose at the better one, for dots four pixels apart."""
+_MIN_REFINED_SIGNIFICANCE = 20.0
+"""Below it the noise of a shift is larger than the error of a parabola."""
+_MAX_REFINEMENT = 4.0
+"""The vertex of a parabola on straight sides of unequal length: f / (4 − 6 f) for an offset f."""
 _CORRELATED_PIXELS = 4.0
 """Of neighbours whose noise the smoothing and clipping tie together, at most."""
 
@@ -241,13 +245,15 @@ def match(sample: Sample, texture: Texture, moved: FloatArray | None = None) -> 
     height, gain, residual = _projected(sample, best.displaced(expected, sample.relative.shape))
     left = np.where(usable, _cross_correlation(expected, weight * residual) / root, np.float32(0))
     noise = max(float(np.sqrt(np.mean(np.square(left[usable])))), 1e-9)
+    if height > _MIN_REFINED_SIGNIFICANCE * noise:
+        best = best.refined(sample, expected)
     chosen = best
     nearest_lag = _nearest_peak(score, _MIN_RIVAL_SHARE * float(score[best.lag]))
     if nearest_lag != best.lag:
         nearest = _Peak.at(score, nearest_lag)
         rival_height, rival_gain, _ = _projected(sample, nearest.displaced(expected, sample.relative.shape))
         if rival_height >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
-            chosen, height, gain = nearest, rival_height, rival_gain
+            chosen, height, gain = nearest.refined(sample, expected), rival_height, rival_gain
     seen, uncertain = sample.energy
     return Match(
         u_px=MAX_SHIFT_PX - chosen.lag[1] - chosen.offset_u,
@@ -287,6 +293,36 @@ class _Peak:
         offset_u, curvature_u = _vertex(score[lag[0]], lag[1])
         offset_v, curvature_v = _vertex(score[:, lag[1]], lag[0])
         return cls(lag, offset_u, offset_v, min(curvature_u, curvature_v))
+
+    def refined(self, sample: Sample, expected: Image) -> Self:
+        """The peak with the offsets by which the expected texture, interpolated between lags, fits best.
+
+        The pixels average texture as fine as they are: its score has straight sides, and the parabola finds
+        as little as a quarter of an offset. Averaging is a linear interpolation of four lags, whose
+        shares in the least-squares sum are the offset. Coarse texture is nearly linear from one lag to the
+        next. Blur takes shares too, but does not move the parabola, so that limits it.
+        """
+        rows, columns = sample.weight.shape
+        row, column = self.lag
+        next_row = row + (1 if self.offset_v >= 0 else -1)
+        next_column = column + (1 if self.offset_u >= 0 else -1)
+        if not {next_row, next_column} <= set(range(2 * MAX_SHIFT_PX + 1)):
+            return self
+        textures = np.empty((4, rows * columns), np.float32)
+        lags = ((row, column), (row, next_column), (next_row, column), (next_row, next_column))
+        for texture, (top, left) in zip(textures, lags, strict=True):
+            texture[:] = expected[top : top + rows, left : left + columns].ravel()
+        weighted = textures * sample.weight.ravel()
+        shares = np.linalg.lstsq(weighted @ textures.T, weighted @ sample.relative.ravel(), rcond=None)[0]
+        whole = float(shares.sum())
+        if whole <= 0:
+            return self
+        parts = np.clip((shares[1:3] + shares[3]) / whole, 0.0, 1.0).tolist()
+        offset_u, offset_v = (
+            math.copysign(min(part, _MAX_REFINEMENT * abs(offset)), offset)
+            for part, offset in zip(parts, (self.offset_u, self.offset_v), strict=True)
+        )
+        return replace(self, offset_u=offset_u, offset_v=offset_v)
 
     def displaced(self, expected: Image, shape: tuple[int, ...]) -> Image:
         """The expected content of the sample at this peak, (h, w)."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.campaign.detectability import near_on_both, near_on_one
+from benchmarks.campaign.detectability import Undetectable, near_on_both, near_on_one
 from benchmarks.campaign.scene import Scene, SpotShape, blurred
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 from hw_sim.image import Image
@@ -27,6 +27,11 @@ def _aside(draw: Draw, low_mm: float = 1.0, high_mm: float = 15.0) -> tuple[floa
 def _second_spot(scene: Scene, right_mm: float, down_mm: float, scale: float, share: float) -> Scene:
     ghost = scene.spot.moved(right_mm * scene.px_per_mm, down_mm * scene.px_per_mm).scaled(scale, share)
     return scene.beam_plus(ghost)
+
+
+def _near(cameras: frozenset[str], share: float, far_mm: float) -> Undetectable:
+    """The limit of a second spot beside the first on these targets."""
+    return near_on_one(share, far_mm) if len(cameras) == 1 else near_on_both(far_mm)
 
 
 @WAYS.add()
@@ -103,8 +108,8 @@ def reflection_fixed(draw: Draw) -> Spoil:
         ghost = ghosts.setdefault(scene.camera, scene.spot.moved(right * mm, down * mm).scaled(1.0, share))
         return scene.beam_plus(ghost)
 
-    cameras, far_mm = draw.targets(), math.hypot(right, down)
-    undetectable = near_on_one(share, far_mm) if len(cameras) == 1 else near_on_both(far_mm)
+    cameras = draw.targets()
+    undetectable = _near(cameras, share, math.hypot(right, down))
     return Spoil(
         f"{share:.0%} {words}, at rest", light=light, cameras=cameras, varies=True, undetectable=undetectable
     )
@@ -113,10 +118,13 @@ def reflection_fixed(draw: Draw) -> Spoil:
 @WAYS.add()
 def twin_spots(draw: Draw) -> Spoil:
     """A second spot of the same brightness, 2 to 6 mm aside."""
-    right, down, words = _aside(draw, 2.0, 6.0)
-    share = draw.uniform(0.9, 1.1)
+    (right, down, words), share = _aside(draw, 2.0, 6.0), draw.uniform(0.9, 1.1)
+    cameras = draw.targets()
     return Spoil(
-        words, light=lambda scene, since: _second_spot(scene, right, down, 1.0, share), cameras=draw.targets()
+        words,
+        light=lambda scene, since: _second_spot(scene, right, down, 1.0, share),
+        cameras=cameras,
+        undetectable=_near(cameras, share, math.hypot(right, down)),
     )
 
 
