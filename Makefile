@@ -150,7 +150,7 @@ bench-load: venv ## ten minutes of clients at Modbus TCP and RTU, MQTT and HTTP:
 	@.ci/programs must mosquitto
 	exec $(python) -m benchmarks.load --seconds $(LOAD_S) --browsers $(BROWSERS)
 
-bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
+bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=3600 for an hour, with the growth of memory
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
 
 bench-memory: venv ## peak memory and time of commands against nodes and frames; takes a quarter of an hour

@@ -1,11 +1,16 @@
-"""Memory of processes, as the kernel counts it (proc(5))."""
+"""Memory, descriptors and threads of processes, as the kernel counts them (proc(5))."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 _PSS = re.compile(r"^Pss:\s+(\d+) kB$", re.MULTILINE)
+MAX_GROWTH_MB_PER_HOUR = 1.0
 _RESIDENT = re.compile(r"^VmRSS:\s+(\d+) kB$", re.MULTILINE)
 
 
@@ -22,3 +27,41 @@ def proportional_mb(pid: int) -> float:
 def _megabytes(line: re.Pattern[str], file: Path) -> float:
     found = line.search(file.read_text())
     return int(found[1]) * 1024e-6 if found else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessSample:
+    """A process after so many hours."""
+
+    hour: float
+    memory_mb: float
+    descriptors: int
+    threads: int
+
+    @classmethod
+    def taken(cls, hour: float, pid: int | str = "self") -> ProcessSample:
+        """That of this instant; raises OSError."""
+        process = Path("/proc", str(pid))
+        descriptors, threads = (sum(1 for _ in (process / folder).iterdir()) for folder in ("fd", "task"))
+        return cls(hour, resident_mb(pid), descriptors, threads)
+
+    def __str__(self) -> str:
+        """In words."""
+        numbers = f"{self.descriptors} descriptors, {self.threads} threads"
+        return f"{self.hour:7.2f} h: {self.memory_mb:.1f} MB, {numbers}"
+
+
+def growth_mb_per_hour(samples: Sequence[ProcessSample]) -> float:
+    """The slope of memory over two samples or more."""
+    return float(np.polyfit([each.hour for each in samples], [each.memory_mb for each in samples], 1)[0])
+
+
+def growth_faults(samples: Sequence[ProcessSample]) -> Iterator[str]:
+    """Growth of two samples or more, in words: more in the second half than ever in the first."""
+    growth = growth_mb_per_hour(samples)
+    if growth > MAX_GROWTH_MB_PER_HOUR:
+        yield f"memory grows by {growth:.2f} MB an hour"
+    for name in ("descriptors", "threads"):
+        numbers = [getattr(sample, name) for sample in samples]
+        if max(numbers[len(numbers) // 2 :]) > max(numbers[: len(numbers) // 2 + 1]):
+            yield f"{name} grow: {numbers[0]} to {numbers[-1]}"

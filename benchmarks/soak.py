@@ -14,7 +14,6 @@ import contextlib
 import logging
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, replace
@@ -32,7 +31,7 @@ from benchmarks.campaign.way import CAMERAS
 from benchmarks.faults.live import LiveUnit, live_unit
 from benchmarks.faults.wires import TelegramLine, Wires, wires_of
 from benchmarks.interfaces import BROKER, broker, interfaces
-from benchmarks.process_memory import resident_mb
+from benchmarks.process_memory import ProcessSample, growth_faults, growth_mb_per_hour
 from benchmarks.progress import show
 from hw_sim.beam import BeamPose
 from hw_sim.ports import free_port
@@ -45,24 +44,7 @@ _SILENT = 10
 _SAMPLE = 15 * MINUTE
 _WARM_HOURS = 5.0
 """Buffers, the ring of frames and the trends' minutes fill up before."""
-MAX_GROWTH_MB_PER_HOUR = 1.0
 _TRANSFER_NS = 5_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """The process at an hour of the set clock."""
-
-    hour: float
-    memory_mb: float
-    descriptors: int
-    threads: int
-
-    @classmethod
-    def taken(cls, hour: float) -> Sample:
-        """That of this instant."""
-        descriptors = sum(1 for _ in Path("/proc/self/fd").iterdir())
-        return cls(hour, resident_mb(), descriptors, threading.active_count())
 
 
 def stock_of(rig: SimulatedRig) -> dict[str, list[PixelArray]]:
@@ -84,7 +66,7 @@ def lost_cameras(k: int) -> tuple[str, ...]:
 class Soak:
     """The result: samples, exposures of which a frame was delivered, those that were measured, and losses."""
 
-    samples: list[Sample]
+    samples: list[ProcessSample]
     delivered: int
     measured: int
     lost: int
@@ -95,14 +77,8 @@ class Soak:
         warm = [
             sample for sample in self.samples if sample.hour > min(_WARM_HOURS, self.samples[-1].hour / 2)
         ]
-        growth = float(np.polyfit([each.hour for each in warm], [each.memory_mb for each in warm], 1)[0])
-        print(f"memory after {warm[0].hour:g} h: {growth:+.3f} MB an hour")
-        if growth > MAX_GROWTH_MB_PER_HOUR:
-            yield f"memory grows by {growth:.2f} MB an hour"
-        for name in ("descriptors", "threads"):
-            numbers = [getattr(sample, name) for sample in warm]
-            if max(numbers[len(numbers) // 2 :]) > max(numbers[: len(numbers) // 2 + 1]):
-                yield f"{name} grow: {numbers[0]} to {numbers[-1]}"
+        print(f"memory after {warm[0].hour:g} h: {growth_mb_per_hour(warm):+.3f} MB an hour")
+        yield from growth_faults(warm)
         if self.lost or self.measured != self.delivered:
             yield f"{self.lost} frames lost; {self.measured} of {self.delivered} exposures measured"
 
@@ -131,7 +107,7 @@ async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | 
 
 async def _samples(
     count: int, stock: dict[str, list[PixelArray]], unit: LiveUnit, wires: Wires
-) -> AsyncIterator[Sample]:
+) -> AsyncIterator[ProcessSample]:
     """Let so many exposures pass; a sample each quarter of an hour."""
     for k in range(count):
         t_ns = START_NS + (k + 1) * 10**9
@@ -143,7 +119,7 @@ async def _samples(
         if k % MINUTE == MINUTE - 1:
             await wires.read()
         if k % _SAMPLE == _SAMPLE - 1:
-            yield Sample.taken((k + 1) / HOUR)
+            yield ProcessSample.taken((k + 1) / HOUR)
             show(f"{(k + 1) / HOUR:.2f} of {count / HOUR:g} hours")
 
 
@@ -161,8 +137,7 @@ def main() -> int:
         history_mb = Path(folder, "history.db").stat().st_size * 1e-6
     show("")
     for sample in result.samples[:: max(len(result.samples) // 10, 1)]:
-        numbers = f"{sample.descriptors} descriptors, {sample.threads} threads"
-        print(f"{sample.hour:7.2f} h: {sample.memory_mb:.1f} MB, {numbers}")
+        print(sample)
     print(
         f"{result.measured} of {result.delivered} exposures measured, {result.lost} frames lost, "
         f"{result.valid} measurements valid; history {history_mb:.1f} MB; {time.monotonic() - began_s:.0f} s"

@@ -32,9 +32,13 @@ from benchmarks.live.parts import (
 )
 from benchmarks.live.steady import QUANTITIES, Steady, Truthfulness, measure_steady
 from benchmarks.live.watch import Recovery, Watch, measure_fault
+from benchmarks.process_memory import growth_mb_per_hour
 from hw_sim.gige.command import make_unit
 
 _VALID_TIMEOUT_S = 30.0
+_WARM_SHARE = 1 / 6
+"""Of the time, in which buffers fill up."""
+_MIN_GROWTH_S = 600.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -129,6 +133,14 @@ def _steady_lines(steady: Steady, in_process: Truthfulness) -> Iterator[str]:
         f"{steady.interval_max_ms:.2f} ms; Modbus p99 {steady.modbus_p99_ms:.2f} ms; daemon "
         f"{steady.cpu_ms_a_pair:.2f} ms CPU a pair, {steady.cpu_share:.1%} of a core"
     )
+    warm = [sample for sample in steady.process if sample.hour >= _WARM_SHARE * steady.process[-1].hour]
+    yield from (f"daemon after {sample}" for sample in (warm[0], warm[-1]))
+    growth = (
+        f"{growth_mb_per_hour(warm):+.2f} MB an hour"
+        if steady.seconds >= _MIN_GROWTH_S
+        else "too short to tell"
+    )
+    yield f"memory grows between: {growth}"
     yield f"{'rms error':<12}{'GigE Vision':>14}{'in process':>14}{'ratio':>8}{'in sigmas':>11}"
     for name in QUANTITIES:
         wire, bare = steady.errors.rms[name], in_process.rms[name]

@@ -13,7 +13,7 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from altd.config import load_config
 from altd.status.measurement_json import as_object
 from benchmarks.live.parts import Running
 from benchmarks.live.watch import Watch
+from benchmarks.process_memory import ProcessSample
 from hw_sim.camera import make_cameras
 from hw_sim.gige.command import make_unit
 from hw_sim.unit import CAMERAS, Unit
@@ -85,6 +86,8 @@ class Steady:
     errors: Truthfulness
     modbus_p99_ms: float
     lag_ms: float
+    process: list[ProcessSample]
+    """Of the daemon, twelve or more of the time."""
 
 
 def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) -> Steady:
@@ -92,7 +95,7 @@ def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) ->
     time.sleep(_FULL_WINDOW_S)
     before = watch.status()["components"]
     first, cpu_s, began_s = len(watch.seen), daemon.cpu_s(), time.monotonic()
-    time.sleep(seconds)
+    samples = list(_samples(daemon, seconds))
     cpu_s, seconds = daemon.cpu_s() - cpu_s, time.monotonic() - began_s
     seen = watch.seen[first:]
     after = watch.status()["components"]
@@ -115,7 +118,16 @@ def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) ->
         errors=truthfulness(unit, (one.measurement for one in seen if one.valid)),
         modbus_p99_ms=1e3 * float(np.percentile(watch.polled.took_s, 99)),
         lag_ms=float(after["measuring"].get("lag_rear_ms", math.nan)),
+        process=samples,
     )
+
+
+def _samples(daemon: Running, seconds: float) -> Iterator[ProcessSample]:
+    """Let the seconds pass; a sample at the beginning, and after each twelfth or minute of them."""
+    began_s, interval_s = time.monotonic(), min(60.0, seconds / 12)
+    for due_s in np.arange(0.0, seconds + interval_s / 2, interval_s):
+        time.sleep(max(began_s + due_s - time.monotonic(), 0.0))
+        yield ProcessSample.taken(due_s / 3600, daemon.process.pid)
 
 
 def _lost(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, int]:

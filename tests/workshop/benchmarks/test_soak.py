@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.campaign.clips import SimulatedRig, rig_of
-from benchmarks.soak import HOUR, UNIT, Sample, Soak, lost_cameras, run
+from benchmarks.process_memory import ProcessSample
+from benchmarks.soak import HOUR, UNIT, Soak, lost_cameras, run
 
-FLAT = tuple(Sample(hour, 300.0 + hour % 2, 37, 10) for hour in range(1, 21))
+FLAT = tuple(ProcessSample(hour, 300.0 + hour % 2, 37, 10) for hour in range(1, 21))
 GOOD = Soak(list(FLAT), delivered=1000, measured=1000, lost=0, valid=990)
 
 
