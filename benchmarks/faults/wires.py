@@ -237,6 +237,8 @@ async def wires_of(
 ) -> AsyncIterator[Wires]:
     """Clients of all interfaces; without a broker none of MQTT."""
     wires = Wires(places, telegram, socket)
+    for line in places.rtu:  # a full line would stop the unit as well, which runs in this process
+        os.set_blocking(line, False)
     async with contextlib.AsyncExitStack() as parts:
         parts.callback(wires.reset)
         if has_broker:
