@@ -21,6 +21,7 @@ FAULT_RUNS ?= 120
 SOAK_H ?= 100
 FUZZ_S ?= 600
 FLEET ?= 1000
+WORKSHOP ?= tests/workshop
 HOSTILE ?= 100000
 SPRAY_S ?= 600
 # Workers of the tests: more than cores, for some tests wait; those with limits of real time get a core each.
@@ -105,7 +106,7 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	[[ -z $$failed ]] || { cat .pytest_cache/v/cache/lastfailed; echo "altd: tests failed:$$failed" >&2; exit 1; }
 
 test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
-	@exec $(pytest) $(side_by_side) tests/workshop
+	@exec $(pytest) $(side_by_side) $(WORKSHOP)
 
 fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 for a minute each, TARGET=name for one
 	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
