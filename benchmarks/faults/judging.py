@@ -50,6 +50,13 @@ class Result:
     """From the onset until every polled wire was invalid with a reason; None: that never was."""
     back_s: float = math.inf
     """From the end until every polled wire was valid, and stayed so."""
+    was_invalid: bool = False
+    """No wire showed a value before the onset: the beam lies on something that the unit refuses."""
+
+    @property
+    def is_back(self) -> bool:
+        """Whether the unit measured again in time, where it measured before."""
+        return self.was_invalid or self.back_s <= MAX_BACK_S
 
     @property
     def wrong(self) -> int:
@@ -90,6 +97,8 @@ class Judge:
             else:
                 result.no_reason += not one.reasons
                 result.reasons.update(one.reasons)
+        if now_ns < self.onset_ns:
+            result.was_invalid = result.valid == 0
         polled = {one.wire: one for one in shown if one.wire in POLLED}.values()
         invalid = [one for one in polled if one.values is None and one.reasons]
         result.unanswered += len(POLLED) - len(polled)

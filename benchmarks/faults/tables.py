@@ -70,7 +70,7 @@ def failures(run: Run) -> list[str]:
         found.append(f"{result.no_reason} invalid without a reason")
     if run.is_blind and (result.reason_s is None or result.reason_s > MAX_REASON_S):
         found.append(f"reason after {result.reason_s or math.inf:.2f} s")
-    if result.back_s > MAX_BACK_S:
+    if not result.is_back:
         found.append(f"back after {result.back_s:.2f} s")
     return found
 
@@ -89,7 +89,7 @@ def _cells(name: str, runs: Sequence[Run]) -> tuple[str, ...]:
         f"{max(each.worst_deg for each in results):.4f}",
         f"{max(each.worst_sigmas for each in results):.1f}",
         f"{max(reasons):.2f}" if reasons else "–",
-        f"{max(each.back_s for each in results):.2f}",
+        f"{max((each.back_s for each in results if not each.was_invalid), default=math.inf):.2f}",
     )
 
 
@@ -117,9 +117,7 @@ def totals(runs: Sequence[Run]) -> Iterator[str]:
     yield count_of(f"above {SIGMAS:g} sigma", [run.result.beyond_sigmas for run in told])
     yield count_of("invalid without a reason", [run.result.no_reason for run in runs])
     yield count_of(f"nothing measurable, and no reason within {MAX_REASON_S:g} s", late)
-    yield count_of(
-        f"not back {MAX_BACK_S:g} s after the end", [run.result.back_s > MAX_BACK_S for run in told]
-    )
+    yield count_of(f"not back {MAX_BACK_S:g} s after the end", [not run.result.is_back for run in told])
     yield count_of("requests without an answer", [run.result.unanswered for run in runs])
 
 

@@ -96,6 +96,16 @@ def test_reason_and_recovery_count_when_all_polled_wires_agree() -> None:
     assert judge.result.unanswered == 1
 
 
+@pytest.mark.parametrize(("before", "failed"), [(GOOD, True), (NO_SPOT, False)])
+def test_a_unit_is_to_measure_again_where_it_measured_before(before: dict[str, Any], failed: bool) -> None:
+    """Dust lies where the beam meets a plate: there the unit refuses each spot, fault or no fault."""
+    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
+    for now_s, message in ((9, before), (11, NO_SPOT), (20, NO_SPOT)):
+        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
+    run = Run(0, "dusty", ("inverted",), "", "", False, judge.result)
+    assert failures(run) == (["back after inf s"] if failed else [])
+
+
 NAMES = "laser_off,camera_unplugged,port_flood,clock_set"
 
 
