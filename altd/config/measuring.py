@@ -37,7 +37,7 @@ class Measuring(Table):
         return round(self.max_lag_ms * 1e6)
 
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.1
-    """A displacement that scatters more (`sigma_random`) is ``unsteady``; where it is the spot's light, ``distorted``."""
+    """A displacement that scatters more (`sigma_random`) is ``unsteady``, or ``distorted`` by its light."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.35
     """The same for yaw and pitch: 0.02°, as accurate as the unit of the thesis."""
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
