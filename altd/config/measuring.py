@@ -36,10 +36,10 @@ class Measuring(Table):
         """``max_lag_ms`` in the unit of the frames' times."""
         return round(self.max_lag_ms * 1e6)
 
-    max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.1
+    max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """A displacement that scatters more (`sigma_random`) is ``unsteady``, or ``distorted`` by its light."""
-    max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.35
-    """The same for yaw and pitch: 0.02°, as accurate as the unit of the thesis."""
+    max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
+    """The same for yaw and pitch."""
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
     """A camera without frames for this time is silent."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0

@@ -20,9 +20,9 @@ from altd.vision.texture import Match, Sample, Texture, match, sample_of, stacke
 
 TextureSource = Literal["flat", "scan"]
 
-MAX_SHIFT_PX = 0.35
-"""0.07 mm on the target: pictures of both targets that move against each other make 0.03°. Heat moves an
-image by 0.1 to 0.3 px."""
+MAX_SHIFT_PX = 0.4
+"""0.08 mm on the target: pictures of both targets that move against each other make 0.03°. Heat moves an
+image by 0.1 to 0.3 px, of which up to a fifth more is measured."""
 _MIN_SIGNIFICANCE = 8.0
 _NOISE_SIGMAS = 3.0
 _MODEL_ERROR_PX = 0.02

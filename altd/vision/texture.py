@@ -300,7 +300,7 @@ class _Peak:
         The pixels average texture as fine as they are: its score has straight sides, and the parabola finds
         as little as a quarter of an offset. Averaging is a linear interpolation of four lags, whose
         shares in the least-squares sum are the offset. Coarse texture is nearly linear from one lag to the
-        next. Blur takes shares too, but does not move the parabola, so that limits it.
+        next. Blur takes shares too, but does not move the parabola, so that limits them on both sides.
         """
         rows, columns = sample.weight.shape
         row, column = self.lag
@@ -317,9 +317,9 @@ class _Peak:
         whole = float(shares.sum())
         if whole <= 0:
             return self
-        parts = np.clip((shares[1:3] + shares[3]) / whole, 0.0, 1.0).tolist()
+        parts = ((shares[1:3] + shares[3]) / whole).tolist()
         offset_u, offset_v = (
-            math.copysign(min(part, _MAX_REFINEMENT * abs(offset)), offset)
+            math.copysign(min(max(part, abs(offset)), _MAX_REFINEMENT * abs(offset), 1.0), offset)
             for part, offset in zip(parts, (self.offset_u, self.offset_v), strict=True)
         )
         return replace(self, offset_u=offset_u, offset_v=offset_v)

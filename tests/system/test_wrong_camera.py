@@ -213,7 +213,7 @@ def test_a_camera_that_is_knocked_while_it_measures_is_noticed_by_the_jump_of_it
     assert invalid == list(range(8, 20))
 
 
-@pytest.mark.parametrize("far_px", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("far_px", [0.1, 0.2, 0.3])
 def test_a_picture_that_moved_by_less_than_is_refused_is_uncertain_by_so_much(
     calibration: Calibration, pictures: list[Pictures], far_px: float
 ) -> None:

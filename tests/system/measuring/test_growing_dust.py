@@ -182,8 +182,8 @@ def test_what_is_no_dust_is_not_told_as_dust(change: str, calibration_of_unit_3:
         if change == "coarse light":
             lived.unit.set_camera(camera, gain=4.0, exposure_ms=0.4)
         if change in ("moved", "turned"):
-            turn_deg = 0.05 if change == "turned" else 0.0
-            lived.unit.displace(camera, Displacement((0.25, -0.3), turn_deg=turn_deg))
+            turn_deg = 0.03 if change == "turned" else 0.0
+            lived.unit.displace(camera, Displacement((0.15, -0.2), turn_deg=turn_deg))
     period = lived.five_minutes()
     assert period.valid > 0.5 * PLACES
     assert max(period.share.values()) < 0.0001
