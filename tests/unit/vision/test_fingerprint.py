@@ -133,7 +133,7 @@ def test_a_small_shift_after_the_check_is_uncertainty(
 
 @pytest.mark.parametrize("shift_px", [(0.3, 0.0), (0.0, -0.25), (-0.2, 0.15)])
 def test_a_small_shift_of_texture_as_fine_as_the_pixels_is_found_whole(shift_px: tuple[float, float]) -> None:
-    """A parabola through three lags found 0.04 to 0.13 px of these."""
+    """A parabola through three lags found a third of these."""
     grain = np.random.default_rng(7).normal(1.0, 0.12, (HEIGHT, WIDTH))
     fingerprint = replace(PRINT.fingerprint(), texture=Texture.of_flat(Flat.of(grain, "plate")))
     aside = grain
