@@ -49,6 +49,8 @@ _MIN_RIVAL_SHARE = 0.7
 """The most that a peak between two lags may lose at the better one, for dots four pixels apart."""
 _MIN_REFINED_SIGNIFICANCE = 20.0
 """Below it the noise of a shift is larger than the error of a parabola."""
+_MIN_REFINED_PX = 0.03
+"""Of a parabola's offset: smaller ones are found in calibrated views, and would grow to a displacement."""
 _MAX_REFINEMENT = 4.0
 """The vertex of a parabola on straight sides of unequal length: f / (4 − 6 f) for an offset f."""
 _CORRELATED_PIXELS = 4.0
@@ -306,7 +308,8 @@ class _Peak:
         row, column = self.lag
         next_row = row + (1 if self.offset_v >= 0 else -1)
         next_column = column + (1 if self.offset_u >= 0 else -1)
-        if not {next_row, next_column} <= set(range(2 * MAX_SHIFT_PX + 1)):
+        is_inside = {next_row, next_column} <= set(range(2 * MAX_SHIFT_PX + 1))
+        if not is_inside or math.hypot(self.offset_u, self.offset_v) < _MIN_REFINED_PX:
             return self
         textures = np.empty((4, rows * columns), np.float32)
         lags = ((row, column), (row, next_column), (next_row, column), (next_row, next_column))
