@@ -177,21 +177,27 @@ def mean_spots(
         lost=len(frame_sets) - len(usable),
         shapes=tuple(_mean_shape(inliers[:, place, _SHAPE]) for place in range(len(targets))),
         excess_px=tuple(math.sqrt(square) for square in mean[:, _EXCESS2].tolist()),
+        log_lights=inliers[:, :, _LIGHT],
         motion=_motion(deviations_px, since_middle_ns, is_inlier, covariance_px2, typical_noise),
     )
 
 
-_SIGMA, _EXCESS2, _BEHIND_NS, _SHAPE = 2, 3, 4, slice(5, 9)
+_SIGMA, _EXCESS2, _BEHIND_NS, _LIGHT, _SHAPE = 2, 3, 4, slice(5, 7), slice(7, 11)
+_LIGHT_SIGMA_DIAMETERS = 8.0
+"""Relative noise of a Gaussian's volume per noise of its centre in 1/e² diameters: twice that of its peak
+(Hagen and Dereniak, Applied Optics 47, 6842, 2008), for the width is as uncertain."""
 _NO_SHAPE = (math.nan,) * 4
 
 
 def _numbers_of(frame_set: FrameSet, target: str) -> tuple[float, ...]:
-    """u, v, sigma, excess², time behind the frame set's, and shape of a target's spot."""
+    """u, v, sigma, excess², time behind the frame set's, log of light, and shape of a target's spot."""
     spot = frame_set.spots[target]
     assert isinstance(spot, Spot)  # noqa: S101  a usable frame set has nothing else
     shape = spot.shape
     return (
         *(spot.u_px, spot.v_px, spot.sigma_px, spot.excess_px**2, frame_set.behind_ns.get(target, 0)),
+        math.log(spot.light_per_ms) if spot.light_per_ms else math.nan,
+        _LIGHT_SIGMA_DIAMETERS * spot.sigma_px / spot.diameter_px,
         *(_NO_SHAPE if shape is None else (shape.a, shape.b, shape.c, shape.order)),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 
@@ -12,6 +12,7 @@ from altd.measuring.averaging import FrameSetWindow, Window
 from altd.measuring.calibration import Calibration
 from altd.measuring.gate import Gate
 from altd.measuring.instrument import Instrument
+from altd.measuring.light_balance import LightBalance
 from altd.measuring.motion_memory import MotionMemory
 from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located, SpotLocator
@@ -128,6 +129,7 @@ class MeasuringChain:
         }
         self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
+        self._light_balance = LightBalance()
         self._motion_memory = MotionMemory()
         self._gate = Gate()
         self.correct: Callable[[MeanSpots], MeanSpots] | None = None
@@ -294,6 +296,7 @@ class MeasuringChain:
             return self._invalid(frame_set, mean.t_ns, (fault,))
         if not self._is_switched:
             mean = self._synchrony.with_lag_in_sigma(mean)
+        mean = replace(mean, changed_light=self._light_balance.changed_light(mean))
         spots = mean.at_newest() if self._is_of_now else mean
         if spots is None:
             return self._invalid(frame_set, mean.t_ns, (_MOTION_UNKNOWN,))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from altd.measuring.calibration import TargetCalibration
 from altd.measuring.freshness import FreshnessCheck
-from altd.measuring.spot_trend import light_per_ms
 from altd.measuring.view_check import ViewCheck, ViewStatus
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
@@ -41,9 +40,8 @@ class Located:
     frame that is not new. ``breaks`` counts the camera's frames, up to this one, that no window may reach
     across, so one that gets lost is in the next one's: frames that were exposed during a change, or of
     another view, and the second and later ones of a row that are not new: one that comes twice is lost, with
-    two in a row the camera is frozen. ``view`` is what is known of the camera, ``light_per_ms`` the
-    light of ``spot`` for equal exposure and gain, ``dust`` what covers it, looked for now and then; None: not
-    known.
+    two in a row the camera is frozen. ``view`` is what is known of the camera, ``dust`` what covers the
+    spot, looked for now and then; None: not known.
     ``leds_on``: the frame LEDs were lit, or being switched. Such a frame was not looked at, and its exposure
     is not measured; it only says that its camera delivers. ``opaque`` is the frame's; with switched targets
     ``is_shown`` tells whether that is this camera's own target, and otherwise ``found`` is None.
@@ -56,7 +54,6 @@ class Located:
     breaks: int
     found: Spot | NoSpot | None
     view: ViewStatus
-    light_per_ms: float | None = None
     leds_on: bool = False
     dust: DustCount | None = None
     opaque: str = ""
@@ -135,7 +132,6 @@ class SpotLocator:
             self._breaks,
             found if is_shown else None,
             self._view_check.status,
-            light_per_ms(spot, frame) if isinstance(spot, Spot) else None,
             leds_on,
             dust,
             frame.opaque,

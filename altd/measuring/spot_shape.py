@@ -25,6 +25,9 @@ _BIAS_PER_STRETCH = 2.0
 _BIAS_PER_MM2 = 7.5e-5
 """A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
 by the square of its diameter. Millimetres per square millimetre, on simulated lenses of 5.7 and 8 mm."""
+_BIAS_PER_LOSS = 1 / 8
+"""Radii per share of the light that a film takes: one that is a ramp over the spot leaves its shape, and
+shifts it by at most a quarter."""
 _EXPLAINED_SIGMAS = 3.0
 _MIN_DISTORTION_SIGMAS = 6.0
 _MIN_DISTORTION_STRETCH = 0.015
@@ -71,20 +74,27 @@ def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str | Non
 
 
 def shape_agreement(
-    first: FloatArray, second: FloatArray, first_known: ShapeReference, second_known: ShapeReference
+    first: FloatArray,
+    second: FloatArray,
+    first_known: ShapeReference,
+    second_known: ShapeReference,
+    changed_light: float = 0.0,
 ) -> ShapeAgreement:
     """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
 
     Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
     it by ε d/2 of its 1/e² radius: sigma is two radii times the stretch, so that the error is below five
-    sigmas from d = 0.2 on, of equal ones 0.4. On nearer light neither can be seen.
+    sigmas from d = 0.2 on, of equal ones 0.4. Nearer light shows only in ``changed_light``, by how much of
+    its light one spot has changed against the other: with a stretch s, ε more displaces it by √(ε s) radii.
     """
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
     stretch = float(np.hypot(difference[1], difference[2]))
     stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, _STRETCH_SIGMA)
     unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
-    sigma_mm = _BIAS_PER_STRETCH * unexplained * math.exp(float(max(first[0], second[0])))
+    added = math.sqrt(changed_light * math.hypot(stretch, stretch_sigma))
+    bias = math.hypot(_BIAS_PER_STRETCH * unexplained, added, _BIAS_PER_LOSS * changed_light)
+    sigma_mm = bias * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
     if size_ratio > _MAX_SIZE_RATIO + _MIN_DISTORTION_SIGMAS * float(sigma[0]):
         return ShapeAgreement(sigma_mm, f"the spots differ in size by {size_ratio - 1:.0%}")
@@ -119,7 +129,8 @@ def shape_doubts_mm(
     for index, (second, second_known) in enumerate(zip(shapes[1:], known[1:], strict=True), start=1):
         if second is None or second_known is None:
             continue
-        compared = shape_agreement(first, second, first_known, second_known)
+        changed_light = mean.changed_light[index] if mean.changed_light else 0.0
+        compared = shape_agreement(first, second, first_known, second_known, changed_light)
         if compared.distortion is not None:
             pair = f"{mean.targets[0]} and {mean.targets[index]}"
             return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distortion}")

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.records import Frame, Spot
+from altd.records import Spot
 from altd.statistics import median
 from altd.vision.dust import DustCount
-from altd.vision.localise import MIN_DISTORTION_DIAMETERS, SATURATED_FROM
+from altd.vision.localise import MIN_DISTORTION_DIAMETERS
 
 BUCKET_NS = 60 * 10**9
 """A minute's median is one point of a trend."""
@@ -32,19 +32,6 @@ RECENT_BUCKETS = 10
 
 _DUST_COUNTS = 120
 """Ten minutes of counts, one every five seconds."""
-
-
-def light_per_ms(spot: Spot, frame: Frame) -> float | None:
-    """The light of a spot for 1 ms of exposure and 0 dB of gain, in counts · px² / ms.
-
-    That of a Gaussian of the spot's peak and 1/e² diameter d: peak · π d²/8. A gain of g dB multiplies counts
-    by 10^(g/20). None where exposure or gain are not known, or where the peak is at full scale, which hides
-    how bright it is. Without a gain of its own a camera has 0 dB.
-    """
-    if not frame.exposure_ms or spot.peak >= SATURATED_FROM * frame.full_scale:
-        return None
-    counts = spot.peak * math.pi * spot.diameter_px**2 / 8
-    return counts / (frame.exposure_ms * 10 ** ((frame.gain_db or 0.0) / 20))
 
 
 def residual_share(spot: Spot) -> float:

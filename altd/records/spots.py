@@ -102,7 +102,8 @@ class Spot:
 
     ``excess_px`` is the standard deviation, in u and in v, that light which one spot does not explain, and a
     picture that moved, add to that of a good spot; averaging does not reduce it. ``shape`` is None where no
-    profile was fitted.
+    profile was fitted. ``light_per_ms`` is the light of the whole spot for 1 ms of exposure and 0 dB of gain,
+    counts · px² / ms; None: not known.
     """
 
     u_px: float
@@ -112,6 +113,7 @@ class Spot:
     peak: float
     excess_px: float = 0.0
     shape: SpotShape | None = None
+    light_per_ms: float | None = None
 
     def __str__(self) -> str:
         """For the technician who aims the beam."""
@@ -164,7 +166,10 @@ class MeanSpots:
     ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
     is that of the means, u and v of one target after the other: vibration moves all spots together.
     ``shapes`` holds the mean shape of each target's spots, None where one was not fitted, ``excess_px`` what
-    averaging does not reduce of the sigma of each; the covariance holds it. ``t_ns`` is the mean time
+    averaging does not reduce of the sigma of each; the covariance holds it. ``log_lights``
+    (frames, targets, 2) holds the logarithm of each spot's light per ms and its standard deviation, NaN where
+    it is not known; ``changed_light`` is the share by which each target's light changed against the first's
+    (``LightBalance``). ``t_ns`` is the mean time
     of the ``frames`` exposures that were averaged; ``lost`` were not usable. ``motion`` is None where there
     were too few to tell.
     """
@@ -177,6 +182,8 @@ class MeanSpots:
     lost: int
     shapes: tuple[SpotShape | None, ...] = ()
     excess_px: tuple[float, ...] = ()
+    log_lights: FloatArray | None = None
+    changed_light: tuple[float, ...] = ()
     motion: SpotMotion | None = None
 
     def at_newest(self) -> MeanSpots | None:

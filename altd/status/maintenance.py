@@ -117,8 +117,8 @@ class SpotTrends:
         if isinstance(located.spot, NoSpot):
             return
         target = self._target_of[located.camera]
-        if located.light_per_ms is not None:
-            self.light[target].add(located.t_ns, located.light_per_ms)
+        if located.spot.light_per_ms is not None:
+            self.light[target].add(located.t_ns, located.spot.light_per_ms)
         if located.dust is not None:
             self.dust[target].add(located.dust)
         self.residual[target].add(located.t_ns, residual_share(located.spot))

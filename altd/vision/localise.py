@@ -111,7 +111,10 @@ def spot_in(
         return NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
     if centre.sigma_px > settings.max_sigma_px:
         return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {centre.sigma_px:.1f} px")
-    spot = Spot(centre.u_px, centre.v_px, centre.sigma_px, size.diameter_px, size.peak)
+    light_per_ms = None if patch.is_cut else _light_per_ms(frame, size, profile)
+    spot = Spot(
+        centre.u_px, centre.v_px, centre.sigma_px, size.diameter_px, size.peak, light_per_ms=light_per_ms
+    )
     if profile is None:
         return spot if reference is None else NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
     return _compared_with_reference(reference, analysis, patch, profile, spot)
@@ -146,6 +149,24 @@ def _compared_with_reference(
             return NoSpot(Reason.CUT_BY_EDGE, "too much of the spot lies beyond the edge of the image")
         spot = replace(spot, diameter_px=_profile_diameter_px(profile))
     return replace(spot, excess_px=excess_px, shape=shape)
+
+
+def _light_per_ms(frame: Frame, size: _SpotSize, profile: Profile | None) -> float | None:
+    """The light of a spot: counts × px² for 1 ms of exposure and 0 dB of gain.
+
+    The integral of the profile, peak · 2π Γ(1 + 1/order) / √(ac − b²); without one that of a Gaussian of the
+    spot's peak and 1/e² diameter d, peak · π d²/8. A gain of g dB multiplies counts by 10^(g/20). None where
+    the exposure is not known. Without a gain of its own a camera has 0 dB.
+    """
+    if not frame.exposure_ms:
+        return None
+    if profile is None:
+        light = size.peak * math.pi * size.diameter_px**2 / 8
+    else:
+        a, b, c = profile.form
+        area_px2 = 2 * math.pi * math.gamma(1 + 1 / profile.order) / math.sqrt(a * c - b * b)
+        light = profile.peak * area_px2
+    return light / (frame.exposure_ms * 10 ** ((frame.gain_db or 0.0) / 20))
 
 
 def _unexplained(misfit: Misfit, reference: SpotReference) -> float:

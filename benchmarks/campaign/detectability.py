@@ -55,7 +55,8 @@ def near_on_one(share: float, far_mm: float) -> Undetectable:
             return ""
         return (
             "a second light within 0.6 of the spot's 1/e² radius that stretches it by less than 0.9 % (0.4 % "
-            "with a flat) looks like a shift. Error: share × distance, up to 0.5 mm"
+            "with a flat) looks like a shift, where it is there from the start or adds less than 5 % of the "
+            "light. Error: share × distance, up to 0.5 mm"
         )
 
     return undetectable

@@ -85,7 +85,7 @@ def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, M
     measured = []
     for shot in shots:
         shot.pixels.flags.writeable = False
-        frame = Frame(shot.camera, shot.sequence, shot.t_ns, shot.pixels, shot.bits)
+        frame = Frame(shot.camera, shot.sequence, shot.t_ns, shot.pixels, shot.bits, exposure_ms=1.0)
         measured += [(shot.k, measurement) for measurement in chain.push(frame)]
     return measured
 

@@ -174,7 +174,7 @@ class _GoodUnit:
         noise = self.noise.picture(electrons.shape, rng)
         pixels = noisy_image(mean_image(electrons, self.sensor), noise, self.sensor.bits)
         pixels.flags.writeable = False
-        return Frame(camera, sequence, t_ns, pixels, self.sensor.bits)
+        return Frame(camera, sequence, t_ns, pixels, self.sensor.bits, exposure_ms=1.0)
 
     def _drifted(self, spot: Footprint, t_s: float) -> Footprint:
         """Temperature: the spot's size and the laser's power follow the day."""

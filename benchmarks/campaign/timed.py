@@ -161,7 +161,7 @@ async def _read(
             t_ns = clocks[one.camera].host_ns(one.t_ns, one.arrives_ns) if way.own_clock else one.t_ns
             if t_ns is None:
                 continue
-            frame = Frame(one.camera, one.sequence, t_ns, pixels, rig.bits)
+            frame = Frame(one.camera, one.sequence, t_ns, pixels, rig.bits, exposure_ms=1.0)
             if not stamps[one.camera].refusal(frame, clock.monotonic_ns()):
                 pairs.put(frame, wait=False)
             for pair in pairs.take():

@@ -154,7 +154,9 @@ class _Film:
             pixels = self.clip.snap(self.clip.scene(one.camera, k), k, self._rng)
         pixels.flags.writeable = False
         t_ns = self._clocks[one.camera].host_ns(one.t_ns, one.arrives_ns) if self._own_clock else one.t_ns
-        return None if t_ns is None else Frame(one.camera, one.sequence, t_ns, pixels, self.bits)
+        if t_ns is None:
+            return None
+        return Frame(one.camera, one.sequence, t_ns, pixels, self.bits, exposure_ms=1.0)
 
     def error_of(self, one: Published, t_ns: float, now_ns: int) -> FloatArray:
         """The error of a value at ``t_ns``, shown at ``now_ns``: x and y in mm, yaw and pitch in °.

@@ -111,7 +111,7 @@ The limits are keys of [`[maintenance]`](config.md#maintenance).
 
 | condition | compared | limits of the method |
 |---|---|---|
-| `{Condition.LASER_WEAK}` | a spot's light for 1 ms and 0 dB (peak · π d²/8): median of the last \
+| `{Condition.LASER_WEAK}` | a spot's light for 1 ms and 0 dB (integral of its profile): median of the last \
 {RECENT_BUCKETS} minutes against the first {REFERENCE_BUCKETS} with a beam since the start | not found: a \
 laser that was weak at the start, and with cameras that do not report their exposure; varies by 10 % over \
 the area (simulated) |

@@ -209,6 +209,8 @@ def _unexplained(
     if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
         return None
     detail = f"{unexplained_mm[worst]:.2f} mm uncertain beyond light and view"
+    if changed := max(mean.changed_light, default=0.0):
+        detail += f"; the targets' light changed by {changed:.0%} against each other"
     return Fault(Reason.DISTORTED, mean.targets[worst], detail)
 
 

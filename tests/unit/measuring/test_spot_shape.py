@@ -32,8 +32,22 @@ def with_second_spot(share: float, aside_mm: float, diameter_mm: float = 12.0) -
     return gaussian(4 * math.sqrt(variance), diameter_mm)
 
 
-def doubts(front: SpotShape | None, rear: SpotShape | None, known: ShapeReference | None = KNOWN):
-    mean = MeanSpots(("front", "rear"), np.zeros((2, 2)), np.eye(4), 0, 20, 0, (front, rear))
+def doubts(
+    front: SpotShape | None,
+    rear: SpotShape | None,
+    known: ShapeReference | None = KNOWN,
+    changed_light: float = 0.0,
+):
+    mean = MeanSpots(
+        ("front", "rear"),
+        np.zeros((2, 2)),
+        np.eye(4),
+        0,
+        20,
+        0,
+        (front, rear),
+        changed_light=(0.0, changed_light),
+    )
     points = [TargetPoint(0.0, 0.0, MM_PER_PX, np.eye(2)) for _ in range(2)]
     return shape_doubts_mm(mean, points, [known, known])
 
@@ -71,6 +85,16 @@ def test_a_weak_second_spot_on_one_target_adds_to_sigma_what_it_displaces(share,
     displaced_mm = share * aside_mm / (1 + share)
     assert isinstance(sigma_mm, np.ndarray)
     assert displaced_mm < 6 * sigma_mm[1]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize("aside_mm", [0.3, 0.6, 0.9, 1.2])
+def test_a_second_spot_that_hardly_stretches_the_first_is_in_sigma_by_its_light(share, aside_mm) -> None:
+    spots = gaussian(12, 12), with_second_spot(share, aside_mm)
+    sigma_mm = doubts(*spots, changed_light=share)
+    assert isinstance(sigma_mm, np.ndarray)
+    assert share * aside_mm / (1 + share) < 1.5 * sigma_mm[1]
+    assert sigma_mm[0] == pytest.approx(sigma_mm[1])  # which of the two it is remains unknown
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from altd.measuring.spot_trend import (
     RECENT_BUCKETS,
     REFERENCE_BUCKETS,
     Trend,
-    light_per_ms,
     residual_share,
 )
 from altd.records import Frame, Spot
@@ -38,7 +37,7 @@ def frame_with(
 def light_of(frame: Frame) -> float | None:
     spot = locate(frame)
     assert isinstance(spot, Spot), spot
-    return light_per_ms(spot, frame)
+    return spot.light_per_ms
 
 
 @pytest.mark.parametrize(
@@ -66,10 +65,8 @@ def test_half_the_laser_is_half_the_light_though_auto_exposure_hides_it() -> Non
     assert dim / bright == pytest.approx(0.5, rel=0.02)
 
 
-def test_light_is_not_known_without_the_exposure_or_with_a_peak_at_full_scale() -> None:
+def test_light_is_not_known_without_the_exposure() -> None:
     assert light_of(frame_with(30_000, 14.0, None, None)) is None
-    clipped = Spot(120.0, 100.0, 0.01, 28.0, 254.5)
-    assert light_per_ms(clipped, frame_with(30_000, 14.0, 1.0, 0.0)) is None
 
 
 def test_residuals_are_a_share_of_what_makes_a_spot_distorted() -> None:

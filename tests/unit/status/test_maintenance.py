@@ -104,11 +104,12 @@ class Feed:
         dust = cycle(DustCount(count, 1000) for count in covered)
         for second in range(60 * minutes):
             for target in ("front", "rear"):
-                spot = Spot(0.0, 0.0, 0.01, 40.0, 100.0, excess_px if target == "front" else 0.0)
+                spot = Spot(0.0, 0.0, 0.01, 40.0, 100.0, light_per_ms=100.0)
+                if target == "front":
+                    spot = replace(spot, excess_px=excess_px, light_per_ms=light)
                 of_front = replace(
                     located(target, second, self.minute * BUCKET_NS + second * SECOND),
                     spot=spot,
-                    light_per_ms=light if target == "front" else 100.0,
                 )
                 if second % 5 == 0:
                     of_front = replace(of_front, dust=next(dust) if target == "front" else CLEAN)

@@ -1,0 +1,114 @@
+"""Light that changes on one target alone, against the size of the change."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from altd.measuring.light_balance import LightBalance
+from altd.records import FloatArray, MeanSpots, SpotShape
+
+RADIUS_PX = 20.0
+ROUND = SpotShape(4 / RADIUS_PX**2, 0.0, 4 / RADIUS_PX**2, 1.0)
+SECOND = 10**9
+FRAMES = 20
+RANDOM = np.random.default_rng(27)
+
+
+def mean(
+    t_s: float,
+    front: FloatArray | float = 1000.0,
+    rear: FloatArray | float = 800.0,
+    at_radii: tuple[float, float] = (0.0, 0.0),
+    noise: float = 0.005,
+) -> MeanSpots:
+    """A window of exposures whose spots have that light, ``noise`` of it too."""
+    lights = np.stack(np.broadcast_arrays(front, rear, np.ones(FRAMES))[:2], axis=1)
+    logs = np.log(lights) + RANDOM.normal(0.0, noise, lights.shape)
+    px = np.full((2, 2), 300.0) + RADIUS_PX * np.array(at_radii)
+    return MeanSpots(
+        ("front", "rear"),
+        px,
+        np.eye(4),
+        round(t_s * SECOND),
+        FRAMES,
+        0,
+        shapes=(ROUND, ROUND),
+        log_lights=np.stack([logs, np.full_like(logs, noise)], axis=2),
+    )
+
+
+def after(balance: LightBalance, *means: MeanSpots) -> float:
+    """The change of the rear target after these windows."""
+    changed = [balance.changed_light(mean) for mean in means][-1]
+    assert changed[0] == 0.0
+    return changed[1]
+
+
+def test_light_that_stays_or_changes_on_both_targets_has_not_changed() -> None:
+    balance = LightBalance()
+    for t_s in range(100):
+        power = 1.0 if t_s < 50 else 0.1
+        assert after(balance, mean(t_s, 1000.0 * power, 800.0 * power)) == 0.0
+
+
+@pytest.mark.parametrize("share", [2.0, 1.4, 0.7])
+@pytest.mark.parametrize("target", ["front", "rear"])
+def test_light_that_is_added_or_lost_on_one_target_is_seen(target: str, share: float) -> None:
+    changed = after(
+        LightBalance(), mean(0.0), mean(1.0, **{target: share * (1000.0 if target == "front" else 800.0)})
+    )
+    assert changed == pytest.approx(math.expm1(abs(math.log(share))), rel=0.15)
+
+
+@pytest.mark.parametrize("frames", [1, 4, 16])
+def test_the_part_of_a_window_that_is_disturbed_counts_from_its_first_exposure_to_its_last(
+    frames: int,
+) -> None:
+    """The mean spot is displaced by that part too."""
+    share = 0.4 * frames / FRAMES
+    disturbed = np.arange(FRAMES) >= FRAMES - frames
+    for of_frame in (disturbed, disturbed[::-1]):
+        changed = after(LightBalance(), mean(0.0), mean(0.5, rear=800.0 * (1 + 0.4 * of_frame)))
+        assert 0.6 * share < changed < 1.1 * share
+
+
+def test_a_second_light_that_stays_is_not_forgotten_within_ten_minutes_though_the_spots_vibrate() -> None:
+    balance = LightBalance()
+    after(balance, mean(0.0))
+    for t_s in np.arange(1.0, 600.0):
+        changed = after(balance, mean(t_s, rear=1000.0, at_radii=(0.2 * math.sin(t_s), 0.2 * math.cos(t_s))))
+        assert changed > 0.18
+    assert after(balance, mean(600.0)) < 0.04
+
+
+def test_a_lens_that_darkens_towards_the_edge_changes_nothing_while_the_machine_drives() -> None:
+    balance = LightBalance()
+    for t_s in np.arange(0.0, 60.0, 0.5):
+        at = 0.4 * t_s  # radii
+        assert after(balance, mean(t_s, rear=800.0 * math.exp(-0.015 * at), at_radii=(at, 0.0))) == 0.0
+
+
+def test_dust_of_weeks_is_no_change() -> None:
+    balance = LightBalance()
+    for hour in range(24 * 14):
+        assert after(balance, mean(3600.0 * hour, rear=800.0 * math.exp(-0.001 * hour))) == 0.0
+
+
+def test_noise_of_dim_spots_is_no_change() -> None:
+    balance = LightBalance()
+    assert max(after(balance, mean(t_s, noise=0.2)) for t_s in range(200)) == 0.0
+
+
+def test_nothing_is_known_without_the_light_and_it_is_followed_again_when_it_comes_back() -> None:
+    balance = LightBalance()
+    after(balance, mean(0.0))
+    dark = mean(1.0, rear=np.where(np.arange(FRAMES) == 3, np.nan, 800.0))
+    assert balance.changed_light(dark) == ()
+    assert after(balance, mean(2.0, rear=1100.0)) > 0.3
+
+
+def test_a_recording_that_begins_again_has_another_reference() -> None:
+    assert after(LightBalance(), mean(100.0), mean(0.0, rear=1100.0)) == 0.0
