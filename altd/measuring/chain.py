@@ -130,6 +130,7 @@ class MeasuringChain:
         self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
         self._light_balance = LightBalance()
+        self._changed_light: tuple[float, ...] = ()
         self._motion_memory = MotionMemory()
         self._gate = Gate()
         self.correct: Callable[[MeanSpots], MeanSpots] | None = None
@@ -155,8 +156,8 @@ class MeasuringChain:
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
 
     def figures(self) -> dict[str, float | str | None]:
-        """Synchronism, spots and views, for health."""
-        return self.step() | self.spots() | self.views()
+        """Synchronism, spots, light and views, for health."""
+        return self.step() | self.spots() | self.light() | self.views()
 
     def step(self) -> dict[str, float | None]:
         """The cameras' synchronism: skew of the last exposure, and the lag that was subtracted, ms.
@@ -176,6 +177,11 @@ class MeasuringChain:
         known = {target: spot for target, spot in self._last_spots.items() if isinstance(spot, Spot)}
         diameters = {f"diameter_{target}_px": round(spot.diameter_px, 1) for target, spot in known.items()}
         return diameters | {f"peak_{target}": round(spot.peak, 1) for target, spot in known.items()}
+
+    def light(self) -> dict[str, float]:
+        """The share by which each target's light has changed against the first one's, where it is known."""
+        changed = zip(self._targets[1:], self._changed_light[1:], strict=False)
+        return {f"light_changed_{target}": round(share, 3) for target, share in changed}
 
     def views(self) -> dict[str, float | str]:
         """Whether the cameras are those that were calibrated, for health."""
@@ -228,6 +234,7 @@ class MeasuringChain:
         last = FrameSet(self._last_frame_set.sequence if self._last_frame_set else 0, t_ns, {})
         silent = _SILENT
         self._last_spots = dict.fromkeys(self._targets, silent)
+        self._changed_light = ()
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
     def _is_passed_over(self, pair: Pair[Located]) -> bool:
@@ -296,7 +303,8 @@ class MeasuringChain:
             return self._invalid(frame_set, mean.t_ns, (fault,))
         if not self._is_switched:
             mean = self._synchrony.with_lag_in_sigma(mean)
-        mean = replace(mean, changed_light=self._light_balance.changed_light(mean))
+        self._changed_light = self._light_balance.changed_light(mean)
+        mean = replace(mean, changed_light=self._changed_light)
         spots = mean.at_newest() if self._is_of_now else mean
         if spots is None:
             return self._invalid(frame_set, mean.t_ns, (_MOTION_UNKNOWN,))

@@ -55,7 +55,13 @@ def test_it_is_in_sigma_or_the_measurement_is_invalid(
                 frame = unit.expose(name, n, n * PERIOD_NS)
                 yield lit(frame, share, aside_radii) if name == camera and ONSET <= n < END else frame
 
-    measured = {frame.sequence: m for frame in frames() for m in chain.push(frame)}
+    measured, changed = {}, {}
+    for frame in frames():
+        for measurement in chain.push(frame):
+            measured[frame.sequence] = measurement
+        changed[frame.sequence] = chain.figures().get("light_changed_rear")
+    assert changed[ONSET - 1] == changed[EXPOSURES - 1] == 0.0
+    assert share / 2 < changed[END - 1] < 2 * share  # of the front target it lights the glass, too
     before = beam_of(measured[ONSET - 1])
     assert before is not None
     for n, measurement in measured.items():
