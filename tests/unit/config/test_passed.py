@@ -88,8 +88,7 @@ def test_two_faces_have_one_port_only_where_the_kernel_gives_it_to_both(
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)
 
-    with listen("0.0.0.0", 0) as free:  # on every address: a port of another program is no answer
-        port = free.getsockname()[1]
+    port = free_port()
     with listen(one, port):
         try:
             listen(other, port).close()

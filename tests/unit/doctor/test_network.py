@@ -6,6 +6,7 @@ import os
 import socket
 
 import pytest
+from support.ports import free_port
 
 from altd.config import Config
 from altd.devices.aravis import gvcp
@@ -210,8 +211,8 @@ class TestListening:
 
     @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::", "localhost"])
     def test_an_address_that_another_program_listens_on(self, configured: Configured, host: str) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            port = server.getsockname()[1]
+        port = free_port()
+        with socket.create_server(("127.0.0.1", port)):
             finding = says(self.findings(configured, port, Machine(), host), Verdict.WRONG, "listens there")
             assert f"(process {os.getpid()})" in finding.text
             assert f":{port}" in finding.remedy
@@ -224,8 +225,8 @@ class TestListening:
         assert says([finding], Verdict.WRONG, "listens there").subject.startswith("opcua")
 
     def test_the_same_port_of_another_address_is_free(self, configured: Configured) -> None:
-        with socket.create_server(("127.0.0.2", 0)) as server:
-            port = server.getsockname()[1]
+        port = free_port()
+        with socket.create_server(("127.0.0.2", port)):
             assert says(self.findings(configured, port, Machine()), Verdict.GOOD, "is free")
 
     def test_a_program_that_may_not_be_seen(self, tree: Tree, configured: Configured) -> None:
