@@ -185,7 +185,7 @@ async def test_a_header_that_never_ends_is_cut_off(served: Served, monkeypatch: 
         started = time.perf_counter()
         with contextlib.suppress(ConnectionError):
             while not (reader.at_eof() or reader.exception()):
-                assert time.perf_counter() - started < 9.0
+                assert time.perf_counter() - started < 60
                 writer.write(b"G")
                 await asyncio.sleep(0.01)
         writer.close()

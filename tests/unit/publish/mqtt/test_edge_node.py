@@ -61,7 +61,7 @@ def value_of(told: Published, name: str) -> Any:
 
 async def settled(broker: ChosenBroker, condition: Callable[[], bool]) -> None:
     """Wait on the sockets of this process."""
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(60):
         while not condition():  # noqa: ASYNC110
             await asyncio.sleep(0.001)
 

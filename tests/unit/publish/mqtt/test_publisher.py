@@ -58,7 +58,7 @@ async def test_who_it_is_comes_first_and_online_when_all_the_rest_is_there() -> 
     async with ChosenBroker() as broker:
         unit = PublishingUnit.made(broker.port, home_assistant="homeassistant")
         async with unit.running():
-            first = [await asyncio.wait_for(broker.published.get(), 10.0) for _ in range(5)]
+            first = [await asyncio.wait_for(broker.published.get(), 60) for _ in range(5)]
             assert await unit.until(State.OK) == "connected, without TLS"
     assert [message.topic.rpartition("/")[2] for message in first] == [
         "birth",
@@ -144,7 +144,7 @@ async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
         async with unit.running():
             await unit.until(State.FAILED, "the broker has not acknowledged a message for 0.05 s")
             for _ in range(5):
-                await asyncio.wait_for(broker.ends.get(), 10.0)
+                await asyncio.wait_for(broker.ends.get(), 60)
             broker.answer = ChosenBroker.answer
             await unit.until(State.OK)
             session = json.loads((await broker.until("summary")).payload)["session"]
@@ -221,14 +221,14 @@ async def test_a_cancelled_connection_leaves_nothing(monkeypatch: pytest.MonkeyP
     """At any point of it: before the broker's CONNACK, and before the first acknowledgement."""
     async with ChosenBroker(greeting=b"") as broker:
         async with PublishingUnit.made(broker.port).running():
-            await asyncio.wait_for(broker.begins.get(), 5.0)
-        await asyncio.wait_for(broker.ends.get(), 5.0)
+            await asyncio.wait_for(broker.begins.get(), 60)
+        await asyncio.wait_for(broker.ends.get(), 60)
         for steps in range(12):
             async with PublishingUnit.made(broker.port).running():
                 for _ in range(steps):
                     await asyncio.sleep(0)
         for _ in range(broker.begins.qsize()):
-            await asyncio.wait_for(broker.ends.get(), 5.0)
+            await asyncio.wait_for(broker.ends.get(), 60)
 
 
 async def test_the_state_is_sent_when_it_changes_and_again_before_it_expires(
