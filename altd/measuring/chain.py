@@ -311,6 +311,7 @@ class MeasuringChain:
         solution = self._instrument.solve(spots if self.correct is None else self.correct(spots))
         if isinstance(solution, Fault):
             return self._invalid(frame_set, spots.t_ns, (solution,))
+        self._light_balance.learn(mean)
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         measurement = Measurement(
             sequence=frame_set.sequence,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,9 +29,8 @@ class LightBalance:
     """
 
     def __init__(self) -> None:
-        self._ratios: FloatArray | None = None
-        self._px = np.empty((0, 2))
-        self._t_ns = 0
+        self._seen: _Seen | None = None
+        """The last window that was measured, with the ratios as followed up to there."""
 
     def changed_light(self, mean: MeanSpots) -> tuple[float, ...]:
         """The share by which the mean light of each target has changed against the first one's.
@@ -39,26 +39,57 @@ class LightBalance:
         """
         if mean.log_lights is None or not np.isfinite(mean.log_lights).all() or None in mean.shapes:
             return ()
+        seen = self._seen
+        if seen is None or mean.t_ns < seen.t_ns:
+            return (0.0,) * len(mean.targets)
         logs, sigmas = np.moveaxis(mean.log_lights, 2, 0)
-        ratios = logs[:, 1:] - logs[:, :1]
-        mean_ratios = ratios.mean(axis=0)
-        since_s = (mean.t_ns - self._t_ns) * 1e-9
-        if self._ratios is None or since_s < 0:
-            self._ratios, self._px, since_s = mean_ratios, mean.px, 0.0
-        self._t_ns = mean.t_ns
-        radii_px = np.array([_radius_px(shape) for shape in mean.shapes if shape is not None])
-        moved_radii = np.linalg.norm(mean.px - self._px, axis=1) / radii_px
-        by_place = _PER_RADIUS * (moved_radii[1:] + moved_radii[0])
-        follow = np.full_like(mean_ratios, _PER_S * since_s)
-        if moved_radii.max() > _STEP_RADII:
-            follow += by_place
-            self._px, by_place = mean.px, 0.0 * by_place
-        self._ratios = self._ratios + np.clip(mean_ratios - self._ratios, -follow, follow)
-        usual = _USUAL + by_place + _NOISE_SIGMAS * np.hypot(sigmas[:, 1:], sigmas[:, :1]).mean(axis=0)
-        largest = np.maximum(np.abs(ratios - self._ratios).max(axis=0), usual)
+        differences = logs[:, 1:] - logs[:, :1] - seen.ratios
+        noise = np.hypot(sigmas[:, 1:], sigmas[:, :1]).mean(axis=0)
+        usual = _USUAL + seen.by_place(mean) + seen.by_time(mean) + _NOISE_SIGMAS * noise
+        largest = np.maximum(np.abs(differences).max(axis=0), usual)
         share = np.sqrt(1 - np.square(usual / largest))
-        changed = np.expm1(np.abs(mean_ratios - self._ratios)) * share
+        changed = np.expm1(np.abs(differences.mean(axis=0))) * share
         return (0.0, *changed.tolist())
+
+    def learn(self, mean: MeanSpots) -> None:
+        """Follow the light of a window that gave a valid measurement.
+
+        From others the ratio would learn what it is to reveal: a lamp in place of the beam.
+        """
+        if not mean.changed_light or mean.log_lights is None:
+            return
+        logs = mean.log_lights[:, :, 0].mean(axis=0)
+        ratios, px, seen = logs[1:] - logs[0], mean.px, self._seen
+        if seen is not None and mean.t_ns >= seen.t_ns:
+            by_place = seen.by_place(mean)
+            follow = np.full_like(by_place, seen.by_time(mean))
+            if by_place.max() > _PER_RADIUS * _STEP_RADII:
+                follow += by_place
+            else:
+                px = seen.px
+            ratios = seen.ratios + np.clip(ratios - seen.ratios, -follow, follow)
+        radii_px = np.array([_radius_px(shape) for shape in mean.shapes if shape is not None])
+        self._seen = _Seen(mean.t_ns, ratios, px, radii_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The logarithms of the ratios (targets − 1,), and where the spots were when they were last followed."""
+
+    t_ns: int
+    ratios: FloatArray
+    px: FloatArray
+    radii_px: FloatArray
+
+    def by_place(self, mean: MeanSpots) -> FloatArray:
+        """The change of the ratios that the motion since then may have made."""
+        moved_radii = np.linalg.norm(mean.px - self.px, axis=1) / self.radii_px
+        changed: FloatArray = _PER_RADIUS * (moved_radii[1:] + moved_radii[0])
+        return changed
+
+    def by_time(self, mean: MeanSpots) -> float:
+        """The same of the time since then."""
+        return _PER_S * 1e-9 * (mean.t_ns - self.t_ns)
 
 
 def _radius_px(shape: SpotShape) -> float:

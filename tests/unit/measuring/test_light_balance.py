@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,9 +41,13 @@ def mean(
     )
 
 
-def after(balance: LightBalance, *means: MeanSpots) -> float:
+def after(balance: LightBalance, *means: MeanSpots, is_valid: bool = True) -> float:
     """The change of the rear target after these windows."""
-    changed = [balance.changed_light(mean) for mean in means][-1]
+    changed: tuple[float, ...] = ()
+    for each in means:
+        changed = balance.changed_light(each)
+        if is_valid:
+            balance.learn(replace(each, changed_light=changed))
     assert changed[0] == 0.0
     return changed[1]
 
@@ -57,9 +62,8 @@ def test_light_that_stays_or_changes_on_both_targets_has_not_changed() -> None:
 @pytest.mark.parametrize("share", [2.0, 1.4, 0.7])
 @pytest.mark.parametrize("target", ["front", "rear"])
 def test_light_that_is_added_or_lost_on_one_target_is_seen(target: str, share: float) -> None:
-    changed = after(
-        LightBalance(), mean(0.0), mean(1.0, **{target: share * (1000.0 if target == "front" else 800.0)})
-    )
+    front, rear = (share * 1000.0, 800.0) if target == "front" else (1000.0, share * 800.0)
+    changed = after(LightBalance(), mean(0.0), mean(1.0, front, rear))
     assert changed == pytest.approx(math.expm1(abs(math.log(share))), rel=0.15)
 
 
@@ -69,9 +73,9 @@ def test_the_part_of_a_window_that_is_disturbed_counts_from_its_first_exposure_t
 ) -> None:
     """The mean spot is displaced by that part too."""
     share = 0.4 * frames / FRAMES
-    disturbed = np.arange(FRAMES) >= FRAMES - frames
-    for of_frame in (disturbed, disturbed[::-1]):
-        changed = after(LightBalance(), mean(0.0), mean(0.5, rear=800.0 * (1 + 0.4 * of_frame)))
+    disturbed = np.where(np.arange(FRAMES) >= FRAMES - frames, 1.4 * 800.0, 800.0)
+    for rear in (disturbed, disturbed[::-1]):
+        changed = after(LightBalance(), mean(0.0), mean(0.5, rear=rear))
         assert 0.6 * share < changed < 1.1 * share
 
 
@@ -108,6 +112,24 @@ def test_nothing_is_known_without_the_light_and_it_is_followed_again_when_it_com
     dark = mean(1.0, rear=np.where(np.arange(FRAMES) == 3, np.nan, 800.0))
     assert balance.changed_light(dark) == ()
     assert after(balance, mean(2.0, rear=1100.0)) > 0.3
+
+
+def test_a_lamp_in_place_of_the_beam_changes_no_reference_and_the_beam_is_known_again() -> None:
+    balance = LightBalance()
+    after(balance, mean(0.0))
+    for t_s in range(1, 600):
+        assert after(balance, mean(t_s, front=20.0, at_radii=(9.0, 0.0)), is_valid=False) > 5.0
+    assert after(balance, mean(600.0)) == 0.0
+
+
+def test_a_change_that_stays_is_usual_after_hours_without_a_valid_measurement() -> None:
+    """After a window was cleaned, for example."""
+    balance = LightBalance()
+    after(balance, mean(0.0))
+    hours = [after(balance, mean(3600.0 * hour, rear=1200.0), is_valid=False) for hour in (0.1, 1, 2, 3)]
+    assert hours[0] > 0.4
+    assert hours == sorted(hours, reverse=True)
+    assert hours[-1] == 0.0
 
 
 def test_a_recording_that_begins_again_has_another_reference() -> None:
