@@ -52,7 +52,7 @@ def _patient(call: Callable[..., Awaitable[object]]) -> Callable[..., Awaitable[
     return patient
 
 
-DeviceThread.call = _patient(DeviceThread.call)  # type: ignore[method-assign]
+pytest.MonkeyPatch().setattr(DeviceThread, "call", _patient(DeviceThread.call))
 
 cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
 

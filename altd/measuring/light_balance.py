@@ -19,6 +19,8 @@ _PER_S = 0.2 / 3600
 _STEP_RADII = 0.5
 """Vibration, which moves the spots by less, does not add up."""
 _NOISE_SIGMAS = 6.0
+_RESTART_S = 10.0
+"""Outliers may set the middle of a window back by less; another recording begins earlier by more."""
 
 
 class LightBalance:
@@ -37,12 +39,13 @@ class LightBalance:
 
         0 where no exposure differs more than is usual. Empty where a spot's light or shape is not known.
         """
-        if mean.log_lights is None or not np.isfinite(mean.log_lights).all() or None in mean.shapes:
+        lights = _known(mean)
+        if not len(lights):
             return ()
         seen = self._seen
-        if seen is None or mean.t_ns < seen.t_ns:
+        if seen is None or seen.is_of_another_run(mean):
             return (0.0,) * len(mean.targets)
-        logs, sigmas = np.moveaxis(mean.log_lights, 2, 0)
+        logs, sigmas = np.moveaxis(lights, 2, 0)
         differences = logs[:, 1:] - logs[:, :1] - seen.ratios
         noise = np.hypot(sigmas[:, 1:], sigmas[:, :1]).mean(axis=0)
         usual = _USUAL + seen.by_place(mean) + seen.by_time(mean) + _NOISE_SIGMAS * noise
@@ -56,11 +59,13 @@ class LightBalance:
 
         From others the ratio would learn what it is to reveal: a lamp in place of the beam.
         """
-        if not mean.changed_light or mean.log_lights is None:
+        lights = _known(mean)
+        if not len(lights):
             return
-        logs = mean.log_lights[:, :, 0].mean(axis=0)
-        ratios, px, seen = logs[1:] - logs[0], mean.px, self._seen
-        if seen is not None and mean.t_ns >= seen.t_ns:
+        logs = lights[:, :, 0].mean(axis=0)
+        ratios, px, t_ns, seen = logs[1:] - logs[0], mean.px, mean.t_ns, self._seen
+        if seen is not None and not seen.is_of_another_run(mean):
+            t_ns = max(t_ns, seen.t_ns)
             by_place = seen.by_place(mean)
             follow = np.full_like(by_place, seen.by_time(mean))
             if by_place.max() > _PER_RADIUS * _STEP_RADII:
@@ -69,7 +74,7 @@ class LightBalance:
                 px = seen.px
             ratios = seen.ratios + np.clip(ratios - seen.ratios, -follow, follow)
         radii_px = np.array([_radius_px(shape) for shape in mean.shapes if shape is not None])
-        self._seen = _Seen(mean.t_ns, ratios, px, radii_px)
+        self._seen = _Seen(t_ns, ratios, px, radii_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +94,19 @@ class _Seen:
 
     def by_time(self, mean: MeanSpots) -> float:
         """The same of the time since then."""
-        return _PER_S * 1e-9 * (mean.t_ns - self.t_ns)
+        return _PER_S * 1e-9 * max(mean.t_ns - self.t_ns, 0)
+
+    def is_of_another_run(self, mean: MeanSpots) -> bool:
+        """Whether time has begun again since then."""
+        return mean.t_ns < self.t_ns - _RESTART_S * 1e9
+
+
+def _known(mean: MeanSpots) -> FloatArray:
+    """The lights (exposures, targets, 2) of the exposures in which all are known; none without the shapes."""
+    if mean.log_lights is None or None in mean.shapes:
+        return np.empty((0, len(mean.targets), 2))
+    known: FloatArray = mean.log_lights[np.isfinite(mean.log_lights).all(axis=(1, 2))]
+    return known
 
 
 def _radius_px(shape: SpotShape) -> float:

@@ -109,8 +109,7 @@ def test_noise_of_dim_spots_is_no_change() -> None:
 def test_nothing_is_known_without_the_light_and_it_is_followed_again_when_it_comes_back() -> None:
     balance = LightBalance()
     after(balance, mean(0.0))
-    dark = mean(1.0, rear=np.where(np.arange(FRAMES) == 3, np.nan, 800.0))
-    assert balance.changed_light(dark) == ()
+    assert balance.changed_light(mean(1.0, rear=math.nan)) == ()
     assert after(balance, mean(2.0, rear=1100.0)) > 0.3
 
 
@@ -130,6 +129,18 @@ def test_a_change_that_stays_is_usual_after_hours_without_a_valid_measurement() 
     assert hours[0] > 0.4
     assert hours == sorted(hours, reverse=True)
     assert hours[-1] == 0.0
+
+
+def test_single_exposures_of_unknown_light_do_not_hide_a_change() -> None:
+    rear = np.where(np.arange(FRAMES) % 3 == 0, np.nan, 1100.0)
+    assert after(LightBalance(), mean(0.0), mean(1.0, rear=rear)) > 0.3
+
+
+def test_a_window_whose_middle_is_set_back_by_outliers_is_compared_and_teaches_nothing() -> None:
+    balance = LightBalance()
+    after(balance, mean(100.0))
+    for t_s in (99.6, 99.7, 99.5):
+        assert after(balance, mean(t_s, rear=1100.0)) > 0.3
 
 
 def test_a_recording_that_begins_again_has_another_reference() -> None:
