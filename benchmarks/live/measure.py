@@ -134,7 +134,7 @@ def _steady_lines(steady: Steady, in_process: Truthfulness) -> Iterator[str]:
         f"{steady.cpu_ms_a_pair:.2f} ms CPU a pair, {steady.cpu_share:.1%} of a core"
     )
     warm = [sample for sample in steady.process if sample.hour >= _WARM_SHARE * steady.process[-1].hour]
-    yield from (f"daemon after {sample}" for sample in (warm[0], warm[-1]))
+    yield from (f"daemon after {sample}" for sample in (*warm[: -1 : max(len(warm) // 6, 1)], warm[-1]))
     growth = (
         f"{growth_mb_per_hour(warm):+.2f} MB an hour"
         if steady.seconds >= _MIN_GROWTH_S

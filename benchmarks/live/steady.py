@@ -107,7 +107,7 @@ def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) ->
     return Steady(
         seconds=seconds,
         measurements=len(seen),
-        invalid=Counter(", ".join(sorted(one.reasons)) for one in seen if not one.valid),
+        invalid=dict(Counter(", ".join(sorted(one.reasons)) for one in seen if not one.valid)),
         lost=_lost(before, after),
         unpaired=_increase(before, after, "measuring", "measurements") - min(frames.values()),
         interval_p50_ms=p50_ms,
