@@ -21,9 +21,9 @@ computer or network holds up scatters, and comes in less and less late."""
 _MIN_SHARE_ON_LINE = 0.75
 _MAX_FALL_NS = 1_000_000
 _MAX_LATE_KEPT = 100
-_STEP_TIMEOUT_NS = 2_400_000_000
+_STEP_TIMEOUT_NS = 2_200_000_000
 """A delay that grows on a line for so long, without one frame in time, is due to the clock. Half a window of
-exposures follows until a value is valid: 3 s in all."""
+exposures and the pairing with the other camera follow until a value is valid: 2.9 s in all."""
 _ENVELOPE_TIMEOUT_NS = 10_000_000_000
 """An envelope that no frame has met for so long is made again of those that came late."""
 _MAX_BACK_IN_A_ROW = 3
