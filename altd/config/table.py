@@ -64,4 +64,4 @@ Device = Annotated[Path, AfterValidator(_device)]
 class Table(BaseModel):
     """A table of the file: its keys are all known, its values do not change."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
