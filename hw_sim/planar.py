@@ -24,7 +24,7 @@ from hw_sim.double_triangle import MachineFlaws, random_motion, source_machine
 from hw_sim.image import Image
 from hw_sim.lens import Lens, rotation
 from hw_sim.plate import LED_DIAMETER_MM, MIN_BRIGHTNESS, add_disc
-from hw_sim.recording import COLUMNS, Progress
+from hw_sim.recording import COLUMNS, STORED, Progress
 from hw_sim.sensor import FULL_WELL_E, Sensor
 from hw_sim.view import PSF_SIGMA_PX
 
@@ -203,7 +203,7 @@ def record(
                 stated = ("", "", "") if stay.stated is None else tuple(f"{x:.4f}" for x in stay.stated)
                 for _ in range(exposures):
                     name = f"plate/{sequence:06d}.png"
-                    (draft / name).write_bytes(cv2.imencode(".png", scene.expose(mean))[1].tobytes())
+                    (draft / name).write_bytes(cv2.imencode(".png", scene.expose(mean), STORED)[1].tobytes())
                     table.writerow((sequence, f"{sequence / FPS:.6f}", "plate", name, "on", "", "", *stated))
                     sequence += 1
                     progress(sequence, len(stays) * exposures)

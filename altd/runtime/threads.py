@@ -106,7 +106,7 @@ as long."""
 
 @contextlib.contextmanager
 def real_time_interpreter() -> Iterator[None]:
-    """Within, threads give way to each other soon, and the garbage collection looks at new objects only.
+    """Within, threads give way to each other soon, and the garbage collection goes through new objects only.
 
     What was made before, modules and the calibration above all, lives as long as the process. To go through
     all of that holds every thread for 15 to 30 ms.
@@ -115,6 +115,7 @@ def real_time_interpreter() -> Iterator[None]:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     gc.collect()
     gc.freeze()
+    gc.enable()  # a start does without
     try:
         yield
     finally:

@@ -15,6 +15,7 @@ import numpy as np
 from altd.errors import BadInputError
 from altd.records import PixelArray
 from hw_sim.chain.row import FPS, HEIGHT_PX, WIDTH_PX, Row, at_rest
+from hw_sim.recording import STORED
 from hw_sim.stage import STAGE_SIGMA_MM
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm", "opaque")
@@ -57,7 +58,7 @@ class _Recorder:
     def write(self, camera: str, pixels: PixelArray, at: tuple[object, object], opaque: str) -> None:
         """One frame of the present exposure."""
         file = f"{camera}/{self.sequence:06d}.png"
-        png = cv2.imencode(".png", np.asarray(pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+        png = cv2.imencode(".png", np.asarray(pixels), STORED)[1]
         (self.folder / file).write_bytes(png.tobytes())
         self._table.writerow((self.sequence, f"{self.t_s:.6f}", camera, file, "off", *at, opaque))
 

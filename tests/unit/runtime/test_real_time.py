@@ -19,7 +19,9 @@ def test_within_threads_give_way_ten_times_sooner_and_after_as_they_did() -> Non
 
 def test_a_collection_goes_through_what_is_new_and_all_is_as_it_was_after() -> None:
     frozen = gc.get_freeze_count()
+    gc.disable()  # as `altd run` starts
     with real_time_interpreter():
+        assert gc.isenabled()
         assert gc.get_freeze_count() > 10_000  # modules alone
         assert len(gc.get_objects()) < 1_000
         cycle: list[object] = []
