@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from hw_sim.recording import STORED
 from support.frames import HEIGHT, WIDTH
 from support.recordings import header
 
@@ -125,7 +126,7 @@ def write_plates(
             on = sequence % 2
             counts = on * light + 8 + rng.normal(0, noise, light.shape)
             pixels = np.clip(np.rint(counts), 0, 255).astype(np.uint8)
-            cv2.imwrite(str(path / name), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+            cv2.imwrite(str(path / name), pixels, STORED)
             rows.append(f"{sequence},{sequence / 20:.6f},{camera},{name},{'on' if on else 'off'},,")
     (path / "frames.csv").write_text("\n".join(rows) + "\n")
     return path

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from hw_sim.recording import STORED
 from support.frames import HEIGHT, WIDTH, Blob, light
 
 PX_PER_MM = 4.0
@@ -56,7 +57,7 @@ def write(path: Path, kind: str, shots: Iterable[Shot], serial: str = "TEST-1", 
         for target, spot in (("front", front), ("rear", rear)):
             name = f"{target}{sequence:04d}.png"
             image = np.full((HEIGHT, WIDTH), 8, np.uint8) if spot is None else picture(target, *spot, rng)
-            cv2.imwrite(str(path / name), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+            cv2.imwrite(str(path / name), image, STORED)
             x, y = stage or ("", "")
             rows.append(f"{sequence},{sequence / 20:.6f},{target},{name},off,{x},{y},")
     (path / "frames.csv").write_text("\n".join(rows) + "\n")
@@ -110,7 +111,7 @@ def write_targets(
             name, spot = f"{target['camera']}{sequence:04d}.png", spots[str(target["name"])]
             dark = np.full((HEIGHT, WIDTH), 8, np.uint8)
             image = dark if spot is None else picture(str(target["name"]), *spot, rng)
-            cv2.imwrite(str(path / name), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+            cv2.imwrite(str(path / name), image, STORED)
             x, y = stage or ("", "")
             rows.append(f"{sequence},{sequence / 20:.6f},{target['camera']},{name},off,{x},{y}")
     (path / "frames.csv").write_text("\n".join(rows) + "\n")

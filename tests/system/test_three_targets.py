@@ -24,6 +24,8 @@ from support.played_unit import PlayingDaemon
 from support.ports import free_port
 from support.recordings import picture
 
+from hw_sim.recording import STORED
+
 Z_MM = {"front": 0.0, "middle": 140.0, "rear": 280.0}
 CAMERAS = {"front": "cam_a", "middle": "cam_b", "rear": "cam_c"}
 Beam = tuple[float, float, float, float]
@@ -43,7 +45,7 @@ def write(path: Path, kind: str, shots: Iterable[tuple[Places, tuple[float, floa
         x_mm, y_mm = stage or ("", "")
         for target, place in places.items():
             name = f"{target}{sequence:03d}.png"
-            cv2.imwrite(str(path / name), picture(target, *place, rng), [cv2.IMWRITE_PNG_COMPRESSION, 0])
+            cv2.imwrite(str(path / name), picture(target, *place, rng), STORED)
             rows.append(f"{sequence},{sequence / 20:.3f},{CAMERAS[target]},{name},off,{x_mm},{y_mm}")
     size = {"width": WIDTH, "height": HEIGHT, "bits": 8}
     shown = [name for name in Z_MM if name in targets]
