@@ -20,8 +20,9 @@ def test_messages_of_a_connection_that_ended_are_not_kept(tmp_path: Path) -> Non
         '[broker]\nhost = "broker"\n[database]\nconnection = "dbname=altd"\n'
     )
     ingest, connected = Ingest(load_fleet_settings(tmp_path / "fleet.toml")), Mock(is_failure=False)
+    client, message = Mock(), Mock(payload=b"")
     for _ in range(100):
         ingest._on_connect(Mock(), None, None, connected, None)  # noqa: SLF001  as paho calls it
         for _ in range(1000):
-            ingest._on_message(Mock(), None, Mock(payload=b""))  # noqa: SLF001
+            ingest._on_message(client, None, message)  # noqa: SLF001
     assert ingest._messages.qsize() == 1000  # noqa: SLF001

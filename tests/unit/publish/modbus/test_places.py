@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import count
 
 import pytest
 
@@ -21,17 +24,24 @@ PLACES = 32
 NOW_S = 100_000.0
 
 
+@cache
+def asking(since_s: float, until_s: float, gap_s: float) -> Asking:
+    """Requests every ``gap_s`` between two times."""
+    asked = Asking()
+    for number in count():
+        if (at_s := since_s + number * gap_s) > until_s:
+            return asked
+        asked.ask(at_s)
+    raise AssertionError
+
+
 def connection(
     address: str, asks_since_s: float | None = None, *, gap_s: float = 1.0, quiet_s: float = 0.0, **more: bool
 ) -> Connection:
     """One that has asked every ``gap_s`` from then until ``quiet_s`` ago; None: it has never asked."""
     since_s = NOW_S - (quiet_s if asks_since_s is None else asks_since_s)
-    made = Connection(address, since_s, Asking(), **more)
-    asked_s = since_s
-    while asks_since_s is not None and asked_s <= NOW_S - quiet_s:
-        made.ask(asked_s)
-        asked_s += gap_s
-    return made
+    asked = Asking() if asks_since_s is None else asking(since_s, NOW_S - quiet_s, gap_s)
+    return Connection(address, since_s, replace(asked), itself=replace(asked), **more)
 
 
 def crowd(count: int, asks_since_s: float | None, **more: float) -> list[Connection]:
