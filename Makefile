@@ -94,18 +94,15 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	}
 	timed() { # MARKS [OPTION...]: a limit of real time that another program on the machine broke holds when tried again
 	    $(pytest) "$${@:2}" -m "$$1" tests/system && return
-	    for _ in 1 2; do
-	        printf '\n== those that failed, again, one at a time\n'
-	        cat .pytest_cache/v/cache/lastfailed | tee -a .pytest_cache/repeated
-	        ! $(pytest) --last-failed --last-failed-no-failures none -m "$$1" tests/system || return 0
-	    done
-	    return 1
+	    printf '\n== those that failed, again, one at a time\n'
+	    cat .pytest_cache/v/cache/lastfailed | tee -a .pytest_cache/repeated
+	    $(pytest) --last-failed --last-failed-no-failures none -m "$$1" tests/system
 	}
 	part core $(pytest) $(side_by_side) $(core)
 	part system timed 'not real_time and not alone' $(side_by_side) $(addprefix --ignore=,$(core_system))
 	part real-time timed 'real_time and not alone' --numprocesses $(cores) --dist loadfile
 	part alone timed alone
-	[[ ! -e .pytest_cache/repeated ]] || { echo "altd: failed and repeated:"; cat .pytest_cache/repeated; }
+	[[ ! -e .pytest_cache/repeated ]] || { echo "altd: failed once and repeated:"; cat .pytest_cache/repeated; }
 	[[ -z $$failed ]] || { cat .pytest_cache/v/cache/lastfailed; echo "altd: tests failed:$$failed" >&2; exit 1; }
 
 test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
