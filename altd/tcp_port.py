@@ -29,6 +29,7 @@ BACKLOG = 128
 """Connections that the kernel keeps until they are accepted."""
 
 RETRY_INTERVAL_S = 1.0
+_ACCEPT_INTERVAL_S = 0.001
 
 HANDSHAKE_TIMEOUT_S = 5.0
 """A client that has not done its part of a TLS handshake by then is cut off."""
@@ -72,11 +73,11 @@ async def accept(
     listener: socket.socket,
     component: Component,
     admit: Callable[[socket.socket], Awaitable[None]],
-    interval_s: float = 0.0,
 ) -> NoReturn:
-    """Hand one connection after the other to ``admit``, until cancelled, ``interval_s`` apart.
+    """Hand one connection after the other to ``admit``, until cancelled.
 
-    The loop has a turn between two of them. Raises OSError when the listening socket itself is gone.
+    A flood of them gets a part of the loop's time, and requests have the rest. Raises OSError when the
+    listening socket itself is gone.
     """
     loop = asyncio.get_running_loop()
     while True:
@@ -94,7 +95,7 @@ async def accept(
                 await admit(connection)
             except OSError:  # it left meanwhile
                 connection.close()
-        await asyncio.sleep(interval_s)
+        await asyncio.sleep(_ACCEPT_INTERVAL_S)
 
 
 def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:

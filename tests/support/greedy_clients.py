@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import pickle
 import socket
 import struct
 import subprocess
@@ -65,45 +66,56 @@ def get(path: str) -> bytes:
     return f"GET {path} HTTP/1.1\r\nHost: unit\r\n\r\n".encode()
 
 
-class Crowd:
-    """Connections whose receive buffers are as small as the kernel has them."""
+async def _crowd(port: int, count: int, sent: list[bytes], more: bytes) -> None:
+    """Connect and send, each piece a little after the one before; then send ``more`` until killed."""
+    loop = asyncio.get_running_loop()
+    connections = [socket.socket() for _ in range(count)]
 
-    def __init__(self, port: int) -> None:
-        self._port = port
-        self._connections: list[socket.socket] = []
-
-    def __enter__(self) -> Crowd:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for connection in self._connections:
-            connection.close()
-
-    async def connect(self, *sent: bytes) -> socket.socket:
-        """Connect and send, each piece a little after the one before."""
-        loop = asyncio.get_running_loop()
-        connection = socket.socket()
-        self._connections.append(connection)
+    async def opened(connection: socket.socket) -> None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
         connection.setblocking(False)
-        await loop.sock_connect(connection, ("127.0.0.1", self._port))
+        await loop.sock_connect(connection, ("127.0.0.1", port))
         with contextlib.suppress(ConnectionError):
             for piece in sent:
                 await loop.sock_sendall(connection, piece)
                 await asyncio.sleep(_PAUSE_S)
-        return connection
 
-    async def push(self, connection: socket.socket, data: bytes, ended: asyncio.Event) -> int:
-        """Send it again and again until the end, or until the unit has enough; returns the bytes it took."""
-        sent = 0
+    async def push(connection: socket.socket) -> None:
         with contextlib.suppress(ConnectionError):
-            while not ended.is_set():
+            while True:
                 try:
-                    sent += connection.send(data)
+                    connection.send(more)
                 except BlockingIOError:
                     await asyncio.sleep(0.01)
                 await asyncio.sleep(0)
-        return sent
+
+    await asyncio.gather(*map(opened, connections))
+    print("connected", flush=True)
+    if more:
+        await asyncio.gather(*map(push, connections))
+    await asyncio.Event().wait()
+
+
+@contextlib.asynccontextmanager
+async def crowd(port: int, count: int, *sent: bytes, more: bytes = b"") -> AsyncIterator[None]:
+    """Clients whose receive buffers are as small as the kernel has them, connected within.
+
+    They have a process of their own: their work is not the unit's, which runs in this one.
+    """
+    command = [sys.executable, __file__, str(port), str(count)]
+    pipe = asyncio.subprocess.PIPE
+    child = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
+    assert child.stdin is not None
+    assert child.stdout is not None
+    try:
+        child.stdin.write(pickle.dumps((sent, more)))
+        child.stdin.write_eof()
+        async with asyncio.timeout(30):
+            assert await child.stdout.readline() == b"connected\n"
+        yield
+    finally:
+        child.kill()
+        await child.wait()
 
 
 class Poller:
@@ -140,3 +152,7 @@ async def polled(port: int) -> AsyncIterator[Poller]:
     finally:
         poller.end()
         await task
+
+
+if __name__ == "__main__":
+    asyncio.run(_crowd(int(sys.argv[1]), int(sys.argv[2]), *pickle.load(sys.stdin.buffer)))

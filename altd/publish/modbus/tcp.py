@@ -52,9 +52,6 @@ MAX_LENGTH = 254
 MAX_CLIENTS = 32
 """With more, one is closed (Messaging 4.2); ``places`` chooses it."""
 
-ACCEPT_INTERVAL_S = 0.001
-"""Between two connections: a flood of them gets a part of the loop's time, and requests have the rest."""
-
 RESERVED_DESCRIPTORS = 4
 """File descriptors reserved for cameras and ports."""
 
@@ -103,7 +100,7 @@ class ModbusTcpPublisher:
                 ready()
                 self._tell("")
                 admit = functools.partial(self._admit, clients)
-                await accept(listener, self._component, admit, ACCEPT_INTERVAL_S)
+                await accept(listener, self._component, admit)
 
     def _tell(self, complaint: str) -> None:
         """Set the state; ``complaint`` says why a renewed certificate cannot be used."""
