@@ -6,6 +6,7 @@ import json
 import sys
 
 from altd.history.reader import MAX_ROWS as EVENT_ROWS
+from altd.publish.http.answers import MAX_BODY_BYTES
 from altd.publish.http.clients import (
     ALL_ATTEMPTS,
     ATTEMPTS,
@@ -244,6 +245,7 @@ of the unit's own computer is not limited:
 | wrong passwords per address | {_rate(ATTEMPTS)}; then 429, also for right ones |
 | wrong passwords of all addresses never logged in | {_rate(ALL_ATTEMPTS)} |
 | request header | {MAX_HEADER_BYTES} bytes, {MAX_HEADER_LINES} lines, {REQUEST_TIMEOUT_S:g} s |
+| request body | {MAX_BODY_BYTES} bytes, with `Content-Length`; one in chunks is refused (411) |
 | time without reading an answer | {SEND_TIMEOUT_S:g} s |
 
 Clients behind one address (NAT, a proxy) share its attempts. A hostile host can take all {MAX_CONNECTIONS}

@@ -61,7 +61,7 @@ _BLANK_LINE = re.compile(rb"\n\r?\n")
 """The bytes that h11 accepts as the end of a header."""
 
 _CHUNKED = re.compile(rb"\ntransfer-encoding:", re.IGNORECASE)
-"""A body in chunks is refused: to parse 4 kB of the smallest ones would hold the event loop for 5 to 18 ms."""
+"""A body in chunks is refused: to parse 4 kB of the smallest would hold the event loop for 5 to 18 ms."""
 
 MAX_BYTES_BEHIND_HEADER = 4608
 """More than the largest body, a login of 4096, so that a larger one is recognised; the rest is dropped."""

@@ -128,7 +128,7 @@ def simplify_cameras(running: LedUnit) -> None:
         pixels = of.pixels + noise[first:][: of.pixels.size].reshape(shape)
         return replace(of, sequence=sequence, t_ns=t_ns, pixels=pixels)
 
-    setattr(running.seen, "expose", expose)
+    running.seen.expose = expose
 
 
 @contextlib.asynccontextmanager
@@ -137,7 +137,7 @@ async def harmless(unit: Unit) -> AsyncIterator[None]:
 
     What a stall of the machine may have taken from any program does not count.
     """
-    await asyncio.sleep(0.5)  # what the test before took from the loop, such as its report, is counted by then
+    await asyncio.sleep(0.5)  # what the test before took from the loop, such as its report, is counted
     before = unit.counted
     with watched_machine() as stalls:
         async with polled(unit.modbus) as poller:

@@ -185,9 +185,7 @@ async def test_what_comes_with_a_request_changes_nothing_of_it(
         pytest.param(ASKING.replace("POST", "OPTIONS") + "\r\n", id="what a browser asks before"),
     ],
 )
-async def test_what_is_malformed_asks_for_nothing(
-    served: Served, asked: list[int], raw: str
-) -> None:
+async def test_what_is_malformed_asks_for_nothing(served: Served, asked: list[int], raw: str) -> None:
     async with served() as unit:
         (line,) = await sent(unit, raw) or ["HTTP/1.1 400 cut off"]
         assert line.split()[1] in ("400", "405", "411")
