@@ -137,7 +137,7 @@ async def harmless(unit: Unit) -> AsyncIterator[None]:
 
     What a stall of the machine may have taken from any program does not count.
     """
-    await asyncio.sleep(0.5)  # what the test before took from the loop, such as its report, is counted
+    await asyncio.sleep(0.5)  # lets the counters state what the end of the test before took from the loop
     before = unit.counted
     with watched_machine() as stalls:
         async with polled(unit.modbus) as poller:
