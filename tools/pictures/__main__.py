@@ -31,7 +31,7 @@ def main() -> int:
     """Make all pictures; raises CalledProcessError and TimeoutError when a program does not do its part."""
     draw_planar(_FOLDER / "planar.png")
     with terminal(f"{sys.executable} -m hw_sim planar", _COLUMNS, _ROWS) as demo:
-        demo.await_text("exposures", timeout_s=60.0)
+        demo.await_text("http://127.0.0.1", timeout_s=120.0)
         (address,) = re.findall(r"http://127\.0\.0\.1:\d+", demo.text())
         screenshot(address, _FOLDER / "planar-page.png", 640, 900, after_s=6.0)
     with terminal(f"{sys.executable} -m hw_sim chain-demo", 2 * _COLUMNS, _ROWS) as demo:
