@@ -84,7 +84,7 @@ class PlayingDaemon:
         first: int = self.measurement()["sequence"]
         self.wait_until(lambda measurement: measurement["sequence"] >= first + count)
 
-    def wait_until(self, holds: Callable[[dict[str, Any]], bool], timeout_s: float = 60.0) -> dict[str, Any]:
+    def wait_until(self, holds: Callable[[dict[str, Any]], bool], timeout_s: float = 150.0) -> dict[str, Any]:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError):
