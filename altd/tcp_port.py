@@ -30,6 +30,7 @@ BACKLOG = 128
 
 RETRY_INTERVAL_S = 1.0
 _ACCEPT_INTERVAL_S = 0.001
+"""Between two connections."""
 
 HANDSHAKE_TIMEOUT_S = 5.0
 """A client that has not done its part of a TLS handshake by then is cut off."""

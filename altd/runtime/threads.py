@@ -101,8 +101,8 @@ def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> No
 
 SWITCH_INTERVAL_S = 0.0001
 """Longest time that a computing thread keeps the interpreter from a waiting one; Python's own is 50 times as
-long. With 0.5 ms, seven clients that ask for a day of trends at once cost 1 to 4 exposures on a slow PC: a
-step of measuring gives the interpreter away some hundred times."""
+long. With 0.5 ms, seven clients that ask for a day of trends at once cost 1 to 4 exposures on a slow PC: its
+threads wait for the interpreter a hundred times while they locate and measure one exposure."""
 
 
 @contextlib.contextmanager
