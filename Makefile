@@ -26,7 +26,7 @@ HOSTILE ?= 100000
 SPRAY_S ?= 600
 # Workers of the tests: more than cores, for some tests wait; those with limits of real time get a core each.
 cores := $(shell nproc)
-side_by_side := --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile
+side_by_side := --numprocesses $(shell expr $(cores) '*' 3 / 2) --dist loadfile
 pytest := $(python) -m pytest
 # The tests of tests/system that `make test` runs too: the main line, from frames to numbers, and bad files.
 core_system := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config mapping/test_monte_carlo.py \

@@ -5,6 +5,7 @@ For programs in a guest. A line without a consumer has the level of its pull.
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,11 +27,14 @@ with gpiod.request_lines(chip, consumer=consumer, config={tuple(lines): settings
 
 def levels_of(label: str, lines: Iterable[str]) -> list[int]:
     """The levels of a chip's pins, as they are at this moment."""
-    place = _CONFIG / label
-    offsets = {
-        (line / "name").read_text().strip(): line.name for line in (place / "bank0").glob("line[0-9]*")
-    }
-    return [int((_pins(label) / f"sim_gpio{offsets[line][4:]}" / "value").read_text()) for line in lines]
+    pins, offsets = _pins(label), _offsets(label)
+    return [int((pins / f"sim_gpio{offsets[line]}" / "value").read_text()) for line in lines]
+
+
+@functools.cache
+def _offsets(label: str) -> dict[str, int]:
+    names = (_CONFIG / label / "bank0").glob("line[0-9]*/name")
+    return {name.read_text().strip(): int(name.parent.name.removeprefix("line")) for name in names}
 
 
 def _pins(label: str) -> Path:

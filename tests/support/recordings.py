@@ -48,10 +48,12 @@ Shot = tuple[tuple[float, float] | None, tuple[float, float] | None, tuple[float
 """Front and rear spot in mm (None: dark), and the stage's position."""
 
 
-def write(path: Path, kind: str, shots: Iterable[Shot], serial: str = "TEST-1", **more: object) -> Path:
+def write(
+    path: Path, kind: str, shots: Iterable[Shot], serial: str = "TEST-1", fps: float = 20.0, **more: object
+) -> Path:
     rng = np.random.default_rng(0)
     path.mkdir(parents=True)
-    (path / "recording.json").write_text(json.dumps(header(kind, serial, **more)))
+    (path / "recording.json").write_text(json.dumps(header(kind, serial, fps=fps, **more)))
     rows = ["sequence,t_s,camera,file,leds,x_mm,y_mm,remark"]
     for sequence, (front, rear, stage) in enumerate(shots):
         for target, spot in (("front", front), ("rear", rear)):
@@ -59,7 +61,7 @@ def write(path: Path, kind: str, shots: Iterable[Shot], serial: str = "TEST-1", 
             image = np.full((HEIGHT, WIDTH), 8, np.uint8) if spot is None else picture(target, *spot, rng)
             cv2.imwrite(str(path / name), image, STORED)
             x, y = stage or ("", "")
-            rows.append(f"{sequence},{sequence / 20:.6f},{target},{name},off,{x},{y},")
+            rows.append(f"{sequence},{sequence / fps:.6f},{target},{name},off,{x},{y},")
     (path / "frames.csv").write_text("\n".join(rows) + "\n")
     return path
 
@@ -68,12 +70,14 @@ def write_scan(path: Path, serial: str = "TEST-1", columns: int = 6, rows: int =
     return write(path, "scan", [(p, p, p) for p in grid(columns, rows)], serial)
 
 
-def write_beams(path: Path, beams: Iterable[tuple[float, float, float, float]], exposures: int = 4) -> Path:
+def write_beams(
+    path: Path, beams: Iterable[tuple[float, float, float, float]], exposures: int = 4, fps: float = 20.0
+) -> Path:
     """A measurement recording of beams (x, y, slope x, slope y)."""
     shots: list[Shot] = []
     for x, y, sx, sy in beams:
         shots += [((x, y), (x + 280 * sx, y + 280 * sy), None)] * exposures
-    return write(path, "measurement", shots)
+    return write(path, "measurement", shots, fps=fps)
 
 
 Spots = Mapping[str, tuple[float, float] | None]

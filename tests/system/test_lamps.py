@@ -43,17 +43,17 @@ DARK = {"LED_A": 0, "LED_B": 0, "DATA": 0, "ERROR": 0, "POWER": 0, "OK": 0}
 
 @pytest.fixture(scope="module")
 def unit(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A calibration and a recording of a beam, a second long."""
+    """A calibration and a recording of a beam, four seconds long: the lamps are the subject, not the rate."""
     folder = tmp_path_factory.mktemp("unit")
     shutil.copy(played_unit.calibration, folder / "cal.json")
-    write_beams(folder / "beam", [(2.0, -3.0, 0.01, 0.02)], exposures=20)
+    write_beams(folder / "beam", [(2.0, -3.0, 0.01, 0.02)], exposures=20, fps=5)
     return folder
 
 
 @pytest.fixture(scope="module")
 def seen(unit: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("guest")
-    found: dict[str, Any] = run_in_guest(folder, "lamps_daemon.py", unit, timeout_s=180).results
+    found: dict[str, Any] = run_in_guest(folder, "lamps_daemon.py", unit, timeout_s=600).results
     return found
 
 
@@ -71,7 +71,7 @@ class TestDaemon:
 
     def test_flashes_data_when_it_gave_some_and_not_otherwise(self, seen: dict[str, Any]) -> None:
         assert seen["measuring"]["DATA"] == 0
-        assert 0.05 < seen["after one request"]["DATA"] < 0.6
+        assert seen["after one request"] == [0, 1, 0]
 
     def test_says_who_has_taken_its_lines_and_measures_on(self, seen: dict[str, Any]) -> None:
         said = {name: seen["taken"][name]["message"] for name in ("indicators", "lamps")}
@@ -106,6 +106,7 @@ class TestDaemon:
         assert first_two[-1]["LED_B"] == first_two[-1]["LED_A"] == 0
 
 
+@pytest.mark.real_time  # in one part of the tests with TestDaemon: one guest for both
 class TestCommand:
     def test_after_a_failure_leaves_error_lit_and_all_else_dark(self, seen: dict[str, Any]) -> None:
         assert seen["pins of the killed"]["OK"] == 1  # as it is wired here, killed it is lit

@@ -215,7 +215,8 @@ def test_the_daemon_measures_and_publishes_the_pose(
     config = tmp_path / "altd.toml"
     served = {"http": port, "modbus_tcp": modbus, "opcua": opcua}
     interfaces = (f'[{name}]\nhost = "127.0.0.1"\nport = {at}\n' for name, at in served.items())
-    config.write_text(PLAYED + "".join(interfaces))
+    patient = "[measuring]\nsilent_after_s = 2\nstale_after_s = 10"
+    config.write_text(PLAYED.replace("[measuring]", patient) + "".join(interfaces))
     checked = altd_here("check-config", config)
     assert (checked.status, "unit SIM-PLANAR-31, 1 camera" in checked.out) == (0, True), checked
     command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
