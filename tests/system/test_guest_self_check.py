@@ -36,7 +36,7 @@ def seen(unit_3: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
         render_with_leds(SEED, folder, EXPOSURES),
         FPS,
         kernel_arguments=("v4l2loopback.devices=2", "v4l2loopback.max_buffers=8"),
-        timeout_s=120,
+        timeout_s=400,
     )
     return run.results
 
@@ -54,7 +54,7 @@ def test_names_leds_that_stay_dark_though_their_lines_are_set(seen: Any) -> None
     for target in ("front", "rear"):
         assert check["targets"][target]["leds"] == ["dark"] * 6
         assert f"{target}: no LED can be used; LED 1, 2, 3, 4, 5, 6: dark" in check["reasons"]
-    assert "geometry_unknown" in seen["cut"]["measurement"]["status"]
+    assert all("geometry_unknown" in status for status in seen["cut"]["measured"])
     assert seen["cut"]["status"]["components"]["lamps"]["state"] == "ok", "as far as the chip knows"
 
 
@@ -71,14 +71,16 @@ def test_names_who_has_taken_a_line_away(seen: Any) -> None:
     assert reason.startswith("the frame LEDs could not be switched: GPIO chip 'unit' (")
     assert "'LED_A' taken by 'torch'" in reason
     assert check["exposures_lost"] == 0
-    assert "geometry_unknown" in seen["taken"]["measurement"]["status"]
+    assert all("geometry_unknown" in status for status in seen["taken"]["measured"])
 
 
 def test_is_good_again_once_the_lines_are_back(seen: Any) -> None:
-    check, measurement = seen["back"]["check"], seen["back"]["measurement"]
+    check, measured = seen["back"]["check"], [set(status) for status in seen["back"]["measured"]]
     assert (check["verdict"], check["reasons"]) == ("good", [])
     assert [check["targets"][target]["leds_found"] for target in ("front", "rear")] == [6, 6]
-    assert set(measurement["status"]) <= {"simulated", "rehearsal", "exposures_lost"}
+    of_a_busy_machine = {"exposures_lost", "out_of_step", "camera_silent"}
+    assert all(status <= {"simulated", "rehearsal"} | of_a_busy_machine for status in measured)
+    assert any(status <= {"simulated", "rehearsal", "exposures_lost"} for status in measured)
 
 
 def test_measures_all_the_while(seen: Any) -> None:
