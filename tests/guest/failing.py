@@ -23,7 +23,7 @@ FRONT = nodes("vid-cap")[0]
 HDMI_720P25, HDMI_720P50 = "index=4", "index=6"
 SETTLE_S = 2.0
 WATCH_S = 3.0
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 AWAY_S = 1.5
 
 

@@ -177,7 +177,7 @@ def failed(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
         unit.frames,
         25,
         kernel_arguments=("vivid.n_devs=2",),
-        timeout_s=120,
+        timeout_s=400,
     )
     return run.results
 
