@@ -170,7 +170,8 @@ def test_registers_that_no_chip_can_follow_send_nothing_and_harm_nothing(
         rear.stop()
         rear.poke(register, before)
         # Aravis' own loop asks where to send frames only once it found itself stopped between two of them
-        frames = itertools.chain.from_iterable(after_a_pause(rear, pause_s) for pause_s in (0.3, 1.0, 3.0, 10.0))
+        pauses_s = 0.3, 1.0, 3.0, 10.0
+        frames = itertools.chain.from_iterable(after_a_pause(rear, pause_s) for pause_s in pauses_s)
         assert next(frames).pixels.shape == (480, 752)
 
 
