@@ -78,9 +78,9 @@ def test_is_good_again_once_the_lines_are_back(seen: Any) -> None:
     check, measured = seen["back"]["check"], [set(status) for status in seen["back"]["measured"]]
     assert (check["verdict"], check["reasons"]) == ("good", [])
     assert [check["targets"][target]["leds_found"] for target in ("front", "rear")] == [6, 6]
-    of_a_busy_machine = {"exposures_lost", "out_of_step", "camera_silent"}
-    assert all(status <= {"simulated", "rehearsal"} | of_a_busy_machine for status in measured)
-    assert any(status <= {"simulated", "rehearsal", "exposures_lost"} for status in measured)
+    usual = {"simulated", "rehearsal", "exposures_lost"}
+    assert all(status <= usual | {"out_of_step"} for status in measured), "a busy guest's drivers are late"
+    assert any(status <= usual for status in measured)
 
 
 def test_measures_all_the_while(seen: Any) -> None:
