@@ -112,10 +112,9 @@ async def _samples(
     for k in range(count):
         t_ns = START_NS + (k + 1) * 10**9
         await unit.clock.set(t_ns + _TRANSFER_NS)
-        for camera in CAMERAS:
-            if camera not in lost_cameras(k):
-                pixels = stock[camera][k % len(stock[camera])]
-                await unit.deliver(Frame(camera, k, t_ns, pixels, 8))
+        pixels = {camera: stock[camera][k % len(stock[camera])] for camera in CAMERAS}
+        seen = [camera for camera in CAMERAS if camera not in lost_cameras(k)]
+        await unit.deliver(*(Frame(camera, k, t_ns, pixels[camera], 8) for camera in seen))
         if k % MINUTE == MINUTE - 1:
             await wires.read()
         if k % _SAMPLE == _SAMPLE - 1:

@@ -65,7 +65,8 @@ class Trend:
     """
 
     def __init__(self, reference: float | None = None) -> None:
-        self._reference = reference
+        self.figures = TrendFigures(reference, None)
+        """By the completed minutes."""
         self._first: list[float] = []
         self._recent: deque[float] = deque(maxlen=RECENT_BUCKETS)
         self._samples: list[float] = []
@@ -85,20 +86,18 @@ class Trend:
             self._bucket = bucket
         self._samples.append(value)
 
-    def figures(self) -> TrendFigures:
-        """The trend by the completed minutes."""
-        recent = _median(self._recent) if len(self._recent) == RECENT_BUCKETS else None
-        return TrendFigures(self._reference, recent)
-
     def _close(self) -> None:
         if len(self._samples) >= _MIN_SAMPLES:
             point = _median(self._samples)
             self._recent.append(point)
-            if self._reference is None:
+            reference = self.figures.reference
+            if reference is None:
                 self._first.append(point)
                 if len(self._first) == REFERENCE_BUCKETS:
-                    self._reference = _median(self._first)
+                    reference = _median(self._first)
                     self._first.clear()
+            recent = _median(self._recent) if len(self._recent) == RECENT_BUCKETS else None
+            self.figures = TrendFigures(reference, recent)
         self._samples.clear()
 
 
@@ -111,17 +110,15 @@ class DustShare:
 
     def __init__(self) -> None:
         self._counts: deque[DustCount] = deque(maxlen=_DUST_COUNTS)
+        self.share: float | None = None
+        """The share; None before five minutes of counts."""
 
     def add(self, count: DustCount) -> None:
         """Take what covers one spot."""
         self._counts.append(count)
-
-    @property
-    def share(self) -> float | None:
-        """The share; None before five minutes of counts."""
-        if len(self._counts) < _DUST_COUNTS // 2:
-            return None
-        return sum(count.covered for count in self._counts) / sum(count.looked_at for count in self._counts)
+        if len(self._counts) >= _DUST_COUNTS // 2:
+            covered = sum(count.covered for count in self._counts)
+            self.share = covered / sum(count.looked_at for count in self._counts)
 
 
 def _median(values: list[float] | deque[float]) -> float:

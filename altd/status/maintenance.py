@@ -126,11 +126,11 @@ class SpotTrends:
     def __call__(self, now_ns: int) -> Iterator[Cause]:
         """Each target whose light has fallen, whose residuals have risen or that is dusty."""
         for target in self._targets:
-            share = self.light[target].figures().share
+            share = self.light[target].figures.share
             if self._is_below(Condition.LASER_WEAK, target, share, self._limits.min_light_share):
                 yield Cause(Condition.LASER_WEAK, target, f"{share:.0%} of its reference's light")
         for target in self._targets:
-            recent = self.residual[target].figures().recent
+            recent = self.residual[target].figures.recent
             if self._is_above(Condition.RESIDUALS_RISING, target, recent, self._limits.max_residual_share):
                 yield Cause(Condition.RESIDUALS_RISING, target, f"{recent:.0%} of what makes it distorted")
         for target in self._targets:

@@ -135,12 +135,13 @@ class LiveUnit:
     socket: Path
     _is_done: Callable[[], bool]
 
-    async def deliver(self, frame: Frame) -> None:
-        """Hand over a frame and wait until the daemon has done all that it does with it."""
-        camera = self.cameras[frame.camera]
+    async def deliver(self, *frames: Frame) -> None:
+        """Hand over frames and wait until the daemon has done all that it does with them."""
         with self.clock.passed:
-            if camera.is_open and not camera.is_unplugged:
-                camera.frames.append(frame)
+            for frame in frames:
+                camera = self.cameras[frame.camera]
+                if camera.is_open and not camera.is_unplugged:
+                    camera.frames.append(frame)
             self.clock.passed.notify_all()
         await self.settle()
 

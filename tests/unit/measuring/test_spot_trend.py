@@ -85,12 +85,12 @@ def fed(trend: Trend, minutes: int, value: float, begin_minute: int = 0, per_s: 
 def test_a_trend_knows_its_reference_after_half_an_hour_and_what_is_now_after_ten_minutes() -> None:
     trend = Trend()
     minute = fed(trend, RECENT_BUCKETS, 5.0)
-    assert trend.figures().recent is None  # the tenth minute is not over
+    assert trend.figures.recent is None  # the tenth minute is not over
     minute = fed(trend, REFERENCE_BUCKETS - RECENT_BUCKETS, 5.0, minute)
-    assert (trend.figures().recent, trend.figures().reference) == (5.0, None)
+    assert (trend.figures.recent, trend.figures.reference) == (5.0, None)
     minute = fed(trend, 11, 3.0, minute)
-    assert trend.figures().reference == 5.0
-    assert trend.figures().share == pytest.approx(0.6)
+    assert trend.figures.reference == 5.0
+    assert trend.figures.share == pytest.approx(0.6)
 
 
 def test_outliers_do_not_count() -> None:
@@ -98,7 +98,7 @@ def test_outliers_do_not_count() -> None:
     minute = fed(trend, 31, 5.0)
     for number in range(60 * 15):
         trend.add(minute * BUCKET_NS + number * SECOND, 5.0 if number % 3 else 0.1)
-    assert trend.figures().share == pytest.approx(1.0)
+    assert trend.figures.share == pytest.approx(1.0)
 
 
 def test_what_is_not_a_number_and_minutes_with_few_spots_count_for_nothing() -> None:
@@ -109,13 +109,13 @@ def test_what_is_not_a_number_and_minutes_with_few_spots_count_for_nothing() -> 
         for second in range(19):
             trend.add(minute * BUCKET_NS + second * SECOND, 0.1)
         trend.add(minute * BUCKET_NS + 30 * SECOND, math.nan)
-    assert trend.figures().share == pytest.approx(1.0)
+    assert trend.figures.share == pytest.approx(1.0)
 
 
 def test_a_reference_that_is_given_is_kept() -> None:
     trend = Trend(reference=10.0)
     fed(trend, 40, 5.0)
-    assert trend.figures().share == pytest.approx(0.5)
+    assert trend.figures.share == pytest.approx(0.5)
 
 
 def test_memory_is_bounded() -> None:
