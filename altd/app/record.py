@@ -77,7 +77,7 @@ async def record_of(
     ]
     try:
         exposures = await record(sets, folder, replace(plan, has_opaque=True), progress)
-        if complaint := controller.complaint:
+        if complaint := controller.last_failure or controller.complaint:
             raise LampsError(complaint)
         return exposures
     finally:

@@ -64,6 +64,8 @@ class LampController(Generic[Setpoint]):
         self._changed = asyncio.Event()
         self._waiting: list[asyncio.Future[None]] = []
         self._backoff_s = MIN_BACKOFF_S
+        self.last_failure = ""
+        """Of all since the start, also of those that a later try ended; empty: there was none."""
 
     def request(self, setpoint: Setpoint) -> None:
         """Change the setpoint; health says when it cannot be applied."""
@@ -139,6 +141,7 @@ class LampController(Generic[Setpoint]):
             log.warning("%s: %s", self._component.name, message)
         self._component.set_state(State.FAILED, message)
         self._component.count("failures")
+        self.last_failure = complaint
         self._setpoint = self._dark
         self._refuse_waiting(complaint)
 
