@@ -168,6 +168,8 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
 
     async def _each_second(self, broker: EdgeNodeSession) -> None:
         async with self._sending:
+            if self._rebirth.is_set():
+                return
             metrics = [*self._new_state(self._now_ms()), *self._new_measurement()]
             if metrics:
                 await self._send(broker, "NDATA", metrics)
@@ -176,7 +178,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
 
     async def _send_measurement(self, broker: EdgeNodeSession) -> None:
         async with self._sending:
-            if metrics := self._new_measurement():
+            if not self._rebirth.is_set() and (metrics := self._new_measurement()):
                 await self._send(broker, "NDATA", metrics)
 
     def _new_state(self, now_ms: int) -> list[Metric]:

@@ -259,13 +259,12 @@ def a_birth_offers_the_rebirth(session: Recorded) -> None:
         assert (metric["type"], metric["value"]) == ("Boolean", False)
 
 
-@proves(
-    "operational-behavior-data-commands-rebirth-action-1",
-    "operational-behavior-data-commands-rebirth-action-2",
-)
-def the_next_message_after_the_request_is_a_birth(session: Recorded) -> None:
+@proves("operational-behavior-data-commands-rebirth-action-2")
+def a_birth_follows_the_request(session: Recorded) -> None:
+    """On the same connection. Data may lie between: the unit had sent it before the request reached it."""
     topics = [message.topic for message in session.heard]
-    assert topics[topics.index(COMMAND) + 1] == BIRTH
+    after = topics[topics.index(COMMAND) + 1 :]
+    assert set(after[: after.index(BIRTH)]) <= {DATA}
 
 
 @proves(

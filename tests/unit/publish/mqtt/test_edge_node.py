@@ -180,6 +180,21 @@ async def test_a_flood_of_requests_gives_one_birth_a_second() -> None:
                 assert broker.published.empty()
 
 
+async def test_data_that_is_due_when_a_birth_is_asked_for_is_not_sent() -> None:
+    """tck-id-operational-behavior-data-commands-rebirth-action-1: it stops immediately."""
+    clock = FakeClock(10**9)
+    async with ChosenBroker() as broker:
+        unit = made(broker.port, clock=clock, every_measurement=True)
+        async with unit.running():
+            await broker.until("NBIRTH/ALT-0007")
+            await unit.until(State.OK)
+            await settle()
+            unit.measure(1)  # the command comes in the same turn of the loop
+            unit.publisher._take_command(REBIRTH, False)  # type: ignore[union-attr]  # noqa: SLF001
+            await clock.advance(0.1)
+            assert (await broker.until("")).topic.endswith("NBIRTH/ALT-0007")
+
+
 @pytest.mark.parametrize(
     ("told", "sentence"),
     [
