@@ -78,7 +78,7 @@ async def record_of(
     try:
         exposures = await record(sets, folder, replace(plan, has_opaque=True), progress)
         if complaint := controller.last_failure or controller.complaint:
-            raise LampsError(complaint)
+            raise LampsError(f"a glass could not be switched: {complaint}")
         return exposures
     finally:
         for task in switching[::-1]:

@@ -65,7 +65,7 @@ class LampController(Generic[Setpoint]):
         self._waiting: list[asyncio.Future[None]] = []
         self._backoff_s = MIN_BACKOFF_S
         self.last_failure = ""
-        """Of all since the start, also of those that a later try ended; empty: there was none."""
+        """The latest since the start, also if a later try succeeded; empty: none."""
 
     def request(self, setpoint: Setpoint) -> None:
         """Change the setpoint; health says when it cannot be applied."""
