@@ -1,7 +1,7 @@
-"""Lines of the documentation are no longer than 120 characters.
+"""Lines of the documentation are no longer than 120 characters, and each row of a table belongs to one.
 
-``python -m tools.markdown FILE…`` names those that are, ``python -m tools.markdown --wrap FILE…`` wraps them.
-Tables, code and headings are left alone, and a link counts by its text.
+``python -m tools.markdown FILE…`` names the lines that break this; with ``--wrap`` it wraps those
+that are too long. Tables, code and headings are left alone, and a link counts by its text.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 MAX_LETTERS = 120
@@ -19,6 +20,7 @@ _WORD = re.compile(r"(?:!?\[[^\]]*\]\([^)]*\)|`[^`]*`|\S)+")
 """Text that is not broken: a link, code within a line, a word, and their neighbours without a blank."""
 _LINK_TARGET = re.compile(r"(?<=\])\([^)]*\)")
 _FENCE = "```"
+_TABLE_RULE = re.compile(r"\|[ :|-]+\|$")
 _LITERAL = ("|", "#", "<!--", ">", _FENCE)
 _INDENTED_CODE = "    "
 
@@ -39,6 +41,17 @@ def long_lines(page: str) -> Iterator[int]:
             number += 1
             if is_text and _is_too_long(line) and _filled(block) != block:
                 yield number
+
+
+def rows_without_table(page: str) -> Iterator[int]:
+    """The numbers, from 1, of the first rows without a heading: a browser shows these rows as text."""
+    before, is_fenced = "", False
+    for number, (line, following) in enumerate(pairwise([*page.split("\n"), ""]), 1):
+        is_fenced ^= line.startswith(_FENCE)
+        is_first = line.startswith("|") and not before.startswith("|")
+        if is_first and not is_fenced and not _TABLE_RULE.match(following):
+            yield number
+        before = line
 
 
 def _blocks(lines: Iterable[str]) -> Iterator[tuple[bool, list[str]]]:
@@ -80,7 +93,7 @@ def _is_too_long(line: str) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Wrap, or name each line that is too long; the exit status."""
+    """Wrap, or name each line at fault; the exit status."""
     if arguments[:1] == ["--wrap"]:
         for path in map(Path, arguments[1:]):
             path.write_text(wrapped(path.read_text()))
@@ -89,10 +102,14 @@ def main(arguments: list[str]) -> int:
 
 
 def _check(paths: Iterable[str]) -> int:
-    places = [f"{path}:{number}" for path in paths for number in long_lines(Path(path).read_text())]
-    for place in places:
-        print(f"{place}: longer than {MAX_LETTERS} characters", file=sys.stderr)
-    return int(bool(places))
+    faults = []
+    for path in paths:
+        page = Path(path).read_text()
+        faults += [f"{path}:{number}: longer than {MAX_LETTERS} characters" for number in long_lines(page)]
+        faults += [f"{path}:{number}: a row of no table" for number in rows_without_table(page)]
+    for fault in faults:
+        print(fault, file=sys.stderr)
+    return int(bool(faults))
 
 
 if __name__ == "__main__":

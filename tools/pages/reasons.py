@@ -48,9 +48,8 @@ states of the unit that follow from them.
 
 | code | scope | number | bit | state | meaning | what to do |
 |---|---|---|---|---|---|---|
-{"".join(map(_reason, Reason))}| `{DOES_NOT_FIT}` | telegram | – | – | – | a number is too large for its
-field; invalid \
-| check the offsets in `[installation]` |
+{"".join(map(_reason, Reason))}| `{DOES_NOT_FIT}` | telegram | – | – | – | a number is too large for its \
+field; invalid | check the offsets in `[installation]` |
 | `{MORE}` | telegram | – | – | – | further codes have no room in the field | read `status` on the console |
 
 The [state](#states) is that of the unit unless another cause is worse.
