@@ -1,4 +1,4 @@
-"""Lines of the documentation are no longer than 120 characters, and each row of a table belongs to one.
+"""Lines of the documentation have at most 120 characters, and each table has a heading.
 
 ``python -m tools.markdown FILE…`` names the lines that break this; with ``--wrap`` it wraps those
 that are too long. Tables, code and headings are left alone, and a link counts by its text.
@@ -20,7 +20,7 @@ _WORD = re.compile(r"(?:!?\[[^\]]*\]\([^)]*\)|`[^`]*`|\S)+")
 """Text that is not broken: a link, code within a line, a word, and their neighbours without a blank."""
 _LINK_TARGET = re.compile(r"(?<=\])\([^)]*\)")
 _FENCE = "```"
-_TABLE_RULE = re.compile(r"\|[ :|-]+\|$")
+_TABLE_RULE = re.compile(r"\|(?: *:?-+:? *\|)+$")
 _LITERAL = ("|", "#", "<!--", ">", _FENCE)
 _INDENTED_CODE = "    "
 
@@ -44,7 +44,7 @@ def long_lines(page: str) -> Iterator[int]:
 
 
 def rows_without_table(page: str) -> Iterator[int]:
-    """The numbers, from 1, of the first rows without a heading: a browser shows these rows as text."""
+    """The numbers, from 1, of the lines where rows without a heading begin: a browser shows them as text."""
     before, is_fenced = "", False
     for number, (line, following) in enumerate(pairwise([*page.split("\n"), ""]), 1):
         is_fenced ^= line.startswith(_FENCE)
@@ -106,7 +106,7 @@ def _check(paths: Iterable[str]) -> int:
     for path in paths:
         page = Path(path).read_text()
         faults += [f"{path}:{number}: longer than {MAX_LETTERS} characters" for number in long_lines(page)]
-        faults += [f"{path}:{number}: a row of no table" for number in rows_without_table(page)]
+        faults += [f"{path}:{number}: a table row without a heading" for number in rows_without_table(page)]
     for fault in faults:
         print(fault, file=sys.stderr)
     return int(bool(faults))
