@@ -44,6 +44,7 @@ _SILENT = 10
 _SAMPLE = 15 * MINUTE
 _WARM_HOURS = 5.0
 """Buffers, the ring of frames and the trends' minutes fill up before."""
+_MIN_HOURS = 1.0
 _TRANSFER_NS = 5_000_000
 
 
@@ -98,7 +99,11 @@ async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | 
             wires_of(places, telegram, unit.socket, has_broker=broker_port is not None) as wires,
         ):
             count, stock = round(hours * HOUR), stock_of(rig)
-            samples = [sample async for sample in _samples(count, stock, unit, wires)]
+            samples = []
+            async for sample in _samples(count, stock, unit, wires):
+                samples.append(sample)
+                if sample.hour % max(round(hours / 20), 1) == 0:  # a run that is cut short has shown these
+                    print(f"{sample}; {unit.daemon.chain.frame_sets} exposures measured", flush=True)
             counters = unit.daemon.health.component("measuring").counters
             lost = sum(number for name, number in counters.items() if name.startswith(("dropped", "late")))
             delivered = sum(len(lost_cameras(k)) < len(CAMERAS) for k in range(count))
@@ -127,6 +132,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=100.0, help="of the set clock (default 100)")
     options = parser.parse_args()
+    if not options.hours >= _MIN_HOURS:
+        parser.error(f"--hours: at least {_MIN_HOURS:g}, of which the growth is a line through two samples")
     logging.getLogger("altd").setLevel(logging.CRITICAL)
     cv2.setNumThreads(1)
     rig, port, began_s = rig_of(UNIT), free_port(), time.monotonic()
@@ -135,8 +142,6 @@ def main() -> int:
         result = asyncio.run(run(options.hours, rig, Path(folder), port if BROKER else None))
         history_mb = Path(folder, "history.db").stat().st_size * 1e-6
     show("")
-    for sample in result.samples[:: max(len(result.samples) // 10, 1)]:
-        print(sample)
     print(
         f"{result.measured} of {result.delivered} exposures measured, {result.lost} frames lost, "
         f"{result.valid} measurements valid; history {history_mb:.1f} MB; {time.monotonic() - began_s:.0f} s"

@@ -61,13 +61,14 @@ class SteppedClock:
         raise NotImplementedError
 
     async def pass_to(self, t_ns: int, *, at_one_blow: bool = False) -> None:
-        """Let time pass; sleepers wake one after the other, or all at the end when the process was held."""
+        """Let time pass; sleepers wake at their instants, or all at the end when the process was held."""
         await self.settle()
-        while self._sleepers and self._sleepers[0][0] <= t_ns:
-            due_ns, _, future = heapq.heappop(self._sleepers)
+        while self._sleepers and (due_ns := self._sleepers[0][0]) <= t_ns:
             self._now_ns = t_ns if at_one_blow else max(due_ns, self._now_ns)
-            if not future.done():
-                future.set_result(None)
+            while self._sleepers and self._sleepers[0][0] == due_ns:
+                future = heapq.heappop(self._sleepers)[2]
+                if not future.done():
+                    future.set_result(None)
             await self.settle()
         self._now_ns = max(t_ns, self._now_ns)
 
