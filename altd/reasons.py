@@ -49,13 +49,13 @@ class Signal(StrEnum):
 
     GOOD = "good", 0
     FAILURE = "failure", 1
-    """The unit or what belongs to it does not work."""
+    """The unit or a part of it does not work."""
     CHECK_FUNCTION = "check_function", 2
-    """For now it says nothing about the beam: it starts, is set, checked, played or simulated."""
+    """The unit temporarily gives no value of the beam: it starts, is set or checked, plays or simulates."""
     OUT_OF_SPECIFICATION = "out_of_specification", 3
-    """It works, but its surroundings, the beam among them, are not those that it is made for."""
+    """The unit works, but its environment or the beam is outside the specified conditions."""
     MAINTENANCE_REQUIRED = "maintenance_required", 4
-    """Its numbers are true; soon they may fail to come."""
+    """The values are correct, but the unit may soon fail to deliver them."""
 
     number: int
 

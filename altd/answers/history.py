@@ -111,7 +111,7 @@ class History:
         return [(run[0].first_s - half_s, run[-1].last_s + half_s) for run in runs]
 
     def codes(self) -> list[str]:
-        """All that was said, in the order in which it came."""
+        """The distinct reasons, in the order of their first occurrence."""
         return list(dict.fromkeys(code for of in self.bins for code in of.codes))
 
     def _without_gaps(self, wanted: Callable[[Bin], bool]) -> Iterator[list[Bin]]:

@@ -88,7 +88,7 @@ class RunningDaemon:
 
 
 def _quantities_of(document: object) -> Quantities:
-    """Those that a measurement may have: of a row, whose targets it names, or of other instruments."""
+    """Quantities of a measurement: those of a row if the document names targets, else of any instrument."""
     targets = document.get("targets") if isinstance(document, dict) else None
     if not isinstance(targets, dict):
         return _QUANTITIES

@@ -102,7 +102,7 @@ def _zero_doubts(targets: Sequence[TargetFrames]) -> tuple[str, ...]:
 
 
 def sha256_of_all(hashes: Sequence[str]) -> str:
-    """That of one recording; of several the hash over theirs, a line each, in their order."""
+    """The hash of one recording; for several, the hash over their hashes, one per line, in their order."""
     if len(hashes) == 1:
         return hashes[0]
     return hashlib.sha256("".join(f"{of}\n" for of in hashes).encode()).hexdigest()

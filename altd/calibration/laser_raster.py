@@ -32,7 +32,7 @@ class Shot:
     along_y: Image
 
     def irradiance(self, spot: Image) -> Image:
-        """That of a spot at the pixels; 0 outside of its table."""
+        """The irradiance of a spot at the pixels; 0 outside of its table."""
         return np.asarray(cv2.remap(spot, self.along_x, self.along_y, cv2.INTER_LINEAR))
 
 

@@ -69,7 +69,7 @@ class RecordedTarget:
 
 @dataclass(frozen=True, slots=True)
 class TargetFrames:
-    """All that recordings of one kind show of a target: scans, or one plate, by one camera."""
+    """The frames of one target by one camera, from recordings of one kind: scans, or one plate."""
 
     parts: tuple[RecordedTarget, ...]
 

@@ -119,7 +119,7 @@ def _is_unquoted(text: str, is_boolean: bool) -> bool:
 
 
 def faults_of(error: ValidationError, document: dict[str, Any]) -> list[Fault]:
-    """All that pydantic found, one fault a key."""
+    """The errors of pydantic, one fault per key."""
     found: dict[tuple[Keys, str], Fault] = {}
     for detail in error.errors(include_url=False):
         counted = detail.get("ctx", {}).get("min_length", 0)

@@ -11,7 +11,7 @@ class Verdict(StrEnum):
 
     GOOD = "good"
     BETTER = "better"
-    """It works, and could work better; or it could not be looked at."""
+    """The subject works but could be improved, or it could not be checked."""
     WRONG = "WRONG"
     SKIPPED = "skipped"
     """There is nothing to check: no such device, or the settings do without it."""
@@ -33,12 +33,12 @@ def good(subject: str, text: str) -> Finding:
 
 
 def better(subject: str, text: str, remedy: str = "") -> Finding:
-    """It works, and could work better."""
+    """Return a finding for a subject that works but could be improved."""
     return Finding(Verdict.BETTER, subject, text, remedy)
 
 
 def wrong(subject: str, text: str, remedy: str) -> Finding:
-    """It does not work, or not reliably."""
+    """Return a finding for a subject that fails or is unreliable."""
     return Finding(Verdict.WRONG, subject, text, remedy)
 
 

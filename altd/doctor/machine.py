@@ -57,7 +57,7 @@ class Service:
     devices: tuple[str, ...]
     """The entries: paths, or ``char-`` and the name of a driver."""
     low_ports: bool
-    """It may listen on ports below 1024."""
+    """Whether the service may listen on ports below 1024."""
     folders: tuple[str, ...] | None = None
     """The folders that it may write to; None: the unit does not restrict them."""
 

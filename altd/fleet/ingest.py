@@ -123,7 +123,7 @@ class Ingest:
         self._messages.put((self._connections, message))
 
     def _next_messages(self) -> list[tuple[int, MQTTMessage]]:
-        """Those that have come, once there are any."""
+        """Wait up to a second for messages and return those that have arrived."""
         try:
             messages = [self._messages.get(timeout=1.0)]
         except queue.Empty:

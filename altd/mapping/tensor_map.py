@@ -71,7 +71,7 @@ class TensorMap:
 
     @property
     def noise_covariance_px2(self) -> FloatArray:
-        """That of the nodes about the map, (2, 2)."""
+        """Covariance of the nodes about the map, (2, 2)."""
         uu, uv, vv = self.noise_shape
         return self.noise_px**2 * np.array([[uu, uv], [uv, vv]])
 

@@ -143,7 +143,7 @@ class MeasuringChain:
         self._now_ns = 0
         self._last_frame_ns: dict[str, int] = {}
         self.frame_sets = 0
-        """Those that moved on: paired or given up, and later than the one before."""
+        """Frame sets that were paired or given up, each later than the one before."""
 
     @property
     def silent_after_s(self) -> float:

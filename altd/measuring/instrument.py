@@ -32,7 +32,7 @@ class Instrument(Protocol):
 
     @property
     def min_targets(self) -> int:
-        """It needs a window with the mean spots of so many targets; one without is not solved."""
+        """The number of targets with mean spots that ``solve`` needs; a window with fewer is not solved."""
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:
         """The quantities of a window, or why there are none."""

@@ -165,7 +165,7 @@ class StderrLog(logging.Handler):
 
 @contextlib.contextmanager
 def logging_to_stderr(level: int, prefix: str = "altd: ") -> Iterator[None]:
-    """All that is logged goes to standard error, from ``level`` on and with ``prefix``."""
+    """Write log records from ``level`` on to standard error, with ``prefix``."""
     root, handler = logging.getLogger(), StderrLog(prefix)
     before = root.level
     root.addHandler(handler)

@@ -93,7 +93,7 @@ class Rows:
         return _read_rows(self.table, self.count)
 
     def of(self, camera: str) -> Iterator[Row]:
-        """Those of one camera."""
+        """The rows of one camera."""
         return (row for row in self if row.camera == camera)
 
     def place(self, row: Row) -> str:

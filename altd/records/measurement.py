@@ -55,12 +55,12 @@ class Quantities:
 
     @property
     def main(self) -> tuple[Quantity, ...]:
-        """Those of the unit that every valid measurement has, each in one unit."""
+        """The quantities of the unit that every valid measurement has, each in one unit of measurement."""
         return tuple(each for each in self.of_unit if not (each.is_also or each.is_optional))
 
     @property
     def shown(self) -> tuple[Quantity, ...]:
-        """Those that a person is shown: the main ones, and those of fitted sensors and of places."""
+        """The quantities for a display: the main ones, and those of fitted sensors and of places."""
         return self.main + tuple(each for each in self.of_unit if each.is_from_sensor or each.place)
 
     @property

@@ -57,9 +57,9 @@ class Component:
     since_ns: int = 0
     counters: dict[str, int] = field(default_factory=dict)
     heard_ns: int = 0
-    """When it last said how it is, or that it is alive."""
+    """Time of the component's last report of its state or of being alive."""
     silent_after_s: float | None = None
-    """It speaks at least so often while it lives; None: it speaks only when something changes."""
+    """Longest interval between reports of a live component; None: it reports changes only."""
     data_given: int = 0
     """Deliveries of data to clients, on request or unasked, counted: what the Data lamp shows."""
     _message: Message = ""
@@ -84,7 +84,7 @@ class Component:
         self.heard_ns = self.clock.monotonic_ns()
 
     def is_alive(self) -> None:
-        """It is alive; its state has not changed."""
+        """Report that the component is alive and its state unchanged."""
         self.heard_ns = self.clock.monotonic_ns()
 
     def silent_s(self, now_ns: int) -> float | None:

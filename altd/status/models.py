@@ -44,7 +44,7 @@ class UnitState(Answer):
 
     signal: Signal
     number: int
-    """That of OPC 10000-100, table 22."""
+    """Number of the signal in OPC 10000-100, table 22."""
     for_s: float
     causes: list[Cause]
     """The worst first."""
@@ -75,7 +75,7 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
 
         model_config = ConfigDict(extra="allow")
         sequence: int
-        """That of the newest exposure; it rises, with gaps."""
+        """Number of the newest exposure; it increases, with gaps."""
         time: str | None
         """UTC, ISO 8601, of the middle of the exposures."""
         t_s: float

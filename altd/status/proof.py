@@ -24,7 +24,7 @@ class Identity:
 
     @classmethod
     def drawn(cls, serial: str) -> Self:
-        """That of a daemon which starts now: its session is a number drawn by chance, never 0."""
+        """The identity of a daemon that starts now; its session is a random number, never 0."""
         return cls(unit_number(serial), 1 + secrets.randbelow(_NOT_KNOWN - 1))
 
 

@@ -31,7 +31,7 @@ class Moment:
 
     @property
     def numbers(self) -> tuple[Shown, ...]:
-        """Those of the reading; none without one."""
+        """The numbers of the reading; empty without a reading."""
         return () if self.reading is None else self.reading.numbers
 
 

@@ -93,5 +93,5 @@ def _sums(
 
 @lru_cache(maxsize=64)
 def _plain_sums(height: int, width: int, size: int) -> BlockSums:
-    """Those of a plain target, which depend on a patch's size alone."""
+    """The block sums of a plain target, which depend on the patch's size alone."""
     return block_sums(np.ones((height, width), np.float32), 0, 0, size)

@@ -36,7 +36,7 @@ _MIN_PERMANENT_SHARE = 0.9
 _MIN_INTERMITTENT_FRAMES = 2
 
 _MIN_PRESENT = 3
-"""That many in place by chance, of 20 at as many places in another sensor: once in 10^9."""
+"""In another sensor with 20 hot pixels, so many of 20 coincide by chance once in 10^9."""
 _MIN_EXPECTED = 4
 _MIN_PRESENT_SHARE = 0.5
 _MAX_CHANCE_SHARE = 0.15

@@ -85,7 +85,7 @@ class Misfit:
 
     @property
     def worst_px(self) -> float:
-        """That along the worse direction, in which a spot cut by the image's edge is known far less."""
+        """Standard uncertainty along the worse direction; large for a spot that the image's edge cuts."""
         return math.sqrt(float(np.linalg.eigvalsh(self.centre_covariance_px2)[-1]))
 
 

@@ -104,7 +104,7 @@ class InclinationMonitor:
         clock: Clock,
     ) -> None:
         self.quantities = quantities.with_sensor(ROLL)
-        """Those of the unit's instrument, with roll from this sensor."""
+        """The quantities of the unit's instrument, and roll from this sensor."""
         self._driver = driver
         self._settings = settings
         self._installation = installation

@@ -288,7 +288,7 @@ def _bytes_of(folder: Path) -> int:
 
 
 def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
-    """All that is in a folder and below, nothing behind a link; what cannot be looked at is left out."""
+    """Yield the entries of a folder and its subfolders; follow no link, skip unreadable folders."""
     folders = [str(folder)]
     while folders:
         with suppress(OSError), os.scandir(folders.pop()) as entries:

@@ -65,7 +65,7 @@ class Verdict:
 
     @property
     def level(self) -> Level:
-        """That of the worst check."""
+        """The level of the worst check."""
         return max(check.level for check in self.checks)
 
     @property

@@ -147,7 +147,7 @@ class Assembler:
             self.refused += 1
 
     def blocks(self, now_ns: int) -> Iterator[Block]:
-        """Those that are whole or given up, in the order in which they began."""
+        """The blocks that are complete or given up, in the order in which they began."""
         while self._open:
             block = next(iter(self._open.values()))
             whole = block.missing == 0

@@ -19,7 +19,7 @@ _KINDS = {
     abi.V4L2_CTRL_TYPE_BITMASK: "bits",
     abi.V4L2_CTRL_TYPE_BUTTON: "button",
 }
-"""Those that one number of 32 bits sets."""
+"""Controls whose value is one 32-bit number."""
 
 
 @dataclass(frozen=True, slots=True)

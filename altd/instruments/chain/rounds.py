@@ -34,7 +34,7 @@ class Sight:
 
 @dataclass(slots=True)
 class Visit:
-    """All that the cameras saw while ``target`` was opaque, by target, in the order of time."""
+    """The sights of the cameras while ``target`` was opaque, by target, in order of time."""
 
     target: str
     sights: dict[str, list[Sight]] = field(default_factory=dict)

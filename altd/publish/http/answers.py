@@ -180,7 +180,7 @@ class Answers:
         return Response(self._metrics.text(), headers={"Content-Type": CONTENT_TYPE})
 
     async def alive(self, _: Request) -> Response:
-        """That this is answered at all says it: the daemon's loop runs."""
+        """Report that the event loop runs; the answer itself is the proof."""
         return JSONResponse({"alive": True})
 
     async def ready(self, _: Request) -> Response:

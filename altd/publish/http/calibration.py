@@ -117,7 +117,7 @@ class CalibrationSummary(Answer):
     recording: CalibrationRecording
     file: CalibrationFileFacts
     exposures: int
-    """That `expected_sigma` is of: the default of `[measuring] window`, whatever the unit's own is."""
+    """Exposures behind `expected_sigma`: the default of `[measuring] window`, not the unit's setting."""
     expected_sigma: dict[str, float | None]
     """Of a measurement of so many exposures, by quantity, predicted from the calibration: 1 sigma, rms over
     the area that the nodes of all targets span. The report and the console show the same."""

@@ -122,7 +122,7 @@ class Sessions:
         return session.name
 
     def end(self, secret: str) -> None:
-        """It is over, if there was one."""
+        """End the session of a secret, if there is one."""
         self._sessions.pop(_key(secret), None)
 
 

@@ -1,6 +1,6 @@
-"""All that a technician mails to an expert on the unit: one archive, made on request or by ``altd diagnose``.
+"""An archive of diagnostics that a technician sends to an expert, made on request or by ``altd diagnose``.
 
-Each part is bounded in size and time; one that cannot be had is named in the archive and costs no other.
+Each part is bounded in size and time. The archive names a part that is not available and contains all others.
 """
 
 from __future__ import annotations

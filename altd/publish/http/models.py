@@ -225,7 +225,7 @@ class Recording(Answer):
     bytes: int
     """On the unit's disk."""
     marked: bool
-    """It is never removed to make room."""
+    """Whether the recording is kept when space is needed."""
 
 
 class Recordings(Answer):

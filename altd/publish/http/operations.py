@@ -24,7 +24,7 @@ class Parameter:
     meaning: str
     schema: Mapping[str, object]
     is_in_path: bool = False
-    """It is part of the path, and may not be left out."""
+    """Whether the parameter is part of the path and therefore required."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,9 @@ class Operation:
     errors: Mapping[int, str] = field(default_factory=dict)
     query: tuple[Parameter, ...] = ()
     acts: bool = False
-    """It asks for the header that no page of another site can send."""
+    """Whether the request needs the header that no page of another site can send."""
     needs_actor: bool = False
-    """Not everybody may ask for it."""
+    """Whether the request needs a user with permission to act."""
 
 
 @dataclass(frozen=True, slots=True)

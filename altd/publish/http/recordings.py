@@ -24,7 +24,7 @@ _NOT_IN_A_NAME = re.compile(r"[^0-9A-Za-z._-]")
 
 
 class Downloads:
-    """Those of one interface that are under way."""
+    """The active downloads of one interface."""
 
     def __init__(self) -> None:
         self.open = 0

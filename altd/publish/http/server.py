@@ -303,7 +303,7 @@ class _BoundedProtocol(H11Protocol):
             self._stuck = self.loop.call_later(SEND_TIMEOUT_S, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """It has taken all."""
+        """The transport has sent its buffer."""
         if self._stuck is not None:
             self._stuck.cancel()
         super().resume_writing()

@@ -103,7 +103,7 @@ MAX_READ = 125
 
 
 TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR)
-"""All that functions 3 and 4 read; a read stays within one of them."""
+"""The tables for functions 3 and 4; a read stays within one of them."""
 
 _SHARES_EVERY_S = 10.0
 """Counting the time that was valid in 31 days takes milliseconds."""

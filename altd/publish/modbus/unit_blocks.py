@@ -145,7 +145,7 @@ def _is(component: Component, kind: str) -> bool:
 
 
 def _temperature(number: int) -> Reading:
-    """That of the thermometers which comes as this number, from 0."""
+    """The temperature of thermometer ``number``, counted from 0."""
 
     def read(health: Health) -> float | None:
         known = [component for component in health if _is(component, "temperature")]

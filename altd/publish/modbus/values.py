@@ -30,7 +30,7 @@ class StatusBit:
 
     @property
     def warnings(self) -> tuple[Reason, ...]:
-        """Those of its reasons that a valid measurement may carry."""
+        """The reasons among these that a valid measurement may carry."""
         return tuple(reason for reason in Reason if reason in self.reasons and reason.is_warning)
 
 

@@ -268,7 +268,7 @@ class Nameplate:
     firmware: str
     calibrated: date | None
     date: date | None = None
-    """That of the measurement before it."""
+    """UTC date of the measurement before the sentence."""
 
 
 IDENTIFICATION = Sentence(
