@@ -1,1 +1,1 @@
-"""Results of ``replay``, ``locate`` and ``map``, on standard output or into a file."""
+"""Results of commands such as ``replay``, ``locate`` and ``map``, on standard output or in a file."""

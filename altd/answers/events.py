@@ -1,4 +1,4 @@
-"""``altd events``: what happened to a unit, out of its history."""
+"""``altd events``: events of a unit, from its history."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from altd.tables import Column, CsvTable, Type, text
 
 @contextmanager
 def opened(path: Path) -> Iterator[Reader]:
-    """The history in that file; raises BadInputError for whatever it is that cannot be read."""
+    """Open the history in that file; raises BadInputError if it cannot be read."""
     try:
         with Reader(path) as reader:
             yield reader
@@ -47,7 +47,7 @@ def opened(path: Path) -> Iterator[Reader]:
 
 _LOOK_INTERVAL_S = 0.5
 _MAX_LOOKS = 60
-"""A slow disk takes seconds over each write."""
+"""Maximum number of checks for a new file: a slow disk takes seconds for each write."""
 
 COLUMNS = (
     Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
@@ -59,13 +59,13 @@ COLUMNS = (
     text("detail", "more of it, as JSON"),
     Column("held_back", Type.WHOLE, "", "as many like it came before and were counted only"),
 )
-"""Of ``--format csv``."""
+"""Columns of ``--format csv``."""
 
 
 def answer(
     history: Path, span_us: tuple[int, int], kinds: tuple[str, ...], form: str, *, follow: bool
 ) -> None:
-    """Write the events in the order in which they came, no kinds: all; raises BadInputError."""
+    """Write the events in the order of their occurrence, no kinds: all; raises BadInputError."""
     for kind in kinds:
         if kind not in set(EventKind):
             possible = ", ".join(EventKind)
@@ -86,13 +86,13 @@ def answer(
                 sys.stdout.flush()
                 time.sleep(_LOOK_INTERVAL_S)
                 now = _identity(history)
-                if now is not None and now != file:  # moved aside: the daemon has begun another
+                if now is not None and now != file:  # moved aside: the daemon has begun another file
                     break
         _wait_until_begun(history)
 
 
 def _wait_until_begun(file: Path) -> None:
-    """Until the daemon has made a history of its new file, but for a limited time."""
+    """Wait until the daemon has made a history of its new file, for a limited time."""
     for _ in range(_MAX_LOOKS):
         time.sleep(_LOOK_INTERVAL_S)
         with suppress(BadInputError), opened(file):
@@ -109,7 +109,7 @@ def _identity(file: Path) -> tuple[int, int] | None:
 
 
 def event_line(event: StoredEvent) -> str:
-    """An event for people, in one line."""
+    """Text of an event in one line."""
     of = f" {event.of}:" if event.of else ""
     more = f" (and {event.held_back} like it before)" if event.held_back else ""
     detail = event.detail.get("detail")
@@ -137,7 +137,7 @@ def _document(event: StoredEvent) -> dict[str, object]:
 
 
 def time_text(t_us: int) -> str:
-    """UTC with milliseconds; raises BadInputError for what is no time of this world."""
+    """UTC with milliseconds; raises BadInputError for an impossible time."""
     try:
         return utc_text(datetime.fromtimestamp(t_us / 1e6, UTC))
     except (ValueError, OverflowError, OSError) as error:

@@ -1,4 +1,4 @@
-"""``altd export``: measurements or summaries out of a history, as a table for other programs."""
+"""``altd export``: measurements or summaries from a history, as a table for other programs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def answer(
 ) -> None:
     """Write the table, without ``output`` to standard output.
 
-    Raises BadInputError, and a file is then as it was.
+    Raises BadInputError; an existing file then stays as it was.
     """
     if form == "parquet":
         check_parquet(output)

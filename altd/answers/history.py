@@ -1,4 +1,4 @@
-"""Measurements over time, few enough to be drawn however many there were."""
+"""Measurements over time, combined into a limited number of bins for a drawing."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from itertools import pairwise
 from typing import Any
 
 MAX_BINS = 2000
-"""More than a drawing has places for."""
+"""Maximum number of bins: more than a drawing can show."""
 _MAX_GAP_PERIODS = 3.0
-"""Bins further apart than this many usual distances have nothing between them."""
+"""Maximum distance of two connected bins, in usual distances; a larger one is a gap."""
 
 
 @dataclass(slots=True)
 class Bin:
-    """Measurements that follow each other, seen as one.
+    """Consecutive measurements, combined into one.
 
     ``low`` and ``high`` are the lowest value − sigma and the highest value + sigma of each quantity and
-    ``total`` its sum; only valid measurements are in them. ``codes`` holds what any of them says.
+    ``total`` its sum; only valid measurements are in them. ``codes`` contains the codes of all measurements.
     """
 
     first_s: float
@@ -32,15 +32,15 @@ class Bin:
 
     @property
     def middle_s(self) -> float:
-        """Its place on the axis."""
+        """Position on the time axis."""
         return (self.first_s + self.last_s) / 2
 
     def mean(self, quantity: str) -> float:
-        """Of the valid ones."""
+        """Mean of a quantity over the valid measurements."""
         return self.total[quantity] / self.valid
 
     def take(self, later: Bin) -> None:
-        """Become one with the next bin."""
+        """Merge the next bin into this one."""
         self.last_s = later.last_s
         self.count += later.count
         self.codes |= later.codes
@@ -55,7 +55,7 @@ class Bin:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A quantity of a drawing: the label of its axis, and the key of its sigma."""
+    """A quantity of a drawing: its axis label, and the key of its sigma."""
 
     label: str
     sigma_key: str
@@ -64,7 +64,7 @@ class Drawn:
 class History:
     """Takes the objects of measurements, one after the other, and keeps at most ``MAX_BINS`` bins of them.
 
-    ``quantities`` are those that are kept, by their keys.
+    ``quantities`` are the quantities that are kept, by their keys.
     """
 
     def __init__(self, quantities: Mapping[str, Drawn]) -> None:
@@ -73,7 +73,7 @@ class History:
         self._per_bin = 1
 
     def add(self, t_s: float, document: Mapping[str, Any]) -> None:
-        """Take a measurement's object (``status.measurement_json``) and the time of its last exposure."""
+        """Add a measurement's object (``status.measurement_json``) with the time of its last exposure."""
         new = Bin(t_s, t_s, codes=dict.fromkeys(document["status"]))
         if document["valid"]:
             new.valid = 1
@@ -95,17 +95,17 @@ class History:
 
     @property
     def period_s(self) -> float:
-        """The usual distance of two bins; 1 where there are not two."""
+        """Usual (median) distance of two bins; 1 if there are fewer than two."""
         starts = [of.first_s for of in self.bins]
         gaps = sorted(later - earlier for earlier, later in pairwise(starts))
         return gaps[len(gaps) // 2] if gaps and gaps[len(gaps) // 2] > 0 else 1.0
 
     def runs(self) -> Iterator[list[Bin]]:
-        """The bins that have valid measurements, each run of them without a gap."""
+        """Yield the bins with valid measurements, as runs without a gap."""
         yield from self._without_gaps(lambda of: of.valid > 0)
 
     def spans_s(self, code: str | None) -> list[tuple[float, float]]:
-        """From when to when something was said; None: from when to when a measurement was valid."""
+        """Spans in which ``code`` was reported; None: spans in which a measurement was valid."""
         half_s = self.period_s / 2
         runs = self._without_gaps(lambda of: of.valid > 0 if code is None else code in of.codes)
         return [(run[0].first_s - half_s, run[-1].last_s + half_s) for run in runs]

@@ -1,4 +1,4 @@
-"""``altd locate``: the spot in each of some pictures, one at a time."""
+"""``altd locate``: finds the spot in each of several pictures, one at a time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from altd.vision.localise import locate, locate_ellipse
 
 UNREADABLE = "unreadable"
 _MAX_DIFFERENCE_SIGMAS = 5.0
-"""Of the two localisers: on a clean spot they lie as far apart as their sigmas say (``docs/locate.md``)."""
+"""Maximum difference of the localisers; on a clean spot it fits their sigmas (``docs/locate.md``)."""
 
 
 def answer(images: Iterable[Path], form: TextFormat, complain: Callable[[str], object]) -> int:
-    """A row for each picture on standard output; the exit status, 2 when one could not be read.
+    """Write a row for each picture to standard output; return the exit status, 2 if one could not be read.
 
     That picture has a row too, so that rows match pictures, and ``complain`` receives the reason.
     """
@@ -63,7 +63,7 @@ def _found(frame: Frame) -> Row:
 
 
 def doubt(spot: Spot, second: Centre | None) -> str | None:
-    """Why the place of a spot is doubtful, in words; None where the second localiser agrees."""
+    """Reason to doubt the position of a spot; None if the second localiser agrees."""
     if second is None:
         return "the second localiser sees no closed contour"
     apart_px = math.hypot(spot.u_px - second.u_px, spot.v_px - second.v_px)

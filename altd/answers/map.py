@@ -1,4 +1,4 @@
-"""``altd map``: places in the picture, px, to places on a target, mm."""
+"""``altd map``: converts positions in the picture, px, to positions on a target, mm."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from altd.tables import POINT_COLUMNS, TEXT_FORMATS, Add, Row, TextFormat
 
 UNREADABLE = "unreadable"
 _MAX_LINE_BYTES = 1000
-"""Of two numbers, and more."""
+"""Maximum length of a line: two numbers, and more."""
 _NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _DECIMALS = 5
 
 
 def _write_plain(row: Row) -> None:
-    """``x_mm y_mm sigma_x_mm sigma_y_mm`` or ``invalid REASON`` a line: the usual output."""
+    """Write a line ``x_mm y_mm sigma_x_mm sigma_y_mm`` or ``invalid REASON``: the usual output."""
     if row.get("reason") is not None:
         sys.stdout.write(f"invalid {row['reason']}\n")
     else:
@@ -30,9 +30,9 @@ def _write_plain(row: Row) -> None:
 
 
 def answer(calibration: Path, name: str, form: TextFormat | None, complain: Callable[[str], object]) -> int:
-    """A row for each line ``u v`` of standard input that is not blank; the exit status.
+    """Write a row for each line ``u v`` of standard input that is not blank; return the exit status.
 
-    That is 2 when a line is no ``u v``; it has a row too, so that rows match lines, and is reported.
+    It is 2 if a line is not ``u v``; such a line has a row too, so that rows match lines, and is reported.
     Raises BadInputError when the calibration cannot be used.
     """
     target = target_of(load_calibration(calibration), calibration, name)
@@ -73,7 +73,7 @@ def _point(target: TargetCalibration, u_px: float, v_px: float) -> Row:
 
 
 def _place(line: bytes) -> tuple[float, float] | None:
-    """Two finite numbers with white space between them; Python's own reading takes more: 1_000, nan."""
+    """Parse two finite numbers with white space between them; ``float`` accepts more: 1_000, nan."""
     fields = line.split()
     if len(fields) != 2 or not all(_NUMBER.fullmatch(field) for field in fields):
         return None
@@ -82,7 +82,7 @@ def _place(line: bytes) -> tuple[float, float] | None:
 
 
 def _lines_of_input() -> Iterator[bytes]:
-    """The lines, of each not more than its first so many bytes and one."""
+    """Yield the lines, each cut to its first ``_MAX_LINE_BYTES`` + 1 bytes."""
     try:
         while line := sys.stdin.buffer.readline(_MAX_LINE_BYTES + 1):
             yield line

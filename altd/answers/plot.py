@@ -1,4 +1,4 @@
-"""A replay over time as one drawing: values with their sigma, and what was said beside them."""
+"""Drawing of a replay over time: values with their sigma, and the reasons below them."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from altd.reasons import Reason
 
 _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
 _MAX_MARKED_BINS = 120
-"""Up to so many bins can be distinguished: each is marked."""
+"""Maximum number of bins that can be distinguished: up to it, each is marked."""
 
 
 def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
-    """The drawing. Gaps are where nothing is valid; the lanes below show which reasons hold, and when.
+    """Return the drawing. Gaps are where nothing is valid; lanes below show which reasons hold, and when.
 
-    ``joined`` draws consecutive points as one line; else each is drawn alone, as the nodes of a scan.
+    ``joined`` draws consecutive points as one line; otherwise each is drawn alone, as the nodes of a scan.
     """
     codes = sorted(history.codes(), key=_is_warning)
     lanes = 1 + len(codes)
@@ -65,7 +65,7 @@ def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
         gid = f"sigma of {quantity}"
         if joined and len(run) > 1:
             axes.fill_between(t_s, low, high, color=BLUE, alpha=0.25, linewidth=0, gid=gid)
-        else:  # a band of no width is not seen
+        else:  # a band without width is invisible
             axes.vlines(t_s, low, high, color=BLUE, alpha=0.35, linewidth=1.5, gid=gid)
         width = 0.8 if joined else 0.0
         gid = f"values of {quantity}"
@@ -73,13 +73,13 @@ def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
 
 
 def _lane(axes: Axes, history: History, codes: list[str]) -> None:
-    """A row for ``valid`` and for each code, with a bar where it holds."""
+    """Draw a row for ``valid`` and for each code, with a bar where it holds."""
     rows: list[tuple[str, str | None, str]] = [("valid", None, GREEN)]
     rows += [(code, code, ORANGE if _is_warning(code) else VERMILION) for code in codes]
     for number, (name, code, colour) in enumerate(rows):
         spans = [(start_s, end_s - start_s) for start_s, end_s in history.spans_s(code)]
         if spans:
-            # with an edge: what lasted for one exposure of an hour is still seen
+            # with an edge: a reason of one exposure in an hour is still visible
             bars = axes.broken_barh(spans, (number - 0.35, 0.7), facecolors=colour, edgecolors=colour)
             bars.set(linewidth=0.7, gid=f"status {name}")
     axes.set_yticks(range(len(rows)), [name for name, _, _ in rows])

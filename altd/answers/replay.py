@@ -1,4 +1,4 @@
-"""``altd replay``: measurements as lines on standard output, as a table in a file, as a drawing."""
+"""``altd replay``: measurements as lines on standard output, as a table in a file, or as a drawing."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from altd.records import counted, utc_text
 from altd.tables import Format, check_parquet, flat_row, measurement_columns, table_in, text_output
 
 Add = Callable[[Mapping[str, Any]], object]
-"""Takes a measurement's object."""
+"""Receives a measurement's object."""
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
     """Options of ``altd replay``; ``output`` None: standard output.
 
-    ``config`` says of a row of switched targets which are stable.
+    ``config`` defines which targets of a row of switched targets are stable.
     """
 
     recording: Path
@@ -49,8 +49,8 @@ class Question:
 def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
     """Measure, and write the requested output.
 
-    ``warn`` receives what the recording lacks and, of a scan, the errors against the known positions.
-    Raises BadInputError; a file is then as it was.
+    ``warn`` receives what the recording lacks and, for a scan, the errors against the known positions.
+    Raises BadInputError; a file then stays as it was.
     """
     _check(question)
     replay = _open(question)
@@ -77,7 +77,7 @@ AnyReplay = Replay | PlanarReplay | ChainReplay
 
 
 def _open(question: Question) -> AnyReplay:
-    """The config, or the recording's kind and columns, choose the instrument."""
+    """Open the replay; the config, or the recording's kind and columns, determine the instrument."""
     recording = open_recording(question.recording)
     if recording.header.kind == "planar":
         return planar_replay_of(recording, question.calibration, question.window, question.every)
@@ -107,7 +107,7 @@ def _check(question: Question) -> None:
     if question.plot is not None:
         if question.plot.suffix.lower() != ".svg":
             raise BadInputError(question.plot, "is to be a drawing in SVG: name it ….svg")
-        logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)  # on first use it reports its font cache
         try:
             importlib.import_module("matplotlib")
         except ImportError as error:
@@ -163,7 +163,7 @@ def _about(question: Question, replay: AnyReplay) -> dict[str, Any]:
 
 
 def _drawn(replay: AnyReplay) -> dict[str, Drawn]:
-    """The quantities to draw, by their keys in a measurement's object: of a scan the errors of x and y."""
+    """Quantities to draw, by their keys in a measurement's object; for a scan the errors of x and y."""
     drawn = {}
     for quantity in replay.quantities.main:
         key, label = quantity.key, quantity.label

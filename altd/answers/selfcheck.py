@@ -1,4 +1,4 @@
-"""``altd selfcheck``: the frame LEDs of a recording against their references."""
+"""``altd selfcheck``: compares the frame LEDs of a recording with their references."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from altd.vision.localise import locate
 _KINDS = ("self-check", "measurement", "scan")
 _MAX_PAIRS = 20
 _SPOT_FRAMES = 3
-"""So many frames give the place of the spot; its noise does not change the effect of a drift."""
+"""Number of frames that give the spot's position; its noise does not change the effect of a drift."""
 
 
 def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, Any]:
-    """The result as plain JSON types; raises BadInputError.
+    """Return the result as plain JSON types; raises BadInputError.
 
     The recording and the calibration must be readable and belong together.
     """
@@ -62,7 +62,7 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, A
 def _led_rows(recording: Recording, camera: str) -> tuple[list[Row], list[Row]]:
     """A camera's rows with the LEDs on, and for each the row with them off that is nearest in time.
 
-    Those where a stage moved the beam are none of them. Of many, some that are evenly distributed.
+    Rows in which a stage moved the beam are excluded. Of many rows, some evenly distributed ones are used.
     """
     rows = [row for row in recording.rows.of(camera) if row.position_mm is None]
     lit, free = [row for row in rows if row.leds_on], [row for row in rows if not row.leds_on]
@@ -87,7 +87,7 @@ def _frames(recording: Recording, rows: Sequence[Row]) -> tuple[Frame, ...]:
 
 
 def _spot_place(dark: Sequence[Frame], target: TargetCalibration) -> tuple[float, float] | None:
-    """The place of the spot while the LEDs are off, px; None: there is none."""
+    """Position of the spot while the LEDs are off, px; None: there is none."""
     spots = [locate(frame, target.localiser, target.flat) for frame in dark[:_SPOT_FRAMES]]
     places = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
     if not places:

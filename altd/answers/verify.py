@@ -1,4 +1,4 @@
-"""``altd verify``: known beams, measured, and whether the unit keeps what it states."""
+"""``altd verify``: measures known beams, and checks whether the unit keeps its stated limits."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from altd.records import Limits, Measurement, counted, utc_text
 from altd.records.limits import LIMIT_KEYS
 
 MAX_POSITIONS = 2000
-"""Of all sets together; their covariances are full matrices."""
+"""Maximum number of valid positions of a set; the covariances of all sets are full matrices."""
 _MAX_INVALID_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
-    """A recording, measured."""
+    """A measured recording."""
 
     replay: Replay
     beams: BeamSet
@@ -45,7 +45,7 @@ class _Measured:
 def verify(
     recordings: Sequence[Path], calibration: Path, earlier: Path | None, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """The verification as plain JSON types; each recording is a set.
+    """Return the verification as plain JSON types; each recording is a set.
 
     Raises BadInputError for files that cannot be read or do not belong together.
     """
@@ -73,10 +73,10 @@ def verify(
 
 
 def _check_independent(replays: Sequence[Replay]) -> None:
-    """Refuse a set that is there twice, or that made the calibration, also as a copy.
+    """Refuse a set that is given twice, or that made the calibration, also as a copy.
 
-    It would count as twice the evidence, or show the map its own errors. A turned unit's calibration knows
-    its scans only together, so one of them alone is not noticed.
+    It would count as twice the evidence, or test the map with its own errors. A turned unit's calibration
+    stores one hash of both scans, so a single one of them is not noticed.
     """
     seen = dict[str, Path]()
     for replay in replays:
@@ -112,7 +112,7 @@ def _measure(replay: Replay, progress: Callable[[int, int], None]) -> _Measured:
 
 
 def _judged(measured: Sequence[_Measured]) -> tuple[Judgement, list[dict[str, Any]], list[dict[str, Any]]]:
-    """The judgement, what is known of each set, and the residuals of all."""
+    """Return the judgement, an object for each set, and the residuals of all."""
     reasons = list[str]()
     used = list[_Measured]()
     for one in measured:
@@ -155,7 +155,7 @@ def _set_object(one: _Measured) -> dict[str, Any]:
 
 
 def _reference(measured: Sequence[_Measured]) -> Limits | None:
-    """The largest limits of all sets; what one set does not state is not stated."""
+    """Largest limits of all sets; a limit that one set does not state is not stated."""
     stated = [one.replay.recording.header.limits for one in measured]
     known = [limits for limits in stated if limits is not None]
     if not known or len(known) < len(stated):

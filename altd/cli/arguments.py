@@ -1,4 +1,4 @@
-"""Arguments of a command line: those that several commands take; what is wrong with them, in one line."""
+"""Command-line arguments that several commands take, and their errors in one line."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
 
 
 def add_credentials(parser: argparse.ArgumentParser) -> None:
-    """The arguments of a command that changes a file of credentials."""
+    """Add the arguments of a command that changes a file of credentials."""
     parser.add_argument("file", type=Path, metavar="FILE", help="the file that `[http] credentials` names")
     parser.add_argument("name", metavar="NAME", help="user: lower-case letters, digits and _, a letter first")
     parser.add_argument("--remove", action="store_true", help="remove it")
 
 
 def add_config(parser: argparse._ActionsContainer) -> None:
-    """The settings; without, those of the service."""
+    """Add the option for the settings; the default is those of the service."""
     parser.add_argument("--config", type=Path, metavar="FILE", help=f"settings (default: {DEFAULT_CONFIG})")
 
 
 def add_socket(parser: argparse.ArgumentParser) -> None:
-    """The option for the socket of the running daemon."""
+    """Add the options for the socket of the running daemon."""
     add_config(parser)
     parser.add_argument(
         "--socket",
@@ -41,7 +41,7 @@ def add_socket(parser: argparse.ArgumentParser) -> None:
 
 
 def socket_of(options: argparse.Namespace) -> Path:
-    """The socket to ask; that of the service where neither it nor settings are named and it has none."""
+    """Return the socket of the daemon; that of the service if neither a socket nor settings are given."""
     from altd.app.settings import SERVICE_SOCKET, load_settings, socket_to_ask
 
     if options.socket is not None:
@@ -52,12 +52,12 @@ def socket_of(options: argparse.Namespace) -> Path:
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
-    """The option for the file of the result."""
+    """Add the option for the file of the result."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=what)
 
 
 def progress_on(what: str) -> Callable[[int, int], None]:
-    """A counter on a terminal's stderr; nothing in a pipe."""
+    """Return a counter on a terminal's stderr that does nothing in a pipe."""
     if not sys.stderr.isatty():
         return lambda done, total: None
 
@@ -78,10 +78,10 @@ _EARLIEST = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def time_us(text: str) -> int:
-    """A time of the command line as µs since 1970; raises argparse.ArgumentTypeError.
+    """Parse a time of the command line to µs since 1970; raises argparse.ArgumentTypeError.
 
     ``2026-11-20``, ``2026-11-20T08:15``, ``2026-11-20T08:15:30.5Z``, with an offset such as ``+01:00``, or
-    ``-2h``: two hours ago, likewise s, m and d. Without an offset it is UTC.
+    ``-2h``: two hours ago, likewise s, m and d. A time without an offset is UTC.
     """
     try:
         time = _time(text)
@@ -102,7 +102,7 @@ def _time(text: str) -> datetime:
 
 
 def add_span(parser: argparse.ArgumentParser) -> None:
-    """From when to when."""
+    """Add the options for start and end."""
     parser.add_argument("--from", dest="from_us", type=time_us, metavar="TIME", help=_FROM)
     parser.add_argument(
         "--to", dest="to_us", type=time_us, metavar="TIME", help="end, not included (default: now)"
@@ -110,7 +110,7 @@ def add_span(parser: argparse.ArgumentParser) -> None:
 
 
 def span_of(options: argparse.Namespace) -> tuple[int, int]:
-    """From when to before when, µs since 1970; raises BadInputError where that is no time at all."""
+    """Return start and end (excluded), µs since 1970; raises BadInputError if the span is empty."""
     from_us = 0 if options.from_us is None else options.from_us
     to_us = 2**62 if options.to_us is None else options.to_us
     if from_us >= to_us:
@@ -119,19 +119,19 @@ def span_of(options: argparse.Namespace) -> tuple[int, int]:
 
 
 def add_history(parser: argparse.ArgumentParser) -> None:
-    """Which history: that of a daemon, by its settings, or a file."""
+    """Add the options for the history: that of a daemon, by its settings, or a file."""
     parser.add_argument(
         "--config",
         type=Path,
         metavar="FILE",
-        default=argparse.SUPPRESS,  # a file needs none
+        default=argparse.SUPPRESS,  # a history file needs none
         help=f"settings of the daemon whose history it is (default: {DEFAULT_CONFIG})",
     )
     parser.add_argument("--history", type=Path, metavar="FILE", help="history file, or a copy of it")
 
 
 def history_of(options: argparse.Namespace) -> Path:
-    """The file to read; raises BadInputError."""
+    """Return the history file to read; raises BadInputError."""
     if options.history is not None:
         if "config" in options:
             raise BadInputError("--config", "says where the history is: it goes with no --history")
@@ -154,19 +154,19 @@ _QUOTES = "'\""
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong with the arguments in one line that names the argument and what is possible."""
+    """Reports an error of the arguments in one line, with the argument and its possible values."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.formatter_class = argparse.RawDescriptionHelpFormatter
         self._given: list[str] = []
-        self._negative_number_matcher = re.compile(r"-\d")  # argparse's own: -2h is a value and no option
+        self._negative_number_matcher = re.compile(r"-\d")  # argparse's own: -2h is a value, not an option
 
     def parse_command(self, arguments: Sequence[str] | None) -> argparse.Namespace | None:
-        """The arguments of a command, its name in ``command``; None: none was named, and all were shown.
+        """Parse the arguments of a command, its name in ``command``; None: no command, and help was shown.
 
-        That goes to standard error: nothing was done that was asked for, and a script whose command came out
-        empty must not take it for an answer.
+        The help goes to standard error: nothing was done, and a script with an empty command must not take it
+        for an answer.
         """
         options: argparse.Namespace
         options, unknown = self.parse_known_args(arguments)
@@ -178,7 +178,7 @@ class Parser(argparse.ArgumentParser):
         return options
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse does; what was given is kept for ``error``."""
+        """Parse as argparse does, and store the arguments for ``error``."""
         self._given = [] if args is None else list(args)
         return super().parse_known_args(args, namespace)
 
@@ -223,7 +223,7 @@ class Parser(argparse.ArgumentParser):
         self.error(f"{first}: there is no such argument; possible: {', '.join(options)}{slip}")
 
     def _unknown_options(self) -> str:
-        """The unknown arguments, each with the known ones that it resembles."""
+        """The unknown arguments, each with similar known ones."""
         known = [name for action in self._actions for name in action.option_strings]
         strange = (word.partition("=")[0] for word in self._given if word.startswith("--"))
         slips = [word for word in strange if not any(name.startswith(word) for name in known)]

@@ -14,7 +14,7 @@ SUMMARY = "write settings, calibration, credentials, self-check state and histor
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_config(parser)
     parser.add_argument(
         "-o",
@@ -26,10 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write it, and report what is not in it."""
+    """Write the archive, and report what it lacks."""
     from altd.app.backup import back_up
 
-    os.nice(10)  # the daemon on the same computer measures on
+    os.nice(10)  # the daemon on the same computer continues measuring
     output = options.output or Path(f"altd-backup-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
     left_out = back_up(options.config, output)
     for line in left_out:

@@ -1,4 +1,4 @@
-"""``altd baseline``: the rounds from which the displacements of a row count."""
+"""``altd baseline``: stores the rounds from which the displacements of a row count."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SUMMARY = "store the baseline of a row of switched targets"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "recording",
         type=Path,
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Store it, or say what does."""
+    """Store the baseline, or report what does."""
     from altd.app.settings import load_settings
     from altd.app.stored_baseline import store_baseline
 

@@ -1,4 +1,4 @@
-"""``altd calibrate``: from scans or plates to the calibration file."""
+"""``altd calibrate``: makes the calibration file from scans or plates."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from altd.recording.reader import Recording
 
 _BESIDE = Path()
-"""The value of ``--report`` without a folder."""
+"""Value of ``--report`` without a folder."""
 
 SUMMARY = "make a calibration file from scans, LED plates or known poses; print the residuals"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "recordings",
         type=Path,
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _report_folder(text: str) -> Path:
-    """The folder of ``--report``; a recording behind it was meant to be calibrated."""
+    """Return the folder of ``--report``; refuse a recording, which was meant to be calibrated."""
     from altd.recording.header import HEADER_FILE
 
     path = Path(text)
@@ -68,7 +68,7 @@ def _report_folder(text: str) -> Path:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate, write file and report together, and print what was reached."""
+    """Calibrate, write file and report together, and print the results."""
     from altd.app.calibration_summary import why_unusable
     from altd.calibration.calibrating import calibrate
     from altd.calibration.file import save_calibration
@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_planar(options: argparse.Namespace, recordings: Sequence[Recording]) -> int:
-    """The same for the instrument ``planar``."""
+    """Calibrate the instrument ``planar``."""
     from altd.calibration.planar import calibrate_planar
     from altd.calibration.planar_file import save_planar_calibration
     from altd.recording.reader import gap_lines
@@ -160,7 +160,7 @@ def _report(
     result: CalibrationResult,
     facts: Facts | None,
 ) -> dict[str, bytes]:
-    """The report's files by name; matplotlib is there, that was checked."""
+    """Return the report's files by name; the presence of matplotlib was checked before."""
     from altd.calibration.report.budget import budget_of
     from altd.calibration.report.content import report_on
     from altd.calibration.report.dcc import dcc_xml

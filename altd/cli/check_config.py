@@ -1,4 +1,4 @@
-"""``altd check-config``: whether settings can be used."""
+"""``altd check-config``: checks whether settings can be used."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUMMARY = "check settings and the files that they name"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     either = parser.add_mutually_exclusive_group()
     add_config(either)
     either.add_argument(
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Report it, and which files are not there yet; 2 for what cannot be used."""
+    """Report the result, and missing files; return 2 for settings that cannot be used."""
     from altd.acquisition.glasses import round_s
     from altd.app.parts import check_files, missing_files
     from altd.app.self_check import fps_of
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _powers_suffice(config: Config) -> bool:
-    """Show the power on each target of a row; whether that suffices for all."""
+    """Print the power on each target of a row; return whether it suffices for all."""
     from altd.config import ChainSettings
     from altd.instruments.chain.budget import powers_mw
 

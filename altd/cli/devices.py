@@ -1,6 +1,6 @@
-"""``altd devices``: what is connected to this computer, in the words that ``altd.toml`` wants.
+"""``altd devices``: lists the devices connected to this computer, in the notation of ``altd.toml``.
 
-Nothing is taken hold of that another program uses, and no setting is changed.
+Devices that another program uses are left alone, and no setting is changed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ SUMMARY = "list the connected cameras, GPIO lines and serial ports as settings n
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command takes none."""
+    """Add nothing: the command takes no arguments."""
 
 
 def run(_options: argparse.Namespace) -> int:
@@ -30,7 +30,7 @@ _INDENT = " " * 6
 
 
 def lines() -> Iterator[str]:
-    """All of it for a person, section by section; a section without devices reports that, or why."""
+    """Yield all devices for a person, by section; a section without devices reports that, or why."""
     yield 'Cameras: [cameras.NAME], driver = "v4l2"'
     yield from _or_none(_video_cameras())
     yield ""
@@ -120,6 +120,6 @@ def _serial_ports() -> Iterator[str]:
 
 
 def _detail_lines(text: str) -> Iterator[str]:
-    """Below an entry, in as many lines as it needs."""
+    """Yield a text below an entry, in as many lines as it needs."""
     for number, line in enumerate(wrap(text, _WIDTH - len(_INDENT) - 2, break_on_hyphens=False)):
         yield f"{_INDENT}{line}" if number == 0 else f"{_INDENT}  {line}"

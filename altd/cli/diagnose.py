@@ -1,4 +1,4 @@
-"""``altd diagnose``: the diagnostics of a unit in one archive, without its page."""
+"""``altd diagnose``: writes the diagnostics of a unit into one archive, without its page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SUMMARY = "write an archive for remote diagnostics, also while the daemon does n
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_config(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="archive to write (default: altd-SERIAL-TIME.zip)"
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write it; of a daemon that does not answer, what its files hold."""
+    """Write the archive; if the daemon does not answer, from its files."""
     from altd.app.diagnostics import diagnose
     from altd.files.writing import write_file
 

@@ -1,4 +1,4 @@
-"""``altd doctor``: what is wrong on this computer, and what mends it."""
+"""``altd doctor``: lists the faults of this computer, with remedies."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ SUMMARY = "list the faults of this computer, with remedies"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_config(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """1 when something is wrong."""
+    """Print the findings; return 1 if something is wrong."""
     from altd.doctor.checks import examine
     from altd.doctor.finding import Verdict, in_lines
 

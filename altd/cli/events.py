@@ -1,4 +1,4 @@
-"""``altd events``: what happened to the unit, out of its history."""
+"""``altd events``: prints events of the unit from its history."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SUMMARY = "print the events of the history: states, causes, self-checks, starts,
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_history(parser)
     add_span(parser)
     parser.add_argument(
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write a line an event, in the order in which they came."""
+    """Write one line per event, in the order of their occurrence."""
     from altd.answers.events import answer
 
     kinds = tuple(options.kind)

@@ -1,4 +1,4 @@
-"""``altd export``: what the unit measured, out of its history, as a table."""
+"""``altd export``: writes measurements of the unit from its history as a table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SUMMARY = "write the measurements of the history as a table"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_history(parser)
     add_span(parser)
     parser.add_argument(

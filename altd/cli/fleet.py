@@ -11,13 +11,13 @@ SUMMARY = "print all units with state, lag, share of valid measurements and back
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="settings, fleet.toml")
     parser.add_argument("--json", action="store_true", help="print one JSON list instead of text")
 
 
 def run(options: argparse.Namespace) -> int:
-    """A line for each unit."""
+    """Print a line for each unit."""
     from altd.fleet.settings import check_client, load_fleet_settings
 
     settings = load_fleet_settings(options.config)

@@ -1,4 +1,4 @@
-"""``altd ingest``: from the broker into PostgreSQL, for many units."""
+"""``altd ingest``: writes messages of many units from the broker into PostgreSQL."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ SUMMARY = "take the units' outboxes from a broker into PostgreSQL (extra altd[fl
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="settings, fleet.toml")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until a signal ends it: status 0, as a service ends."""
+    """Run until a signal ends it; return status 0, as a service does."""
     from altd.fleet.settings import check_client, load_fleet_settings
 
     settings = load_fleet_settings(options.config)

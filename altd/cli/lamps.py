@@ -1,4 +1,4 @@
-"""``altd lamps``: frame LEDs and indicators, while the daemon is stopped."""
+"""``altd lamps``: switches frame LEDs and indicators while the daemon is stopped."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SUMMARY = "switch frame LEDs and indicators while the daemon is stopped"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "look",
         choices=("off", "on", "test", "stopped"),
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show what was asked for; 1 when the lamps cannot be had."""
+    """Switch the lamps as requested; return 1 if they are not available."""
     from altd.app.lamps_by_hand import LampsByHand
     from altd.app.parts import cameras_of, indicators_of, lamps_of
     from altd.app.settings import load_beam_settings
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     interrupted, interrupts = threading.Event(), list[EndedBySignal]()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        """End, so that lit lamps go dark; the event, for a library's callback swallows the exception."""
+        """End, so that lit lamps go dark; set the event too: a library's callback swallows the exception."""
         interrupts.append(EndedBySignal(number))
         interrupted.set()
         raise interrupts[0]

@@ -1,4 +1,4 @@
-"""``altd locate``: the spot in images."""
+"""``altd locate``: finds the spot in images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SUMMARY = "find the laser spot in pictures with two localisers"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("images", type=Path, nargs="+", metavar="IMAGE", help="picture file")
     parser.add_argument(
         "--format", choices=("jsonl", "csv"), default="jsonl", help="output format (default: jsonl)"
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """A row an image; 2 when one could not be read."""
+    """Write one row per image; return 2 if one could not be read."""
     from altd.answers.locate import answer
 
     return answer(options.images, options.format, lambda line: complain(f"altd locate: {line}"))

@@ -1,7 +1,7 @@
 """The command line: ``altd COMMAND``. Exit status 0 good, 2 bad arguments or bad file, 1 anything else.
 
 Each command is a module of this package with a ``SUMMARY``, ``add_arguments(parser)`` and ``run(options)``,
-which returns the exit status; it imports what is heavy only when it runs.
+which returns the exit status. It imports large modules only when it runs.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from altd.process.endings import run_to_end
 
 
 class Command(Protocol):
-    """The parts of a command's module."""
+    """Interface of a command's module."""
 
     SUMMARY: str
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Tell argparse what the command takes."""
+        """Add the arguments of the command to the parser."""
 
     def run(self, options: argparse.Namespace, /) -> int:
-        """Do it; the return value is the exit status."""
+        """Run the command; return the exit status."""
 
 
 COMMANDS: dict[str, Command] = {
@@ -98,7 +98,7 @@ _FIRST_STEPS = """first steps:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse and run; the return value is the process' exit status."""
+    """Parse the arguments and run the command; return the exit status of the process."""
     name = "altd"
 
     def work() -> int:
@@ -116,20 +116,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _set_up_libraries() -> None:
-    # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait
-    # for each other, at the cost of a core: beside a busy process a calibration took 22 s, and takes 5 s.
+    # Before numpy is imported: our matrices are small, and threads of the linear algebra would mostly wait
+    # for each other, at the cost of a core: next to a busy process a calibration took 22 s instead of 5 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))  # 16384 × 16384; before cv2 is there
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))  # 16384 × 16384; before cv2 is imported
     import cv2
 
     cv2.utils.logging.setLogLevel(
         cv2.utils.logging.LOG_LEVEL_SILENT
-    )  # an unreadable image is our own error line, not OpenCV's
-    cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
+    )  # an unreadable image is reported by our own error line, not OpenCV's
+    cv2.setNumThreads(1)  # a frame is small: more threads cost more than they gain
 
 
 def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
-    """The config of the service, if there is one and no other is named; some commands do without."""
+    """Select the config of the service if it exists and no other is named; some commands need none."""
     if "config" not in options or options.config is not None:
         return
     if DEFAULT_CONFIG.is_file():
@@ -139,7 +139,7 @@ def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
 
 
 def command_parser() -> Parser:
-    """The parser of all commands."""
+    """Return the parser of all commands."""
     parser = Parser(
         prog="altd", description="The measuring daemon of an Active Laser Target.", epilog=_FIRST_STEPS
     )

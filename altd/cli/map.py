@@ -1,4 +1,4 @@
-"""``altd map``: px to mm."""
+"""``altd map``: converts px to mm."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SUMMARY = "convert px to mm: reads lines 'u v' from standard input"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the unit"
     )
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """A row a line of standard input."""
+    """Write one row per line of standard input."""
     from altd.answers.map import answer
 
     return answer(

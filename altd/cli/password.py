@@ -1,4 +1,4 @@
-"""``altd password``: who may log in on the unit's page."""
+"""``altd password``: sets or removes passwords for the unit's page."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ SUMMARY = "set or remove a password for the unit's page and API"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_credentials(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask for a password, twice at a terminal, else one line of standard input; write its hash."""
+    """Read a password, twice at a terminal, else from one line of standard input; write its hash."""
     from altd.credentials.file import change, check_name
     from altd.credentials.hashes import PasswordHash
 
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _typed(name: str) -> str:
-    """The password; raises BadInputError for one that is none."""
+    """Return the password; raises BadInputError if it is not permitted."""
     from altd.credentials.hashes import MAX_PASSWORD_BYTES, MIN_PASSWORD_CHARACTERS
 
     if sys.stdin.isatty():

@@ -1,4 +1,4 @@
-"""``altd record``: frames kept for replay."""
+"""``altd record``: records frames for replay."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SUMMARY = "record frames of the cameras, to replay, calibrate or check"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "new folder for the recording")
     parser.add_argument("--seconds", type=_seconds, required=True, metavar="S", help="duration")
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record; interrupted, say what is kept."""
+    """Record; if interrupted, report how many exposures were recorded."""
     from altd.app.record import record_of
     from altd.app.settings import load_settings
     from altd.ports import CameraError, LampsError
@@ -107,7 +107,7 @@ def _pose(text: str) -> tuple[float, float, float]:
 
 
 def _plate(text: str) -> PlateHeader:
-    """A plate whose middle is that of the target."""
+    """Return a plate whose middle is that of the target."""
     from pydantic import ValidationError
 
     from altd.recording.header import PlateHeader

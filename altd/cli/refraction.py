@@ -24,14 +24,14 @@ _ROW = "{:>10}  {:>12}  {:>10}  {:>9}"
 
 @dataclass(frozen=True, slots=True)
 class Bending:
-    """The deviation of a beam from its first direction after a distance, and its angle to it there."""
+    """Deviation of a beam from its first direction after a distance, and its angle to it there."""
 
     deviation_mm: float
     angle_deg: float
 
     @property
     def angle_mm_per_m(self) -> float:
-        """The angle as a slope."""
+        """The angle as a slope, mm/m."""
         return 1000 * math.tan(math.radians(self.angle_deg))
 
 
@@ -41,19 +41,19 @@ def refractivity(temperature_c: float, pressure_hpa: float) -> float:
 
 
 def index_per_kelvin(temperature_c: float, pressure_hpa: float) -> float:
-    """dn/dT of air at constant pressure."""
+    """dn/dT of air at constant pressure, 1/K."""
     return -refractivity(temperature_c, pressure_hpa) / (_ZERO_CELSIUS_K + temperature_c)
 
 
 def bending(curvature_per_m: float, distance_m: float) -> Bending:
-    """A beam of constant curvature: half the square of the distance times it, and the distance times it."""
+    """A beam of constant curvature: deviation curvature · distance² / 2, slope curvature · distance."""
     return Bending(
         500 * curvature_per_m * distance_m**2, math.degrees(math.atan(curvature_per_m * distance_m))
     )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     for name, metavar, low, high, default, meaning in (
         ("--gradient", "K/M", 0.0, 100.0, 1.0, "temperature gradient across the beam, K/m"),
         ("--temperature", "C", -60.0, 60.0, 20.0, "temperature of the air, °C"),

@@ -1,4 +1,4 @@
-"""``altd registers``: the register table of Modbus for programs that configure a controller."""
+"""``altd registers``: prints the Modbus register table for programs that configure a controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _IEC_TYPES = {"u16": "UINT", "u32": "UDINT", "s32": "DINT", "f32": "REAL"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "--format",
         choices=("json", "csv", "st"),
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _rows() -> Iterator[dict[str, Any]]:
-    """Every register; a number is worth ``scale`` of its unit."""
+    """Yield every register; a number times ``scale`` is in its unit."""
     from altd.publish.modbus import checked_block
     from altd.publish.modbus.registers import (
         FAR,
@@ -78,7 +78,7 @@ def _rows() -> Iterator[dict[str, Any]]:
 
 
 def _codes() -> dict[str, Any]:
-    """The meaning of numbers and bits, the addresses of commands, and the discrete inputs of function 2."""
+    """Meanings of numbers and bits, addresses of commands, and the discrete inputs of function 2."""
     from altd.publish.modbus.responder import SELF_CHECK_ADDRESS, ZERO_ADDRESS
     from altd.publish.modbus.values import (
         DISCRETE_INPUTS,
@@ -116,7 +116,7 @@ def _csv(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _structured_text(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Constants with the addresses, counted from 0, and with the codes; types are in the comments."""
+    """Yield constants with the addresses, counted from 0, and with the codes; comments contain the types."""
     yield "VAR_GLOBAL CONSTANT"
     for row in rows:
         kind = _IEC_TYPES.get(row["type"], f"STRING[{2 * row['registers']}]")

@@ -1,4 +1,4 @@
-"""``altd replay``: a recording, measured."""
+"""``altd replay``: measures a recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MAX_EXPOSURES = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="calibration of the recorded unit"
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write what was measured."""
+    """Measure the recording and write the results."""
     from altd.answers.replay import Question, answer
 
     question = Question(

@@ -1,4 +1,4 @@
-"""``altd restore``: the unit of a backup on this computer."""
+"""``altd restore``: restores the unit of a backup on this computer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SUMMARY = "put back what `altd backup` has written; the daemon must be stopped"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("archive", type=Path, metavar="FILE", help="archive of `altd backup`")
     parser.add_argument(
         "--config",

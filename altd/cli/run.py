@@ -1,4 +1,4 @@
-"""``altd run``: the daemon."""
+"""``altd run``: runs the daemon."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ log = logging.getLogger("altd")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_config(parser)
     parser.add_argument(
         "--rehearsal",
@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure and publish until a signal ends it: status 0, as a service ends."""
-    gc.disable()  # until `real_time_interpreter`: to search what a start makes, and keeps, takes 0.2 s of it
+    """Measure and publish until a signal ends it; return status 0 then, as a service does."""
+    gc.disable()  # until `real_time_interpreter`: searching what a start makes, and keeps, takes 0.2 s of it
     try:
         return _run(options)
     finally:
@@ -45,12 +45,12 @@ def _run(options: argparse.Namespace) -> int:
     from altd.app.daemon import daemon_of
     from altd.app.settings import load_settings
 
-    if options.rehearsal and "NOTIFY_SOCKET" in os.environ:  # systemd.exec(5): of a service of Type=notify
+    if options.rehearsal and "NOTIFY_SOCKET" in os.environ:  # systemd.exec(5): for services of Type=notify
         raise BadInputError("--rehearsal", "a service does not rehearse; start `altd run` by hand")
-    reload = hangups()  # before the settings are read: what changes from then on is not missed
+    reload = hangups()  # before the settings are read, so that no later change is missed
     if options.trace_frames:
         logging.getLogger("altd.frames").setLevel(logging.DEBUG)
-    prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
+    prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal adds our name itself
     with logging_to_stderr(logging.INFO, prefix):
         daemon = daemon_of(load_settings(options.config), options.config, options.rehearsal)
         try:

@@ -1,4 +1,4 @@
-"""``altd scan``: a calibration scan with the stage, or a flat made with the laser."""
+"""``altd scan``: records a calibration scan with the stage, or a flat with the laser."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BAR_LETTERS = 24
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_config(parser)
     add_output(parser, "DIR", "folder of the recording")
     parser.add_argument(
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
-    """Scan until done, stopped or interrupted, and say how it ended; the exit status."""
+    """Scan until done, stopped or interrupted; report how it ended, and return the exit status."""
     from altd.acquisition.scan.scanner import ScanStoppedError
 
     again = "the same command continues there"
@@ -72,7 +72,7 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
 
 
 class ScanScreen:
-    """See ``altd.acquisition.scan.scanner.ProgressReporter``; ``name`` begins the lines that stay."""
+    """See ``altd.acquisition.scan.scanner.ProgressReporter``; ``name`` is the prefix of permanent lines."""
 
     def __init__(self, name: str = "altd scan") -> None:
         self._name = name
@@ -80,12 +80,12 @@ class ScanScreen:
         self._first: tuple[float, int] | None = None
 
     def say(self, line: str) -> None:
-        """A line of its own, above the bar."""
+        """Print a line of its own, above the bar."""
         self.clear()
         complain(f"{self._name}: {line}")
 
     def progress(self, done: int, total: int, doing: str) -> None:
-        """Draw the bar again; nothing in a pipe."""
+        """Redraw the bar; do nothing in a pipe."""
         if not self._terminal:
             return
         bar = ("#" * (_BAR_LETTERS * done // total)).ljust(_BAR_LETTERS, ".")
@@ -95,13 +95,13 @@ class ScanScreen:
         sys.stderr.flush()
 
     def clear(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._terminal:
             sys.stderr.write("\r\033[K")
             sys.stderr.flush()
 
     def _left(self, done: int, total: int) -> str:
-        """The time that the other nodes will take at the pace of this run."""
+        """Text with the remaining time for the other nodes at the pace of this run."""
         now = time.monotonic()
         if self._first is None or done <= self._first[1]:
             self._first = now, done

@@ -1,4 +1,4 @@
-"""``altd selfcheck``: whether cameras and targets are where they were calibrated."""
+"""``altd selfcheck``: checks whether cameras and targets are where they were calibrated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SUMMARY = "check that each camera is where it was calibrated: a running unit, or
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "recording",
         type=Path,
@@ -31,13 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        default=argparse.SUPPRESS,  # a recording needs none, and takes not that of the service
+        default=argparse.SUPPRESS,  # a recording needs none, not even that of the service
         help=f"settings of the daemon that checks itself now (default: {DEFAULT_CONFIG})",
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the verdict with its parts; 0 good, 1 not good."""
+    """Print the verdict with its parts; return 0 if good, 1 if not."""
     from altd.local_socket import NoAnswerError
     from altd.terminal.documents import SelfCheckDocument
     from altd.terminal.lines import self_check_table
@@ -71,7 +71,7 @@ def _document(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _ask_daemon(options: argparse.Namespace) -> dict[str, Any]:
-    """Have the running daemon check itself."""
+    """Request a self-check from the running daemon."""
     if options.calibration is not None:
         raise BadInputError("--calibration", "missing: RECORDING, which goes with it")
     if "config" not in options and not DEFAULT_CONFIG.is_file():

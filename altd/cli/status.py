@@ -1,4 +1,4 @@
-"""``altd status``: how the unit is, asked of its running daemon."""
+"""``altd status``: prints the state of the unit, as reported by its running daemon."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _TIMEOUT_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_socket(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 
 def run(options: argparse.Namespace) -> int:
-    """One screen of text; 0: it measures and is good or wants maintenance, 1: not so, or no answer."""
+    """Print one screen of text; return 0 if it measures and is good or needs maintenance, otherwise 1."""
     from altd.app.ask_daemon import RunningDaemon
     from altd.local_socket import NoAnswerError
     from altd.terminal.lines import is_fine, status_text

@@ -1,4 +1,4 @@
-"""``altd token``: what a program shows that may act on the unit."""
+"""``altd token``: makes or removes tokens of programs that may act on the unit."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ SUMMARY = "make or remove a token for the unit's API; print a new one once"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_credentials(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the hash of a new token, and print the token: it is shown this once."""
+    """Write the hash of a new token, and print the token: it is shown only once."""
     from altd.credentials.file import change
     from altd.credentials.hashes import new_token, token_digest
 

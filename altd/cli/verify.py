@@ -1,4 +1,4 @@
-"""``altd verify``: whether a unit measures known beams as exactly as it states."""
+"""``altd verify``: checks whether a unit measures known beams as exactly as it states."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SUMMARY = "check a unit against known beams, in the manner of ISO 17123: verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument(
         "recordings",
         type=Path,
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the verdict with its tests; 0 passed, 1 not."""
+    """Print the verdict with its tests; return 0 if passed, 1 if not."""
     from altd.answers.verify import verify
     from altd.calibration.report.write import check_report, write_together
 
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
-    """The verdict, its reasons, the tests and the comparison."""
+    """Yield the verdict, its reasons, the tests and the comparison."""
     simulated = ", SIMULATED" if document["origin"] == "simulated" else ""
     yield f"unit {document['unit']}{simulated}: {document['verdict'].upper()}"
     yield from (f"  {reason}" for reason in document["reasons"])

@@ -1,4 +1,4 @@
-"""``altd watch``: the unit live on a terminal."""
+"""``altd watch``: shows the unit live on a terminal."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _TIMEOUT_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+    """Add the arguments of the command."""
     add_socket(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show it until ``q`` or a signal; 0, or 1 when the terminal went away."""
+    """Show the unit until ``q`` or a signal; return 0, or 1 if the terminal was closed."""
     from altd.app.ask_daemon import Follower, RunningDaemon
     from altd.cli.watch_terminal import Gone, Terminal, check_terminal, in_terminal
     from altd.terminal.knowledge import Knowledge

@@ -1,4 +1,4 @@
-"""The terminal of ``altd watch``: curses, entered and left whatever happens."""
+"""The terminal of ``altd watch``: curses, entered and left under all circumstances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DRAW_INTERVAL_S = 0.2
 
 _ESCAPE_DELAY_MS = 25
 _WITHOUT_BLOCKS = ("linux", "vt", "ansi", "cons")
-"""Terminals, by how their names begin, that may be set to UTF-8 and still lack blocks and Braille."""
+"""Terminals, by the beginning of their names, that may be set to UTF-8 and still lack blocks and Braille."""
 _KEYS = {
     curses.KEY_LEFT: "left",
     curses.KEY_RIGHT: "right",
@@ -38,11 +38,11 @@ _ATTRIBUTES = {
 
 
 class Gone(Exception):  # noqa: N818  no error: the terminal was closed
-    """The terminal is not there any more."""
+    """The terminal was closed."""
 
 
 def check_terminal() -> None:
-    """Raises BadInputError where there is none that a screen can be drawn on."""
+    """Raise BadInputError if there is no terminal on which a screen can be drawn."""
     instead = "; `altd status` needs no terminal"
     for name, stream in (("standard input", sys.stdin), ("standard output", sys.stdout)):
         if not stream.isatty():
@@ -57,7 +57,7 @@ def check_terminal() -> None:
 
 
 class Terminal:
-    """A screen to draw on, and the keys that were pressed."""
+    """A screen to draw on, and the pressed keys."""
 
     def __init__(self, window: curses.window) -> None:
         self._window = window
@@ -75,23 +75,23 @@ class Terminal:
                 self._attributes[style] = curses.color_pair(number) | curses.A_BOLD
 
     def canvas(self) -> Canvas:
-        """An empty one of the terminal's size."""
+        """Return an empty canvas of the terminal's size."""
         rows, columns = self._window.getmaxyx()
         return Canvas(rows, columns, is_utf8=self._is_utf8)
 
     def show(self, canvas: Canvas) -> None:
-        """Show what is drawn on it."""
+        """Show the content of a canvas."""
         self._window.erase()
         for row, runs in enumerate(canvas.runs()):
             column = 0
             for text, style in runs:
-                with contextlib.suppress(curses.error):  # the cursor has no place behind the last cell
+                with contextlib.suppress(curses.error):  # the cursor cannot move past the last cell
                     self._window.addstr(row, column, text, self._attributes[style])
                 column += len(text)
         self._window.refresh()
 
     def pressed(self) -> Iterator[str]:
-        """The keys of the next moment; raises Gone."""
+        """Wait for keys, at most ``DRAW_INTERVAL_S``, and yield them; raises Gone."""
         for _, what in self._waiting.poll(1000 * DRAW_INTERVAL_S):
             if what & (select.POLLHUP | select.POLLERR | select.POLLNVAL):
                 raise Gone
@@ -102,9 +102,9 @@ class Terminal:
 
 
 def in_terminal(work: Callable[[Terminal], None]) -> None:
-    """Do it on a screen of its own; the terminal is as it was afterwards, however it ends.
+    """Run ``work`` on a screen of its own; the terminal is restored afterwards, however it ends.
 
-    A terminal that is gone cannot be restored, which does not hide why the work ended.
+    A closed terminal cannot be restored; that does not hide why the work ended.
     """
     locale.setlocale(locale.LC_ALL, "")
     curses.set_escdelay(_ESCAPE_DELAY_MS)

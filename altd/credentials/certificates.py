@@ -1,4 +1,4 @@
-"""Certificates and keys in their files, as TLS takes them: of the unit as a server and as a client."""
+"""TLS contexts from files with certificates and keys: of the unit as a server and as a client."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from altd.files.reading import os_reason
 def server_context(
     certificate: Path, key: Path, client_ca: Path | None = None, protocols: Sequence[str] = ()
 ) -> ssl.SSLContext:
-    """TLS 1.2 and later with this certificate; raises BadInputError that names the file.
+    """Return a context for TLS 1.2 and later with this certificate; raises BadInputError that names the file.
 
-    :param client_ca: the authorities that vouch for clients; None: clients show no certificate.
-    :param protocols: what is spoken over TLS, for clients that negotiate it (ALPN).
+    :param client_ca: the authorities that vouch for clients; None: clients present no certificate.
+    :param protocols: protocols over TLS, for clients that negotiate them (ALPN).
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -32,7 +32,7 @@ def server_context(
 
 
 def client_context(ca: Path, certificate: Path | None, key: Path | None) -> ssl.SSLContext:
-    """TLS 1.2 and later with servers that ``ca`` vouches for; their names are compared.
+    """Return a context for TLS 1.2 and later with servers that ``ca`` vouches for; their names are checked.
 
     ``certificate`` and ``key`` are the unit's own. Raises BadInputError that names the file.
     """
@@ -88,7 +88,7 @@ def _why(error: ssl.SSLError) -> str:
 
 
 def _check_readable(path: Path) -> int:
-    """The file's mode; raises BadInputError for what is no file that can be read."""
+    """Return the file's mode; raises BadInputError if it is not a readable file."""
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
@@ -106,11 +106,11 @@ def _holds_key(path: Path) -> bool:
 
 
 class RenewedContext:
-    """A context for TLS, made again when one of its files was renewed.
+    """A context for TLS that is recreated when one of its files was renewed.
 
-    :param make: makes it; raises BadInputError, which at the start is passed on.
-    :param files: what it is made from.
-    :param complain: takes why renewed files cannot be used, and an empty text once they can.
+    :param make: creates it; raises BadInputError, which is passed on at the start.
+    :param files: the files that it is made from.
+    :param complain: receives the reason if renewed files cannot be used, and an empty text once they can.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class RenewedContext:
         self._context = make()
 
     def __call__(self) -> ssl.SSLContext:
-        """The context of new handshakes: new files as soon as they fit, until then the old ones."""
+        """Return the context for new handshakes: new files once they are usable, until then the old ones."""
         stamp = self._stamp_now()
         if stamp != self._stamp:
             self._stamp = stamp
@@ -144,13 +144,13 @@ class RenewedContext:
 
 
 _ROLE_OID = bytes.fromhex("2b0601040183890c862201")
-"""1.3.6.1.4.1.50316.802.1 (MODBUS/TCP Security v36, R-21)."""
+"""OID 1.3.6.1.4.1.50316.802.1 (MODBUS/TCP Security v36, R-21)."""
 
 _UTF8_STRING, _EXTENSIONS = 0x0C, 0xA3
 
 
 def role_of(certificate: bytes) -> str | None:
-    """The Modbus role in a certificate, DER, whose signature TLS has verified; None: not exactly one.
+    """Return the Modbus role in a DER certificate whose signature TLS has verified; None: not exactly one.
 
     The role is a UTF8String in an extension (MODBUS/TCP Security v36, R-21, R-22, R-65). The structure is
     that of RFC 5280, 4.1: a search for the identifier's bytes would also find them in a subject's name.
@@ -171,7 +171,7 @@ def role_of(certificate: bytes) -> str | None:
 
 
 def _elements(der: bytes) -> list[tuple[int, bytes]]:
-    """Tag and content of elements, one behind the other; raises ValueError or IndexError."""
+    """Tag and content of consecutive elements; raises ValueError or IndexError."""
     elements = []
     while der:
         begin, length = 2, der[1]

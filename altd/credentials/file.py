@@ -1,4 +1,4 @@
-"""The file of credentials, read and changed: a line each, hashes alone, for its owner and group at most.
+"""The credentials file, read and changed: one line per entry, hashes only, for its owner and group at most.
 
 password NAME scrypt N R P SALT HASH     salt and hash in hexadecimal
 token NAME sha256 HASH
@@ -28,33 +28,33 @@ MAX_BYTES = 1 << 15
 _HEAD = "# altd-credentials/1: made by `altd password` and `altd token`; hashes alone\n"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _TOO_OPEN = stat.S_IWGRP | stat.S_IRWXO
-"""Its group may read it, for a daemon of another user; others have no access."""
+"""Forbidden permissions: the group may read, for a daemon of another user; others have no access."""
 
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """The users that may act: hashes by names. A name may have a password, a token or both."""
+    """Users that may act: hashes by name. A name may have a password, a token or both."""
 
     passwords: Mapping[str, PasswordHash] = field(default_factory=dict)
     tokens: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def names(self) -> frozenset[str]:
-        """Everybody who may act."""
+        """Names of all users that may act."""
         return frozenset(self.passwords) | frozenset(self.tokens)
 
     def is_password(self, name: str, password: str) -> bool:
-        """Whether it is the password of that name; a name that is none takes as long. Takes 0.2 s."""
+        """Whether it is the password of this name; an unknown name takes as long. Takes 0.2 s."""
         known = self.passwords.get(name)
         fits = (known or NOBODYS).fits(password)
         return fits and known is not None
 
     def password_of(self, name: str) -> PasswordHash | None:
-        """The hash of his password, which no other password has, nor the same one set again."""
+        """Hash of the user's password, unique to it: setting the same password again changes the hash."""
         return self.passwords.get(name)
 
     def name_of_token(self, token: str) -> str | None:
-        """Whose token it is; None: of no user. All are compared, each in a time that tells nothing."""
+        """User of a token; None: no user. All tokens are compared, each in constant time."""
         digest, found = token_digest(token), None
         for name, known in self.tokens.items():
             if hmac.compare_digest(known, digest):
@@ -62,11 +62,11 @@ class Credentials:
         return found
 
     def with_password(self, name: str, password: PasswordHash | None) -> Credentials:
-        """The same with this password of that name; None: without."""
+        """Return a copy with this password of this name; None: without."""
         return replace(self, passwords=_with(self.passwords, name, password))
 
     def with_token(self, name: str, digest: bytes | None) -> Credentials:
-        """The same with this token of that name; None: without."""
+        """Return a copy with this token of this name; None: without."""
         return replace(self, tokens=_with(self.tokens, name, digest))
 
 
@@ -76,12 +76,12 @@ def _with(known: Mapping[str, Value], name: str, value: Value | None) -> dict[st
 
 
 def is_name(name: str) -> bool:
-    """Whether it can be the name of a user: small letters, digits and _, a letter first, up to 32."""
+    """Whether it can be a user name: lower-case letters, digits and _, a letter first, at most 32."""
     return _NAME.fullmatch(name) is not None
 
 
 def load_credentials(path: Path) -> Credentials:
-    """Read the file; raises BadInputError that names it and the line."""
+    """Read the file; raises BadInputError that names the file and the line."""
     try:
         content = read_file(path, MAX_BYTES)
     except BadInputError as error:
@@ -109,7 +109,7 @@ def load_credentials(path: Path) -> Credentials:
 
 
 def load_login(path: Path) -> tuple[str, str]:
-    """User name and password at a broker, a line each; raises BadInputError that names the file."""
+    """Return user name and password for a broker, one line each; raises BadInputError that names the file."""
     content = read_file(path, MAX_BYTES)
     _check_permissions(path)
     try:
@@ -122,7 +122,7 @@ def load_login(path: Path) -> tuple[str, str]:
 
 
 def save_credentials(path: Path, credentials: Credentials) -> None:
-    """Write the file whole; the umask gives a new one its permissions. Raises BadInputError."""
+    """Write the whole file; the umask determines the permissions of a new one. Raises BadInputError."""
     if len(credentials.passwords) + len(credentials.tokens) > MAX_ENTRIES:
         raise BadInputError(path, f"has {MAX_ENTRIES} entries already")
     write_file(path, (_HEAD + "".join(f"{line}\n" for line in _lines(credentials))).encode())
@@ -147,7 +147,7 @@ def _lines(credentials: Credentials) -> Iterator[str]:
 
 
 def _with_entry(credentials: Credentials, words: list[str]) -> Credentials:
-    """The entry of a line; raises ValueError that names the fault and never shows the line."""
+    """Add the entry of a line; raises ValueError that names the fault and never shows the line."""
     match words:
         case ["password", name, "scrypt", n, r, p, salt, digest]:
             if name in credentials.passwords:
@@ -192,10 +192,10 @@ def check_name(name: str) -> None:
 
 
 def change(path: Path, name: str, changed: Callable[[Credentials], Credentials]) -> None:
-    """Change what the file says of a name; a new file is for its owner alone.
+    """Change the entries of a name; a new file is accessible only to its owner.
 
-    Raises BadInputError, also where a password or token is taken away that was never there; then the file is
-    as it was.
+    Raises BadInputError, also if a password or token to remove does not exist; the file then stays as
+    it was.
     """
     check_name(name)
     before = load_credentials(path) if os.path.lexists(path) else Credentials()
@@ -227,7 +227,7 @@ class CredentialsKeeper:
         self._known = load_credentials(path)
 
     def current(self) -> Credentials:
-        """The users that may act at this moment."""
+        """Return the users that may act now."""
         stamp = self._stamp_now()
         if stamp != self._stamp:
             self._stamp = stamp

@@ -1,7 +1,7 @@
-"""Hashes of passwords and tokens, and comparing with them in a time that tells nothing.
+"""Hashes of passwords and tokens, and comparisons with them in constant time.
 
-A password, which people choose, is hashed slowly and with a salt: scrypt (RFC 7914). A token is 256 bits that
-were drawn by chance, and cannot be guessed: one SHA-256 is enough, and takes no time with every request.
+A password, which people choose, is hashed slowly and with a salt: scrypt (RFC 7914). A token is 256 random
+bits and cannot be guessed: one SHA-256 is enough, and costs no time with every request.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Self
 
 SCRYPT_N, SCRYPT_R, SCRYPT_P = 1 << 14, 8, 5
-"""16 MB and some 0.2 s on a small computer; as strong as OWASP's 2¹⁷, 8, 1, which takes 128 MB."""
+"""Cost: 16 MB and about 0.2 s on a small computer; as strong as OWASP's 2¹⁷, 8, 1, which takes 128 MB."""
 
 MAX_PASSWORD_BYTES = 1024
 MIN_PASSWORD_CHARACTERS = 8
@@ -43,22 +43,22 @@ class PasswordHash:
 
     @classmethod
     def of(cls, password: str) -> Self:
-        """The hash of a new password, with a salt of its own."""
+        """Hash a new password, with its own salt."""
         salt = secrets.token_bytes(_SALT_BYTES[0])
         blank = cls(SCRYPT_N, SCRYPT_R, SCRYPT_P, salt, bytes(_HASH_BYTES))
         return cls(SCRYPT_N, SCRYPT_R, SCRYPT_P, salt, blank.hashed(password))
 
     def fits(self, password: str) -> bool:
-        """Whether it is that password. Takes as long whatever it is.
+        """Whether it is that password. Takes equally long for all passwords.
 
-        One with a NUL, which no password has, is none: scrypt's HMAC pads with NUL (RFC 2104, section 2), so
-        that one with some at its end has the digest of the one without.
+        One with a NUL is refused, as no password has it: scrypt's HMAC pads with NUL (RFC 2104, section 2),
+        so a password with NULs at its end has the digest of the one without.
         """
         fits = hmac.compare_digest(self.digest, self.hashed(password))
         return fits and "\0" not in password
 
     def hashed(self, password: str) -> bytes:
-        """The digest of a password with these parameters."""
+        """Return the digest of a password with these parameters."""
         return hashlib.scrypt(
             password.encode("utf-8", "surrogatepass"),
             salt=self.salt,
@@ -74,14 +74,14 @@ class PasswordHash:
 
 
 NOBODYS = PasswordHash(SCRYPT_N, SCRYPT_R, SCRYPT_P, secrets.token_bytes(16), secrets.token_bytes(32))
-"""Compared with the password of an unknown name, which so takes as long as a known one."""
+"""Compared with the password of an unknown name, so that it takes as long as a known one."""
 
 
 def new_token() -> str:
-    """A token: 43 characters of A-Z a-z 0-9 - _."""
+    """Return a new token: 43 characters of A-Z a-z 0-9 - _."""
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
 def token_digest(token: str) -> bytes:
-    """The stored hash of a token."""
+    """Return the stored hash of a token."""
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()

@@ -1,1 +1,1 @@
-"""Faults of this computer for a config, each with the command that repairs it."""
+"""Finds faults of this computer for a config, each with the command that repairs it."""

@@ -1,4 +1,4 @@
-"""All the checks, in the order in which a technician wants to read them."""
+"""All checks, in the reading order of a technician."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Check = Callable[[], Iterator[Finding]]
 
 
 def examine(place: Path | None, machine: Machine | None = None) -> list[Finding]:
-    """Findings for the config file or in general; raises BadInputError for the file."""
+    """Return the findings for the config file, or in general; raises BadInputError for the file."""
     machine = machine or Machine()
     config = None if place is None else load_settings(place)
     findings: list[Finding] = []
     for name, check in _checks(config, place, machine).items():
         try:
             findings += check()
-        except Exception as error:  # one check that fails on a strange computer must not hide the others
+        except Exception as error:  # a check that fails on an unusual computer must not hide the others
             findings.append(better(name, f"could not be looked at: {type(error).__name__}: {error}"))
     return findings
 

@@ -1,4 +1,4 @@
-"""Checks of the devices that a config names: is it there, may altd open it, has another program got it."""
+"""Checks of the devices that a config names: existence, permissions, use by another program."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SERIAL_NAMES = ("/dev/serial/by-id/*", "/dev/serial/by-path/*", *_SERIAL_NODES)
 CAMERA_NAMES = ("/dev/v4l/by-path/*", "/dev/v4l/by-id/*", "/dev/video*")
 _MAX_NAMES_SHOWN = 4
 _MAX_USB_SHARE = 0.6
-"""The part of a USB's speed that is left for pictures: 80 % of the time, less its own frames and gaps."""
+"""Share of a USB's speed that is left for pictures: 80 % of the time, less its own frames and gaps."""
 
 
 def serial_ports(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The ports of ``[[serial]]``, ``[inclinometer]`` and ``[stage]``."""
+    """Check the ports of ``[[serial]]``, ``[inclinometer]`` and ``[stage]``."""
     ports = [port.device for port in config.serial]
     ports += [table.device for table in (config.inclinometer, config.stage) if table is not None]
     for device in ports:
@@ -30,7 +30,7 @@ def serial_ports(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The V4L2 cameras, and the USB that they hang on."""
+    """Check the V4L2 cameras, and the USB buses that they are connected to."""
     needs_mbit_s: dict[str, float] = {}
     speeds: dict[str, int] = {}
     cameras = {
@@ -56,7 +56,7 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The chips of ``[lamps]`` and ``[indicators]``."""
+    """Check the chips of ``[lamps]`` and ``[indicators]``."""
     tables = [table for table in (config.lamps, config.indicators) if table is not None]
     for chip in dict.fromkeys(table.chip for table in tables if table.driver == "gpiod"):
         subject, path = f"gpio {chip}", _gpio_chip(chip, machine)
@@ -68,7 +68,7 @@ def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def gpio_lines(config: Config) -> Iterator[Finding]:
-    """The lines that lamps are to hang on, of chips that may be opened: are they there, each another one."""
+    """Check the lines for lamps, of chips that may be opened: each must exist and be used only once."""
     from altd.devices.gpio.find_chips import find_chip, find_line
     from altd.ports import LampsError
 
@@ -82,7 +82,7 @@ def gpio_lines(config: Config) -> Iterator[Finding]:
         try:
             chip = find_chip(wanted)
         except LampsError:
-            continue  # the chip's own line says it
+            continue  # the finding of the chip itself reports it
         subject, remedy = f"gpio {wanted} {name}", "altd devices   # take one of these names into altd.toml"
         try:
             line = find_line(chip, name)
@@ -94,7 +94,7 @@ def gpio_lines(config: Config) -> Iterator[Finding]:
 
 
 def found_devices(machine: Machine) -> Iterator[Finding]:
-    """Without a config: may the devices that are there be opened."""
+    """Check without a config whether the existing devices may be opened."""
     for patterns, what in (
         (_SERIAL_NODES, "serial"),
         (("/dev/video*",), "camera"),
@@ -120,7 +120,7 @@ def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine
 
 
 def _duplicates(what: str, devices: Mapping[str, Path], machine: Machine) -> Iterator[Finding]:
-    """Names of one and the same device: udev gives each several, and only one can have it."""
+    """Find names of the same device: udev gives each several, and only one program can use it."""
     first: dict[int, str] = {}
     for name, device in devices.items():
         status = machine.status(device)
@@ -178,7 +178,7 @@ def _other_users(subject: str, node: str, status: os.stat_result, machine: Machi
 
 
 def _alternatives(names: tuple[str, ...], machine: Machine) -> str:
-    """The devices that exist instead: those of the first pattern with a match."""
+    """Devices that exist instead: the matches of the first pattern that has any."""
     for pattern in names:
         found = _paths(pattern, machine)
         if found:
@@ -188,12 +188,12 @@ def _alternatives(names: tuple[str, ...], machine: Machine) -> str:
 
 
 def _paths(pattern: str, machine: Machine) -> list[str]:
-    """The devices of a pattern, without the serial ports that are names alone."""
+    """Devices that match a pattern, without serial ports that have no hardware."""
     return [path for path in machine.paths(pattern) if has_hardware(Path(path), machine.at("/sys/class/tty"))]
 
 
 def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:
-    """The number of the USB bus that a camera hangs on and its speed in Mbit/s; None: it is no USB camera."""
+    """Number of the USB bus of a camera and its speed in Mbit/s; None: it is not a USB camera."""
     status = machine.status(device)
     if status is None:
         return None
@@ -209,7 +209,7 @@ def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:
 
 
 def _gpio_chip(chip: str, machine: Machine) -> str | None:
-    """The device of a chip by its label, name or path. To read a label takes the right to open the chip."""
+    """Device of a chip by its label, name or path. Reading a label requires permission to open the chip."""
     for path in machine.paths("/dev/gpiochip*"):
         if chip in (path, Path(path).name) or chip == _label(str(machine.at(path))):
             return path

@@ -19,7 +19,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the doctor. ``remedy`` is a command, or what to change in which file."""
+    """One line of the doctor. ``remedy`` is a command, or a change in a file."""
 
     verdict: Verdict
     subject: str
@@ -28,7 +28,7 @@ class Finding:
 
 
 def good(subject: str, text: str) -> Finding:
-    """All is well with ``subject``."""
+    """Return a finding for a subject without faults."""
     return Finding(Verdict.GOOD, subject, text)
 
 
@@ -43,12 +43,12 @@ def wrong(subject: str, text: str, remedy: str) -> Finding:
 
 
 def skipped(subject: str, text: str) -> Finding:
-    """There is nothing to check."""
+    """Return a finding for a subject with nothing to check."""
     return Finding(Verdict.SKIPPED, subject, text)
 
 
 def in_lines(findings: list[Finding]) -> list[str]:
-    """The findings for a person, the remedy below each, and how many there are."""
+    """Return the findings for a person, the remedy below each, and their numbers by verdict."""
     lines = []
     for finding in findings:
         lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.text}")

@@ -1,4 +1,4 @@
-"""Checks of what the daemon keeps and where it is asked: history, recordings of frames, the local socket."""
+"""Checks of stored data and of the local interface: history, recordings of frames, the local socket."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MB = 10**6
 
 
 def history(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The folder and the room of the history, and whether its file is whole."""
+    """Check the folder and the free space of the history, and whether its file is intact."""
     settings, subject = config.history, "history"
     if not settings.enabled:
         yield skipped(subject, "off: disabled in [history]")
@@ -50,7 +50,7 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The folder and the room of recordings of the last seconds."""
+    """Check the folder and the free space of recordings of the last seconds."""
     settings, subject = config.kept_frames, "kept frames"
     if not settings.memory_mb:
         yield skipped(subject, "off: [kept_frames] memory_mb is 0")
@@ -70,7 +70,7 @@ def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The socket of ``altd status``, ``altd watch`` and ``altd selfcheck``."""
+    """Check the socket of ``altd status``, ``altd watch`` and ``altd selfcheck``."""
     if config.local is None and machine.service() is None:
         yield better(
             "local socket", "there will be none without the service", "[local] socket = PATH in the config"
@@ -105,7 +105,7 @@ def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def _folder(subject: str, folder: Path, machine: Machine, *, made_by_altd: bool = False) -> Finding | None:
-    """Why the daemon may not write to a folder; None: it may. With a service, that writes."""
+    """Reason why the daemon may not write to a folder; None: it may. An installed service is the writer."""
     service = machine.service()
     if service is not None:
         if service.may_write(folder):

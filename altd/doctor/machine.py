@@ -1,6 +1,6 @@
-"""The computer as the checks see it: its files under a root that a test may choose, its user, its service.
+"""The computer for the checks: its files under a root that a test may choose, its user, its service.
 
-What cannot be read is empty: a check reports that, none of them raises.
+Unreadable content is empty: a check reports that, and no check raises.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ def myself() -> Account:
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """Rights that the systemd unit gives the daemon."""
+    """Permissions that the systemd unit gives the daemon."""
 
     account: Account
     closed: bool
-    """Only devices that the unit lists may be opened."""
+    """Whether only devices that the unit lists may be opened."""
     devices: tuple[str, ...]
-    """The entries: paths, or ``char-`` and the name of a driver."""
+    """The listed devices: paths, or ``char-`` and the name of a driver."""
     low_ports: bool
     """Whether the service may listen on ports below 1024."""
     folders: tuple[str, ...] | None = None
-    """The folders that it may write to; None: the unit does not restrict them."""
+    """Folders that it may write to; None: the unit does not restrict them."""
 
     def allows(self, path: str, drivers: set[str]) -> bool:
         """Whether the unit lets the daemon open this device of these drivers."""
@@ -73,49 +73,49 @@ class Service:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """The computer that this runs on, or a tree that looks like one."""
+    """The computer that this runs on, or a directory tree that looks like one."""
 
     root: Path = Path("/")
     account: Account = field(default_factory=myself)
 
     def at(self, path: str | Path) -> Path:
-        """A path of the computer, below the root in use."""
+        """Path of a computer's file below the root in use."""
         return self.root / str(path).lstrip("/")
 
     def text(self, path: str | Path) -> str:
-        """The text of a file without blanks around it; empty when it cannot be read."""
+        """Text of a file without blanks around it; empty if it cannot be read."""
         try:
             return self.at(path).read_text(errors="replace").strip()
         except OSError:
             return ""
 
     def number(self, path: str | Path) -> int | None:
-        """The number in a file."""
+        """Number in a file; None if there is none."""
         try:
             return int(self.text(path))
         except ValueError:
             return None
 
     def paths(self, pattern: str) -> list[str]:
-        """The paths that fit a pattern, as they are called on the computer."""
+        """Paths that match a pattern, as named on the computer."""
         return sorted(f"/{path.relative_to(self.root)}" for path in self.root.glob(pattern.lstrip("/")))
 
     def status(self, path: str | Path) -> os.stat_result | None:
-        """The file behind a path; None when there is none."""
+        """Status of the file behind a path; None if there is none."""
         try:
             return self.at(path).stat()
         except OSError:
             return None
 
     def drivers(self, status: os.stat_result) -> set[str]:
-        """The names of the drivers that a character device may belong to (/proc/devices)."""
+        """Names of the drivers that a character device may belong to (/proc/devices)."""
         lines = self.text("/proc/devices").partition("Block devices")[0].splitlines()
         pairs = [line.split() for line in lines]
         major = str(os.major(status.st_rdev))
         return {pair[1] for pair in pairs if len(pair) == 2 and pair[0] == major}
 
     def holders(self, opened: os.stat_result) -> Iterator[tuple[int, str]]:
-        """The processes that have a device open: number and name. Other users' are seen by root alone."""
+        """Processes that have a device open: number and name. Only root gets those of other users."""
         for link in self.root.glob("proc/[0-9]*/fd/*"):
             with contextlib.suppress(OSError):
                 status = link.stat()
@@ -128,7 +128,7 @@ class Machine:
         return any("run" in words for words in commands if is_altd(words))
 
     def service(self) -> Service | None:
-        """The systemd unit of altd, with what was added to it; None when it is not installed."""
+        """The systemd unit of altd, with its drop-in files; None if it is not installed."""
         texts = [text for folder in _UNIT_FOLDERS if (text := self.text(f"{folder}/{_UNIT}"))][:1]
         if not texts:
             return None
@@ -181,7 +181,7 @@ def _folders(keys: dict[str, list[str]]) -> tuple[str, ...]:
 
 
 def _keys(text: str) -> dict[str, list[str]]:
-    """The values of each key of a unit file; an empty value takes the earlier ones back."""
+    """Values of each key of a unit file; an empty value clears the earlier ones."""
     keys: dict[str, list[str]] = {}
     for line in text.splitlines():
         key, equals, value = line.partition("=")

@@ -1,4 +1,4 @@
-"""Checks of the network: cameras and the way to them, addresses that altd listens on, the MQTT broker."""
+"""Checks of the network: cameras and routes to them, addresses that altd listens on, the MQTT broker."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from altd.process.port_owner import bytes_of, from_kernel, listening_sockets, ow
 
 MIN_MBIT_S = 1000
 MIN_JUMBO_BYTES = 8000
-"""Bytes of a packet from which a frame's packets no longer cost a noticeable part of a core."""
+"""Packet size from which a frame's packets no longer cost a noticeable part of a core."""
 
 FRAMES_BUFFERED = 2
 _ANSWER_TIMEOUT_S = 0.25
@@ -35,7 +35,7 @@ class _Route:
 
 
 def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The cameras of driver "aravis", and the interfaces that they are on; by a name a camera is on any."""
+    """Check cameras of driver "aravis" and their interfaces; a camera with a name may be on any of them."""
     cameras = {
         name: camera for name, camera in config.cameras.items() if isinstance(camera, AravisCameraSettings)
     }
@@ -64,7 +64,7 @@ def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def listening(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The ports of interfaces: whether altd may have them, and whether another program has them."""
+    """Check the ports of interfaces: whether altd may use them, and whether another program does."""
     places = [
         (name, table.host, table.port_or_default if isinstance(table, ModbusTcpSettings) else table.port)
         for name in ("modbus_tcp", "http", "opcua")
@@ -94,7 +94,7 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def broker(config: Config) -> Iterator[Finding]:
-    """Whether the broker of ``[mqtt]`` takes connections from this computer; login and TLS are not tried."""
+    """Check whether the broker of ``[mqtt]`` accepts connections from here; login and TLS are not tried."""
     if (mqtt := config.mqtt) is None:
         return
     port = mqtt.port_or_default
@@ -109,7 +109,7 @@ def broker(config: Config) -> Iterator[Finding]:
 
 
 def _openness(http: HttpSettings) -> Iterator[Finding]:
-    """Advice, no fault: in a network of its own a unit may be open."""
+    """Advise on missing restrictions; this is no fault, as in a network of its own a unit may be open."""
     address = ipaddress.ip_address("127.0.0.1" if http.host == "localhost" else http.host)
     if address.is_loopback:
         return
@@ -126,7 +126,7 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
 
 
 def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
-    """Readings of the camera itself; it is not disturbed."""
+    """Check the answers of the camera itself, without disturbing it."""
     if is_address(device):
         tries = (gvcp.discover_at(device, _ANSWER_TIMEOUT_S) for _ in range(_MAX_TRIES))
         there = [camera for camera in tries if camera is not None][:1]
@@ -156,7 +156,7 @@ def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
 def _way(
     subject: str, address: ipaddress.IPv4Address, machine: Machine
 ) -> Generator[Finding, None, list[str]]:
-    """Yields findings, returns the interfaces that lead to the address."""
+    """Yield findings; return the interfaces that lead to the address."""
     routes = [route for route in _routes(machine) if address in route.network]
     direct = list(
         dict.fromkeys(
@@ -228,7 +228,7 @@ def _receive_buffer(frame_bytes: int, machine: Machine) -> Iterator[Finding]:
 
 
 def _source_check(machine: Machine) -> Iterator[Finding]:
-    """Whether a packet in a camera's name is dropped when it comes from another network (RFC 3704)."""
+    """Check if packets in a camera's name are dropped when they come from another network (RFC 3704)."""
     interfaces = _wired(machine)
     open_ones = [name for name in interfaces if not _filters(name, machine)]
     subject = "network source check"
@@ -258,7 +258,7 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
 
 
 def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
-    """Whether no interface has the address: then altd waits for it, as it must while a computer starts."""
+    """Check if an interface has the address; altd waits for a missing one, as it must during booting."""
     wanted = bytes_of(host)
     if host == "localhost" or not any(wanted) or ipaddress.ip_address(wanted).is_loopback:
         return
@@ -271,7 +271,7 @@ def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
 
 
 def _addresses(machine: Machine) -> set[bytes]:
-    """The computer's own addresses; none where the kernel does not tell."""
+    """The computer's own addresses; empty if the kernel does not report them."""
     ours: set[bytes] = set()
     address = ""
     for line in machine.text("/proc/net/fib_trie").splitlines():
@@ -286,7 +286,7 @@ def _addresses(machine: Machine) -> set[bytes]:
 
 
 def _routes(machine: Machine) -> list[_Route]:
-    """The kernel's IPv4 routes, the most special first."""
+    """The kernel's IPv4 routes, the most specific first."""
     routes = []
     for line in machine.text("/proc/net/route").splitlines()[1:]:
         name, destination, gateway, flags, _, _, metric, mask = line.split()[:8]
@@ -298,19 +298,19 @@ def _routes(machine: Machine) -> list[_Route]:
 
 
 def _neighbour(address: ipaddress.IPv4Address) -> ipaddress.IPv4Address:
-    """An address of our own beside a camera's."""
+    """An address for this computer in the network of a camera."""
     network = ipaddress.IPv4Network((address, 24), strict=False)
     return next(other for other in network.hosts() if other != address)
 
 
 def _filters(interface: str, machine: Machine) -> bool:
-    """Whether packets from where answers would not go are dropped there: the larger of the two settings."""
+    """Whether packets are dropped if answers to them would go elsewhere: the larger of two settings."""
     settings = (machine.number(f"/proc/sys/net/ipv4/conf/{name}/rp_filter") for name in ("all", interface))
     return max(setting or 0 for setting in settings) == 1
 
 
 def _wired(machine: Machine) -> list[str]:
-    """The network interfaces that are up and are real: no loopback, no bridge of containers."""
+    """Real network interfaces that are up: no loopback, no bridge of containers, no wireless ones."""
     names = [Path(path).name for path in machine.paths("/sys/class/net/*")]
     return [
         name

@@ -19,14 +19,14 @@ from altd.vision import kernel
 STATE = "/var/lib/altd"
 MIN_FREE_BYTES = 500_000_000
 MIN_YEAR = 2026
-"""This release is no older: a clock that shows an earlier year was never set."""
+"""Minimum year of the clock: this release is no older, so an earlier year means that it was never set."""
 
 _REINSTALL = "docs/install.md   # install the release again: the package is incomplete"
 _UNSYNCHRONISED = 0x40
 
 
 def libraries(config: Config | None) -> Iterator[Finding]:
-    """The libraries behind the drivers that the config names; without one, behind all."""
+    """Check the libraries of the drivers that the config names; without a config, of all drivers."""
     cameras = () if config is None else tuple(config.cameras.values())
     lamps = () if config is None else (config.lamps, config.indicators)
     if kernel.is_compiled():
@@ -41,7 +41,7 @@ def libraries(config: Config | None) -> Iterator[Finding]:
 
 
 def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
-    """UTC is in every output. ``synchronised``: what the kernel says; None when it does not say."""
+    """Check the clock: UTC is in every output. ``synchronised`` is the kernel's report; None: unknown."""
     subject, remedy = "clock", "sudo timedatectl set-ntp true   # or set up chrony"
     if now.year < MIN_YEAR:
         yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", remedy)
@@ -54,7 +54,7 @@ def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
 
 
 def disk(machine: Machine) -> Iterator[Finding]:
-    """The disk that recordings go to."""
+    """Check the disk for recordings."""
     folder = machine.at(STATE)
     while not folder.is_dir() and folder != machine.root:
         folder = folder.parent
@@ -67,7 +67,7 @@ def disk(machine: Machine) -> Iterator[Finding]:
 
 
 def calibration(config: Config, place: Path) -> Iterator[Finding]:
-    """The recordings that are played, the calibration file, and whether it is that of this unit."""
+    """Check the recordings that are played, the calibration file, and whether it is that of this unit."""
     from altd.app.parts import calibration_of, cameras_of
 
     path = config.unit.calibration
@@ -97,30 +97,30 @@ def now() -> datetime:
 
 
 def clock_is_kept() -> bool | None:
-    """Whether the kernel says that something keeps its clock (adjtimex(2), as timedatectl asks it)."""
+    """Whether the kernel reports a synchronised clock (adjtimex(2), as timedatectl reads it)."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
-        timex = (ctypes.c_long * 64)()  # longer than struct timex; modes = 0 only asks
+        timex = (ctypes.c_long * 64)()  # longer than struct timex; modes = 0 only reads
         if libc.adjtimex(ctypes.byref(timex)) < 0:
             return None
     except (OSError, AttributeError):
         return None
     status = ctypes.c_int.from_buffer(
         timex, 5 * ctypes.sizeof(ctypes.c_long)
-    ).value  # behind five of a word each
+    ).value  # after five fields of a word each
     return not status & _UNSYNCHRONISED
 
 
 def _library(name: str, module: str) -> Finding:
     try:
         importlib.import_module(module)
-    except Exception as error:  # a library that is half there raises what it likes
+    except Exception as error:  # an incomplete library can raise anything
         return wrong(f"library {name}", _one_line(error), _REINSTALL)
     return good(f"library {name}", "installed")
 
 
 def _aravis(needed: bool) -> Finding:
-    """PyGObject and Aravis' typelib; only GigE Vision cameras need them."""
+    """Check PyGObject and Aravis' typelib; only GigE Vision cameras need them."""
     subject, remedy = (
         "library aravis",
         "sudo apt-get install python3-gi gir1.2-aravis-0.8   # see docs/install.md",

@@ -1,1 +1,1 @@
-"""From the broker into PostgreSQL, for many units; runs elsewhere than on a unit."""
+"""Ingest from the broker into PostgreSQL, for many units; runs on another computer than a unit."""

@@ -1,4 +1,4 @@
-"""PostgreSQL: migrations, and the one transaction by which batches get into the tables."""
+"""PostgreSQL: migrations, and the single transaction that writes batches into the tables."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ VERSION = len(MIGRATIONS)
 CONNECT_TIMEOUT_S = 10
 STATEMENT_TIMEOUT_S = 60
 _LOCK = 0x616C7464
-"""The advisory lock of migrations (``altd``), plus 1 that of maintenance."""
+"""Key of the advisory lock of migrations (``altd``); plus 1, that of maintenance."""
 
 _MAX_PARTS = 100
-"""Of what a stream has received: more holes are not remembered, and what is behind the first comes again."""
+"""Maximum number of received ranges of a stream; with more, only the first is kept, the rest is resent."""
 
 
 _UNIT: LiteralString = (
@@ -37,7 +37,7 @@ _FILE: LiteralString = (
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """A stream of a unit after a commit: all sequences up to this one are in the database."""
+    """Progress of a unit's stream after a commit: all sequences up to this one are in the database."""
 
     serial: str
     stream: str
@@ -45,7 +45,7 @@ class Progress:
 
 
 def connect(settings: FleetSettings) -> psycopg.Connection:
-    """A connection, in UTC, that commits to disk; raises psycopg.OperationalError and BadInputError."""
+    """Connect, in UTC and with commits to disk; raises psycopg.OperationalError and BadInputError."""
     options = f"-c timezone=UTC -c synchronous_commit=on -c statement_timeout={STATEMENT_TIMEOUT_S}s"
     text = settings.database.connection
     try:
@@ -57,7 +57,7 @@ def connect(settings: FleetSettings) -> psycopg.Connection:
 
 
 def version_of(connection: psycopg.Connection) -> int:
-    """The version of the tables; 0: there are none."""
+    """Version of the tables; 0: there are none."""
     found = connection.execute("SELECT to_regclass('altd.version')").fetchone()
     if found is None or found[0] is None:
         return 0
@@ -66,7 +66,7 @@ def version_of(connection: psycopg.Connection) -> int:
 
 
 def migrate(connection: psycopg.Connection) -> None:
-    """Bring the tables to this version, one instance at a time; raises BadInputError for newer ones."""
+    """Migrate the tables to this version, one instance at a time; raises BadInputError for newer ones."""
     with connection.transaction():
         connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
         version = version_of(connection)
@@ -96,7 +96,7 @@ class Writer:
     def write(self, batches: Sequence[Batch], refused: Mapping[tuple[str, str], int]) -> list[Progress]:
         """Commit batches, and the numbers of refused messages by unit and reason.
 
-        What is there already stays as it is. Raises psycopg.Error; then nothing is written.
+        Existing rows stay as they are. Raises psycopg.Error; then nothing is written.
         """
         self._make_days(row.t_s for batch in batches for row in batch.rows)
         known = self._ids.copy()
@@ -108,7 +108,7 @@ class Writer:
         return progress
 
     def _make_days(self, seconds: Iterable[int]) -> None:
-        """Partitions, but for days of clocks that are wrong."""
+        """Create partitions, except for days of wrong clocks."""
         now = datetime.now(UTC)
         for number in {t_s // 86_400 for t_s in seconds}:
             day = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=number)
@@ -122,7 +122,7 @@ class Writer:
             unit = self._find_id(_UNIT, serial)
             ids[serial, file] = unit, self._find_id(_FILE, unit, file)
         serials = {ids[batch.serial, batch.file][0]: batch.serial for batch in batches}
-        units = sorted(serials)  # in one order, so that instances do not wait for each other in a circle
+        units = sorted(serials)  # in one order, so that instances do not deadlock
         execute("SELECT FROM altd.units WHERE id = ANY(%s) ORDER BY id FOR UPDATE", (units,))
         with self._connection.cursor().copy(
             "COPY staged (unit, time, file, sequence, boot, n, n_valid, worst, cause, lost_to, quantities) "
@@ -168,11 +168,11 @@ class Writer:
 
     def _find_id(self, sql: LiteralString, *values: object) -> int:
         row = self._connection.execute(sql, values).fetchone()
-        assert row is not None  # noqa: S101  DO UPDATE returns the row that was there
+        assert row is not None  # noqa: S101  DO UPDATE returns the existing row
         return int(row[0])
 
     def _show(self, latest: Sequence[tuple[int, Second, int, int]]) -> None:
-        """The newest second of each unit, for the table of the fleet."""
+        """Store the newest second of each unit, for the table of the fleet."""
         rows = [(unit, file, row.t_s, row.worst, row.cause, dropped) for unit, row, file, dropped in latest]
         if not rows:
             return
@@ -202,7 +202,7 @@ class Writer:
 
 
 def copied_lines(batch: Batch, unit: int, file: int) -> str:
-    """The rows in the text format of COPY; no text of a batch has a character that it would escape."""
+    """Rows in the text format of COPY; no text of a batch contains a character that needs escaping."""
     lines = []
     for row in batch.rows:
         known = (
@@ -218,9 +218,9 @@ def copied_lines(batch: Batch, unit: int, file: int) -> str:
 
 
 def maintain(connection: psycopg.Connection, settings: FleetSettings) -> bool:
-    """Delete what is old, make the partition of tomorrow and roll up what is due; one instance does it.
+    """Delete old rows, create tomorrow's partition and roll up what is due, in one instance at a time.
 
-    False: another instance does. Raises psycopg.Error.
+    Returns False if another instance does it. Raises psycopg.Error.
     """
     held = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK + 1,)).fetchone()
     if held is None or not held[0]:

@@ -1,6 +1,6 @@
 """``altd ingest``: takes batches from the broker, commits them, then acknowledges to the broker and the unit.
 
-It keeps no state: what it has not committed when it ends, the units send again.
+It keeps no state: the units send again what it had not committed when it ended.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from altd.fleet.settings import FleetSettings
 from altd.status.outbox import Batch, acknowledgement_of
 
 MAX_WAITING = 1000
-"""Messages on their way that are not acknowledged (Receive Maximum of MQTT 5)."""
+"""Maximum number of unacknowledged messages in flight (Receive Maximum of MQTT 5)."""
 
 MAX_BYTES_AT_ONCE = 4 << 20
-"""Of messages in one transaction: some 20,000 seconds."""
+"""Maximum size of the messages in one transaction: about 20,000 seconds."""
 
 GATHER_S = 0.05
-"""Messages that come within this time share a transaction."""
+"""Time within which arriving messages share a transaction."""
 
 MAINTENANCE_INTERVAL_S = 60.0
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 10.0
@@ -47,7 +47,7 @@ log = logging.getLogger("altd")
 
 
 class Ingest:
-    """One instance. Any number of them share the messages of a broker."""
+    """One instance. Any number of instances share the messages of a broker."""
 
     def __init__(self, settings: FleetSettings) -> None:
         """Raises BadInputError for credentials and certificates that cannot be used."""
@@ -61,7 +61,7 @@ class Ingest:
         self._connection: psycopg.Connection | None = None
         self._reported_s = time.monotonic()
         self.rows = 0
-        """Seconds that were committed, with those that were there before."""
+        """Number of committed seconds, including those that existed before."""
         self._client = Client(
             CallbackAPIVersion.VERSION2,
             f"altd_ingest_{secrets.token_hex(8)}",
@@ -81,7 +81,7 @@ class Ingest:
         """Take messages until a signal ends the process."""
         try:
             self._open_database()
-        except psycopg.OperationalError as error:  # it is tried again with the first message
+        except psycopg.OperationalError as error:  # it is retried with the first message
             log.warning("ingest: no database yet: %s", one_line(str(error).strip()))
         threading.Thread(target=self._maintain, name="maintenance", daemon=True).start()
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -106,7 +106,7 @@ class Ingest:
             return
         self._connections += 1
         with contextlib.suppress(queue.Empty):
-            while True:  # they can no longer be acknowledged, and come again
+            while True:  # they can no longer be acknowledged, and are sent again
                 self._messages.get_nowait()
         client.subscribe(f"$share/{broker.group}/{broker.topic}/+/outbox", qos=1)
 
@@ -136,7 +136,7 @@ class Ingest:
         return messages
 
     def take(self, messages: list[tuple[int, MQTTMessage]]) -> None:
-        """Verify, commit, acknowledge to the broker, then to the units."""
+        """Verify and commit messages, then acknowledge them to the broker and to the units."""
         now_s = time.monotonic()
         batches = []
         for _, message in messages:
@@ -152,7 +152,7 @@ class Ingest:
         for each in progress:
             topic = f"{self._settings.broker.topic}/{quote(each.serial, safe='')}/ack"
             text = acknowledgement_of(each.serial, each.stream, each.sequence)
-            self._client.publish(topic, text, qos=0, retain=True)  # one that is lost: the batch comes again
+            self._client.publish(topic, text, qos=0, retain=True)  # if it is lost, the batch is sent again
         self.rows += sum(len(batch.rows) for batch in batches)
         self._report(now_s)
 
@@ -163,7 +163,7 @@ class Ingest:
             self._refused["", str(reason)] += 1
 
     def _commit(self, batches: list[Batch]) -> list[Progress]:
-        """Write until the database takes it; a batch that it can never take is refused."""
+        """Write until the database accepts it; a batch that it can never accept is refused."""
         backoff_s = _MIN_BACKOFF_S
         while batches or self._refused:
             try:

@@ -1,4 +1,4 @@
-"""A message of the broker: a batch that verifies, or the reason for which it is refused."""
+"""Check of a broker's message: a batch that verifies, or the reason of its refusal."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from altd.status.outbox import Batch
 from altd.status.proof import is_sealed
 
 MAX_BYTES = 64 << 10
-"""Of a message; the broker does not deliver larger ones."""
+"""Maximum size of a message; the broker does not deliver larger ones."""
 
 RATE_HZ, BURST = 20.0, 200.0
-"""Messages that one instance takes of a unit; a unit that catches up sends 10 a second."""
+"""Maximum rate and burst of a unit's messages in one instance; a unit that catches up sends 10 a second."""
 
 MAX_UNITS = 100_000
 
 
 class Refusal(StrEnum):
-    """Why a message is refused."""
+    """Reason why a message is refused."""
 
     RATE = "rate"
     CRC = "crc"
@@ -30,14 +30,14 @@ class Refusal(StrEnum):
 
 
 class Intake:
-    """Checks the messages of all units; a unit that floods is refused before its messages are read."""
+    """Checks the messages of all units; a unit that floods is refused before its messages are parsed."""
 
     def __init__(self, topic: str) -> None:
         self._levels = topic.split("/")
         self._tokens: dict[str, tuple[float, float]] = {}
 
     def unit_of(self, topic: str) -> str:
-        """The serial number in a topic; empty: it is none of a unit's outbox."""
+        """Serial number in a topic; empty: it is not the topic of a unit's outbox."""
         levels = topic.split("/")
         if levels[:-2] != self._levels or levels[-1] != "outbox":
             return ""
@@ -46,7 +46,7 @@ class Intake:
         return unit if unit.isprintable() and is_canonical else ""
 
     def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:
-        """The batch of a message; ``now_s`` is monotonic."""
+        """Return the batch of a message, or the reason of its refusal; ``now_s`` is monotonic."""
         unit = self.unit_of(topic)
         if not self._has_token(unit, now_s):
             return Refusal.RATE

@@ -22,14 +22,14 @@ _MAX_BYTES = 1 << 16
 
 
 class FleetBrokerSettings(BrokerSettings):
-    """The broker that the units publish to, any of MQTT 5 with shared subscriptions."""
+    """The broker that the units publish to: any broker of MQTT 5 with shared subscriptions."""
 
     group: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$", max_length=60)] = "altd"
     """Name of the shared subscription: the instances of one group share the messages."""
 
 
 class DatabaseSettings(Table):
-    """PostgreSQL 14 or later."""
+    """The database, PostgreSQL 14 or later."""
 
     connection: Annotated[str, Field(min_length=1, max_length=1000)]
     """Connection string of libpq, such as `host=/run/postgresql dbname=altd`. `passfile` in it names the file
@@ -37,16 +37,16 @@ class DatabaseSettings(Table):
 
 
 class RetentionSettings(Table):
-    """The time that is kept; summaries of 1 h stay."""
+    """Retention times; summaries of 1 h are kept indefinitely."""
 
     seconds_days: Annotated[int, Field(ge=8, le=36_500)] = 93
-    """Of summaries of 1 s."""
+    """Days for which summaries of 1 s are kept."""
     minutes_days: Annotated[int, Field(ge=8, le=36_500)] = 731
-    """Of summaries of 1 min."""
+    """Days for which summaries of 1 min are kept."""
 
 
 class FleetSettings(Table):
-    """The whole of ``fleet.toml``."""
+    """All settings of ``fleet.toml``."""
 
     broker: FleetBrokerSettings
     database: DatabaseSettings
@@ -54,9 +54,9 @@ class FleetSettings(Table):
 
 
 def load_fleet_settings(path: Path) -> FleetSettings:
-    """Read and check the file; paths in it count from its folder.
+    """Read and check the file; relative paths in it start in its folder.
 
-    Raises BadInputError that names the file and, fault by fault, line, column and key.
+    Raises BadInputError that names the file and, for each fault, line, column and key.
     """
     content = read_file(path, _MAX_BYTES)
     try:
@@ -78,7 +78,7 @@ def load_fleet_settings(path: Path) -> FleetSettings:
 
 
 def check_client() -> None:
-    """Raise BadInputError where the database's client is missing: psycopg, or the libpq that it loads."""
+    """Raise BadInputError if the database's client is missing: psycopg, or the libpq that it loads."""
     try:
         import psycopg  # noqa: F401
     except ImportError as error:

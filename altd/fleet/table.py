@@ -1,4 +1,4 @@
-"""``altd fleet``: all units, as the database has them."""
+"""``altd fleet``: all units, as stored in the database."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _HEAD = ("unit", "newest", "state", "cause", "lag", "valid in 1 h", "backlog", "
 
 
 def units(settings: FleetSettings) -> list[dict[str, Any]]:
-    """A row of each unit; raises BadInputError where there are none to read."""
+    """Return a row for each unit; raises BadInputError if they cannot be read."""
     try:
         with connect(settings) as connection:
             if version_of(connection) == 0:
@@ -44,7 +44,7 @@ def units(settings: FleetSettings) -> list[dict[str, Any]]:
 
 
 def as_json(rows: Sequence[dict[str, Any]]) -> str:
-    """The rows as one JSON list."""
+    """Return the rows as one JSON list."""
     return json.dumps(
         [
             {
@@ -57,7 +57,7 @@ def as_json(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def as_text(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """The rows as a table for a terminal, with the worst fault and the longest silence visible."""
+    """Return the rows as a table for a terminal, with the worst fault and the longest silence visible."""
     table = [_HEAD, *(_cells(row) for row in rows)]
     widths = [max(len(row[place]) for row in table) for place in range(len(_HEAD))]
     return [

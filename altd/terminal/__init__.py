@@ -1,1 +1,1 @@
-"""The view of a unit on a character screen: the daemon's documents as lines of text; knows no terminal."""
+"""View of a unit on a character screen: the daemon's documents as lines of text, for any terminal."""

@@ -1,6 +1,6 @@
-"""A screen of characters with styles, and drawings on it: a target with the path of its spot, a trend.
+"""A screen of styled characters, and drawings on it: a target with the path of its spot, a trend.
 
-Text is cut between words; what does not take one cell is a ``?``.
+Text is cut between words; a character that does not take one cell is shown as ``?``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from altd.terminal.documents import TargetsDocument
 
 
 class Style(Enum):
-    """The look of characters, as far as a terminal can."""
+    """Style of characters, as far as a terminal supports it."""
 
     PLAIN = auto()
     BOLD = auto()
@@ -28,22 +28,22 @@ class Style(Enum):
 
 
 Run = tuple[str, Style]
-"""Characters of one style."""
+"""Consecutive characters of one style."""
 
 BLOCKS_OF_UTF8 = "▁▂▃▄▅▆▇█"
 LEVELS_OF_ASCII = "_.-^"
 
 _BRAILLE = 0x2800
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-"""Of a Braille pattern (Unicode 16.0, block 2800), by row and column."""
+"""Bits of a Braille pattern (Unicode 16.0, block 2800), by row and column."""
 DOTS_ACROSS, DOTS_DOWN = 2, 4
-"""Dots of a cell. A cell is about twice as high as it is wide, so that dots are in squares."""
+"""Dots per cell. A cell is about twice as high as it is wide, so that dots form squares."""
 
 _NUMBERS_AT_END = re.compile(r"(?:(?:^| +)[-+]?\d\S*)+$")
 
 
 class Canvas:
-    """``rows`` × ``columns`` cells; ``is_utf8``: the terminal shows blocks and Braille, else ASCII alone."""
+    """``rows`` × ``columns`` cells; ``is_utf8``: the terminal shows blocks and Braille, else only ASCII."""
 
     def __init__(self, rows: int, columns: int, *, is_utf8: bool) -> None:
         self.rows = rows
@@ -59,10 +59,10 @@ class Canvas:
     def put(
         self, row: int, column: int, text: str, style: Style = Style.PLAIN, width: int | None = None
     ) -> None:
-        """Write from there to the right, over what is there; no more than ``width`` cells.
+        """Write from there to the right, over existing text; at most ``width`` cells.
 
-        Text that does not fit ends with an ellipsis behind its last whole word. That word is no number, for
-        its unit would be missing.
+        Text that does not fit ends with an ellipsis after its last whole word. Numbers before the ellipsis
+        are removed, because their unit would be missing.
         """
         if not (0 <= row < self.rows and 0 <= column < self.columns):
             return
@@ -84,7 +84,7 @@ class Canvas:
         self._cells[row][column] = (chr(_BRAILLE + (pattern | bit)), style)
 
     def runs(self) -> list[list[Run]]:
-        """Each row as characters of one style after the other."""
+        """Return each row as runs of characters of one style."""
         return [
             [
                 ("".join(cell[0] for cell in cells), style)
@@ -94,7 +94,7 @@ class Canvas:
         ]
 
     def text(self) -> str:
-        """The characters alone, a line a row, without blanks at the ends."""
+        """Return the characters without styles, one line per row, without trailing blanks."""
         return "\n".join("".join(cell[0] for cell in row).rstrip() for row in self._cells)
 
     def _cut(self, text: str, width: int) -> str:
@@ -113,11 +113,11 @@ class Canvas:
 
 
 _MIN_SIGMAS = 6.0
-"""The full height is at least so many standard deviations, or noise would look like motion."""
+"""Minimum height of a trend in standard deviations; with less, noise would look like motion."""
 
 
 def limits_of(values: Sequence[float | None], sigma: float | None) -> tuple[float, float] | None:
-    """The values of the lowest and the highest level; None: nothing is known."""
+    """Values of the lowest and the highest level; None: no value is known."""
     known = [value for value in values if value is not None]
     if not known:
         return None
@@ -131,7 +131,7 @@ def limits_of(values: Sequence[float | None], sigma: float | None) -> tuple[floa
 def draw_trend(
     canvas: Canvas, row: int, column: int, rows: int, values: Sequence[float | None], sigma: float | None
 ) -> None:
-    """A column a value, the last one at the right; with more than one row, filled from below."""
+    """Draw one column per value, the last at the right; with more than one row, filled from below."""
     limits = limits_of(values, sigma)
     if limits is None:
         return
@@ -148,17 +148,17 @@ def draw_trend(
 
 
 Place = tuple[float, float]
-"""x to the right and y upwards, mm."""
+"""Position, mm: x to the right and y upwards."""
 
 SPOT = "O"
 _OUTLINE, _PATH, _CORNER, _MIDDLE = ".", ":", "+", "+"
 _FREE_SHARE = 1.04
-"""The picture is so much wider than what is drawn in it."""
+"""Ratio of the picture's size to that of its content."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Cells of a canvas, and how many mm of a target lie below a dot; the unit's zero is in their middle."""
+    """Cells of a canvas, and the mm of a target per dot; the unit's zero is in their middle."""
 
     row: int
     column: int
@@ -168,7 +168,7 @@ class Frame:
 
     @classmethod
     def holding(cls, targets: TargetsDocument, row: int, column: int, rows: int, columns: int) -> Frame:
-        """The largest scale by which every target fits into these cells."""
+        """Return the frame with the largest scale at which every target fits into these cells."""
         width, height = half_size_mm(targets)
         scale = max(2 * width / (columns * DOTS_ACROSS), 2 * height / (rows * DOTS_DOWN))
         return cls(row, column, rows, columns, scale)
@@ -185,13 +185,13 @@ class Frame:
         return y // DOTS_DOWN, x // DOTS_ACROSS
 
     def holds(self, place: Place) -> bool:
-        """Whether it lies in these cells."""
+        """Whether the place is in these cells."""
         row, column = self.cell_of(place)
         return self.row <= row < self.row + self.rows and self.column <= column < self.column + self.columns
 
 
 def half_size_mm(targets: TargetsDocument) -> Place:
-    """From the middle to the sides of what must be seen of every target."""
+    """Half width and half height of the area that must be visible of every target, mm."""
     corners = [corner for target in targets.targets for corner in target.valid_mm]
     width = max([targets.area_mm[0] / 2, *(abs(x) for x, _ in corners)])
     height = max([targets.area_mm[1] / 2, *(abs(y) for _, y in corners)])
@@ -199,7 +199,7 @@ def half_size_mm(targets: TargetsDocument) -> Place:
 
 
 def rows_for(targets: TargetsDocument, columns: int) -> int:
-    """Rows of a picture that is as wide as that."""
+    """Number of rows of a picture with this width."""
     width, height = half_size_mm(targets)
     return math.ceil(columns * DOTS_ACROSS * height / width / DOTS_DOWN)
 
@@ -212,7 +212,7 @@ def draw_target(
     path: Sequence[Place],
     spot: Place | None,
 ) -> None:
-    """Draw one target into a frame; ``path`` and ``spot`` are what is known of its laser spot."""
+    """Draw one target into a frame; ``path`` and ``spot`` are the known positions of its laser spot."""
     half_width, half_height = targets.area_mm[0] / 2, targets.area_mm[1] / 2
     corners = [(x, y) for x in (-half_width, half_width) for y in (-half_height, half_height)]
     outline = next((target.valid_mm for target in targets.targets if target.name == name), ())
@@ -231,7 +231,7 @@ def _dots(canvas: Canvas, frame: Frame, places: Iterable[Place], character: str,
 
 
 def _along(corners: Sequence[Place], step_mm: float) -> Iterable[Place]:
-    """Places along a closed line, no further apart than a dot."""
+    """Yield places along a closed line, at most one dot apart."""
     for (x, y), (next_x, next_y) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
         steps = min(math.ceil(math.hypot(next_x - x, next_y - y) / step_mm) + 1, _MAX_STEPS)
         for step in range(steps):
@@ -240,4 +240,4 @@ def _along(corners: Sequence[Place], step_mm: float) -> Iterable[Place]:
 
 
 _MAX_STEPS = 1000
-"""Dots of one edge: more than any screen has."""
+"""Maximum number of dots of one edge: more than any screen has."""

@@ -12,26 +12,26 @@ from altd.errors import one_line
 from altd.records import Quantities
 
 _MAX_LISTED = 200
-"""Of causes, components, targets: a unit has some ten."""
+"""Maximum number of causes, components or targets: a unit has about ten."""
 
 Text = Annotated[str, AfterValidator(one_line)]
-"""Free of control characters, which a terminal would obey."""
+"""Text without control characters, which a terminal would execute."""
 
 
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
-"""Seconds, mm, degrees: none is near it, and with larger ones a scale overflows."""
+"""Seconds, mm, degrees: real values are far below the limits, and larger ones would overflow a scale."""
 _Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Size = Annotated[float, Field(ge=1.0, le=1e5)]
 
 
 class _Document(BaseModel):
-    """Keys that are not shown may be there or not."""
+    """Base of all documents; keys that are not shown are optional."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     @classmethod
     def checked(cls, document: object) -> Self:
-        """The content of a document; raises ValueError that says what is missing."""
+        """Return the content of a document; raises ValueError that names what is missing."""
         try:
             return cls.model_validate(document)
         except ValidationError as error:
@@ -112,7 +112,7 @@ class LedsDocument(_Document):
 
 
 class SelfCheckDocument(_Document):
-    """``/api/v1/self-check``; ``verdict`` None: there was none, and ``reasons`` say why."""
+    """``/api/v1/self-check``; ``verdict`` None: there was none, and ``reasons`` give the reason."""
 
     verdict: Text | None
     reasons: _Texts = ()
@@ -133,7 +133,7 @@ class CalibratedTargetDocument(_Document):
 
 
 class CalibrationDocument(_Document):
-    """``/api/v1/calibration``; no targets: none is loaded."""
+    """``/api/v1/calibration``; without targets no calibration is loaded."""
 
     targets: Annotated[tuple[CalibratedTargetDocument, ...], Field(max_length=_MAX_LISTED)] = ()
 
@@ -146,7 +146,7 @@ class TargetDocument(_Document):
 
 
 class TargetsDocument(_Document):
-    """``/api/v1/targets``: the targets in beam order, and the size of the area that the unit is made for."""
+    """``/api/v1/targets``: targets in beam order, and the size of the area that the unit is designed for."""
 
     area_mm: tuple[_Size, _Size]
     targets: Annotated[tuple[TargetDocument, ...], Field(max_length=_MAX_LISTED)]
@@ -154,7 +154,7 @@ class TargetsDocument(_Document):
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One quantity as a person sees it; ``also`` is the same in another unit, with that. None: not known."""
+    """One quantity as displayed; ``also`` is its value in another unit, with that. None: not known."""
 
     key: str
     label: str
@@ -168,7 +168,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A measurement, ``age_s`` old when it was sent; ``spots`` are in mm, None: not known."""
+    """A measurement that was ``age_s`` old when it was sent; ``spots`` are in mm, None: not known."""
 
     sequence: int
     time: str | None
@@ -208,10 +208,10 @@ class _Number(_Document):
 
 
 def reading_of(document: object, quantities: Quantities) -> Reading | None:
-    """The measurement; None: nothing was measured since the start.
+    """Return the measurement; None: nothing was measured since the start.
 
-    The numbers are the main ones of the unit and those of a sensor that is fitted. Raises ValueError that
-    says what is missing.
+    The numbers are the main ones of the unit and those of a fitted sensor. Raises ValueError that names what
+    is missing.
     """
     if isinstance(document, dict) and "error" in document:
         _NothingYet.checked(document)

@@ -1,4 +1,4 @@
-"""Knowledge of a unit at a moment, and its recent course: nothing outlives its time. Times are arguments."""
+"""Current knowledge of a unit, and its recent course: everything expires. Times are arguments."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from altd.terminal.canvas import Place
 from altd.terminal.documents import Reading, SelfCheckDocument, Shown, StatusDocument, TargetsDocument
 
 HOLD_S = 1.5
-"""An answer is shown for so long when no other follows."""
+"""Time for which an answer is shown when no other follows."""
 PATH_S = 10.0
-"""So much of a spot's path is shown."""
+"""Duration of a spot's path that is shown."""
 KEPT_S = 600.0
-"""So much of each number is kept for its trend."""
+"""Time for which each number is kept for its trend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Moment:
     lost: str
     reading: Reading | None
     age_s: float | None
-    """Of the reading, by now."""
+    """Current age of the reading."""
     status: StatusDocument | None
     check: SelfCheckDocument | None
     targets: TargetsDocument | None
@@ -36,7 +36,7 @@ class Moment:
 
 
 class Knowledge:
-    """Takes answers as they come and forgets them in time."""
+    """Receives answers and discards them in time."""
 
     def __init__(self) -> None:
         self._lost = "no answer so far"
@@ -48,30 +48,30 @@ class Knowledge:
         self._past: deque[tuple[float, Reading | None]] = deque()
 
     def hear_reading(self, reading: Reading | None, now_s: float) -> None:
-        """The latest measurement; None: none was made so far."""
+        """Store the latest measurement; None: none was made so far."""
         self._reading, self._reading_s, self._lost = reading, now_s, ""
         self._past.append((now_s, reading))
         while now_s - self._past[0][0] > KEPT_S:
             self._past.popleft()
 
     def hear_status(self, status: StatusDocument, now_s: float) -> None:
-        """The unit's state. Another unit has another past."""
+        """Store the unit's state. The past of another unit is discarded."""
         if self._status is not None and status.serial != self._status.serial:
             self._past.clear()
         self._status, self._status_s = status, now_s
 
     def hear_about(self, check: SelfCheckDocument, targets: TargetsDocument) -> None:
-        """Take the documents that change seldom."""
+        """Store the documents that change seldom."""
         self._check, self._targets = check, targets
 
     def hear_nothing(self, why: str) -> None:
-        """The daemon does not answer: what is known goes at once."""
+        """Discard reading and state at once, because the daemon does not answer."""
         self._lost = why
         self._reading = None
         self._status_s = self._reading_s = -KEPT_S
 
     def at(self, now_s: float) -> Moment:
-        """The knowledge at this moment."""
+        """Return the knowledge at this moment."""
         silent_s = now_s - self._reading_s
         if not self._lost and silent_s > HOLD_S:
             return Moment("the daemon does not answer", None, None, None, None, self._targets)
@@ -83,7 +83,7 @@ class Knowledge:
         return Moment("", reading, age_s, status, self._check, self._targets)
 
     def path(self, target: str, now_s: float) -> list[Place]:
-        """Recent positions of the target's spot, the oldest first; none while it is not known now."""
+        """Recent positions of the target's spot, the oldest first; empty while its position is not known."""
         if (reading := self.at(now_s).reading) is None or reading.spots.get(target) is None:
             return []
         places: list[Place] = []
@@ -94,7 +94,7 @@ class Knowledge:
         return places
 
     def trend(self, key: str, now_s: float, columns: int, step_s: float) -> Sequence[float | None]:
-        """The means of a number over steps of so many seconds, the last of them now; None: not known then."""
+        """Means of a number over steps of ``step_s``, the last of them now; None: not known then."""
         last = int(now_s // step_s)
         sums: dict[int, tuple[float, int]] = {}
         for at_s, past in reversed(self._past):

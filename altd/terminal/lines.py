@@ -1,4 +1,4 @@
-"""Lines of text for a person, and ``altd status`` made of them: one unit on one screen."""
+"""Lines of text for a person, and the text of ``altd status``: one unit on one screen."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from altd.terminal.documents import (
 )
 
 WIDTH = 79
-"""A line of 80 would make some terminals wrap."""
+"""Width of a line; some terminals would wrap a line of 80."""
 
 _SPANS = {
     "last_hour": "of the last hour",
@@ -31,13 +31,13 @@ _SPANS = {
 
 
 def state_text(signal: str) -> str:
-    """A state as it is called out: ``good``, ``MAINTENANCE REQUIRED``."""
+    """Text of a state: ``good``, ``MAINTENANCE REQUIRED``."""
     text = signal.replace("_", " ")
     return text if signal == "good" else text.upper()
 
 
 def verdict_text(reading: Reading) -> str:
-    """Whether the numbers may be used, as it is called out: ``VALID``, ``SIMULATED``, ``NOT VALID``."""
+    """Text about the usability of the numbers: ``VALID``, ``SIMULATED``, ``NOT VALID``."""
     if not reading.valid:
         return "NOT VALID"
     origins = [code.upper() for code in reading.status if code in NOT_FROM_CAMERAS]
@@ -45,7 +45,7 @@ def verdict_text(reading: Reading) -> str:
 
 
 def cause_text(cause: CauseDocument) -> str:
-    """Causes and remedies, in the words of the table of causes."""
+    """A cause with its remedy, in the wording of the table of causes."""
     of = f" ({cause.of})" if cause.of else ""
     just_now = "" if cause.active else ", just now"
     detail = f" [{cause.detail}]" if cause.detail else ""
@@ -53,7 +53,7 @@ def cause_text(cause: CauseDocument) -> str:
 
 
 def number_text(number: Shown, valid: bool, width: int = WIDTH) -> str:
-    """A quantity in one line; its sigmas and its other unit as far as all of each fits into ``width``."""
+    """A quantity in one line; its sigmas and its other unit if each fits completely into ``width``."""
     if number.value is None:
         return f"{number.label:<7}{'not available' if valid else '-':>13}"
     text = f"{number.label:<7}{number.value:>10.{number.decimals}f} {number.unit:<4}"
@@ -71,7 +71,7 @@ def number_text(number: Shown, valid: bool, width: int = WIDTH) -> str:
 
 
 def availability_text(status: StatusDocument) -> str:
-    """The share of time in which the unit measured, of each span; rounded down."""
+    """Share of time in which the unit measured, for each span; rounded down."""
     told = [
         f"{int(span.share * 1e4) / 100:.2f} % {_SPANS.get(name, name)}"
         for name, span in status.availability.items()
@@ -90,7 +90,7 @@ def self_check_text(check: SelfCheckDocument) -> str:
 
 
 def hanging(head: str, text: str, width: int, indent: int) -> list[str]:
-    """The text behind ``head``, its further lines below its first one."""
+    """The text after ``head``, its further lines below its first one."""
     return wrap(
         text,
         width,
@@ -103,11 +103,11 @@ def hanging(head: str, text: str, width: int, indent: int) -> list[str]:
 _INDENT = 13
 _MAX_NAME = 40
 _FINE = ("good", "maintenance_required")
-"""States in which the numbers may be used: those of the unit's own table that ask for nothing now."""
+"""States in which the numbers may be used and the unit's own table requires no action now."""
 
 
 def is_fine(reading: Reading | None, status: StatusDocument) -> bool:
-    """Whether the unit measures and its state is good or asks for no more than maintenance."""
+    """Whether the unit measures, and its state is good or requires no more than maintenance."""
     return reading is not None and reading.valid and status.state.signal in _FINE
 
 
@@ -162,7 +162,7 @@ def _further(
 
 
 def _components(status: StatusDocument) -> Iterator[str]:
-    """A row for each component that is not ok; the names of the others."""
+    """Rows for the components that are not ok, and the names of the others."""
     names = [name for name, component in status.components.items() if component.state != "ok"]
     column = min(max(map(len, ["component", *names])), _MAX_NAME) + 2
     yield ""
@@ -187,7 +187,7 @@ _ACTIONS = {
 
 
 def self_check_table(check: SelfCheckDocument) -> list[str]:
-    """A row for the LEDs of each target and for each part of the verdict; below them what to do, and why."""
+    """Rows for the LEDs of each target and for each part of the verdict; then the action and the reasons."""
     rows = [("check", "verdict", "good if", "bad if", "value, +/- 1 sigma")]
     for name, target in check.targets.items():
         unused = Counter(state.replace("_", " ") for state in target.leds if state != "used")

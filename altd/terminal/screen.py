@@ -1,4 +1,4 @@
-"""The screen of ``altd watch``: what is known of a unit, drawn into as many rows and columns as there are."""
+"""The screen of ``altd watch``: the knowledge of a unit, drawn into the available rows and columns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from altd.terminal.lines import (
 )
 
 MIN_ROWS, MIN_COLUMNS = 16, 60
-"""A smaller screen reports it and shows the numbers alone."""
+"""Minimum size; a smaller screen reports it and shows only the numbers."""
 
 _NUMBER_COLUMNS = 46
 _SCALE_COLUMNS = 12
@@ -35,14 +35,14 @@ _KEYS = "tab, arrows: {pages}  h: help  q: quit"
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The view: the number of the page, the lines of it above the screen, help or not."""
+    """The view: number of the page, number of its lines above the screen, help or not."""
 
     page: int = 0
     above: int = 0
     help: bool = False
 
     def pressed(self, key: str) -> View:
-        """The view after a key: ``tab``, ``left``, ``right``, ``up``, ``down`` or a character."""
+        """Return the view after a key: ``tab``, ``left``, ``right``, ``up``, ``down`` or a character."""
         if self.help or key in ("h", "?"):
             return replace(self, help=not self.help)
         match key:
@@ -58,7 +58,7 @@ class View:
 
 
 def draw(knowledge: Knowledge, now_s: float, view: View, canvas: Canvas) -> View:
-    """Draw the whole screen; the view comes back with no more lines above it than its page has."""
+    """Draw the whole screen; return the view, with ``above`` limited to what its page has."""
     moment = knowledge.at(now_s)
     _head(canvas, moment)
     if canvas.rows < MIN_ROWS or canvas.columns < MIN_COLUMNS:
@@ -78,7 +78,7 @@ def draw(knowledge: Knowledge, now_s: float, view: View, canvas: Canvas) -> View
 
 
 def _head(canvas: Canvas, moment: Moment) -> None:
-    """The unit with its state, and whether it measures."""
+    """Draw the unit with its state, and whether it measures."""
     status = moment.status
     if moment.lost:
         canvas.put(0, 0, "NO CONNECTION: nothing is known of the unit now", Style.BAD)
@@ -117,7 +117,7 @@ def _number(canvas: Canvas, row: int, moment: Moment, number: Shown, width: int)
 
 
 def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
-    """Both targets, the numbers with their trends, and as many causes as there is room for."""
+    """Draw both targets, the numbers with their trends, and as many causes as fit."""
     numbers = moment.numbers
     causes = _cause_lines(moment.status, canvas.columns)
     below = 1 + max(len(numbers), 4) + 1
@@ -143,7 +143,7 @@ def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: f
 
 
 def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, rows: int) -> int:
-    """Draw the targets beside each other from row 3 on; returns how many rows that took."""
+    """Draw the targets next to each other from row 3 on; return the number of rows used."""
     targets = moment.targets
     if targets is None or not targets.targets or rows < 1:
         return 0
@@ -163,7 +163,7 @@ def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float
 
 
 def _trends_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
-    """Each number as large as there is room for, a column a second."""
+    """Draw each number as large as possible, one column per second."""
     rows = (canvas.rows - 4) // max(len(moment.numbers), 1) - 1
     width = canvas.columns - _SCALE_COLUMNS
     for place, number in enumerate(moment.numbers):
@@ -187,7 +187,7 @@ def _scale(canvas: Canvas, row: int, rows: int, number: Shown, limits: tuple[flo
 
 
 def _causes_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: View) -> int:
-    """Every cause with its remedy."""
+    """Draw every cause with its remedy."""
     lines = _cause_lines(moment.status, canvas.columns)
     if moment.status is not None and not lines:
         lines = [("nothing is wrong", Style.GOOD)]
@@ -195,7 +195,7 @@ def _causes_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: 
 
 
 def _parts_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: View) -> int:
-    """Availability, the last self-check, the components."""
+    """Draw availability, the last self-check and the components."""
     status, lines = moment.status, list[tuple[str, Style]]()
     if status is None:
         return 0
@@ -223,7 +223,7 @@ def _cause_lines(status: StatusDocument | None, columns: int) -> list[tuple[str,
 
 
 def _lines(canvas: Canvas, lines: list[tuple[str, Style]], above: int) -> int:
-    """A list that may be longer than the screen, from its line number ``above`` on; returns that."""
+    """Draw a list that may be longer than the screen, from line ``above`` on; return that, limited."""
     rows = canvas.rows - 4
     above = min(above, max(len(lines) - rows, 0))
     for offset, (line, style) in enumerate(lines[above : above + rows]):
@@ -235,7 +235,7 @@ def _lines(canvas: Canvas, lines: list[tuple[str, Style]], above: int) -> int:
 
 
 Page = Callable[[Canvas, Knowledge, Moment, float, View], int]
-"""Draws a page; returns how many of its lines lie above the screen."""
+"""Draws a page; returns the number of its lines above the screen."""
 
 PAGES: tuple[tuple[str, Page], ...] = (
     ("targets", _targets_page),

@@ -1,4 +1,4 @@
-"""One connection to a broker: what aiomqtt leaves open at its end, and what a broker may send."""
+"""One connection to a broker: its socket is closed in any case, and received data is limited."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from altd.config import MqttSettings
 from altd.errors import one_line
 
 KEEP_ALIVE_S = 10
-"""A broker that hears nothing for half as long again sends the will."""
+"""Keep-alive time. A broker that receives nothing for 1.5 times as long publishes the will."""
 
 CONNECT_TIMEOUT_S = 10.0
-"""From resolving the broker's name to CONNACK."""
+"""Maximum time from resolving the broker's name to CONNACK."""
 
 ACK_TIMEOUT_S = 5.0
-"""A message that is not acknowledged within this time ends the connection."""
+"""Maximum time until a message is acknowledged; a longer time ends the connection."""
 
 GOODBYE_TIMEOUT_S = 1.0
-"""For ``offline`` and the end of the connection."""
+"""Maximum time for sending ``offline`` and ending the connection."""
 
 MAX_RECEIVED_BYTES = 64 << 10
 MAX_RECEIVED_BYTES_PER_MESSAGE = 256
-"""The bytes that a broker may send: handshake and CONNACK, and an acknowledgement of each message."""
+"""Limits of received bytes: for handshake and CONNACK, and for the acknowledgement of each message."""
 
 MAX_PACKET_BYTES = 4096
-"""The broker drops larger packets to the unit (Maximum Packet Size of MQTT 5)."""
+"""Maximum size of a packet to the unit; the broker drops larger ones (Maximum Packet Size of MQTT 5)."""
 
 MAX_UNACKNOWLEDGED = 8
-"""Messages to the unit on their way at once (Receive Maximum of MQTT 5)."""
+"""Maximum number of unacknowledged messages to the unit (Receive Maximum of MQTT 5)."""
 
 _TCP_INFO_BYTES = 136
 _BYTES_RECEIVED = struct.Struct("=128xQ")
@@ -55,24 +55,24 @@ Login = tuple[str, str] | None
 
 _log = logging.getLogger("altd.mqtt")
 _log.disabled = True
-"""aiomqtt and paho log what a broker sends, line by line; what matters of it is in the errors."""
+"""Disabled: aiomqtt and paho log what a broker sends, line by line; errors contain the relevant part."""
 
 
 _NO_MQTT = "the broker sent what is not MQTT"
 _LOST = {130: _NO_MQTT, 141: "the broker is silent"}
-"""The text for a connection that was lost, by its reason code of MQTT 5."""
+"""Error text for a lost connection, by its reason code of MQTT 5."""
 
 
 class BrokerError(OSError):
-    """The connection could not be made, or was lost; the sentence says why."""
+    """The connection could not be made, or was lost; the message gives the reason."""
 
 
 class Broker(aiomqtt.Client):
-    """A connection of MQTT 5. ``will`` is sent by the unit itself when it leaves in order.
+    """A connection of MQTT 5. ``will`` is sent by the unit itself before an orderly disconnect.
 
-    aiomqtt 2.5 has no place for four things, so this class reaches into it: a socket that is closed in any
-    case (aiomqtt leaves it open when the broker is silent at the end, or sends malformed packets) and never
-    watched from two threads, a limit for what is received, and the broker's refusal of a message. Its
+    aiomqtt 2.5 lacks four things, so this class uses private parts of it. The socket is closed in any case
+    (aiomqtt leaves it open if the broker is silent at the end, or sends malformed packets) and never watched
+    from two threads. Received data is limited, and the broker's refusal of a message is reported. aiomqtt's
     timeouts are not used: Python 3.11's ``wait_for`` loses a cancellation that comes with an acknowledgement.
     """
 
@@ -101,14 +101,14 @@ class Broker(aiomqtt.Client):
             properties=properties,
             socket_options=[
                 (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            ],  # a ping waits for no acknowledgement
+            ],  # a ping must not wait for a TCP acknowledgement
             timeout=math.inf,
             logger=_log,
         )
         self._will = will
         self._is_left = False
         self.has_sent_connect = False
-        """Whether there was a server to which CONNECT was sent, whatever followed."""
+        """Whether CONNECT was sent to a server, whatever followed."""
         self._watched: socket.socket | None = None
         self._sent = 0
         self._topic = ""
@@ -127,16 +127,16 @@ class Broker(aiomqtt.Client):
             self._close()
             raise BrokerError(_why_refused(error)) from error
         except BaseException:
-            self._close()  # the thread that connects cannot be stopped: what it brings is closed in _watch
+            self._close()  # the connecting thread cannot be stopped: _watch closes its socket
             raise
-        if lost.done():  # aiomqtt forgets a connection that was lost right behind CONNACK
+        if lost.done():  # aiomqtt forgets a connection that was lost right after CONNACK
             self._disconnected = lost
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Send the will and leave. Where that is not acknowledged, break off: then the broker sends it."""
+        """Send the will and disconnect. If that is not acknowledged, disconnect; the broker then sends it."""
         try:
             if self._sent and not self._disconnected.done():
                 async with asyncio.timeout(GOODBYE_TIMEOUT_S):
@@ -154,7 +154,7 @@ class Broker(aiomqtt.Client):
     async def send(self, topic: str, payload: str, *, expiry_s: int | None, retain: bool = False) -> None:
         """Publish with QoS 1 and wait for the acknowledgement; raises BrokerError.
 
-        A broker that has kept the message for ``expiry_s`` forgets it; None: it never does.
+        The broker discards a message that it has stored for ``expiry_s``; None: never.
         """
         properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
         if expiry_s is not None:
@@ -165,9 +165,9 @@ class Broker(aiomqtt.Client):
     async def subscribe_to(
         self, topic: str, take: Callable[[bytes, bool], None], with_retained: bool = False
     ) -> None:
-        """Pass each message on ``topic`` to ``take``, and whether it is retained; raises BrokerError.
+        """Pass each message on ``topic``, and whether it is retained, to ``take``; raises BrokerError.
 
-        ``with_retained``: the message that the broker retains comes first, and only that one is marked.
+        ``with_retained``: the broker sends its retained message first, and only that one is marked.
         """
         self._topic, self._take = topic, take
         handling = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE
@@ -181,7 +181,7 @@ class Broker(aiomqtt.Client):
 
     @contextlib.asynccontextmanager
     async def _acknowledged(self) -> AsyncIterator[None]:
-        """Limit the time until the broker has acknowledged what is sent; raises BrokerError."""
+        """Limit the time until the broker acknowledges what is sent; raises BrokerError."""
         self._sent += 1
         try:
             async with asyncio.timeout(ACK_TIMEOUT_S):
@@ -193,17 +193,17 @@ class Broker(aiomqtt.Client):
             raise BrokerError(str(error.__cause__ or error)) from error
 
     async def lost(self) -> None:
-        """Wait until the connection is lost; raises BrokerError then."""
+        """Wait until the connection is lost, then raise BrokerError."""
         await asyncio.shield(self._disconnected)
 
     def _close(self) -> None:
-        """Leave nothing of this connection in the event loop."""
+        """Remove everything of this connection from the event loop."""
         self._is_left = True
         if self._watched is not None:
             self._client.reinitialise()  # the only public call that closes at once
         for state in (self._connected, self._disconnected):
             if state.done() and not state.cancelled():
-                state.exception()  # or asyncio logs that it was never retrieved
+                state.exception()  # otherwise asyncio logs that it was never retrieved
 
     def _fail(self, error: Exception) -> None:
         for state in (self._connected, self._disconnected):
@@ -212,7 +212,7 @@ class Broker(aiomqtt.Client):
                 return
 
     def _client_connect(self) -> None:
-        """Connect, in a thread; from then on the socket is touched in the event loop alone."""
+        """Connect, in a thread; after that only the event loop uses the socket."""
         super()._client_connect()
         self.has_sent_connect = True
         self._loop.call_soon_threadsafe(self._watch)
@@ -245,7 +245,7 @@ class Broker(aiomqtt.Client):
             super()._on_socket_close(client, userdata, sock)
 
     def _read(self, sock: socket.socket) -> None:
-        """Read a packet; of TLS, all of those that were decrypted with it."""
+        """Read a packet; with TLS, all packets that were decrypted with it."""
         try:
             self._check_received(sock)
             self._client.loop_read()
@@ -255,7 +255,7 @@ class Broker(aiomqtt.Client):
                 raise BrokerError("the broker sent a message with QoS 2, and the subscription has QoS 1")
         except BrokerError as error:
             self._stop_reading(sock, error)
-        except Exception as error:  # paho raises many kinds for malformed packets
+        except Exception as error:  # paho raises many exception types for malformed packets
             text = one_line(f"{_NO_MQTT} ({type(error).__name__}: {error})")
             self._stop_reading(sock, BrokerError(text))
 
@@ -265,7 +265,7 @@ class Broker(aiomqtt.Client):
         self._fail(error)
 
     def _check_received(self, sock: socket.socket) -> None:
-        """Little may come but acknowledgements: paho would keep 256 MB of one packet, and many packets."""
+        """Raise BrokerError for too much data: paho would keep 256 MB of one packet, and many packets."""
         info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_BYTES)
         received: int = _BYTES_RECEIVED.unpack(info)[0]
         if received > MAX_RECEIVED_BYTES + MAX_RECEIVED_BYTES_PER_MESSAGE * self._sent:
@@ -298,14 +298,14 @@ class Broker(aiomqtt.Client):
             text = f"the broker ended the connection: {reason_code}"
         elif reason_code.is_failure:
             text = _LOST.get(reason_code.value, "the broker closed the connection")
-        else:  # at the end, by the unit
+        else:  # ended by the unit
             super()._on_disconnect(client, userdata, flags, reason_code, properties)
             return
         self._loop.call_soon_threadsafe(self._fail, BrokerError(text))
 
 
 def _why_refused(error: aiomqtt.MqttError) -> str:
-    """Why there is no connection. aiomqtt keeps the error of the socket as the context of its own."""
+    """Reason for the failed connection. aiomqtt keeps the socket's error as the context of its own."""
     if isinstance(error, MqttConnectError):
         return f"the broker refuses the unit: {error.rc}; see user name, password and certificate"
     origin = error.__context__

@@ -1,4 +1,4 @@
-"""The common part of both MQTT profiles: one connection at a time, and one message on its way."""
+"""Common part of both MQTT profiles: one connection at a time, and one message in flight."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from altd.status.board import Board
 from altd.status.health import Component, Health, State
 
 INTERVAL_S = 1.0
-"""From one summary to the next; Home Assistant wants no more."""
+"""Interval of the summaries; Home Assistant needs no shorter one."""
 
 MAX_JITTER_S = 2.0
-"""Before each further try, beside the growing back-off of supervision: when a broker restarts, its units do
-not come all at once."""
+"""Maximum random delay before each retry, in addition to the growing back-off of supervision: when a broker
+restarts, its units do not reconnect all at once."""
 
 Connection = TypeVar("Connection", bound=Broker)
 
 
 class BrokerPublisher(ABC, Generic[Connection]):
-    """Publishes to one broker while it takes the messages; a profile says which.
+    """Publishes to one broker while it accepts the messages; a subclass defines the profile.
 
-    Nothing is queued: what could not be sent is left out, and counted. Raises BadInputError for credentials
-    or certificates that cannot be used.
+    Nothing is queued: what could not be sent is dropped and counted. Raises BadInputError for credentials or
+    certificates that cannot be used.
     """
 
     def __init__(
@@ -56,26 +56,26 @@ class BrokerPublisher(ABC, Generic[Connection]):
 
     @abstractmethod
     def _connection(self, login: Login, tls: ssl.SSLContext | None) -> Connection:
-        """A connection that is not yet made."""
+        """Return a connection that is not opened yet."""
 
     @abstractmethod
     async def _introduce(self, broker: Connection) -> None:
-        """Send which unit this is."""
+        """Send the identity of the unit."""
 
     @abstractmethod
     async def _listen(self, broker: Connection) -> None:
-        """Run beside the publishing, from before the first message, until cancelled."""
+        """Run concurrently with the publishing, from before the first message, until cancelled."""
 
     @abstractmethod
     async def _each_second(self, broker: Connection) -> None:
-        """Send what is sent once in ``INTERVAL_S``."""
+        """Send what is due once per ``INTERVAL_S``."""
 
     @abstractmethod
     async def _send_measurement(self, broker: Connection) -> None:
-        """Send what the board shows if it is another measurement than was sent last."""
+        """Send the measurement of the board if it differs from the one sent last."""
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve one connection until cancelled; raises BrokerError when there is none, or it was lost."""
+        """Serve one connection until cancelled; raises BrokerError if it cannot be made or is lost."""
         if self._tries:
             await self._clock.sleep(self._chance.uniform(0.0, MAX_JITTER_S))
         self._tries += 1
@@ -106,7 +106,7 @@ class BrokerPublisher(ABC, Generic[Connection]):
         return login, client_context(settings.ca, settings.certificate, settings.key)
 
     async def _publish(self, broker: Connection) -> None:
-        """One message after the other; time that was lost is not made up by a burst."""
+        """Send one message after the other; lost time is not made up by a burst."""
         due_ns = self._clock.monotonic_ns() + round(INTERVAL_S * 1e9)
         while True:
             left_s = (due_ns - self._clock.monotonic_ns()) * 1e-9
@@ -119,7 +119,7 @@ class BrokerPublisher(ABC, Generic[Connection]):
                 await self._clock.sleep(left_s)
 
     async def _send_next(self, broker: Connection, timeout_s: float) -> None:
-        """Wait for a measurement and send it; those that the broker was too slow for are counted."""
+        """Wait for a measurement and send it; count those that were skipped for a slow broker."""
         skipped = self._unsent.skipped
         try:
             async with asyncio.timeout(timeout_s):
@@ -130,6 +130,6 @@ class BrokerPublisher(ABC, Generic[Connection]):
         await self._send_measurement(broker)
 
     def _has_sent(self) -> None:
-        """Count a message that the broker has taken."""
+        """Count a message that the broker has accepted."""
         self._component.count("messages_sent")
         self._component.gave_data()

@@ -1,4 +1,4 @@
-"""The profile Sparkplug B 3.0: the unit as an edge node, its numbers as metrics of the node."""
+"""Sparkplug B 3.0 profile: the unit as an edge node, its numbers as metrics of the node."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from altd.status.board import Board
 from altd.status.health import Component, Health
 
 REBIRTH_INTERVAL_S = 1.0
-"""From one birth to the next at least, however many are asked for."""
+"""Minimum time between two births, however many are requested."""
 
 
 class EdgeNodeSession(Broker):
-    """A connection that sends data with QoS 0, as Sparkplug has it."""
+    """A connection that sends data with QoS 0, as Sparkplug requires."""
 
     def __init__(
         self,
@@ -58,34 +58,34 @@ class EdgeNodeSession(Broker):
             await self._ping()
 
     async def check(self) -> None:
-        """Wait for a sign of life; raises BrokerError."""
+        """Wait for the broker's answer to a ping; raises BrokerError."""
         async with self._acknowledged():
             await self._ping()
 
     async def _ping(self) -> None:
-        """Let the broker answer: it reads in order, and so has read all that was sent before.
+        """Ping the broker and wait: it reads in order, so its answer confirms everything sent before.
 
-        Without this, a broker that stops reading would get old numbers when it continues: QoS 0 has no
+        Without this, a broker that stops reading would receive old numbers when it continues: QoS 0 has no
         acknowledgement.
         """
         self._answered.clear()
-        self._client._send_pingreq()  # noqa: SLF001  paho sends none on request
+        self._client._send_pingreq()  # noqa: SLF001  paho sends no ping on request
         await self._answered.wait()
 
     def _read(self, sock: socket.socket) -> None:
         super()._read(sock)
-        if not self._client._ping_t:  # noqa: SLF001  zero: there is no ping without an answer
+        if not self._client._ping_t:  # noqa: SLF001  zero: every ping was answered
             self._answered.set()
 
     async def _leave(self) -> None:
-        """Send NDEATH if there was a birth. No DISCONNECT: so the broker sends the will in any case."""
+        """Send NDEATH after a birth, and no DISCONNECT, so that the broker sends the will in any case."""
         if self._is_born:
             will = self._will
             await self.publish(will.topic, will.payload, will.qos, will.retain)
 
 
 class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
-    """Publishes births, deaths and data; takes the command to send the birth again, and no other."""
+    """Publishes births, deaths and data; accepts only the command to send the birth again."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         chance: random.Random,
     ) -> None:
         super().__init__(settings, board, health, component, chance)
-        assert settings.sparkplug is not None  # noqa: S101  it is chosen by this
+        assert settings.sparkplug is not None  # noqa: S101  its presence selects this profile
         self._group = settings.sparkplug.group
         self._node = settings.sparkplug.node or quote(self._serial, safe="")
         self._session: EdgeNodeSession | None = None
@@ -112,10 +112,10 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         return f"{NAMESPACE}/{self._group}/{kind}/{self._node}"
 
     def _connection(self, login: Login, tls: ssl.SSLContext | None) -> EdgeNodeSession:
-        """The number of NDEATH and of the births with it is one higher with each CONNECT.
+        """Return a connection; the number of its NDEATH and births is one higher after each CONNECT.
 
-        It begins at 0 with the daemon: a broker ends the older connection of the same client, with its will,
-        before it answers the new one (MQTT 5, 3.1.4), so that no NDEATH of an earlier daemon follows a birth.
+        The number begins at 0 with the daemon: a broker ends the older connection of a client, with its
+        will, before it answers the new one (MQTT 5, 3.1.4). No NDEATH of an earlier daemon follows a birth.
         """
         if self._session is not None and self._session.has_sent_connect:
             self._bd_seq = (self._bd_seq + 1) % 256
@@ -134,7 +134,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
             await self._send_birth(broker)
 
     def _take_command(self, payload: bytes, is_retained: bool) -> None:
-        """A retained command is none: it would come again with each connection."""
+        """Handle a command; refuse a retained one, which would be repeated with each connection."""
         is_rebirth, refused = (False, 1) if is_retained else commands_in(payload)
         self._component.count("commands_refused", refused)
         if is_rebirth:
@@ -142,7 +142,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
             self._rebirth.set()
 
     async def _listen(self, broker: EdgeNodeSession) -> None:
-        """Answer requests for a birth. From the request to the birth no data is sent."""
+        """Send requested births. Between request and birth no data is sent."""
         while True:
             await self._rebirth.wait()
             async with self._sending:
@@ -182,14 +182,14 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
                 await self._send(broker, "NDATA", metrics)
 
     def _new_state(self, now_ms: int) -> list[Metric]:
-        """The metrics of the state, if one of them is another than was sent last."""
+        """Metrics of the state; empty if all values equal the ones sent last."""
         metrics = state_metrics(self._health.state(), now_ms)
         values: list[object] = [each.value for each in metrics]
         before, self._told_state = self._told_state, values
         return [] if before == values else metrics
 
     def _new_measurement(self) -> list[Metric]:
-        """All metrics of the measurement, if it is another than was sent last; also one that went stale."""
+        """All metrics of the measurement, also if it became stale; empty if it equals the one sent last."""
         shown = self._board.read()
         before, self._told = self._told, shown
         return [] if before == shown else measurement_metrics(shown, self._board, self._clock)

@@ -1,4 +1,4 @@
-"""Messages: topics, payloads, and their shape as pydantic models."""
+"""Topics and payloads of the messages, and their pydantic models."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Topics:
 
     @classmethod
     def of(cls, beginning: str, serial: str) -> Self:
-        """Below ``beginning`` and the serial number, in which what no topic may hold is percent-encoded."""
+        """Return the topics below ``beginning`` and the serial number, percent-encoded for topics."""
         return cls(*(f"{beginning}/{quote(serial, safe='')}/{name}" for name in cls.__slots__))
 
 
 def birth_of(board: Board, health: Health, clock: Clock) -> dict[str, Any]:
-    """Which unit this is, and what it publishes."""
+    """Return the birth message: the identity of the unit, and what it publishes."""
     calibration = health.calibration.summary
     file = calibration.get("file", {})
     return {
@@ -63,15 +63,15 @@ def birth_of(board: Board, health: Health, clock: Clock) -> dict[str, Any]:
 
 
 def state_of(report: StateReport, clock: Clock) -> dict[str, Any]:
-    """The unit's state when it is sent."""
+    """Return the state message: the state of the unit at the time of sending."""
     return {"time": _now(clock), **report.as_object()}
 
 
 def summary_of(measurements: Sequence[Measurement], board: Board, clock: Clock) -> dict[str, Any]:
-    """The measurements since the last summary; none: all numbers are null, and ``status`` is the board's.
+    """Return the summary of ``measurements``; without any, statistics null and the board's ``status``.
 
-    The mean of a quantity is that of the valid measurements, or of those in which its own sensor knows it;
-    ``sigma`` is the root of the mean of their variances: the uncertainty of one of them, not their scatter.
+    The mean of a quantity covers the valid measurements, or those in which its own sensor knows it. ``sigma``
+    is the root mean square of their sigmas: the uncertainty of one measurement, not their scatter.
     """
     valid = sum(measurement.valid for measurement in measurements)
     shown = measurements or [now for now in (board.read(),) if now is not None]
@@ -118,37 +118,37 @@ def _now(clock: Clock) -> str | None:
 
 
 class _Checked(Answer):
-    """The values of the keys of every payload in JSON."""
+    """Keys that every JSON payload has."""
 
     time: str | None
-    """UTC, ISO 8601, when it was sent."""
+    """Time of sending, UTC, ISO 8601."""
     unit: str | None
     """CRC-32 of the serial number, 8 hexadecimal digits."""
     session: str | None
-    """Drawn by chance at the start of the daemon."""
+    """Random number that is drawn at the start of the daemon, 8 hexadecimal digits."""
     message: int
-    """Counts the messages in JSON of this interface."""
+    """Number of this message among the JSON messages of this interface."""
     published: int
-    """Measurements since the start of the daemon."""
+    """Number of measurements since the start of the daemon."""
     clock_ms: int
     """Milliseconds since the start of the daemon."""
     age_s: float | None
-    """Seconds from the middle of the exposures of the newest measurement until it was sent."""
+    """Seconds from the middle of the exposures of the newest measurement to the sending."""
     crc32: str
-    """Of all bytes before `, "crc32":`."""
+    """CRC-32 of all bytes before `, "crc32":`, 8 hexadecimal digits."""
 
 
 class Calibration(Answer):
-    """The calibration that is measured with."""
+    """The calibration in use."""
 
     created: str | None
     checksum: str | None
     simulated: bool | None
-    """Whether it was made of simulated frames."""
+    """Whether it was made from simulated frames."""
 
 
 class PublishedQuantity(Answer):
-    """One number that the unit publishes."""
+    """A quantity that the unit publishes."""
 
     label: str
     unit: str
@@ -156,60 +156,60 @@ class PublishedQuantity(Answer):
 
 
 class Birth(_Checked):
-    """Which unit this is; retained, sent at each connection."""
+    """Identity of the unit; retained, sent at each connection."""
 
     serial: str | None
     version: str | None
-    """Of the program."""
+    """Version of the program."""
     instrument: str
-    """The kind of unit."""
+    """Kind of unit."""
     calibration: Calibration
-    """`created`, `checksum`, and whether it was made of `simulated` frames."""
+    """Calibration in use: `created`, `checksum`, and whether it was made from `simulated` frames."""
     targets: list[str]
-    """In beam order."""
+    """Names of the targets in beam order."""
     quantities: dict[str, PublishedQuantity]
-    """`label`, `unit` and `meaning` by the keys of the payloads."""
+    """`label`, `unit` and `meaning` of each quantity, by its key in the payloads."""
 
 
 class State(UnitState, _Checked):
-    """The unit's state in the signals of NAMUR NE 107; retained, sent when it changes."""
+    """State of the unit in the signals of NAMUR NE 107; retained, sent when it changes and every 10 s."""
 
 
 class Instant(Answer):
-    """A measurement."""
+    """Number and time of a measurement."""
 
     sequence: int
     time: str | None
-    """UTC, ISO 8601, of the middle of its exposures."""
+    """Middle of its exposures, UTC, ISO 8601."""
 
 
 class Statistics(Answer):
-    """A quantity in the valid measurements since the last summary; null: it was never known."""
+    """A quantity over the valid measurements since the last summary; null: it was never known."""
 
     mean: float | None
     min: float | None
     max: float | None
     sigma: float | None
-    """The combined standard uncertainty (1 sigma) of one measurement."""
+    """Combined standard uncertainty (1 sigma) of one measurement."""
 
 
 class _Summary(_Checked):
-    """The measurements since the last summary."""
+    """Summary of the measurements since the last summary."""
 
     first: Instant | None
     """`sequence` and `time` of the first measurement; null: there was none."""
     last: Instant | None
-    """The same of the last one."""
+    """`sequence` and `time` of the last measurement; null: there was none."""
     count: int
-    """Measurements, valid or not."""
+    """Number of measurements, valid or not."""
     valid_share: float | None
-    """The share of valid measurements; null: there was no measurement."""
+    """Share of valid measurements, 0 to 1; null: there was no measurement."""
     status: list[str]
-    """The codes of all reasons and warnings."""
+    """Codes of all reasons and warnings."""
 
 
 def summary_model(quantities: Quantities) -> type[_Summary]:
-    """The summary of a unit with these quantities."""
+    """Return the summary model of a unit with these quantities."""
     fields: dict[str, Any] = {
         quantity.key: (Statistics, Field(description=f"{quantity.unit}: {quantity.meaning}"))
         for quantity in quantities.shown
@@ -218,7 +218,7 @@ def summary_model(quantities: Quantities) -> type[_Summary]:
 
 
 def schema_of(quantities: Quantities) -> Mapping[str, Any]:
-    """The JSON Schema of the payloads of a unit with these quantities, one of ``$defs`` each."""
+    """Return the JSON Schema of the payloads of a unit with these quantities, each an entry of ``$defs``."""
     models = (Birth, State, summary_model(quantities), measurement_model(quantities))
     _, schema = models_json_schema([(model, "serialization") for model in models])
     for definition in schema["$defs"].values():

@@ -1,4 +1,4 @@
-"""Sends the outbox to the ingest, beside the live messages, and takes the ingest's acknowledgements."""
+"""Sends the outbox to the ingest, besides the live messages, and receives the ingest's acknowledgements."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from altd.status.proof import is_sealed
 
 LIVE_INTERVAL_S = 1.0
 CATCH_UP_INTERVAL_S = 0.1
-"""From one batch to the next while there are more: 1000 seconds a second for a beam, 160 kB."""
+"""Time between two batches while more are waiting: 1000 seconds per second for a beam, 160 kB."""
 
 MAX_UNACKNOWLEDGED_S = 2000
-"""Seconds that are sent and not acknowledged by the ingest: it sets the rate of all units together."""
+"""Maximum of seconds sent but not acknowledged by the ingest; it sets the rate of all units together."""
 
 RESEND_AFTER_S = 30.0
-"""Without an acknowledgement for so long all is sent again; then after twice the time, and so on."""
+"""Time without an acknowledgement until everything is sent again; doubled for each further repetition."""
 
 MAX_RESEND_S = 480.0
 BATCH_EXPIRY_S = 60
-"""A broker that no ingest reads from forgets a batch after this time: it comes again."""
+"""Time after which a broker discards a batch that no ingest reads; the unit then sends it again."""
 
 NO_INGEST_S = 600.0
-"""Without an acknowledgement for so long the component is degraded."""
+"""Time without an acknowledgement until the component is degraded."""
 
 
 class OutboxSender:
-    """One batch on its way to the broker at a time, and nothing is trimmed on the broker's word."""
+    """Sends one batch at a time; only the ingest's acknowledgement, not the broker's, trims the outbox."""
 
     def __init__(
         self,
@@ -59,9 +59,9 @@ class OutboxSender:
         component.set_state(State.OK, self._waiting)
 
     def take_acknowledgement(self, payload: bytes, is_retained: bool) -> None:
-        """Believe an acknowledgement of what was sent since the history was opened, and no other.
+        """Accept only an acknowledgement of data that was sent since the history was opened.
 
-        The retained one may be of an earlier opening: it is passed over.
+        A retained one may be of an earlier opening: it is ignored.
         """
         try:
             message = Acknowledgement.model_validate_json(payload) if is_sealed(payload) else None
@@ -90,19 +90,19 @@ class OutboxSender:
             except BrokerError as error:  # live messages continue
                 self._component.set_state(State.DEGRADED, str(error))
                 await self._clock.sleep(RESEND_AFTER_S)
-        self._sent = self._acknowledged  # of what was on its way, nothing is known
+        self._sent = self._acknowledged  # unknown whether messages in flight have arrived
         while True:
             is_more = await self._send_next(broker)
             await self._clock.sleep(CATCH_UP_INTERVAL_S if is_more else LIVE_INTERVAL_S)
 
     async def _send_next(self, broker: Broker) -> bool:
-        """Send a batch if one is due; returns whether another one is."""
+        """Send a batch if one is due; return whether another one is due."""
         mark = self._outbox.mark
         if mark is None:
             return False
         self._follow(mark)
         if mark.complete > self._sent and self._sent - self._acknowledged < MAX_UNACKNOWLEDGED_S:
-            after = self._sent  # an acknowledgement that comes during the query may move it
+            after = self._sent  # an acknowledgement during the query may change it
             try:
                 mark, rows, quantities = await self._outbox.after(after, _MAX_ROWS)
             except NoHistoryError as error:
@@ -134,7 +134,7 @@ class OutboxSender:
         return mark.complete > self._sent and self._sent - self._acknowledged < MAX_UNACKNOWLEDGED_S
 
     def _follow(self, mark: OutboxMark) -> None:
-        """Begin again with a new stream, and after a time without an answer."""
+        """Start again with a new stream, and after a timeout of the acknowledgement."""
         now_ns = self._clock.monotonic_ns()
         if mark.stream != self._stream:
             self._stream, self._acknowledged = mark.stream, mark.oldest - 1

@@ -1,6 +1,6 @@
-"""The profile in JSON, with the unit as a device of Home Assistant.
+"""The JSON profile, with the unit as a device of Home Assistant.
 
-Each message is made after the one before it was acknowledged.
+Each message is created after the previous one was acknowledged.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Stamps
 
 EXPIRE_AFTER_S = 5
-"""Summaries come each second; in Home Assistant a number that none follows for this long is unavailable."""
+"""Time without the summary of each second until Home Assistant shows a number as unavailable."""
 
 MAX_STATE_CHARACTERS = 255
-"""Of a state in Home Assistant."""
+"""Maximum length of a state in Home Assistant."""
 
 NUMBERS_EXPIRY_S = 2
-"""A broker that could not deliver a summary or a measurement for so long drops it."""
+"""Time after which a broker drops a summary or a measurement that it could not deliver."""
 
 RETAINED_EXPIRY_S = 30
 REFRESH_INTERVAL_S = 10.0
-"""``online`` and the state are sent again so often, and expire where the unit does not: a broker may lose the
-will in a crash, or send that of an older connection behind the ``online`` of this one."""
+"""Interval at which ``online`` and the state are repeated, or else expire: a broker may lose the will
+in a crash, or send that of an older connection after the ``online`` of this one."""
 
 
 class MqttPublisher(BrokerPublisher[Broker]):
-    """Publishes summaries or measurements, state and identity in JSON, each on a topic of its own."""
+    """Publishes summaries or measurements, state and identity as JSON, each on its own topic."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
                 tasks.create_task(self._sender.run(broker), name="mqtt outbox")
 
     async def _collect(self) -> None:
-        """Take each measurement for the next summary. A connection without summaries ends in seconds."""
+        """Collect each measurement for the next summary; a connection without summaries ends in seconds."""
         self._since_summary.clear()
         while True:
             skipped = self._unsummarised.skipped
@@ -93,7 +93,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             self._component.count("measurements_not_summarised", self._unsummarised.skipped - skipped)
 
     async def _introduce(self, broker: Broker) -> None:
-        """Say who this is; ``online`` comes last, so that a client that sees it has all the rest."""
+        """Send the identity; ``online`` is last, so that a client that receives it has everything else."""
         topics, version = self._topics, self._health.facts.get("version", "")
         birth = self._with_proof(birth_of(self._board, self._health, self._clock))
         await broker.send(topics.birth, birth, expiry_s=None, retain=True)
@@ -111,12 +111,12 @@ class MqttPublisher(BrokerPublisher[Broker]):
         await broker.send(self._topics.availability, ONLINE, expiry_s=RETAINED_EXPIRY_S, retain=True)
 
     async def _each_second(self, broker: Broker) -> None:
-        """The state before the numbers: it is never better than they are."""
+        """Send the state before the numbers, so that it is never better than they are."""
         if self._clock.monotonic_ns() >= self._refresh_ns:
             await self._refresh(broker)
         else:
             await self._send_state(broker)
-        if self._settings.every_measurement:  # one that has gone stale, too
+        if self._settings.every_measurement:  # also one that became stale
             await self._send_measurement(broker)
         summary = summary_of(self._since_summary, self._board, self._clock)
         self._since_summary.clear()
@@ -134,7 +134,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
         self._has_sent()
 
     async def _send_state(self, broker: Broker) -> None:
-        """The state where it is another one than was sent last."""
+        """Send the state if it differs from the one sent last."""
         report = self._health.state()
         if report is None:
             return
@@ -147,14 +147,14 @@ class MqttPublisher(BrokerPublisher[Broker]):
 
 
 def discovery_topic(prefix: str, identifier: str) -> str:
-    """The topic on which Home Assistant looks for a device."""
+    """Topic on which Home Assistant expects the discovery message of a device."""
     return f"{prefix}/device/{identifier}/config"
 
 
 def discovery_of(
     quantities: Quantities, topics: Topics, identifier: str, serial: str, version: str
 ) -> dict[str, Any]:
-    """The device-based discovery message, retained at ``discovery_topic``.
+    """Return the device-based discovery message, retained at ``discovery_topic``.
 
     Its sensors read summary and state.
     """

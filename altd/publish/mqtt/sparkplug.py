@@ -1,8 +1,8 @@
-"""Sparkplug B 3.0: the metrics of a unit, their payload as protobuf, and the one command that a unit takes.
+"""Sparkplug B 3.0: the metrics of a unit, their protobuf payload, and the one command that a unit accepts.
 
-Names, numbers and types of the fields are those of chapter 6.4 of the specification. Fields that the unit
-neither writes nor reads are left out, and protobuf skips them. Metrics have names and no aliases: a host that
-has the birth of an older program could take the alias of one quantity for another.
+Names, numbers and types of the fields follow chapter 6.4 of the specification. Fields that the unit neither
+writes nor reads are omitted; protobuf skips them. Metrics have names but no aliases: a host with the birth of
+an older program could take the alias of one quantity for another.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ REBIRTH = "Node Control/Rebirth"
 
 
 class Quality(IntEnum):
-    """The codes of the property ``Quality``."""
+    """Codes of the property ``Quality``."""
 
     BAD = 0
     GOOD = 192
@@ -48,7 +48,7 @@ class Type(IntEnum):
 
     @property
     def of_value(self) -> str:
-        """The field that holds a value of this type."""
+        """Name of the field for a value of this type."""
         return _VALUE_FIELDS[self]
 
 
@@ -103,10 +103,10 @@ Payload = _message_class()
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A value with the UTC of its capture, ms since 1970; None: it is not known.
+    """A value with the UTC of its capture, ms since 1970; ``value`` None: not known.
 
-    ``is_historical`` keeps a host from showing it as the present value. ``about`` are properties that a birth
-    has beside the quality, such as the unit.
+    ``is_historical`` stops a host from showing it as the current value. ``about`` contains properties that a
+    birth has besides the quality, such as the unit.
     """
 
     name: str
@@ -119,11 +119,11 @@ class Metric:
 
 
 def payload_of(metrics: Iterable[Metric], time_ms: int, seq: int | None, *, is_birth: bool) -> bytes:
-    """The payload that is sent at ``time_ms``; None: it has no sequence number, as NDEATH.
+    """Return the payload that is sent at ``time_ms``; ``seq`` None: without sequence number, as in NDEATH.
 
-    Metrics come in the order of their times, each with its datatype and its quality; a birth has all their
-    properties. Data should not have datatypes (payloads-metric-datatype-not-req), but the decoder of npm,
-    ``sparkplug-payload``, reads null without them.
+    Metrics are in the order of their times, each with its datatype and quality; a birth has all their
+    properties. Data should have no datatypes (payloads-metric-datatype-not-req), but the npm decoder
+    ``sparkplug-payload`` reads null without them.
     """
     payload = Payload(timestamp=time_ms, seq=seq)
     for each in sorted(metrics, key=lambda metric: metric.time_ms):
@@ -146,7 +146,7 @@ def payload_of(metrics: Iterable[Metric], time_ms: int, seq: int | None, *, is_b
 
 
 def commands_in(payload: bytes) -> tuple[bool, int]:
-    """Whether an NCMD asks for a rebirth, and how many commands it has that no unit takes."""
+    """Return whether an NCMD requests a rebirth, and the number of its commands that no unit accepts."""
     try:
         metrics = Payload.FromString(payload).metrics
     except DecodeError:
@@ -159,7 +159,7 @@ _NOT_LIVE = NOT_FROM_CAMERAS | {Reason.NOT_LIVE, Reason.REHEARSAL}
 
 
 def identity_metrics(birth: Mapping[str, Any], now_ms: int) -> list[Metric]:
-    """The properties of the unit, from its birth message in JSON."""
+    """Return the properties of the unit as metrics, from its birth message in JSON."""
     told = {key: birth[key] for key in ("serial", "version", "instrument")}
     told |= {f"calibration_{key}": value for key, value in birth["calibration"].items()}
     return [
@@ -175,7 +175,7 @@ def identity_metrics(birth: Mapping[str, Any], now_ms: int) -> list[Metric]:
 
 
 def state_metrics(report: StateReport | None, now_ms: int) -> list[Metric]:
-    """The NE 107 signal, and the codes of its causes, the worst first."""
+    """Return the NE 107 signal, and the codes of its causes, the worst first, as metrics."""
     signal = causes = None
     quality = Quality.BAD if report is None else Quality.GOOD
     if report is not None:
@@ -187,17 +187,17 @@ def state_metrics(report: StateReport | None, now_ms: int) -> list[Metric]:
 
 
 def measurement_metrics(measurement: Measurement | None, board: Board, clock: Clock) -> list[Metric]:
-    """The metrics of ``board``; None: no measurement was made yet.
+    """Return the metrics of ``measurement``; None: no measurement was made yet.
 
-    Only what this unit's cameras measure now is good. What is played, simulated or rehearsed is historical,
-    and bad. What is not known is null: stale where nothing is measured any more, else bad.
+    Only current measurements of this unit's cameras are good. Played, simulated and rehearsed values are
+    historical and bad. Unknown values are null: stale if nothing is measured any more, otherwise bad.
     """
     now_ms = utc_ms(clock, clock.monotonic_ns())
     shown = measurement or Measurement(0, 0, None, 0, board.quantities, {}, {}, (Fault(Reason.WARMING_UP),))
     reasons = {fault.reason for fault in shown.status}
     is_live, is_stale = not reasons & _NOT_LIVE, Reason.STALE in reasons
     without = Quality.STALE if is_stale else Quality.BAD
-    if measurement is None or is_stale:  # later than the values before it, or a host could keep those
+    if measurement is None or is_stale:  # newer than the last values, which a host could keep otherwise
         captured_ms = now_ms
     else:
         captured_ms = utc_ms(clock, shown.t_ns) if shown.time is None else _ms(shown.time)
@@ -225,7 +225,7 @@ def measurement_metrics(measurement: Measurement | None, board: Board, clock: Cl
 
 
 def utc_ms(clock: Clock, t_ns: int) -> int:
-    """UTC of a monotonic instant in ms since 1970; raises BrokerError where it is not known."""
+    """UTC of a monotonic time in ms since 1970; raises BrokerError if it is not known."""
     if (utc := clock.utc(t_ns)) is None:
         raise BrokerError("the unit does not know the UTC, which Sparkplug requires")
     return _ms(utc)

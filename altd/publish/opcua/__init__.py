@@ -1,1 +1,1 @@
-"""OPC UA: measurements, state and identity in the address space of a server, in a process of its own."""
+"""OPC UA: measurements, state and identity in the address space of a server, in a separate process."""

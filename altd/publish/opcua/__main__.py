@@ -1,7 +1,7 @@
 """The process of the server: ``python -m altd.publish.opcua DESCRIPTOR``, a child of the daemon.
 
-It gets the listening socket as a descriptor and lines of JSON on standard input, and answers in lines of JSON
-on standard output. It ends with its standard input.
+It receives the listening socket as a descriptor and lines of JSON on standard input, and answers in lines of
+JSON on standard output. It ends when its standard input ends.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from altd.publish.opcua.start import Start
 
 NICE = 10
 MAX_MEMORY_BYTES = 384 << 20
-"""Of data (RLIMIT_DATA): what clients make it hold ends this process, and not the unit."""
+"""Maximum data (RLIMIT_DATA): clients that exhaust the memory end this process, not the unit."""
 MAX_LINE_BYTES = 1 << 18
 LOOK_INTERVAL_S = 0.1
 FIGURES_INTERVAL_S = 1.0
@@ -53,7 +53,7 @@ _POLICIES = (
 
 
 class ServedUnit:
-    """The unit's server: its nodes, what keeps them true, and what it is asked for."""
+    """The unit's server: its nodes, their live values, stored values, and requests for a self-check."""
 
     def __init__(self, start: Start, listener: socket.socket, monotonic_ns: Any = time.monotonic_ns) -> None:
         """Raises BadInputError for credentials that cannot be used."""
@@ -66,7 +66,7 @@ class ServedUnit:
         self._asked: list[asyncio.Future[str]] = []
 
     async def begin(self) -> None:
-        """Make the address space and serve."""
+        """Build the address space and start serving."""
         start, server, settings = self._start, self.server, self._start.settings
         await server.init()
         await server.set_application_uri(f"urn:altd:{quote(start.serial, safe='')}")
@@ -90,12 +90,12 @@ class ServedUnit:
         await server.start()
 
     async def end(self) -> None:
-        """Serve no longer."""
+        """Stop serving."""
         await self.server.stop()
         await self._history.end()
 
     async def take(self, line: bytes) -> None:
-        """A line of the daemon: a measurement, the state, or the answer to a request for a self-check."""
+        """Process a line of the daemon: a measurement, the state, or the answer to a self-check request."""
         if not line.startswith(b'{"self_check"'):
             await self.live.take(line)
         elif self._asked:
@@ -105,11 +105,11 @@ class ServedUnit:
 
     @property
     def has_clients(self) -> bool:
-        """Whether a client is connected; without one the daemon sends less."""
+        """Whether a client is connected; without a client the daemon sends less."""
         return self.server.bserver is not None and bool(self.server.bserver.clients)
 
     def figures(self) -> dict[str, float]:
-        """The state of the server that the daemon shows."""
+        """Return the figures of the server that the daemon shows."""
         limited, server = self.server.limited, self.server.bserver
         subscriptions = limited.subscription_service.subscriptions.values()
         items = sum(len(each.monitored_item_srv._monitored_items) for each in subscriptions)  # noqa: SLF001
@@ -125,7 +125,7 @@ class ServedUnit:
         }
 
     async def _self_check(self, _: ua.NodeId) -> ua.StatusCode:
-        """Ask the daemon, and wait for its answer; empty: a check comes."""
+        """Request a self-check and wait for the daemon's answer; empty text: the check will run."""
         if len(self._asked) >= 1:
             return ua.StatusCode(ua.StatusCodes.BadTooManyOperations)
         asked = asyncio.get_running_loop().create_future()
@@ -140,7 +140,7 @@ class ServedUnit:
 
 
 def say(document: dict[str, Any]) -> None:
-    """A line for the daemon."""
+    """Send a line to the daemon."""
     print(json.dumps(document), flush=True)  # noqa: T201  the pipe
 
 
@@ -169,7 +169,7 @@ async def serve(descriptor: int) -> None:
 
 
 async def _keep(unit: ServedUnit) -> None:
-    """Take back what is stale, and tell the daemon how the server is."""
+    """Withdraw stale values, and report the state of the server to the daemon."""
     due_s, had_clients = time.monotonic(), False
     changed = unit.server.limited.clients_changed
     while True:
@@ -188,9 +188,9 @@ async def _keep(unit: ServedUnit) -> None:
 
 
 def main() -> int:
-    """Serve; 2 for files that cannot be used, 1 for anything else that ended it before its input did."""
+    """Serve; return 0 at the end, 2 for files that cannot be used. Other exceptions end it with status 1."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    with contextlib.suppress(OSError):  # a service that may not: the administrator's own limits hold
+    with contextlib.suppress(OSError):  # not permitted in some services: the administrator's limits apply
         os.nice(NICE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))

@@ -1,4 +1,4 @@
-"""HistoryRead of raw values: the measurements of the unit's history file, with the quality that they had."""
+"""HistoryRead of raw values: the measurements of the unit's history file, with their original quality."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from altd.publish.opcua.quality import status_of
 from altd.publish.opcua.start import Start
 
 MAX_VALUES = 2000
-"""Of one node in one answer; the rest is behind its continuation point."""
+"""Maximum number of values of one node in one answer; the rest follows at its continuation point."""
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _WINDOWS_EPOCH = datetime(1601, 1, 1, tzinfo=UTC)
 _CONTINUATION = struct.Struct(">Q")
-"""The id of the next measurement: nothing is kept for a client that does not come back."""
+"""Id of the next measurement: the server stores nothing for clients that do not continue."""
 
 
 class StoredValues:
-    """Answers requests from the file. ``key_of`` names the quantity of a node, None: it has no history."""
+    """Answers requests from the file. ``key_of`` names the quantity of a node; None: it has no history."""
 
     def __init__(self, history: History, start: Start, key_of: Callable[[ua.NodeId], str | None]) -> None:
         self._history = history
@@ -35,7 +35,7 @@ class StoredValues:
         self._key_of = key_of
 
     async def read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
-        """The results of a request, a result a node."""
+        """Return the results of a request, one per node."""
         return [await self._result(params, node) for node in params.NodesToRead]
 
     async def _result(
@@ -77,9 +77,9 @@ class StoredValues:
 
 
 class _Span:
-    """The span of a request: from a start on, up to an end, at most ``count`` values.
+    """The span of a request: from a start to an end, at most ``count`` values.
 
-    Raises ValueError where it cannot be answered: backwards, from an open start, or without any bound.
+    Raises ValueError if it cannot be answered: backwards, without a start, or without both end and count.
     """
 
     def __init__(self, details: ua.ReadRawModifiedDetails, continuation: bytes | None) -> None:
@@ -101,7 +101,7 @@ class _Span:
         self.is_limited_by_server = not wanted or wanted > MAX_VALUES
 
     def read(self, reader: Reader) -> Sequence[StoredMeasurement]:
-        """The rows, and one more where there is one."""
+        """Return the rows, and one more row if there is one."""
         first = self._first_id
         if first is None:
             first = _first_id(reader, self._from_us)
@@ -110,9 +110,9 @@ class _Span:
 
 
 def _first_id(reader: Reader, from_us: int) -> int:
-    """The first measurement that is not older, by bisection: the file has no index of times.
+    """Id of the first measurement that is not older, by bisection: the file has no index of times.
 
-    Measurements are in the order in which they were made; where the clock was set back, it is one of them.
+    Measurements are in the order of their creation; if the clock was set back, it is one of them.
     """
     ((low, high),) = reader.rows("SELECT min(id), max(id) FROM measurements")
     if low is None:

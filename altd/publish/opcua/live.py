@@ -1,4 +1,4 @@
-"""The daemon's lines become values: which are fresh, of when they are, and how good."""
+"""Converts the daemon's lines to values with their freshness, time and status."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from altd.publish.opcua.start import Start
 from altd.status.proof import crc32
 
 LINK_TIMEOUT_S = 2.0
-"""The daemon sends a line at least each 0.5 s; without one for so long nothing is known of the unit."""
+"""Time without a line until the unit's state is unknown; the daemon sends one at least every 0.5 s."""
 
 _CLOCK_MS = 0xFFFF_FFFF
-"""The largest count of ``clock_ms`` and of registers (``altd.status.proof``)."""
+"""Modulus of ``clock_ms`` and of counters in registers (``altd.status.proof``)."""
 
 
 class LiveUnit:
-    """Takes lines and writes nodes. Its own clock says what is stale, whatever the lines say.
+    """Receives lines and writes nodes. Its own clock determines what is stale, whatever the lines contain.
 
-    A line says when it was sent, by the monotonic clock that both processes share. A measurement is stale
-    ``stale_after_s`` after it was first sent, however often it is sent again. So a line that waited in the
-    pipe, while this process was held up, is as old as it is.
+    A line contains its time of sending, by the monotonic clock that both processes share. A measurement is
+    stale ``stale_after_s`` after it was first sent, however often it is repeated. So a line that waited in
+    the pipe while this process was held up has its true age.
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class LiveUnit:
         self._first_sent_ns = self._sent_ns = 0
         self._numbers_known = self._linked = False
         self.lines_refused = 0
-        """Lines that are none of this run of the daemon, or that are damaged."""
+        """Number of lines that are damaged or not from this run of the daemon."""
 
     async def take(self, line: bytes) -> None:
-        """A measurement, or the unit's state."""
+        """Process a measurement, or the unit's state."""
         document = self._document(line)
         if document is None:
             self.lines_refused += 1
@@ -63,7 +63,7 @@ class LiveUnit:
             await self._measurement(document)
 
     async def look(self) -> None:
-        """Take back what has become stale; to be called several times a second, and before a read."""
+        """Withdraw values that became stale; to be called several times a second, and before a read."""
         if self._numbers_known and not self._is_within(self._first_sent_ns, self._start.stale_after_s):
             self._numbers_known = False
             await self._take_back(self._nodes.keys - (VARIABLES.keys() | {"health"}) | {"valid"})
@@ -108,13 +108,13 @@ class LiveUnit:
         )
 
     def _targets(self, document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-        """The part of a measurement that is about each target."""
+        """The part of a measurement for each target."""
         is_row = self._start.quantities.has_places
         of = document["targets"] if is_row else document
         return {target: of.get(target, {"valid": False, "status": []}) for target in self._start.targets}
 
     def _statuses(self, document: Mapping[str, Any]) -> dict[str, Status]:
-        """The status of the unit's numbers, key empty, and of those of each target."""
+        """Status of the unit's numbers (empty key), and of the numbers of each target."""
         targets, is_row = self._targets(document), self._start.quantities.has_places
         if not self._numbers_known:
             return dict.fromkeys(("", *targets), Status.BAD_NO_COMMUNICATION)
@@ -131,7 +131,7 @@ class LiveUnit:
     async def _write_numbers(
         self, key: str, said: Mapping[str, Any], status: Status, at: datetime | None, now: datetime
     ) -> None:
-        """A quantity with its sigmas; ``said`` has them by the last part of ``key``."""
+        """Write a quantity with its sigmas; ``said`` contains them under the last part of ``key``."""
         of = key.rpartition(".")[2]
         for node, value in (
             (key, said.get(of)),
@@ -147,7 +147,7 @@ class LiveUnit:
             await self._nodes.write(key, None, Status.BAD_NO_COMMUNICATION, now, now)
 
     def _document(self, line: bytes) -> dict[str, Any] | None:
-        """A whole line of this run of the daemon; None: it is none."""
+        """Parse a line; None if it is damaged or not from this run of the daemon."""
         checked, _, crc = line.rstrip(b"\n").rpartition(b', "crc32": "')
         if crc != b'%08X"}' % crc32(checked):
             return None
@@ -155,7 +155,7 @@ class LiveUnit:
         return document if document["session"] == self._start.session else None
 
     def _sent_ms(self, clock_ms: int) -> int:
-        """Milliseconds from the start of the daemon until a line was sent; ``clock_ms`` begins again at 0."""
+        """Milliseconds from the start of the daemon until a line was sent; ``clock_ms`` wraps to 0."""
         running_ms = (self._monotonic_ns() - self._start.started_ns) // 1_000_000
         return running_ms - (running_ms - clock_ms) % _CLOCK_MS
 
@@ -167,5 +167,5 @@ class LiveUnit:
 
 
 def _known(value: object, status: Status) -> Status:
-    """A value that is missing is Bad, even of a good measurement."""
+    """Status of a value; a missing value is Bad, even in a good measurement."""
     return Status.BAD if value is None and not status.is_bad else status

@@ -1,7 +1,7 @@
 """The address space: the unit as a device of OPC 10000-100, its quantities as AnalogItems of OPC 10000-8.
 
-Namespace 2 is the unit's, the same for all units; 3 is that of OPC 10000-100. asyncua brings no nodes of the
-latter: those that the unit needs are made here, with the numbers that OPC 10000-100 gives them.
+Namespace 2 is the unit's, the same for all units; 3 is that of OPC 10000-100. asyncua has no nodes of the
+latter: the required ones are created here, with the numbers that OPC 10000-100 assigns.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ VARIABLES: Mapping[str, tuple[str, int, str]] = {
     "status": ("Reasons", ua.ObjectIds.String, "the codes of reasons and warnings"),
     "causes": ("Causes", ua.ObjectIds.String, "the codes of what is wrong with the unit, the worst first"),
 }
-"""BrowseName, type and meaning of what is not a quantity, by node."""
+"""BrowseName, type and meaning of the nodes that are not quantities, by key."""
 
 OF_PLACE: Mapping[str, tuple[str, int, str]] = {
     "valid": ("Valid", ua.ObjectIds.Boolean, "whether the spot on the target was measured"),
@@ -64,7 +64,7 @@ OF_PLACE: Mapping[str, tuple[str, int, str]] = {
         "the codes of reasons and warnings, without the target's name",
     ),
 }
-"""The same of each target of a row."""
+"""BrowseName, type and meaning of the corresponding nodes of each target of a row, by key."""
 
 _ARRAYS = {"status", "causes"}
 _TYPES = {
@@ -76,7 +76,7 @@ _TYPES = {
 
 
 class UnitNodes:
-    """The nodes of a unit. ``write`` gives them values."""
+    """The nodes of a unit; ``write`` sets their values."""
 
     def __init__(self, server: Server, start: Start) -> None:
         self._server = server
@@ -85,7 +85,7 @@ class UnitNodes:
         self._types: dict[str, ua.VariantType] = {}
 
     async def build(self) -> None:
-        """Make all nodes; every value waits for initial data."""
+        """Create all nodes; every value waits for initial data."""
         self._own = await self._server.register_namespace(UNIT_NAMESPACE)
         self._di = await self._server.register_namespace(DI_NAMESPACE)
         await self._device_model()
@@ -109,7 +109,7 @@ class UnitNodes:
 
     @property
     def keys(self) -> Set[str]:
-        """The nodes that ``write`` takes."""
+        """Keys of the nodes that ``write`` accepts."""
         return self._types.keys()
 
     def node_id(self, key: str) -> ua.NodeId:
@@ -117,7 +117,7 @@ class UnitNodes:
         return ua.NodeId(key, self._own)
 
     def quantity_of(self, node: ua.NodeId) -> str | None:
-        """The key of a quantity in the history, ``TARGET.KEY`` of a target's; None: the node is none."""
+        """Key of a quantity in the history, ``TARGET.KEY`` for a target's; None: the node is none."""
         key = str(node.Identifier) if node.NamespaceIndex == self._own else ""
         is_number = self._types.get(key) is ua.VariantType.Double
         return (
@@ -127,7 +127,7 @@ class UnitNodes:
     async def write(
         self, key: str, value: object, status: Status, source: datetime | None, now: datetime
     ) -> None:
-        """Set a value; a Bad one is null. Raises UaError where asyncua refuses it: it would keep the old."""
+        """Set a value; a Bad one is null. Raises UaError if asyncua refuses it, and so keeps the old one."""
         kind = ua.VariantType.Null if status.is_bad else self._types[key]
         data = ua.DataValue(
             ua.Variant(None if status.is_bad else value, kind, is_array=_is_array(key) or None),
@@ -140,7 +140,7 @@ class UnitNodes:
         written.check()
 
     async def add_method(self, name: str, meaning: str, call: Any) -> None:
-        """A method of the unit without arguments."""
+        """Add a method of the unit without arguments."""
         unit = self._server.get_node(self.node_id("unit"))
         method = await unit.add_method(self.node_id(name), ua.QualifiedName(name, self._own), call, [], [])
         await method.write_attribute(
@@ -148,7 +148,7 @@ class UnitNodes:
         )
 
     async def _device_model(self) -> None:
-        """The types of OPC 10000-100 that the unit refers to."""
+        """Create the types of OPC 10000-100 that the unit refers to."""
         for number, name, above in _DI_TYPES:
             attributes = ua.ObjectTypeAttributes()
             attributes.IsAbstract = True
@@ -211,7 +211,7 @@ class UnitNodes:
         await self._variable("health", "unit", "DeviceHealth", health, meaning, namespace=di)
 
     async def _analog(self, quantity: Quantity, key: str, parent: str, limits: Range | None) -> None:
-        """An AnalogItem with its sigmas."""
+        """Add an AnalogItem with its sigmas."""
         kind = ua.ObjectIds.AnalogItemType if limits else ua.ObjectIds.AnalogUnitType
         name = quantity.key
         await self._variable(key, parent, name, ua.ObjectIds.Double, quantity.meaning, kind)

@@ -1,6 +1,6 @@
-"""Runs the server in a process of its own, and tells it measurements and state.
+"""Runs the server in a separate process, and sends measurements and state to it.
 
-asyncua parses requests in Python: in the daemon's process, a client that browses would hold up the measuring.
+asyncua parses requests in Python: in the daemon's process, a browsing client would delay the measurement.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from altd.status.target_area import AREA_MM
 from altd.tcp_port import listen
 
 MAX_INTERVAL_S = 0.5
-"""Between two measurements for the server; without a client it gets no more."""
+"""Maximum time between two measurements for the server; without a client also the minimum."""
 STATE_INTERVAL_S = 1.0
-"""The state is sent when it changes, and at least so often."""
+"""Maximum time between two state messages; the state is also sent when it changes."""
 TAKE_TIMEOUT_S = 10.0
-"""A server that takes nothing, or says nothing, for so long is started again."""
+"""Time after which a server that reads nothing, or sends nothing, is restarted."""
 START_TIMEOUT_S = 60.0
 END_TIMEOUT_S = 2.0
 PIPE_BYTES = 4096
-"""Of lines that wait in the kernel: two measurements; more would be old when they are read."""
+"""Maximum size of lines that wait in the kernel: two measurements; more would be old when they are read."""
 MAX_LINE_BYTES = 1 << 16
 MAX_ERROR_LINES = 20
 
@@ -49,11 +49,11 @@ log = logging.getLogger("altd")
 
 
 class ServerError(Exception):
-    """The process of the server has ended, or hangs; the sentence says why."""
+    """The process of the server has ended, or hangs; the message gives the reason."""
 
 
 def check_opcua(settings: OpcUaSettings) -> None:
-    """Raise BadInputError where the server's package is missing, or a file cannot be used."""
+    """Raise BadInputError if the server's package is missing, or a file cannot be used."""
     if find_spec("asyncua") is None:
         raise BadInputError("[opcua]", "needs asyncua, which comes with the extra: pip install 'altd[opcua]'")
     if settings.credentials is not None:
@@ -65,7 +65,7 @@ def check_opcua(settings: OpcUaSettings) -> None:
 class OpcUaPublisher:
     """Serves OPC UA. Raises BadInputError as ``check_opcua`` does.
 
-    A server that does not take its lines loses measurements, which are counted: it gets the newest only.
+    A server that does not read its lines loses measurements, which are counted: it receives only the newest.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class OpcUaPublisher:
     ) -> None:
         check_opcua(settings)
         self.port = settings.port
-        """The server's address; for port 0, with the port that the system chose."""
+        """Port of the server; for port 0 in the settings, the port that the system chose."""
         self.process: Process | None = None
         self._settings = settings
         self._board = board
@@ -126,7 +126,7 @@ class OpcUaPublisher:
             await errors
 
     async def _end(self, process: Process) -> None:
-        """Leave no process behind: it ends with its input, or is killed."""
+        """End the process by closing its input; kill it if it does not end in time."""
         if process.stdin is not None:
             process.stdin.close()
         try:
@@ -140,7 +140,7 @@ class OpcUaPublisher:
                 raise
 
     async def _tell(self, process: Process) -> None:
-        """One line after the other, each made when the one before was taken."""
+        """Send one line after the other, each created when the previous one was read."""
         assert process.stdin is not None  # noqa: S101  a pipe
         pipe = process.stdin
         pipe.transport.set_write_buffer_limits(high=0)
@@ -227,7 +227,7 @@ class OpcUaPublisher:
                 self._answers.append(self._ask(document["self_check"]))
 
     def _ask(self, by: str) -> str:
-        """Ask for a self-check; why there is none, or nothing."""
+        """Request a self-check; return the reason of a refusal, or an empty text."""
         if not self._settings.allow_self_check:
             return "not allowed"
         try:
@@ -237,7 +237,7 @@ class OpcUaPublisher:
         return ""
 
     async def _errors(self, process: Process, said: list[str]) -> None:
-        """Log the server's lines on standard error; ``said`` holds the last one, the reason why it ended."""
+        """Log the server's lines on standard error; ``said`` receives the last one, the reason of its end."""
         assert process.stderr is not None  # noqa: S101  a pipe
         lines = 0
         while piece := await process.stderr.read(MAX_LINE_BYTES):
@@ -256,14 +256,14 @@ def _shown(report: StateReport | None) -> object:
 
 
 def _openness(settings: OpcUaSettings) -> str:
-    """Which networks can read here, in words."""
+    """Text about encryption and the networks that can read here."""
     if settings.certificate is None:
         return ", without encryption, open to every network that reaches it"
     return "" if settings.credentials is not None else ", encrypted, open to every network that reaches it"
 
 
 def ranges_of(installation: Installation) -> dict[str, tuple[float, float]]:
-    """The ranges that are stated for the unit, as a controller reads them."""
+    """Ranges that are stated for the unit, with its mounting offsets, as a controller reads them."""
     ranges = {"roll_deg": (-180.0, 180.0)}
     for key, offset, half in (
         ("x_mm", installation.offset_x_mm, AREA_MM[0] / 2),

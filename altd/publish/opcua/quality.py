@@ -1,7 +1,7 @@
-"""The status code of a value: one table of reasons, another of what sensors say.
+"""Status codes of values: one table for reasons, another for the quality of sensors.
 
 Names and numbers are those of OPC 10000-4 and 10000-8. Where these leave a choice, the codes follow tables 14
-and 15 of OPC 30142, which map the states of NE 107: what is wrong with the beam is no fault of the unit.
+and 15 of OPC 30142, which map the states of NE 107: a fault of the beam is not a fault of the unit.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from altd.records.sensors import Quality
 
 
 class Status(IntEnum):
-    """The status codes that values have."""
+    """Status codes of values."""
 
     GOOD = 0x0000_0000
     UNCERTAIN = 0x4000_0000
@@ -34,7 +34,7 @@ class Status(IntEnum):
 
     @property
     def is_bad(self) -> bool:
-        """Whether a value with it is no value."""
+        """Whether a value with this status is not a value."""
         return self >= Status.BAD
 
 
@@ -90,7 +90,7 @@ OF_REASON: Mapping[Reason, Status] = {
     Reason.ALARM_DISPLACEMENT: Status.GOOD,
     Reason.ALARM_RATE: Status.GOOD,
 }
-"""Of several, the first counts. A warning is Good where sigma covers what it means."""
+"""Of several reasons, the first one here counts. A warning is Good if sigma covers its effect."""
 
 OF_SENSOR: Mapping[Quality, Status] = {
     Quality.GOOD: Status.GOOD,
@@ -115,12 +115,12 @@ _BY_CODE = {str(reason): reason for reason in Reason}
 def status_of(
     valid: bool, codes: Iterable[str], targets: Collection[str], has_time: bool, place: str | None = None
 ) -> Status:
-    """The status of the numbers of a measurement with these codes of reasons and warnings.
+    """Return the status of the numbers of a measurement with these codes of reasons and warnings.
 
-    Numbers that are not valid are Bad whatever the codes. Valid ones with a code that is none of a
-    warning are Uncertain, and so are those without a capture time: their age is not known.
-    ``place`` is the target of a row that the numbers are of, empty: the row. The codes of its other targets
-    do not count.
+    Numbers that are not valid are Bad, whatever the codes. Valid numbers with a code that is not a warning
+    are Uncertain, and so are valid numbers without a capture time: their age is not known.
+    ``place`` is the target of a row that the numbers belong to, empty: the row. The codes of its other
+    targets do not count.
     """
     found = [_reason(code, targets) for code in codes]
     reasons = [reason for target, reason in found if place is None or target in ("", place)]
@@ -136,7 +136,7 @@ def status_of(
 
 
 def status_of_sensor(said: Mapping[str, Any] | None, of_measurement: Status) -> Status:
-    """The status of a value of another sensor; ``said`` is its entry in ``sensors``, None: none is fitted."""
+    """Status of another sensor's value; ``said`` is its entry in ``sensors``, None: no sensor is fitted."""
     if said is None:
         return Status.BAD_NOT_CONNECTED
     status = OF_SENSOR.get(said["quality"], Status.BAD)
@@ -146,7 +146,7 @@ def status_of_sensor(said: Mapping[str, Any] | None, of_measurement: Status) -> 
 
 
 def _reason(code: str, targets: Collection[str]) -> tuple[str, Reason | None]:
-    """The target whose name begins a code, empty: none does, and the reason; None: it is not known."""
+    """Target whose name begins a code (empty: none), and the reason (None: not known)."""
     for target in targets:
         reason = _BY_CODE.get(code.removeprefix(f"{target}_"))
         if reason is not None and str(reason) != code:

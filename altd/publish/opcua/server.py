@@ -1,8 +1,8 @@
-"""asyncua's server on a socket that listens already, with limits for connections.
+"""asyncua's server on an already listening socket, with limits for connections.
 
-Private parts of asyncua that are touched here: ``OPCUAProtocol._buffer``, ``UaProcessor._connection``,
-``InternalServer._external_sessions``, ``InternalSession._last_activity``, and those of ``BinaryServer`` and
-``Server`` that start listening.
+Private parts of asyncua that are used here: ``OPCUAProtocol._buffer``, ``UaProcessor._connection``,
+``InternalServer._external_sessions``, ``InternalSession._last_activity``, and the parts of ``BinaryServer``
+and ``Server`` that start listening.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ MAX_CONNECTIONS = 16
 MAX_CONNECTIONS_OF_ONE_ADDRESS = 8
 MAX_SESSIONS = 2 * MAX_CONNECTIONS
 MAX_SESSIONS_BEGUN = 20
-"""By one connection: each leaves a task of asyncua behind."""
+"""Maximum number of sessions that one connection may begin: each leaves a task of asyncua behind."""
 ACTIVATION_TIMEOUT_S = 10.0
 IDLE_TIMEOUT_S = 120.0
-"""A connection without a byte for so long is closed."""
+"""Time without a received byte until a connection is closed."""
 
 MAX_REQUEST_BYTES = 1 << 16
 MIN_BUFFER_BYTES = 8192
-"""Of a client (OPC 10000-6, 7.1.2.3); with less, every answer would fall into countless pieces."""
+"""Minimum buffer of a client (OPC 10000-6, 7.1.2.3); less would split every answer into countless pieces."""
 MAX_UNSENT_BYTES = 4 << 20
-"""Answers that a client does not take; then its connection is closed."""
+"""Maximum size of answers that a client has not read; its connection is closed beyond it."""
 
 _NO_SECURITY = "http://opcfoundation.org/UA/SecurityPolicy#None"
 _KEEP_ALIVE = {socket.TCP_KEEPIDLE: 10, socket.TCP_KEEPINTVL: 5, socket.TCP_KEEPCNT: 3}
-"""A client that has lost its power or network holds its place for 25 s."""
+"""TCP keep-alive: a client that lost power or network occupies its place for 25 s."""
 
 
 class _Connection(OPCUAProtocol):
-    """A client's connection. asyncua buffers what a header announces, up to 4 GB, and answers unread."""
+    """A client's connection. asyncua buffers what a header announces, up to 4 GB, and unread answers."""
 
     heard_s = 0.0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Admit the client, or close."""
+        """Admit the client, or close the connection."""
         self.heard_s = time.monotonic()
         of_address = _group(transport)
         same = sum(_group(each.transport) == of_address for each in self.clients)
@@ -70,12 +70,12 @@ class _Connection(OPCUAProtocol):
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 25_000)
         self.transport.set_write_buffer_limits(high=MAX_UNSENT_BYTES)
         if not any(policy.matches(_NO_SECURITY) for policy in self.policies):
-            # asyncua lets clients open such a channel all the same, and then asks for no permission
+            # asyncua lets clients open such a channel anyway, and then checks no permission
             connection = self.processor._connection  # noqa: SLF001
             connection.security_policy.permissions = _Nothing()
 
     def connection_lost(self, ex: BaseException | None) -> None:
-        """Forget the client."""
+        """Remove the client."""
         _iserver(self).begun.pop(self.peer_name, None)
         if self.processor is not None and self.processor.session is not None:
             self.processor.session.is_left = True
@@ -83,7 +83,7 @@ class _Connection(OPCUAProtocol):
         _iserver(self).clients_changed.set()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; a chunk that is larger than agreed ends the connection before it is complete."""
+        """Process bytes; a chunk larger than agreed ends the connection before it is complete."""
         self.heard_s = time.monotonic()
         if self.transport is None or self.transport.is_closing():
             return
@@ -92,7 +92,7 @@ class _Connection(OPCUAProtocol):
             self.abort()
 
     def pause_writing(self) -> None:
-        """The client does not take its answers."""
+        """End the connection of a client that does not read its answers."""
         self.abort()
 
     def abort(self) -> None:
@@ -103,15 +103,15 @@ class _Connection(OPCUAProtocol):
 
 
 class _Nothing(PermissionRuleset):
-    """Requests allowed over a channel without security where the unit offers none: those for endpoints."""
+    """Permissions over a channel without security if the unit offers none: only requests for endpoints."""
 
     def check_validity(self, user: User, action_type: ua.NodeId, body: Any) -> bool:
-        """Refuse."""
+        """Refuse the request."""
         return False
 
 
 class _Limits(TransportLimits):
-    """asyncua divides answers by whatever buffer a client names."""
+    """Limits with a minimum buffer: asyncua splits answers by any buffer size that a client names."""
 
     def create_acknowledge_and_set_limits(self, msg: ua.Hello) -> ua.Acknowledge:
         """Answer the client's limits; raises ServiceError for impossible ones."""
@@ -121,7 +121,7 @@ class _Limits(TransportLimits):
 
 
 class _Users(UserManager):
-    """Names and passwords of a file; without a file everybody reads."""
+    """Names and passwords of a file; without a file every client may read."""
 
     def __init__(self, keeper: CredentialsKeeper | None) -> None:
         self._keeper = keeper
@@ -133,7 +133,7 @@ class _Users(UserManager):
         password: str | None = None,
         certificate: Any = None,
     ) -> User | None:
-        """A client that may read; None: it may not. asyncua's own manager makes any "admin" one."""
+        """Return a client that may read, else None. asyncua's manager makes any "admin" an administrator."""
         if self._keeper is None:
             return User(UserRole.User)
         is_known = username and password and self._keeper.current().is_password(username, password)
@@ -144,8 +144,8 @@ class LimitedServer(InternalServer):
     """State that clients share.
 
     asyncua keeps sessions that are never activated, and servers that strangers register. It decrypts
-    passwords by RSA with PKCS #1 1.5 and answers differently where the padding is wrong, by which a client
-    could decrypt what others have sent.
+    passwords by RSA with PKCS #1 1.5 and answers differently if the padding is wrong, by which a client could
+    decrypt what others have sent.
     """
 
     def __init__(self, keeper: CredentialsKeeper | None) -> None:
@@ -165,7 +165,7 @@ class LimitedServer(InternalServer):
         self.clients_changed = asyncio.Event()
         self.failed_logins: dict[str, float] = {}
         self.refused: Counter[str] = Counter()
-        """Requests over a limit, by what they wanted."""
+        """Number of requests over a limit, by kind."""
         self.look: Callable[[], Awaitable[None]]
         self.read_history: Callable[[ua.HistoryReadParameters], Awaitable[list[ua.HistoryReadResult]]]
 
@@ -174,7 +174,7 @@ class LimitedServer(InternalServer):
         self.refused[what] += 1
 
     def create_session(self, name: Any, user: User = User(), external: bool = False) -> InternalSession:  # noqa: B008
-        """A session of the connection with this peer name; raises ServiceError where there are too many."""
+        """Create a session of the connection with this peer name; raises ServiceError for too many."""
         now_s = time.monotonic()
         for session in list(self._external_sessions.values()):
             waited_s = now_s - session._last_activity  # noqa: SLF001
@@ -191,7 +191,7 @@ class LimitedServer(InternalServer):
         return Session(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def _end_one_that_is_left(self) -> None:
-        """Clients that vanish have some time to come back, but take no place from those that are there."""
+        """End the oldest abandoned session: lost clients may return for a time, but must not block others."""
         left = [session for session in self._external_sessions.values() if session.is_left]
         if left:
             oldest = min(left, key=lambda session: session._last_activity)  # noqa: SLF001
@@ -200,18 +200,18 @@ class LimitedServer(InternalServer):
             self._ending.add(asyncio.ensure_future(oldest.close_session()))
 
     def register_server(self, server: Any, conf: Any = None) -> None:
-        """Refuse: the unit is no discovery server."""
+        """Refuse: the unit is not a discovery server."""
         raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
 
     def decrypt_user_token(self, isession: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:
-        """Name and password; raises ServiceError for an algorithm that is not safe."""
+        """Return name and password; raises ServiceError for an unsafe algorithm."""
         if token.EncryptionAlgorithm and token.EncryptionAlgorithm.endswith("#rsa-1_5"):
             raise ServiceError(ua.StatusCodes.BadSecurityPolicyRejected)
         return super().decrypt_user_token(isession, token)
 
 
 class OpcUaServer(Server):
-    """The server on a socket that listens already."""
+    """The server on an already listening socket."""
 
     def __init__(self, listener: socket.socket, keeper: CredentialsKeeper | None) -> None:
         self.limited = LimitedServer(keeper)
@@ -220,7 +220,7 @@ class OpcUaServer(Server):
         self.limits = _Limits(MAX_REQUEST_BYTES - 1, MAX_REQUEST_BYTES - 1, 4, MAX_REQUEST_BYTES)
 
     async def start(self) -> None:
-        """Serve clients."""
+        """Start to serve clients."""
         await self._setup_server_nodes()
         await self.iserver.start()
         self.bserver = _Listening(self.iserver, "", 0, self.limits)
@@ -228,7 +228,7 @@ class OpcUaServer(Server):
         await self.bserver.listen(self._listener)
 
     def close_idle(self) -> None:
-        """Close connections that are silent; asyncua ends their sessions and keeps the connections."""
+        """Close silent connections; asyncua ends their sessions but keeps the connections."""
         now_s = time.monotonic()
         for client in list(self.bserver.clients) if self.bserver else ():
             if isinstance(client, _Connection) and now_s - client.heard_s > IDLE_TIMEOUT_S:

@@ -1,6 +1,6 @@
-"""Sessions of clients with limits: who may log in, what a session may hold, and what it may touch.
+"""Client sessions with limits for logins, for what a session holds, and for what it may access.
 
-asyncua 2.1 leaves open what the class says. Private parts of it are touched in ``server.py`` and here:
+asyncua 2.1 has the gaps that the class describes. Private parts of it are used in ``server.py`` and here:
 ``MonitoredItemService._monitored_items``.
 """
 
@@ -20,41 +20,41 @@ from asyncua.server.internal_session import InternalSession
 from altd.tcp_port import address_of
 
 SESSION_TIMEOUT_S = 60.0
-"""A session without a request for so long is closed with its subscriptions; clients may ask for less."""
+"""Time without a request until a session and its subscriptions are closed; clients may request less."""
 
 MAX_OPERATIONS = 500
-"""Of one request: nodes to read, browse, monitor, and so on."""
+"""Maximum number of operations of one request: nodes to read, browse, monitor, and so on."""
 MAX_HISTORY_NODES = 16
 
 MAX_SUBSCRIPTIONS = 8
 MAX_MONITORED_ITEMS = 256
-"""Of one session."""
+"""Maximum numbers of subscriptions and of monitored items of one session."""
 MIN_PUBLISHING_INTERVAL_MS = 50.0
 MAX_PUBLISHING_INTERVAL_MS = 10_000.0
 MAX_QUEUED_VALUES = 20
-"""Of one monitored item: a second of measurements."""
+"""Maximum number of queued values of one monitored item: one second of measurements."""
 
 LOGIN_INTERVAL_S = 2.0
-"""After a wrong password, until the address may try again: each try takes 0.2 s of the process."""
+"""Time after a wrong password until the address may try again: each try takes 0.2 s of the process."""
 
 caller: ContextVar[str] = ContextVar("caller")
-"""The caller of a method: address, and name where there is one."""
+"""Caller of a method: address, and user name if there is one."""
 
 
 class Session(InternalSession):
     """A client's session.
 
-    asyncua numbers the tokens of sessions, and an activation that fails leaves the session to the connection
-    that tried; it lets any session delete, move and fill those of others, and leaves subscriptions that are
-    never due. A deadband is compared with the value before and not with the one that was sent, so that slow
-    motion is never sent, and it cannot be compared with a value that has become Bad: that is lost.
+    asyncua numbers the tokens of sessions, and a failed activation leaves the session to the connection that
+    tried. Any session can delete, move and fill subscriptions of others; subscriptions never due remain. A
+    deadband is compared with the previous value instead of the last sent one, so that slow motion is never
+    sent. It cannot be compared with a value that has become Bad, which is therefore lost.
     """
 
     iserver: Any
     """``LimitedServer``."""
 
     is_left = False
-    """Whether its connection has ended: a client may come back to it on another one."""
+    """Whether its connection has ended; a client may continue it on another connection."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
@@ -65,7 +65,7 @@ class Session(InternalSession):
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
-        """Log in; after a wrong password the address waits."""
+        """Log in; after a wrong password the address must wait."""
         logins, now_s = self.iserver.failed_logins, time.monotonic()
         for address in [each for each, at_s in logins.items() if now_s - at_s > LOGIN_INTERVAL_S]:
             del logins[address]
@@ -85,11 +85,11 @@ class Session(InternalSession):
         return result
 
     async def close_session(self, delete_subs: bool = True) -> None:
-        """End the session; none of its subscriptions stays."""
+        """End the session and all its subscriptions."""
         await super().close_session(True)
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
-        """Read attributes; a value that became stale while this process was held up is taken back first."""
+        """Read attributes; values that became stale while this process was held up are withdrawn first."""
         self._check_number(params.NodesToRead)
         await self.iserver.look()
         return await super().read(params)
@@ -107,7 +107,7 @@ class Session(InternalSession):
         return await super().translate_browsepaths_to_nodeids(params)
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """Write nothing for a client, whatever the standard's nodes declare."""
+        """Refuse all writes of clients, whatever the standard's nodes declare."""
         self._check_number(params.NodesToWrite)
         return [ua.StatusCode(ua.StatusCodes.BadNotWritable)] * len(params.NodesToWrite)
 
@@ -165,7 +165,7 @@ class Session(InternalSession):
     async def modify_monitored_items(
         self, params: ua.ModifyMonitoredItemsParameters
     ) -> list[ua.MonitoredItemModifyResult]:
-        """Change monitored items; asyncua takes a queue of any length here."""
+        """Change monitored items; asyncua itself accepts a queue of any length here."""
         self._check_own(params.SubscriptionId)
         self._check_number(params.ItemsToModify)
         items = _items(self.subscription_service.subscriptions[params.SubscriptionId])
@@ -180,22 +180,22 @@ class Session(InternalSession):
         return await super().modify_monitored_items(params)
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
-        """Monitor items no longer."""
+        """Delete monitored items."""
         self._check_own(params.SubscriptionId)
         return await super().delete_monitored_items(params)
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
-        """Switch monitored items."""
+        """Set the monitoring mode of items."""
         self._check_own(params.SubscriptionId)
         return await super().set_monitoring_mode(params)
 
     async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
-        """Switch subscriptions."""
+        """Set the publishing mode of subscriptions."""
         self._check_own(*params.SubscriptionIds)
         return await super().set_publishing_mode(params)
 
     def modify_subscription(self, params: ua.ModifySubscriptionParameters) -> ua.ModifySubscriptionResult:
-        """Answer what the subscription has; asyncua changes nothing."""
+        """Return the present parameters of the subscription; asyncua changes nothing."""
         self._check_own(params.SubscriptionId)
         return super().modify_subscription(params)
 
@@ -212,7 +212,7 @@ class Session(InternalSession):
     async def transfer_subscriptions(
         self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
     ) -> list[ua.TransferResult]:
-        """Leave subscriptions with their sessions: a client that reconnects activates its session again."""
+        """Refuse: subscriptions stay with their sessions; a client that reconnects activates its own."""
         raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
 
     def _own(self) -> dict[int, Any]:
@@ -233,7 +233,7 @@ class Session(InternalSession):
 def _is_possible(wanted: Any, attribute: int) -> bool:
     """Whether a filter is one that loses nothing: a DataChangeFilter without a deadband.
 
-    asyncua has two classes of that name, and decodes into the other one.
+    It checks attributes: asyncua has two classes of that name, and decodes into the other one.
     """
     if attribute == ua.AttributeIds.EventNotifier:
         return hasattr(wanted, "SelectClauses")

@@ -1,4 +1,4 @@
-"""The message that the daemon sends to the process of the server once, at its start."""
+"""The message that the daemon sends once to the process of the server, at its start."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Which unit it is, what it publishes, and how it is served.
+    """Identity of the unit, what it publishes, and how it is served.
 
     ``started_ns`` is the monotonic time at which ``clock_ms`` was 0: all processes share that clock.
-    ``ranges`` are those of the unit's quantities, ``targets`` those of each target, by their keys.
+    ``ranges`` are the ranges of the unit's quantities, ``targets`` those of each target, by their keys.
     """
 
     settings: OpcUaSettings
@@ -37,12 +37,12 @@ class Start:
     history: Path | None
 
     def to_line(self) -> bytes:
-        """One line of JSON."""
+        """Return one line of JSON."""
         return _ADAPTER.dump_json(self) + b"\n"
 
     @classmethod
     def from_line(cls, line: bytes) -> Start:
-        """The other way round; raises ValueError."""
+        """Parse a line of ``to_line``; raises ValueError."""
         return _ADAPTER.validate_json(line)
 
 

@@ -23,11 +23,11 @@ _CAMERA_REMEDIES = {
     "no frame for": "check its trigger, cable and supply",
     "exposure refused": "check its limits in the config",
 }
-"""By how the sentence begins that a camera's health says."""
+"""Remedies, by the beginning of a camera's health message."""
 
 
 def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component] = ()) -> Advice:
-    """The fault and its remedy, as far as the fault's detail, the others and the components tell."""
+    """Return the fault and its remedy, by the fault's detail, the other faults and the components."""
     if (known := advice_of(fault.reason, fault.detail)) is not None:
         return known
     if fault.reason is Reason.SPOT_MISSING and {other.target for other in status} - {None} == {fault.target}:
@@ -43,9 +43,9 @@ def is_ill_camera(component: Component) -> bool:
 
 
 def component_steps(components: Iterable[Component], status: Iterable[Fault]) -> Iterable[str]:
-    """Faults of components, with their remedies.
+    """Yield faults of components, with their remedies.
 
-    How ``measuring`` is, the status says in other words.
+    ``measuring`` is omitted if ``status`` already reports it in other words.
     """
     told = any(status)
     for component in components:

@@ -1,7 +1,7 @@
-"""The commands of the console: each takes words and gives text.
+"""The commands of the console: each takes words and returns text.
 
 ``*IDN? *STB? *TST?`` have the form of IEEE 488.2-1992, 10, for programs; each answer is one line. The port
-echoes and has a prompt, as for a person: a program reads the line behind its own.
+echoes and has a prompt, as for a person: a program reads the line after its own.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _BIT_OF_SIGNAL = {
 
 
 class Row(NamedTuple):
-    """A number and what it means."""
+    """A number and its meaning."""
 
     number: int
     means: str
@@ -52,22 +52,22 @@ STATUS_BITS = (
     Row(_SUMMARY_BIT, "any of the others (MSS)"),
     Row(_NOT_VALID_BIT, "no valid measurement"),
 )
-"""IEEE 488.2, 11.2: bits 4 to 6 are the standard's own, the others the device's."""
+"""Bits of the status byte. IEEE 488.2, 11.2: the standard defines bits 4 to 6, the device the others."""
 
 TEST_RESULTS = {"good": 0, "suspect": 1, "bad": 2, "unknown": 3}
-"""By the verdict of the last self-check."""
+"""Results by the verdict of the last self-check."""
 NO_TEST = 4
-"""There was no self-check since the start, or the unit cannot check itself."""
+"""Result if there was no self-check since the start, or the unit cannot check itself."""
 
 
 def identification(health: Health) -> str:
-    """Maker, kind, serial number and version, with commas between them (10.14)."""
+    """Maker, kind, serial number and version, separated by commas (10.14)."""
     facts = health.facts
     return ",".join(map(_field, (_MAKER, _KIND, facts.get("serial", "0"), facts.get("version", "0"))))
 
 
 def status_byte(measurement: Measurement | None, health: Health) -> int:
-    """The status byte (10.36) by the causes that are shown now and the latest measurement."""
+    """Status byte (10.36) from the currently shown causes and the latest measurement."""
     report = health.state()
     causes = () if report is None else report.causes
     byte = sum({1 << _BIT_OF_SIGNAL[shown.signal] for shown in causes if shown.signal in _BIT_OF_SIGNAL})
@@ -77,7 +77,7 @@ def status_byte(measurement: Measurement | None, health: Health) -> int:
 
 
 def test_result(health: Health) -> int:
-    """The verdict of the last self-check as a number (10.38); none is made, for that is asked for by hand."""
+    """Verdict of the last self-check as a number (10.38); starts none, because that is requested by hand."""
     latest = health.self_check.latest
     if latest is None:
         return NO_TEST
@@ -85,13 +85,13 @@ def test_result(health: Health) -> int:
 
 
 def _field(text: str) -> str:
-    """ASCII without what separates fields and answers."""
+    """ASCII text in which separators of fields and answers are replaced."""
     fits = (letter.isascii() and letter.isprintable() and letter not in ",;" for letter in text)
     return "".join(letter if fit else "_" for letter, fit in zip(text, fits, strict=True))
 
 
 WATCH_INTERVAL_LIMITS_S = (0.1, 3600.0)
-"""The shortest and the longest interval of ``watch``."""
+"""Shortest and longest interval of ``watch``."""
 SELF_CHECK_TIMEOUT_S = 15.0
 
 
@@ -103,13 +103,13 @@ class Sources:
     health: Health
     quantities: Quantities
     age_s: Callable[[], float | None] = lambda: None
-    """Of what is read, for the uncertainty that is true now."""
+    """Age of the measurement from ``read``, for its current uncertainty."""
     past: Past | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """The answer continues: after ``text`` a line each ``interval_s``, until a key."""
+    """The answer continues: after ``text`` follows a line every ``interval_s``, until a key."""
 
     text: str
     interval_s: float
@@ -117,7 +117,7 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Something would change: it is asked first, and done only after a ``y``."""
+    """A question before a change, which is made only after a ``y``."""
 
     text: str
     do: Callable[[], str | Later]
@@ -125,7 +125,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Later:
-    """The answer has to be found first."""
+    """An answer that has to be looked up first."""
 
     find: Callable[[], Awaitable[str]]
 
@@ -134,12 +134,12 @@ Answer = str | Watch | Question | Later
 
 
 class UsageError(Exception):
-    """A line that is no command, in words for the person who typed it."""
+    """A line that is not a command; the message is for the person who typed it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command; ``argument`` is what may follow its name."""
+    """One command; ``argument`` describes what may follow its name."""
 
     name: str
     argument: str
@@ -153,7 +153,7 @@ class Command:
 
 
 def answer_to(sources: Sources, name: str, arguments: list[str]) -> Answer:
-    """The output of a command; raises UsageError."""
+    """Return the output of a command; raises UsageError."""
     command = _BY_NAME.get(name.lower())
     if command is None:
         raise UsageError(f"no command {name[:24]!r}; type help for what there is")
@@ -208,7 +208,7 @@ def _self_check(sources: Sources, now: str = "") -> str | Question:
 
 def _ask(sources: Sources) -> str | Later:
     service = sources.health.self_check
-    if service.unavailable:  # meanwhile
+    if service.unavailable:  # it may have become unavailable meanwhile
         return _none(service.unavailable)
     number = service.ask("console")
 

@@ -1,4 +1,4 @@
-"""The technician's console: keys in, what the terminal shows out; no port and no clock of its own."""
+"""The technician's console: converts keys to terminal output; it has no port and no clock of its own."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from altd.status.health import Health
 
 PROMPT = b"> "
 PAGE_LINES = 23
-"""A terminal shows 24 lines; the last one is the prompt, or says that there is more."""
+"""Lines of a page: a terminal shows 24 lines; the last one is the prompt, or reports that there is more."""
 MORE_PROMPT = b"-- more: space, end: q --"
 QUESTION_PROMPT = b" (y: yes) "
 QUESTION_S = 10.0
-"""A question that is not answered for so long is answered by no."""
+"""Time after which an unanswered question is answered with no."""
 
 _NO_KEYS = (Key.JUNK, Key.JUNK_END)
 _LEAVING = {"e": "exit", "q": "quit"}
-"""Commands to leave by their first letters, with which a person may have ended ``watch`` already."""
+"""Commands to leave, by their first letters, with which a person may already have ended ``watch``."""
 
 
 class Console:
     """One console.
 
-    ``watching_s`` is the interval at which ``tick`` is due, None without ``watch``; ``asking_s`` is how
-    long after a question ``give_up`` is due, None while none is open.
+    ``watching_s`` is the interval at which ``tick`` is due, None without ``watch``; ``asking_s`` is the time
+    after a question at which ``give_up`` is due, None while no question is open.
     """
 
     def __init__(
@@ -47,22 +47,22 @@ class Console:
         self._find: Callable[[], Awaitable[str]] | None = None
         self.watching_s: float | None = None
         self.commands = 0
-        """Commands that were carried out."""
+        """Number of commands that were carried out."""
         self._keys = KeyReader()
         self._editor = LineEditor()
         self._further: deque[bytes] = deque()
-        """Lines of an answer that wait until the ones before were read."""
+        """Lines of an answer that wait until the previous ones were read."""
         self._swallowed = ""
         """The character that ended ``watch``."""
 
     @property
     def waiting_s(self) -> float | None:
-        """After how much silence ``rest`` is due, for a key that has not ended; None: none is open."""
+        """Time of silence until ``rest`` is due, for an incomplete key; None: no key is open."""
         return self._keys.waiting_s
 
     @property
     def asking_s(self) -> float | None:
-        """After how long an open question is answered by no; None: none is open."""
+        """Time until an open question is answered with no; None: no question is open."""
         return None if self._question is None else QUESTION_S
 
     @property
@@ -71,12 +71,12 @@ class Console:
         return self._find is not None
 
     async def found(self) -> bytes:
-        """The answer to a command that had to look for it."""
+        """Return the answer to a command that had to look it up."""
         find, self._find = self._find, None
         return b"" if find is None else self._paged(await find())
 
     def give_up(self) -> bytes:
-        """The question was not answered."""
+        """End an open question that was not answered."""
         return b"" if self._question is None else self._reply(None)
 
     def welcome(self) -> bytes:
@@ -85,15 +85,15 @@ class Console:
         return b"\r\n" + _on_wire(f"Active Laser Target {serial}. Type help and press Enter.") + PROMPT
 
     def feed(self, data: bytes) -> bytes:
-        """Take what was typed; gives back the echo and the answers."""
+        """Process typed bytes; return the echo and the answers."""
         return b"".join(self._all(key for byte in data for key in self._keys.take(byte)))
 
     def rest(self) -> bytes:
-        """Nothing was typed for ``waiting_s``."""
+        """Complete an open key after ``waiting_s`` without input."""
         return b"".join(self._all(self._keys.rest()))
 
     def tick(self) -> bytes:
-        """The next line of ``watch``, nothing outside of it."""
+        """Return the next line of ``watch``; empty without ``watch``."""
         return b"" if self.watching_s is None else _on_wire(watch_line(self._sources.read()))
 
     def _all(self, keys: Iterable[str | Key]) -> Iterable[bytes]:
@@ -127,7 +127,7 @@ class Console:
     def _reply(self, key: str | Key | None) -> bytes:
         """Do what was asked after a ``y``, and nothing after any other key or noise.
 
-        A character that is neither ``y`` nor ``n`` is typed into the next line.
+        A character other than ``y`` and ``n`` is typed into the next line.
         """
         question, self._question = self._question, None
         assert question is not None  # noqa: S101  asked before
@@ -142,7 +142,7 @@ class Console:
         return b"no\r\n" + PROMPT + typed
 
     def _turn_page(self, key: str | Key) -> bytes:
-        """Continue with space or Enter, else end; a character but q is typed into the next line."""
+        """Continue with space or Enter, else end; a character other than q is typed into the next line."""
         if key in _NO_KEYS:
             return b""
         cleared = b"\r" + b" " * len(MORE_PROMPT) + b"\r"
@@ -186,7 +186,7 @@ class Console:
 
 
 def _on_wire(text: str) -> bytes:
-    """Lines as terminals want them, none wider than the screen; nothing that they would obey."""
+    """Lines as terminals require them, cut to the screen's width, without control characters."""
     return b"".join(_plain(line[:WIDTH]) + b"\r\n" for line in text.split("\n"))
 
 

@@ -23,7 +23,7 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """One kind of field. A text that ``write`` makes and the pattern refuses does not fit the field."""
+    """One kind of field. A text from ``write`` that the pattern rejects does not fit the field."""
 
     widest: str
     """The longest text, as the page shows it."""
@@ -45,7 +45,7 @@ def number(digits: int, decimals: int, *, signed: bool) -> Form:
 
 
 def whole(largest: int) -> Form:
-    """A whole number from zero up, without leading zeros needed."""
+    """A whole number from 0, with at most the digits of ``largest``; leading zeros are not needed."""
     return Form(
         widest=str(largest),
         pattern=re.compile(rf"\d{{1,{len(str(largest))}}}", re.ASCII),
@@ -54,15 +54,15 @@ def whole(largest: int) -> Form:
 
 
 _CUT = "~"
-"""Ends a text that was longer than its field."""
+"""Mark at the end of a text that was longer than its field."""
 _RESERVED = r"$*,!\^~"
 
 
 def text(most: int) -> Form:
-    """A text of at most ``most`` characters, escaped as in NMEA 0183 and cut where it is longer.
+    """A text of at most ``most`` characters, escaped as in NMEA 0183 and cut if it is longer.
 
-    A character that is reserved there or is no printable ASCII is ``^`` and two hexadecimal digits for each
-    of its bytes in UTF-8. ``~`` is reserved too, so at the end it can only be the mark of a cut.
+    A character that is reserved there or is not printable ASCII becomes ``^`` and two hexadecimal digits for
+    each of its bytes in UTF-8. ``~`` is reserved too, so at the end it can only be the mark of a cut.
     """
 
     def write(value: str) -> str:

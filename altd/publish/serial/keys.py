@@ -1,7 +1,7 @@
-"""From the bytes of a terminal to keys: UTF-8, escape sequences (ECMA-48), telnet's commands, pasted text.
+"""Converts the bytes of a terminal to keys: UTF-8, escape sequences (ECMA-48), telnet commands, pasted text.
 
 A key that sends a sequence is one key, known or not, however its bytes are split over reads; no part of a
-sequence becomes text. What never ends is given up when nothing more comes for ``waiting_s``, and with Enter.
+sequence becomes text. An unfinished sequence is dropped after ``waiting_s`` of silence, and with Enter.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from collections.abc import Iterator
 from enum import Enum, auto
 
 ESCAPE_TIMEOUT_S = 0.15
-"""ESC alone was the key when nothing follows for so long: longer than a byte takes at 1200 baud, shorter than
+"""Time of silence after which ESC alone was the key: longer than a byte takes at 1200 baud, shorter than
 anybody types."""
 SEQUENCE_TIMEOUT_S = 0.5
-"""A sequence that was begun is given up after so long; a terminal server may hold a part of it back."""
+"""Time after which an unfinished sequence is dropped; a terminal server may hold a part of it back."""
 PASTE_TIMEOUT_S = 2.0
-"""A bracketed paste without its end is given up after so long."""
+"""Time after which a bracketed paste without its end is given up."""
 MAX_SEQUENCE = 16
-"""Characters of a sequence that are kept: no key sends more. A longer one is none that is known."""
+"""Maximum number of stored characters of a sequence: no key sends more. Longer sequences are unknown."""
 MAX_TELNET = 64
-"""Bytes of a telnet command; a longer one is given up."""
+"""Maximum number of bytes of a telnet command; a longer one is dropped."""
 
 
 class Key(Enum):
-    """Input of a terminal that is no character."""
+    """Input of a terminal that is not a character."""
 
     ENTER = auto()
     BACKSPACE = auto()
@@ -41,11 +41,11 @@ class Key(Enum):
     CANCEL = auto()
     REDRAW = auto()
     OTHER = auto()
-    """A key that means nothing here."""
+    """A key that has no function here."""
     JUNK = auto()
     """A byte that no key sends: a character of an 8-bit code, or noise."""
     JUNK_END = auto()
-    """Enter as a terminal with seven data bits and even parity sends it."""
+    """Enter as sent by a terminal with seven data bits and even parity."""
 
 
 _ESC, _BEL, _CAN, _SUB, _DEL = "\x1b", "\x07", "\x18", "\x1a", "\x7f"
@@ -84,7 +84,7 @@ _TILDES = {
     "8": Key.END,
 }
 _REPORTS = "IMORcmnty"
-"""Final characters of what a terminal sends without a key: focus, mouse, place of the cursor, what it is."""
+"""Final characters of reports that a terminal sends without a key: focus, mouse, cursor, identity."""
 _PASTE_BEGINS, _PASTE_ENDS = "200~", "201~"
 
 
@@ -94,7 +94,7 @@ _MAX_OPTION = 49
 
 
 class _In(Enum):
-    """The place of the next character in the stream."""
+    """Position of the next character in the stream."""
 
     TEXT = auto()
     ESCAPE = auto()
@@ -109,7 +109,7 @@ class _In(Enum):
 
 
 class KeyReader:
-    """Takes one byte at a time and gives the keys that it completes: printable characters, and ``Key``."""
+    """Takes one byte at a time and yields the keys that it completes: printable characters, and ``Key``."""
 
     def __init__(self) -> None:
         self._telnet = _Telnet()
@@ -120,11 +120,11 @@ class KeyReader:
         self._pasting = False
         self._after_cr = False
         self._line_of_seven_bits = self._seven_bits = True
-        """Whether all bytes since the last line end are characters but for their eighth bit."""
+        """Whether all bytes since the last line end are characters except for their eighth bit."""
 
     @property
     def waiting_s(self) -> float | None:
-        """After how much silence ``rest`` is due; None: nothing is open."""
+        """Time of silence until ``rest`` is due; None: nothing is open."""
         if self._in is not _In.TEXT:
             return ESCAPE_TIMEOUT_S if self._in is _In.ESCAPE else SEQUENCE_TIMEOUT_S
         if self._telnet.is_open or self._decoder.getstate()[0]:
@@ -132,14 +132,14 @@ class KeyReader:
         return PASTE_TIMEOUT_S if self._pasting else None
 
     def take(self, byte: int) -> Iterator[str | Key]:
-        """The keys that end with this byte."""
+        """Yield the keys that end with this byte."""
         self._seven_bits = self._line_of_seven_bits
         self._line_of_seven_bits = byte & 0x7F in b"\r\n" or (self._seven_bits and 0x20 <= byte & 0x7F < 0x7F)
         for data in self._telnet.take(byte):
             yield from self._keys(self._decoder.decode(bytes([data])))
 
     def rest(self) -> Iterator[str | Key]:
-        """Nothing came for ``waiting_s``: what is open is given up; ESC alone was a key."""
+        """Drop what is open after ``waiting_s`` without input; ESC alone was a key."""
         alone = self._in is _In.ESCAPE and not self._sequence
         self._telnet.give_up()
         self._in = _In.TEXT
@@ -174,7 +174,7 @@ class KeyReader:
         return self._passed_over(character)
 
     def _passed_over(self, character: str) -> Key | None:
-        """A character of what has no meaning here: a string, a mouse's place, the number of F1 to F5."""
+        """Skip a character without meaning here: of a string, a mouse position, the number of F1 to F5."""
         if self._in is _In.STRING:
             self._in = _In.TEXT if character == _BEL else _In.STRING
             return None
@@ -203,7 +203,7 @@ class KeyReader:
         return _CONTROLS.get(character, Key.OTHER)
 
     def _escaped(self, character: str) -> str | Key | None:
-        """The bytes that follow ESC: ECMA-48, 5.3 and 5.4, and ECMA-35, 13."""
+        """Process a character after ESC: ECMA-48, 5.3 and 5.4, and ECMA-35, 13."""
         if not self._sequence and character == "[":
             self._begin(_In.CSI)
             return None
@@ -222,7 +222,7 @@ class KeyReader:
         return Key.OTHER if "0" <= character <= "~" else self._plain(character)
 
     def _sequenced(self, character: str) -> str | Key | None:
-        """A character of a control sequence (ECMA-48, 5.4), or of what follows SS3."""
+        """Process a character of a control sequence (ECMA-48, 5.4), or a character after SS3."""
         if " " <= character <= "?":
             if len(self._sequence) <= MAX_SEQUENCE:
                 self._sequence += character
@@ -250,22 +250,22 @@ class KeyReader:
 
 
 class _Telnet:
-    """Takes the commands of RFC 854 out of the stream, which a terminal server may leave in it."""
+    """Removes the commands of RFC 854 from the stream, in which a terminal server may leave them."""
 
     def __init__(self) -> None:
         self._command = bytearray()
 
     @property
     def is_open(self) -> bool:
-        """Whether a command is not whole yet."""
+        """Whether a command is incomplete."""
         return bool(self._command)
 
     def give_up(self) -> None:
-        """Forget a command that is not whole."""
+        """Drop an incomplete command."""
         self._command.clear()
 
     def take(self, byte: int) -> bytes:
-        """The part of the stream up to this byte that is not telnet; an IAC need not begin a command."""
+        """Return the part of the stream up to this byte that is not telnet. An IAC may be text."""
         command = self._command
         if not command and byte != _IAC:
             return bytes([byte])

@@ -1,4 +1,4 @@
-"""From keys to lines: editing within the line, a few earlier lines, and tolerance of what is not text."""
+"""Converts keys to lines: editing within the line, a few earlier lines, tolerance of noise."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from altd.publish.serial.keys import Key
 
 MAX_LINE_CHARACTERS = 70
 MAX_RECALLED_LINES = 16
-"""Lines that the up and down keys bring back."""
+"""Maximum number of lines that the up and down keys recall."""
 
 _MIN_NOISE_KEYS = 3
 _BACK = b"\b"
 
 
 class BadLine(Enum):
-    """A line that is not worth reading, with what to tell the person."""
+    """A line that is not evaluated; its value is the message for the person."""
 
     TOO_LONG = f"line too long: at most {MAX_LINE_CHARACTERS} characters"
     STRAY = "not plain ASCII: retype it or check the parity"
@@ -26,24 +26,24 @@ class BadLine(Enum):
 class LineEditor:
     """Takes one key at a time and keeps at most one line and ``MAX_RECALLED_LINES`` earlier ones.
 
-    What it shows is built of printable ASCII, blanks and backspaces, which every terminal knows. A character
-    that is not ASCII is shown in the line as ``?`` and can be erased; as no command has one, it makes none.
+    Its output consists of printable ASCII, blanks and backspaces, which every terminal supports. A character
+    that is not ASCII is shown as ``?`` and can be erased; a line with one is not a command, as none has one.
     """
 
     def __init__(self) -> None:
         self._line: list[str] = []
         self._at = 0
-        """The column of the cursor."""
+        """Column of the cursor."""
         self._too_long = False
         self._junk = 0
         self._earlier: deque[str] = deque(maxlen=MAX_RECALLED_LINES)
         self._recalled = 0
-        """The number of lines back of the one that is shown; 0: none of the earlier ones."""
+        """Number of lines back to the earlier line that is shown; 0: no earlier line."""
         self._own = ""
         """The text typed before earlier lines were recalled."""
 
     def take(self, key: str | Key) -> bytes | str | BadLine:
-        """The text to show, or the line that this key ended."""
+        """Return the text to show, or the line that this key ended."""
         if isinstance(key, str):
             return self._insert(key)
         match key:
@@ -66,7 +66,7 @@ class LineEditor:
         return b""
 
     def shown(self) -> bytes:
-        """The current line, for a terminal that shows it again."""
+        """The current line, for a terminal that redraws it."""
         return _ascii(self._line) + _BACK * (len(self._line) - self._at)
 
     def _insert(self, character: str) -> bytes:
@@ -115,7 +115,7 @@ class LineEditor:
         begin, end = sorted((self._at, self._place_of(key)))
         count = end - begin
         moved = self._move(begin) if begin < self._at and end < len(self._line) else b""
-        if not moved and begin < self._at:  # at the end of the line: what every terminal does for backspace
+        if not moved and begin < self._at:  # at the end of the line: as every terminal does for backspace
             del self._line[begin:end]
             self._at = begin
             return b"\b \b" * count
@@ -138,7 +138,7 @@ class LineEditor:
         return self._show(self._earlier[-recalled] if recalled else self._own)
 
     def _show(self, line: str) -> bytes:
-        """Another line in place of the one that is shown."""
+        """Replace the line that is shown by another one."""
         cleared = self._move(len(self._line)) + b"\b \b" * len(self._line)
         self._line = list(line)
         self._at = len(line)

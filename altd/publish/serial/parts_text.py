@@ -1,4 +1,4 @@
-"""The parts of a unit and its past in the words of a technician: spots, components, events, trends."""
+"""The parts and the past of a unit as text for a technician: spots, components, events, trends."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ABOUT_CALIBRATION = (Condition.CALIBRATION_DUE, Condition.CLOCK_WRONG)
 
 
 def spots_text(measurement: Measurement | None, health: Health) -> str:
-    """Each target: where the beam meets it, and what its camera sees."""
+    """For each target the position of the spot, and the report of its camera."""
     if measurement is None:
         return NO_MEASUREMENT
     said = next((part.message for part in health if part.name == MEASURING), "").split("; ")
@@ -46,7 +46,7 @@ def health_text(health: Health) -> str:
 
 
 def calibration_text(health: Health, quantities: Quantities) -> str:
-    """When and from what it was made, its file, what is to be done about it, what it is worth and where."""
+    """Calibration: date and source, file, causes with remedies, expected sigma and valid area."""
     lines = [hanging("calibration", health.facts.get("calibration", "not known"), 13)]
     report = health.state()
     for shown in () if report is None else report.causes:
@@ -62,7 +62,7 @@ def calibration_text(health: Health, quantities: Quantities) -> str:
 
 
 def _expected(summary: Mapping[str, Any], quantities: Quantities) -> str:
-    """The sigma of a measurement, with the decimals of the report and the page."""
+    """Expected sigma of a measurement, with the decimals of the report and the page."""
     sigmas = [
         f"{quantity.label} {sigma:.4f} {ascii_unit(quantity)}"
         for quantity in quantities.of_unit
@@ -87,7 +87,7 @@ _TIMES = {"hour": "%H:%M:%S", "day": "%d, %H:%M", "month": "%m-%d, %H:%M"}
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """The state that a daemon remembers; ``now`` is its time of day, None: not known."""
+    """The past that a daemon has stored; ``now`` is its time of day, None: not known."""
 
     events: EventLog
     history: History
@@ -101,7 +101,7 @@ def log_text(past: Past) -> str:
 
 
 async def history_text(past: Past, quantities: Quantities, span: str) -> str:
-    """The means of the last hour, day or month in equal steps, the newest last; or why there are none."""
+    """Return the means of the last hour, day or month in equal steps, the newest last, or why not."""
     now = past.now()
     if now is None:
         return "no history: the time of day is not known"

@@ -25,23 +25,23 @@ from altd.status.health import Component, Health, State
 from altd.status.proof import Stamps
 
 MAX_WAITING_BYTES = 16384
-"""Bytes of console output that may wait for a slow line."""
+"""Maximum number of bytes of console output that wait for a slow line."""
 
 READ_INTERVAL_S = 0.02
-"""Rest after each turn: a line that floods, or echoes all it is sent, must not keep the unit busy."""
+"""Pause after each turn: a line that floods, or echoes all it is sent, must not keep the unit busy."""
 
 MAX_READ_BYTES = 128
-"""Typed characters that the console takes in a turn, and no more than one line of them: a turn then takes the
-event loop about a millisecond, whatever comes in. 6,400 characters a second are more than anybody types."""
+"""Maximum number of typed characters per turn, and of these at most one line: a turn then occupies the event
+loop for about a millisecond, whatever arrives. 6,400 characters a second are more than anybody types."""
 
 
 _REQUEST = re.compile(rb"[^ -~]\?[\r\n]")
-"""A line of ``?`` alone. Any byte that is no printable ASCII counts as the end of the line before: some
-transceivers make one when the line changes its direction."""
+"""A line with ``?`` alone. Any byte that is not printable ASCII counts as the end of the previous line: some
+transceivers send one when the line changes its direction."""
 
 
 class TelegramPublisher:
-    """Sends the measurement of the moment at a fixed interval, or when it is asked, but no more often."""
+    """Sends the current measurement at a fixed interval, or on request, but not more often."""
 
     def __init__(
         self,
@@ -59,10 +59,10 @@ class TelegramPublisher:
         self._stamps = Stamps(board)
         self._heard = LINE_END
         self._asked = False
-        """Whether a request waits; several get one answer."""
+        """Whether a request waits; several requests get one answer."""
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
+        """Serve until cancelled; raises OSError when the port cannot be opened or has disappeared."""
         settings, limit = self._settings, len(LINE_END) + longest_bytes(self._settings)
         interval_ns = round(settings.interval_s * 1e9)
         async with opened(settings, limit, fresh=True) as port:
@@ -71,7 +71,7 @@ class TelegramPublisher:
             self._heard, self._asked = LINE_END, False
             due_ns = self._clock.monotonic_ns()
             identify_ns = math.inf if settings.identify_every_s is None else due_ns
-            lead = LINE_END  # ends the line that an unplugged cable or a crash may have torn
+            lead = LINE_END  # ends a line that an unplugged cable or a crash may have cut
             while True:
                 await self._until_due(port, due_ns)
                 now_ns = self._clock.monotonic_ns()
@@ -82,11 +82,11 @@ class TelegramPublisher:
                         identify_ns = now_ns + (settings.identify_every_s or 0.0) * 1e9
                 self._asked = False
                 due_ns += interval_ns
-                if due_ns <= now_ns or settings.on_request:  # time that was lost is not made up by a burst
+                if due_ns <= now_ns or settings.on_request:  # lost time is not made up by a burst
                     due_ns = now_ns + interval_ns
 
     async def _until_due(self, port: Port, due_ns: int) -> None:
-        """Return when the next telegram may be sent and, on request, was asked for."""
+        """Return when the next telegram may be sent and, on request, was requested."""
         left_ns = due_ns - self._clock.monotonic_ns()
         if left_ns > 0:
             pause = asyncio.ensure_future(self._clock.sleep(left_ns * 1e-9))
@@ -99,7 +99,7 @@ class TelegramPublisher:
             await self._listen(port)
 
     async def _listen(self, port: Port, until: asyncio.Future[None] | None = None) -> None:
-        """Find a request in what comes in next, also where its bytes come one by one."""
+        """Search the next input for a request, even if its bytes arrive one by one."""
         heard = self._heard + await port.read(until=until)
         if len(heard) > len(self._heard):
             self._asked = self._asked or _REQUEST.search(heard) is not None
@@ -126,7 +126,7 @@ class TelegramPublisher:
 
 
 class ConsolePublisher:
-    """Lets one person at a terminal ask the unit."""
+    """Serves the console for one person at a terminal."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class ConsolePublisher:
         self._past = past
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
+        """Serve until cancelled; raises OSError when the port cannot be opened or has disappeared."""
         board = self._board
         console = Console(board.read, self._health, board.quantities, board.age_s, self._past)
         async with opened(self._settings, limit=MAX_WAITING_BYTES, fresh=False) as port:
@@ -161,7 +161,7 @@ class ConsolePublisher:
                 waiting = waiting or await self._typed(port, min(rest_ns, line_ns, answer_ns))
                 typed, waiting = _first_line(waiting)
                 known, now_ns = console.commands, self._clock.monotonic_ns()
-                if now_ns >= answer_ns:  # before what was typed too late
+                if now_ns >= answer_ns:  # before input that was typed too late
                     self._show(port, console.give_up())
                 if typed:
                     was_asking = console.asking_s is not None
@@ -183,7 +183,7 @@ class ConsolePublisher:
                     await asyncio.sleep(READ_INTERVAL_S)
 
     async def _typed(self, port: Port, until_ns: float) -> bytes:
-        """The next bytes that are typed; none if none come until then."""
+        """Return the next bytes that are typed; empty if none arrive in time."""
         if until_ns == math.inf:
             return await port.read(limit=MAX_READ_BYTES)
         left_ns = max(until_ns - self._clock.monotonic_ns(), 0)
@@ -199,18 +199,18 @@ class ConsolePublisher:
 
 
 def telegram_message(settings: TelegramPortSettings) -> str:
-    """The state of a port that sends telegrams, for health."""
+    """State text of a port that sends telegrams."""
     when = "on request, at most every" if settings.on_request else "every"
     return f"telegram {when} {settings.interval_s:g} s on {describe(settings)}"
 
 
 def console_message(settings: ConsolePortSettings) -> str:
-    """The state of a port with a console, for health."""
+    """State text of a port with a console."""
     return f"console on {describe(settings)}"
 
 
 def _due_ns(since_ns: int, after_s: float | None) -> float:
-    """When something is due that comes so long after an instant; None: never."""
+    """Time at which something is due ``after_s`` after an instant; None: never."""
     return math.inf if after_s is None else since_ns + round(after_s * 1e9)
 
 

@@ -3,9 +3,9 @@
 A fourth identifies the unit; it is sent rarely.
 
 A sentence is ``$``, a name, fields after commas, ``*``, the exclusive or of all characters between ``$``
-and ``*`` as two hexadecimal digits, CR LF; 82 characters at most, all counted. ``$P`` marks a sentence of
-the maker's own. A value that is not known is an empty field. ``SENTENCES`` is the only definition of the
-fields: the writer and ``docs/telegram.md`` follow it.
+and ``*`` as two hexadecimal digits, CR LF; at most 82 characters in total. ``$P`` marks a proprietary
+sentence. A value that is not known is an empty field. ``SENTENCES`` is the only definition of the fields:
+the writer and ``docs/telegram.md`` follow it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from altd.records import Measurement
 from altd.status.proof import Stamp, crc32
 
 MAX_SENTENCE_BYTES = 82
-"""Characters from ``$`` to LF that NMEA 0183 allows."""
+"""Maximum number of characters from ``$`` to LF in NMEA 0183."""
 
 LINE_END = b"\r\n"
 SEQUENCE_MODULUS = 1 << 32
@@ -40,7 +40,7 @@ SEQUENCE = whole(SEQUENCE_MODULUS - 1)
 
 
 class TelegramError(ValueError):
-    """A telegram that cannot be written; ``field`` names the place."""
+    """A telegram that cannot be written; ``field`` names the field."""
 
     def __init__(self, field: str, message: str) -> None:
         super().__init__(f"{field}: {message}")
@@ -68,7 +68,7 @@ class Telegram:
 
     @classmethod
     def of(cls, measurement: Measurement | None) -> Telegram:
-        """The content for the latest measurement; None: there is no measurement so far."""
+        """Return the content for the latest measurement; None: there is no measurement so far."""
         if measurement is None:
             return cls(reasons=(str(Reason.WARMING_UP),))
         head = cls(
@@ -85,7 +85,7 @@ class Telegram:
             return _with_codes(head, (DOES_NOT_FIT, *codes))
 
     def encode(self) -> bytes:
-        """Both sentences; raises TelegramError when a value does not fit its field."""
+        """Return both sentences; raises TelegramError when a value does not fit its field."""
         return b"".join(sentence.encode(self) for sentence in SENTENCES)
 
 
@@ -97,7 +97,7 @@ NUMBERS = (*SIGMAS, "roll_deg")
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field: the attribute that it carries of what is sent, its form, unit and meaning."""
+    """One field: the attribute of the content that it carries, its form, unit and meaning."""
 
     name: str
     form: Form
@@ -105,7 +105,7 @@ class Field:
     meaning: str
 
     def text(self, content: object) -> str:
-        """The field as it travels, of what has an attribute of its name."""
+        """Text of the field, from the attribute of its name; raises TelegramError when it does not fit."""
         value = getattr(content, self.name)
         if value is None:
             return ""
@@ -124,7 +124,7 @@ class Sentence:
     fields: tuple[Field, ...]
 
     def encode(self, content: object) -> bytes:
-        """The sentence with checksum and line end; raises TelegramError when a value does not fit."""
+        """Return the sentence with checksum and line end; raises TelegramError when a value does not fit."""
         body = ",".join([self.name, *(field.text(content) for field in self.fields)]).encode("ascii")
         return b"$%s*%02X%s" % (body, checksum(body), LINE_END)
 
@@ -167,12 +167,12 @@ def checksum(body: Iterable[int]) -> int:
 
 
 def encode(measurement: Measurement | None) -> bytes:
-    """The telegram of a measurement, to be written in one piece; None: nothing was measured so far."""
+    """Return the telegram of a measurement, to be written in one piece; None: nothing was measured so far."""
     return Telegram.of(measurement).encode()
 
 
 def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:
-    """The telegram with the codes that there is room for; ``more`` replaces the others."""
+    """Return the telegram with as many codes as fit; ``more`` replaces the others."""
     for kept in range(len(codes), -1, -1):
         shown = codes[:kept] + (MORE,) * (kept < len(codes))
         telegram = replace(telegram, reasons=shown or None)
@@ -192,20 +192,20 @@ def _mode(measurement: Measurement) -> Mode:
 
 
 def _ordered_codes(measurement: Measurement) -> tuple[str, ...]:
-    """Reasons of the whole unit, of its targets, then warnings: the last give way where room is short."""
+    """Reasons of the whole unit, of its targets, then warnings: the last are omitted if room is short."""
     ordered = sorted(measurement.status, key=lambda f: (f.reason.is_warning, f.target is not None))
     return tuple(dict.fromkeys(str(fault) for fault in ordered))
 
 
 def _date(measurement: Measurement | None) -> date | None:
-    """The UTC date of the measurement's time."""
+    """UTC date of the measurement's time."""
     if measurement is None or measurement.time is None:
         return None
     return measurement.time.astimezone(UTC).date()
 
 
 MAX_AGE_MS = 9_999_999
-"""A greater age is held there: close to three hours."""
+"""Maximum age that is sent, close to three hours; a greater age is sent as this value."""
 
 _HEXADECIMAL = Form("FFFFFFFF", re.compile(r"[0-9A-F]{8}", re.ASCII), lambda value: f"{value:08X}")
 _COUNT = whole(0xFFFF_FFFE)
@@ -214,7 +214,7 @@ _DATE = Form("20991231", re.compile(r"\d{8}", re.ASCII), lambda value: f"{value:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proof:
-    """The content of the sentence; None is an empty field."""
+    """Content of the sentence; None is an empty field."""
 
     unit: int | None = None
     session: int | None = None
@@ -241,10 +241,10 @@ PROOF = Sentence(
 
 
 def with_proof(telegram: bytes, measurement: Measurement | None, stamp: Stamp, age_s: float | None) -> bytes:
-    """The telegram of a measurement and the sentence that proves it.
+    """Return the telegram of a measurement with the sentence that proves it.
 
-    The CRC is over all bytes from the first ``$`` of the telegram to the comma before the CRC, line ends and
-    checksums too.
+    The CRC covers all bytes from the first ``$`` of the telegram to the comma before the CRC, including line
+    ends and checksums.
     """
     proof = Proof(
         unit=stamp.identity.unit,
@@ -261,7 +261,7 @@ def with_proof(telegram: bytes, measurement: Measurement | None, stamp: Stamp, a
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nameplate:
-    """Which unit sends; None is an empty field."""
+    """Identity of the sending unit; None is an empty field."""
 
     unit: int | None
     serial: str
@@ -285,11 +285,11 @@ IDENTIFICATION = Sentence(
 
 
 def identification(nameplate: Nameplate, measurement: Measurement | None) -> bytes:
-    """The sentence that identifies the unit; it follows the telegram of the measurement."""
+    """Return the sentence that identifies the unit; it follows the telegram of the measurement."""
     return IDENTIFICATION.encode(replace(nameplate, date=_date(measurement)))
 
 
 def longest_bytes(settings: TelegramPortSettings) -> int:
-    """Characters of the longest telegram with the sentences that a port sends."""
+    """Maximum number of characters of a telegram with the sentences that a port sends."""
     sentences = len(SENTENCES) + settings.checked + (settings.identify_every_s is not None)
     return MAX_SENTENCE_BYTES * sentences

@@ -1,4 +1,4 @@
-"""Measurement and health in the words of a technician, 80 columns of ASCII, lines ended by LF."""
+"""Measurement and health as text for a technician, 80 columns of ASCII, lines separated by LF."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SAID_BY_COMPONENTS = {
     Condition.COMPONENT_FAILED,
     Condition.COMPONENT_DEGRADED,
 }
-"""Causes that the list of faults already names, in the words of the component."""
+"""Causes that the list of faults already contains, with the component's own message."""
 
 _SPANS = {
     "last_hour": "of the last hour",
@@ -33,11 +33,11 @@ _SPANS = {
     "since_start": "since the start",
 }
 _MOST_LOST = 3
-"""So many reasons for lost time are named."""
+"""Maximum number of reasons for lost time that are named."""
 
 
 def state_facts(report: StateReport, *, whole: bool) -> dict[str, str]:
-    """The state with its causes, and the availability; ``whole``: with what most time was lost to."""
+    """State with its causes, and availability; ``whole``: with the main reasons for lost time."""
     signal = str(report.signal).replace("_", " ")
     text = signal if report.signal is Signal.GOOD else signal.upper()
     text += f" for {duration((report.now_ns - report.since_ns) * 1e-9)}"
@@ -47,7 +47,7 @@ def state_facts(report: StateReport, *, whole: bool) -> dict[str, str]:
 
 
 def state_steps(report: StateReport) -> list[str]:
-    """Faults beside those of the measurement and the components, with their remedies."""
+    """Faults besides those of the measurement and the components, with their remedies."""
     return [
         f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.remedy}"
         for shown in report.causes
@@ -80,18 +80,18 @@ def _available(report: StateReport, whole: bool) -> str:
 
 
 def _percent(share: float) -> str:
-    """Rounded down, so that a promise that was missed does not look kept."""
+    """Percentage, rounded down, so that a missed promise does not look kept."""
     return f"{int(share * 1e4) / 100:.2f} %"
 
 
 WIDTH = 79
-"""A line of 80 would make some terminals wrap."""
+"""Width of a line; some terminals would wrap a line of 80."""
 
 NO_MEASUREMENT = "no measurement so far: wait some seconds, then see `status`"
 
 
 def measurement_text(measurement: Measurement | None, age_s: float | None = None) -> str:
-    """One measurement with units and sigma, also that of its age where it is known, or why there is none."""
+    """Describe a measurement with units, sigma and, if its age is known, sigma now; or why there is none."""
     if measurement is None:
         return NO_MEASUREMENT
     time = "time not known" if measurement.time is None else utc_text(measurement.time)
@@ -103,7 +103,7 @@ def measurement_text(measurement: Measurement | None, age_s: float | None = None
 
 
 def watch_head(quantities: Quantities) -> str:
-    """The headings over the lines of ``watch_line``."""
+    """Headings above the lines of ``watch_line``."""
     heads = (f"{f'{quantity.label} {ascii_unit(quantity)}':>11}" for quantity in quantities.main)
     return f"{'time (UTC)':<14}{''.join(heads)}"
 
@@ -126,9 +126,9 @@ def watch_line(measurement: Measurement | None) -> str:
 def status_text(
     measurement: Measurement | None, health: Health, age_s: float | None = None, *, whole: bool = False
 ) -> str:
-    """The unit, whether it measures, what to do about what is wrong, and every component.
+    """Describe the unit, whether it measures, remedies for what is wrong, and every component.
 
-    ``age_s``: of the measurement, for the uncertainty that is true now.
+    ``age_s``: age of the measurement, for its current uncertainty.
     ``whole``: with messages, counters and figures of the components.
     """
     components = list(health)
@@ -159,7 +159,7 @@ def component_lines(components: Sequence[Component], *, whole: bool) -> list[str
 
 
 def _uncertainty(measurement: Measurement, age_s: float | None) -> str:
-    """The standard deviations of the values as statements about the beam now."""
+    """Standard deviations of the values as statements about the current beam."""
     told = [
         f"{quantity.label} {sigma:.{quantity.decimals - 1}f} {ascii_unit(quantity)}"
         for quantity in measurement.quantities.main
@@ -173,9 +173,9 @@ def _sigma_now(measurement: Measurement, quantity: Quantity, age_s: float | None
 
 
 def _value_lines(measurement: Measurement, age_s: float | None) -> list[str]:
-    """A line a quantity, with what it is in another unit behind it.
+    """One line per quantity, followed by its value in another unit.
 
-    Of an invalid measurement only what other sensors say.
+    For an invalid measurement, only values of other sensors.
     """
     lines = {}
     of_unit = measurement.quantities.of_unit
@@ -255,12 +255,12 @@ def _what_to_do(
 
 
 def _of_targets(targets: Sequence[str]) -> str:
-    """The targets that something concerns, before what it is; empty: the whole unit."""
+    """Targets that something concerns, as a prefix; empty: the whole unit."""
     return f"{' and '.join(targets)} target{'s' * (len(targets) > 1)}: " if targets else ""
 
 
 def hanging(name: str, text: str, indent: int) -> str:
-    """The text beside a name, its further lines below its first."""
+    """Text next to a name, its further lines below its first."""
     return fill(
         _ascii(text),
         WIDTH,
@@ -271,5 +271,5 @@ def hanging(name: str, text: str, indent: int) -> str:
 
 
 def _ascii(text: str) -> str:
-    """The characters that any terminal can show."""
+    """Text with only the characters that any terminal can show."""
     return text.encode("ascii", "replace").decode("ascii")
