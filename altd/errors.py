@@ -1,4 +1,4 @@
-"""Errors in the input, in lines of which each names the place."""
+"""Errors in the input, as lines that each name the place."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 
 class BadInputError(Exception):
-    """A file, a setting or an argument that cannot be used; the command line ends with status 2.
+    """A file, a setting or an argument cannot be used; the command line ends with status 2.
 
-    ``place`` names the file and, where there is one, the row, key or field in it. ``more`` is what else is
-    wrong at the same place: the error's own text is the first complaint, ``lines`` are all of them.
+    ``place`` names the file and, if there is one, the row, key or field in it. ``more`` are further faults of
+    the same place: the error's own text is the first fault, ``lines`` are all of them.
     """
 
     def __init__(self, place: object, message: str, *more: str) -> None:
@@ -22,11 +22,11 @@ class BadInputError(Exception):
 _MAX_LINE_CHARACTERS = 2000
 _MAX_WORD_CHARACTERS = 60
 _MIN_SIMILARITY = 0.6
-"""Least similarity of two words (difflib) for one to count as a misspelling of the other."""
+"""Minimum similarity of two words (difflib) for one to count as a misspelling of the other."""
 
 
 def did_you_mean(word: object, possible: Iterable[str]) -> str:
-    """A suggestion for a misspelt word, as the end of a sentence; nothing where no word is alike."""
+    """Return a suggestion for a misspelt word, as the end of a sentence; empty if no word is similar."""
     import difflib  # most commands are called without a slip
 
     folded = {name.casefold(): name for name in possible}
@@ -37,15 +37,15 @@ def did_you_mean(word: object, possible: Iterable[str]) -> str:
 
 
 def one_line(text: str) -> str:
-    """One line for a terminal or a log, whatever a file or a network put into the text: escaped and cut."""
+    """Return one line for a terminal or a log from any text of a file or a network: escaped and cut."""
     return escaped(text if len(text) <= _MAX_LINE_CHARACTERS else f"{text[:_MAX_LINE_CHARACTERS]}…")
 
 
 def escaped(text: str) -> str:
-    r"""The text with a Python escape, such as ``\x1b``, for each character that is not printable.
+    r"""Return the text with a Python escape, such as ``\x1b``, for each non-printable character.
 
     Those are line ends, C0 and C1 control characters, bidirectional overrides and lone surrogates. Python
-    holds bytes of a file name that are not UTF-8 as such surrogates.
+    represents bytes of a file name that are not UTF-8 as such surrogates.
     """
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text
@@ -53,10 +53,10 @@ def escaped(text: str) -> str:
 
 
 def unwrap_group(group: BaseExceptionGroup, *kinds: type[BaseException]) -> BaseException | None:
-    """The first error of these kinds in a task group's failure, or None.
+    """Return the first error of these kinds in a task group's failure, or None.
 
-    For ``except BaseExceptionGroup``: what is raised inside ``except*`` comes out wrapped again in Python
-    3.11.2, the one of Debian 12, though not in 3.11.7.
+    For ``except BaseExceptionGroup``: an error raised inside ``except*`` is wrapped again in Python 3.11.2,
+    the version in Debian 12, though not in 3.11.7.
     """
     found = group.subgroup(kinds)
     if found is None:

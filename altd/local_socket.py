@@ -1,4 +1,4 @@
-"""Both ends of a local socket: listening at a file, and asking the daemon there."""
+"""Both ends of a local socket: listening at a file, and requests to the daemon there."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from altd.errors import one_line
 from altd.files.documents import parse_json
 
 MAX_ANSWER_BYTES = 1 << 20
-"""Of an answer, which has some thousand."""
+"""Maximum size of a response, which normally has a few thousand bytes."""
 
 _MIN_TIMEOUT_S = 1e-3
 
 
 class NoAnswerError(Exception):
-    """The daemon does not answer, or not as it should; the sentence, one line, says why."""
+    """The daemon does not respond, or not correctly; the message, one line, has the reason."""
 
     def __init__(self, sentence: str) -> None:
         super().__init__(one_line(sentence))
@@ -34,7 +34,7 @@ class NoAnswerError(Exception):
 def ask(
     path: Path, target: str, timeout_s: float, method: str = "GET", headers: Mapping[str, str] | None = None
 ) -> tuple[int, Any]:
-    """The status and the JSON document of the answer; the request in all takes no longer than ``timeout_s``.
+    """Return status and JSON document of the response; the whole request takes at most ``timeout_s``.
 
     Raises NoAnswerError.
     """
@@ -53,11 +53,11 @@ def ask_content(
     headers: Mapping[str, str] | None = None,
     max_bytes: int = MAX_ANSWER_BYTES,
 ) -> tuple[int, bytes]:
-    """The same with the content as it comes, of which only ``max_bytes`` are read."""
+    """Like ``ask``, but return the raw content, of which at most ``max_bytes`` are read."""
     connection = _LocalConnection(path, timeout_s)
     try:
         connection.request(method, target, headers=dict(headers or {}))
-        with connection.getresponse() as answer:  # which holds the socket where the server closes
+        with connection.getresponse() as answer:  # it owns the socket if the server closes the connection
             return answer.status, answer.read(max_bytes)
     except TimeoutError as error:
         raise NoAnswerError(f"the daemon at {path} does not answer within {timeout_s:g} s") from error
@@ -78,7 +78,7 @@ def ask_content(
 
 
 class _LocalConnection(http.client.HTTPConnection):
-    """HTTP on a socket of the file system."""
+    """HTTP connection on a Unix socket."""
 
     def __init__(self, path: Path, timeout_s: float) -> None:
         super().__init__("localhost")
@@ -86,7 +86,7 @@ class _LocalConnection(http.client.HTTPConnection):
         self._deadline_s = time.monotonic() + timeout_s
 
     def connect(self) -> None:
-        """Connect to the file; a daemon whose queue is full counts as one that does not answer."""
+        """Connect to the socket; raises TimeoutError also for a daemon with a full queue."""
         self.sock = _PunctualSocket(self._deadline_s)
         try:
             self.sock.connect(str(self._path))
@@ -95,7 +95,7 @@ class _LocalConnection(http.client.HTTPConnection):
 
 
 class _PunctualSocket(socket.socket):
-    """A socket that is done with at an instant, however slowly the other end trickles."""
+    """A socket with a deadline for all operations together, however slowly the other end sends."""
 
     def __init__(self, deadline_s: float) -> None:
         super().__init__(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -103,7 +103,7 @@ class _PunctualSocket(socket.socket):
         self._hurry()
 
     def recv_into(self, *arguments: Any) -> int:
-        """Read, for ``makefile``, within the deadline."""
+        """Receive, for ``makefile``, within the deadline."""
         self._hurry()
         return super().recv_into(*arguments)
 
@@ -139,7 +139,7 @@ def _name(find: Callable[[], str], number: int) -> str:
 
 
 MODE = 0o660
-"""Owner and group may connect, for that needs to write (unix(7)). They are those of the daemon's process."""
+"""Mode of the socket: owner and group of the daemon may connect, which needs write access (unix(7))."""
 
 BACKLOG = 32
 
@@ -148,10 +148,10 @@ _CONNECT_TIMEOUT_S = 0.2
 
 @contextlib.contextmanager
 def listening(path: Path) -> Iterator[socket.socket]:
-    """The listening socket, its file removed at the end.
+    """Open the listening socket for the context; its file is removed at the end.
 
-    A socket that a dead process left at ``path`` is replaced. Raises OSError that names the path: EADDRINUSE
-    where a process listens there or where the file is not a socket.
+    A socket left at ``path`` by a dead process is replaced. Raises OSError that names the path: EADDRINUSE if
+    a process listens there or the file is not a socket.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     with listener:
@@ -163,7 +163,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
             raise OSError(number, f"{path}: {error.strerror or os.strerror(number)}") from error
         made = identity_at(path)
         try:
-            path.chmod(MODE)  # before it listens: no client can connect until then, whatever the umask
+            path.chmod(MODE)  # before listening: with any umask, no client can connect earlier
             listener.listen(BACKLOG)
             listener.setblocking(False)
             yield listener
@@ -174,7 +174,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
 
 
 def identity_at(path: Path) -> tuple[int, int] | None:
-    """The identity of the file at a path while it is in use; None: there is none."""
+    """Return (device, inode) of the file at a path, unique while the file is in use; None: no file."""
     try:
         found = path.lstat()
     except OSError:
@@ -183,7 +183,7 @@ def identity_at(path: Path) -> tuple[int, int] | None:
 
 
 def _make_room(path: Path) -> None:
-    """Remove a socket without a listener; any other file stays, and is an error."""
+    """Remove a socket without a listener; raises OSError for any other file."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -198,6 +198,6 @@ def _make_room(path: Path) -> None:
             path.unlink()
             return
         except OSError as error:
-            if error.errno not in (errno.EAGAIN, errno.ETIMEDOUT):  # its queue is full: it lives
+            if error.errno not in (errno.EAGAIN, errno.ETIMEDOUT):  # its queue is full: the process is alive
                 raise
     raise OSError(errno.EADDRINUSE, "another process listens there")

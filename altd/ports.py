@@ -12,7 +12,7 @@ from altd.records.sensors import Quality
 
 
 class CameraError(Exception):
-    """A camera that cannot deliver; the service closes it, reports it and opens it again."""
+    """The camera cannot deliver; the service closes it, reports it and opens it again."""
 
 
 class CameraNotFoundError(CameraError):
@@ -20,19 +20,19 @@ class CameraNotFoundError(CameraError):
 
 
 class CameraBusyError(CameraError):
-    """Another program holds the camera."""
+    """Another program uses the camera."""
 
 
 class CameraLostError(CameraError):
-    """The camera was there and went away, or broke off its stream."""
+    """The camera disappeared, or stopped its stream."""
 
 
 class CameraRefusedError(CameraError):
-    """The camera does not do what it is asked for: a format, a size, a rate, a setting."""
+    """The camera refuses a request: a format, a size, a rate, a setting."""
 
 
 class CameraTimeoutError(CameraError):
-    """No frame came in time; the camera stays open."""
+    """No frame arrived in time; the camera stays open."""
 
 
 class CameraMistimedError(CameraError):
@@ -44,12 +44,12 @@ class CameraMistimedError(CameraError):
 
 
 class CameraEndedError(CameraError):
-    """The source is at its end and will not deliver again (a recording that was played)."""
+    """The source has ended and will not deliver again (a recording that was played)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExposureRange:
-    """The settable range of a camera. Without a settable gain, both gains are the same."""
+    """Settable range of a camera. Without a settable gain, both gains are the same."""
 
     shortest_ms: float
     longest_ms: float
@@ -62,13 +62,13 @@ class Camera(Protocol):
 
     @property
     def name(self) -> str:
-        """The name under which the config and the frames know this camera."""
+        """Name of this camera in the config and in the frames."""
 
     @property
     def origin(self) -> Origin:
-        """The origin of the frames; simulated ones are marked in every output.
+        """Origin of the frames; simulated ones are marked in every output.
 
-        A camera may find out only when it is opened.
+        A camera may determine it only when it is opened.
         """
 
     @property
@@ -77,7 +77,7 @@ class Camera(Protocol):
 
     @property
     def identity(self) -> CameraIdentity | None:
-        """Which camera this is, known once open; None: the source cannot tell."""
+        """Identity of the camera, known once open; None: the source has none."""
 
     @property
     def waits(self) -> bool:
@@ -85,16 +85,16 @@ class Camera(Protocol):
 
     @property
     def exposure_range(self) -> ExposureRange | None:
-        """The ranges of exposure and gain, known once open; None: the camera can set neither."""
+        """Ranges of exposure and gain, known once open; None: the camera can set neither."""
 
     def open(self) -> None:
-        """Get hold of the camera and let it run as it was set up to; raises CameraError."""
+        """Open the camera and start it with its settings; raises CameraError."""
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next frame, waiting at most ``timeout_s``; raises CameraError or one of its kinds."""
+        """Return the next frame, waiting at most ``timeout_s``; raises CameraError or a subclass."""
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Apply this from one of the next frames on, as nearly as the camera can; raises CameraError."""
+        """Apply exposure time and gain soon, as precisely as the camera can; raises CameraError."""
 
     def close(self) -> None:
         """Release the camera; harmless when it is not open."""
@@ -102,12 +102,12 @@ class Camera(Protocol):
 
 @runtime_checkable
 class SwitchingCamera(Camera, Protocol):
-    """A camera with output lines, on which LEDs may hang."""
+    """A camera with output lines that may switch LEDs."""
 
     def switch_output(self, line: str, on: bool) -> None:
-        """Set an output line, by the camera's own name of it; raises CameraError, also while it is not open.
+        """Set an output line, by the camera's own name of it; raises CameraError, also if not open.
 
-        Blocks, and unlike the other calls comes from any thread.
+        Blocks, and unlike the other calls is made from any thread.
         """
 
 
@@ -116,26 +116,26 @@ class TemperatureCamera(Camera, Protocol):
     """A camera that may measure its own temperature."""
 
     def celsius(self) -> float | None:
-        """The temperature inside now, °C; None: it measures none. Raises CameraError, also while it is shut.
+        """Return the temperature inside, °C; None: not measured. Raises CameraError, also if not open.
 
-        Blocks, and unlike the other calls comes from any thread.
+        Blocks, and unlike the other calls is made from any thread.
         """
 
 
 class StageError(Exception):
-    """A stage that did not do what it was asked to; the sentence says why."""
+    """The stage did not do what was requested; the message gives the reason."""
 
 
 class StageNotFoundError(StageError):
-    """There is no such port, or nothing on it that answers."""
+    """There is no such port, or no stage answers on it."""
 
 
 class StageLostError(StageError):
-    """The stage went away or restarted: its position is unknown."""
+    """The stage disappeared or restarted: its position is unknown."""
 
 
 class StageAlarmError(StageError):
-    """The stage's controller locked itself, for a limit for instance."""
+    """The stage's controller locked itself, for example because of a limit."""
 
 
 class StageTimeoutError(StageError):
@@ -143,7 +143,7 @@ class StageTimeoutError(StageError):
 
 
 class StageRefusedError(StageError):
-    """The stage's controller does not take a command, or its settings do not do."""
+    """The stage's controller refuses a command, or its settings are unsuitable."""
 
 
 class StageStoppedError(StageError):
@@ -153,60 +153,60 @@ class StageStoppedError(StageError):
 class Stage(Protocol):
     """An xy stage that carries the laser; x and y are those of the unit frame, mm.
 
-    The calls block and are made one after the other; ``stop`` alone comes from another thread.
+    The calls block and are made one after the other; only ``stop`` is called from another thread.
     """
 
     def open(self) -> None:
-        """Get hold of the stage; raises StageError."""
+        """Open the stage; raises StageError."""
 
     def home(self) -> None:
-        """Make the position known in the way that is set up for this stage; raises StageError."""
+        """Determine the position in the way configured for this stage; raises StageError."""
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        """Move there and return once the stage is at rest there; raises StageError."""
+        """Move to a position and return once the stage is at rest there; raises StageError."""
 
     def position(self) -> tuple[float, float]:
-        """The position that the stage reports, (x, y) in mm; raises StageError."""
+        """Return the position that the stage reports, (x, y) in mm; raises StageError."""
 
     def stop(self) -> None:
-        """End a movement that is under way; it and every later one raise StageStoppedError."""
+        """Stop a movement in progress; it and every later one raise StageStoppedError."""
 
     def close(self) -> None:
         """Release the stage; harmless when it is not open."""
 
 
 class InclinometerError(Exception):
-    """An inclinometer that gives no reading; the sentence says why, and ``quality`` in one word."""
+    """The inclinometer gives no reading; the message gives the reason, ``quality`` its code."""
 
     quality = Quality.DEFECT
 
 
 class InclinometerNotFoundError(InclinometerError):
-    """There is no such port, or it went away."""
+    """There is no such port, or it disappeared."""
 
     quality = Quality.NO_PORT
 
 
 class InclinometerTimeoutError(InclinometerError):
-    """Nothing answers in time."""
+    """No device answers in time."""
 
     quality = Quality.NO_ANSWER
 
 
 class InclinometerDisturbedError(InclinometerError):
-    """The received bytes are no answer to the request: damaged, foreign, too long, or the request itself."""
+    """The received bytes do not answer the request: damaged, foreign, too long, or the request itself."""
 
     quality = Quality.BAD_ANSWER
 
 
 class InclinometerWrongError(InclinometerError):
-    """The answering device is not the expected sensor, or is set up differently."""
+    """The answering device is not the expected sensor, or has other settings."""
 
     quality = Quality.WRONG_SENSOR
 
 
 class InclinometerRefusedError(InclinometerError):
-    """The sensor says that it cannot measure as it is set up."""
+    """The sensor reports that it cannot measure with its settings."""
 
     quality = Quality.INVALID_SETTING
 
@@ -228,10 +228,10 @@ class InclinometerAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class InclinometerReading:
-    """One reading: angles against gravity in the sensor's own sense, within ±180°; None: it has no such axis.
+    """One reading: angles against gravity in the sensor's own sense, within ±180°; None: no such axis.
 
-    ``t_ns`` is when it was measured at the earliest, on the monotonic clock. ``words`` are all registers that
-    were read, as they came: what measures moves their last digits.
+    ``t_ns`` is the earliest time of the measurement, on the monotonic clock. ``words`` are all registers as
+    they were read: the last digits of a working sensor change.
     """
 
     t_ns: int
@@ -246,57 +246,57 @@ class Inclinometer(Protocol):
 
     @property
     def name(self) -> str:
-        """Its type and address, for people."""
+        """Type and address, for people."""
 
     @property
     def accuracy(self) -> InclinometerAccuracy:
-        """The accuracy of its angles."""
+        """Accuracy of its angles."""
 
     def open(self) -> None:
         """Open the port and check that it is this sensor; raises InclinometerError."""
 
     def read(self) -> InclinometerReading:
-        """The current reading; raises InclinometerError."""
+        """Return the current reading; raises InclinometerError."""
 
     def close(self) -> None:
         """Release the port; harmless when it is not open."""
 
 
 class LampsError(Exception):
-    """Lamps that cannot be had or switched; the sentence says why."""
+    """The lamps cannot be opened or switched; the message gives the reason."""
 
 
 class Lamps(Protocol):
     """The frame LEDs. The calls block."""
 
     def open(self) -> None:
-        """Get hold of them, dark; raises LampsError."""
+        """Open the LEDs, dark; raises LampsError."""
 
     def switch(self, on: bool) -> None:
-        """Light or darken all of them; raises LampsError."""
+        """Switch all LEDs on or off; raises LampsError."""
 
     def close(self) -> None:
-        """Darken and release them; harmless when they are not open."""
+        """Switch the LEDs off and release them; harmless when they are not open."""
 
 
 class Switches(Protocol):
-    """The voltage of switched glasses: with it a glass is clear, without it opaque. The calls block."""
+    """Voltage of switched glasses: with voltage a glass is clear, without it opaque. The calls block."""
 
     def open(self) -> None:
-        """Get hold of them, all glasses without voltage; raises LampsError."""
+        """Open the switches, all glasses without voltage; raises LampsError."""
 
     def show(self, opaque: str) -> None:
-        """Take the voltage off the glass of this target, and apply it to all others; raises LampsError.
+        """Switch this target's glass off (opaque) and all others on; raises LampsError.
 
-        Empty: no glass has it.
+        Empty: no glass has voltage.
         """
 
     def close(self) -> None:
-        """Take the voltage off all glasses and release them; harmless when they are not open."""
+        """Switch all glasses off and release them; harmless when they are not open."""
 
 
 class Indicator(StrEnum):
-    """The lamps on the housing (App. A.1.4)."""
+    """Lamps on the housing (App. A.1.4)."""
 
     DATA = "data"
     ERROR = "error"
@@ -308,17 +308,17 @@ class Indicators(Protocol):
     """The lamps on the housing. The calls block."""
 
     def open(self) -> None:
-        """Get hold of them, dark; raises LampsError."""
+        """Open the lamps, dark; raises LampsError."""
 
     def show(self, lit: frozenset[Indicator]) -> None:
-        """Light these and darken the others; raises LampsError."""
+        """Switch these lamps on and the others off; raises LampsError."""
 
     def close(self) -> None:
-        """Darken and release them; harmless when they are not open."""
+        """Switch the lamps off and release them; harmless when they are not open."""
 
 
 class ThermometerError(Exception):
-    """A temperature that cannot be read; the sentence says why."""
+    """The temperature cannot be read; the message gives the reason."""
 
 
 class Thermometer(Protocol):
@@ -326,17 +326,17 @@ class Thermometer(Protocol):
 
     @property
     def name(self) -> str:
-        """The name under which the config knows it."""
+        """Name in the config."""
 
     def celsius(self) -> float | None:
-        """The temperature now, °C; blocks. None: none is available, and that is no fault of its own.
+        """Return the temperature now, °C; blocks. None: not available, which is not a fault of its own.
 
         Raises ThermometerError.
         """
 
 
 class Stop(Protocol):
-    """An event of ``threading`` that tells a thread to end."""
+    """An event of ``threading`` that signals a thread to end."""
 
     def wait(self, timeout: float) -> bool:
         """Block until it is set, or for ``timeout`` seconds; returns whether it is set."""
@@ -349,13 +349,13 @@ class Clock(Protocol):
     """Time, so that a test can run an hour in a second."""
 
     def monotonic_ns(self) -> int:
-        """The clock on which frames are stamped."""
+        """Return the clock on which frames are stamped, ns."""
 
     def utc(self, t_ns: int) -> datetime | None:
-        """The UTC of an instant on the monotonic clock; None when it is not known."""
+        """Return the UTC of an instant on the monotonic clock; None: not known."""
 
     async def sleep(self, seconds: float) -> None:
-        """Let ``seconds`` pass on this clock."""
+        """Sleep for ``seconds`` on this clock."""
 
     def wait(self, stop: Stop, seconds: float) -> None:
         """Block a thread until ``seconds`` have passed on this clock, or until ``stop`` is set."""

@@ -1,8 +1,8 @@
 """Why a measurement is invalid, or what a valid one warns of: the one table of reasons.
 
-Every interface and every page takes its text about a reason from here: its code, its meaning, what to do
-about it, its number and bit on Modbus, what the unit's state becomes. Codes, numbers and bits are contracts:
-new ones come, old ones never change.
+Every interface and every page uses this table's text about a reason: its code, its meaning, its remedy, its
+number and bit on Modbus, the resulting state of the unit. Codes, numbers and bits are contracts: new ones may
+be added, old ones never change.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from enum import StrEnum
 
 
 class Scope(StrEnum):
-    """The subject of a reason, and whether a measurement that carries it may be valid."""
+    """Subject of a reason, and whether a measurement with it may be valid."""
 
     TARGET = "target"
     """One target; published with its name in front, such as ``front_spot_missing``."""
     UNIT = "unit"
     WARNING = "warning"
-    """The numbers may be used. With a target's name in front where it is about one target of a row."""
+    """The numbers may be used. Published with a target's name in front if it is about one target of a row."""
 
 
 class StatusGroup(StrEnum):
-    """The bits of Modbus' status word that reasons set; those of a target have one bit a target."""
+    """Bits of Modbus' status word that reasons set; a target's reasons have one bit per target."""
 
     SPOT_BAD = "spot bad"
     CAMERA_SILENT = "camera silent"
@@ -36,15 +36,15 @@ class StatusGroup(StrEnum):
     PLAYBACK = "playback"
     SIMULATED = "simulated"
     NO_BIT = "no bit"
-    """The sixteen bits are taken: what came later is said by its code alone."""
+    """All sixteen bits are in use: newer reasons are reported by their code only."""
 
 
 class Signal(StrEnum):
     """The state of the whole unit in the terms of NAMUR NE 107: a code and its number.
 
     The numbers are those of OPC 10000-100, table 22 (``DeviceHealthEnumeration``). Of several signals the
-    worst is shown. Their order is that in which NE 107 (edition 2006) and OPC list them: failure, check
-    function, out of specification, maintenance required.
+    worst is shown. Their order is that of NE 107 (edition 2006) and OPC: failure, check function, out of
+    specification, maintenance required.
     """
 
     GOOD = "good", 0
@@ -60,7 +60,7 @@ class Signal(StrEnum):
     number: int
 
     def __new__(cls, code: str, number: int) -> Signal:
-        """A member that is equal to its code."""
+        """Create a member that is equal to its code."""
         signal = str.__new__(cls, code)
         signal._value_ = code
         signal.number = number
@@ -68,7 +68,7 @@ class Signal(StrEnum):
 
     @property
     def severity(self) -> int:
-        """0 for good, more for what is worse."""
+        """Severity of the signal: 0 for good, larger for worse ones."""
         return (len(Signal) - self.number) % len(Signal)
 
 
@@ -78,14 +78,14 @@ _CLEAN_AND_LOOK = "clean the window, look for reflections and for objects in the
 _NOT_LIVE = "do not steer by it"
 
 LEDS_LIT = "the frame LEDs are lit"
-"""First words of the detail of a refused spot where the frame LEDs shine."""
+"""First words of the detail of a spot that is refused because the frame LEDs are lit."""
 
 
 class Reason(StrEnum):
     """A row of the table: code, scope, Modbus' number (0: none) and group, signal, brief, remedy, meaning.
 
-    ``brief`` says what is wrong in a few words, ``remedy`` what the technician does where no more was seen
-    than the reason says, ``meaning`` when exactly the reason is given, in Markdown.
+    ``brief`` describes the fault in a few words. ``remedy`` is the technician's action if no more is known
+    than the reason. ``meaning`` is the exact condition for the reason, in Markdown.
     """
 
     SPOT_MISSING = (
@@ -419,7 +419,7 @@ class Reason(StrEnum):
         remedy: str,
         meaning: str,
     ) -> Reason:
-        """A member that is equal to its code."""
+        """Create a member that is equal to its code."""
         reason = str.__new__(cls, code)
         reason._value_ = code
         reason.scope, reason.modbus_code, reason.group = scope, modbus_code, group
@@ -428,9 +428,9 @@ class Reason(StrEnum):
 
     @property
     def is_warning(self) -> bool:
-        """Whether a measurement that carries this reason may still be valid."""
+        """Whether a measurement with this reason may still be valid."""
         return self.scope is Scope.WARNING
 
 
 NOT_FROM_CAMERAS = frozenset({Reason.PLAYBACK, Reason.SIMULATED})
-"""A measurement with one of these does not come from the unit's cameras."""
+"""Reasons of a measurement that does not come from the unit's cameras."""

@@ -1,4 +1,4 @@
-"""Median, and the standard deviation by the median absolute deviation (MAD), of some hundred values."""
+"""Median and standard deviation by the median absolute deviation (MAD), for a few hundred values."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of Gaussian values over their median absolute deviation."""
+"""Ratio of the standard deviation of Gaussian values to their median absolute deviation."""
 
 
 def median(values: npt.NDArray[Any], axis: int = -1) -> npt.NDArray[Any]:
-    """``np.median`` along one axis of finite values; that one spends ten times as long on its checks."""
+    """Return the median of finite values along an axis; ``np.median`` takes ten times as long (checks)."""
     ordered = np.sort(values, axis=axis)
     count = values.shape[axis]
     both = ordered.take((count - 1) // 2, axis=axis) + ordered.take(count // 2, axis=axis)
@@ -21,5 +21,5 @@ def median(values: npt.NDArray[Any], axis: int = -1) -> npt.NDArray[Any]:
 
 
 def mad_sigma(magnitudes: npt.NDArray[Any]) -> float:
-    """Standard deviation of values whose deviations have these magnitudes, (n,); outliers hardly count."""
+    """Return the MAD-based standard deviation from magnitudes (n,) of deviations; outliers hardly count."""
     return MAD_TO_SIGMA * float(median(magnitudes))

@@ -1,6 +1,6 @@
-"""Tables for other programs, one row an answer, with names, types, units: JSON lines, CSV and Parquet.
+"""Tables for other programs, one row per result, with names, types, units: JSON lines, CSV and Parquet.
 
-Names end in their unit, what is not known is absent, and every format has the same numbers. Parquet needs
+Names end in their unit, an unknown value is absent, and every format has the same numbers. Parquet needs
 pyarrow, the extra ``parquet``.
 """
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 Value = int | float | bool | str | None
-"""The value of a cell; None: not known."""
+"""Value of a cell; None: not known."""
 Row = Mapping[str, Value]
 """Values by the names of their columns."""
 Add = Callable[[Row], object]
@@ -37,7 +37,7 @@ Write = Callable[[str], object]
 
 
 class Type(StrEnum):
-    """The type of a column's values."""
+    """Type of a column's values."""
 
     WHOLE = "whole number"
     NUMBER = "number"
@@ -48,7 +48,7 @@ class Type(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A name that ends in the unit, where there is one."""
+    """A column; its name ends in the unit, if there is one."""
 
     name: str
     type: Type
@@ -57,12 +57,12 @@ class Column:
 
 
 def number(name: str, meaning: str) -> Column:
-    """A column of numbers, whose name tells their unit."""
+    """Return a column of numbers, with the unit that ends its name."""
     return Column(name, Type.NUMBER, _unit(name), meaning)
 
 
 def text(name: str, meaning: str) -> Column:
-    """A column of text."""
+    """Return a column of text."""
     return Column(name, Type.TEXT, "", meaning)
 
 
@@ -74,7 +74,7 @@ def _unit(name: str) -> str:
 
 
 def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan: bool) -> tuple[Column, ...]:
-    """The columns of a table of measurements, of which ``flat_row`` makes the rows."""
+    """Return the columns of a table of measurements, for the rows of ``flat_row``."""
     columns = [
         Column("sequence", Type.WHOLE, "", "number of the last exposure in the window"),
         Column("time", Type.TIME, "", "UTC of the middle of the exposures that were averaged"),
@@ -116,9 +116,10 @@ def _of_quantity(prefix: str, quantity: Quantity, meaning: str) -> Column:
 
 
 def flat_row(document: Mapping[str, Any]) -> dict[str, Value]:
-    """A measurement's object as a row: ``sigma.x_mm`` is ``sigma_x_mm``, ``front.x_mm`` is ``front_x_mm``.
+    """Return a measurement's object as a row: ``sigma.x_mm`` becomes ``sigma_x_mm``.
 
-    Below ``targets``, that of a row of targets, the same: ``targets.t1.x_mm`` is ``t1_x_mm``.
+    Likewise ``front.x_mm`` becomes ``front_x_mm``; ``targets.t1.x_mm`` of a row of targets becomes
+    ``t1_x_mm``.
     """
     row: dict[str, Value] = {}
     for key, value in document.items():
@@ -147,7 +148,7 @@ SPOT_COLUMNS = (
     number("ellipse_sigma_px", "standard deviation of that by noise"),
     text("doubt", "why the position is doubtful; empty: it is not"),
 )
-"""Of ``altd locate``, in the order of its JSON objects."""
+"""Columns of ``altd locate``, in the order of its JSON objects."""
 
 POINT_COLUMNS = (
     Column("line", Type.WHOLE, "", "number of the input line"),
@@ -160,11 +161,11 @@ POINT_COLUMNS = (
     text("reason", "why there is no point; `unreadable`: the line is not `u v`"),
     text("origin", "`camera` or `simulated`: the calibration's frames"),
 )
-"""Of ``altd map``."""
+"""Columns of ``altd map``."""
 
 
 class CsvTable:
-    """A header of names, then a line a row, CRLF at their ends; what is not known is an empty field.
+    """A header of names, then one line per row, with CRLF line ends; an unknown value is an empty field.
 
     Text is escaped, so that a row is one line. JSON has the exact text.
     """
@@ -175,19 +176,19 @@ class CsvTable:
         self._lines.writerow(self._names)
 
     def add(self, row: Row) -> None:
-        """A row; what it does not have is empty."""
+        """Write a row; a missing value is empty."""
         self._lines.writerow([_csv_field(row.get(name)) for name in self._names])
 
 
 class JsonTable:
-    """An object a line; what is not known is null."""
+    """One object per line; an unknown value is null."""
 
     def __init__(self, write: Write, columns: Sequence[Column]) -> None:
         self._write = write
         self._names = [column.name for column in columns]
 
     def add(self, row: Row) -> None:
-        """A row; what it does not have is null."""
+        """Write a row; a missing value is null."""
         self._write(line_of({name: row.get(name) for name in self._names}) + "\n")
 
 
@@ -212,11 +213,11 @@ def _csv_field(value: Value) -> str:
 
 
 MAX_ROWS_HELD = 8192
-"""Of a row group, which is what is held: 2 MB."""
+"""Maximum number of rows in a row group, which is kept in memory: 2 MB."""
 
 
 def check_parquet(output: Path | None) -> None:
-    """Say before any work is done that there is no file for it, or no pyarrow; raises BadInputError."""
+    """Check before any work is done that there are an output file and pyarrow; raises BadInputError."""
     if output is None:
         raise BadInputError("--format parquet", "needs a file: -o FILE")
     try:
@@ -228,9 +229,9 @@ def check_parquet(output: Path | None) -> None:
 
 
 class _Sink(io.RawIOBase):
-    """A file that takes what is written and, once it is closed, drops it.
+    """A file that accepts writes and, once it is closed, discards them.
 
-    pyarrow's writer writes its footer when it is destroyed, also after a signal or a full disk has ended the
+    pyarrow's writer writes its footer when it is destroyed, even after a signal or a full disk has ended the
     work; that must not raise.
     """
 
@@ -245,7 +246,7 @@ class _Sink(io.RawIOBase):
 
 
 class ParquetTable:
-    """Rows into a file that is open; ``about`` becomes the file's metadata, each value as JSON.
+    """Writes rows to an open file; ``about`` becomes the file's metadata, each value as JSON.
 
     A column's unit and meaning are in the metadata of its field.
     """
@@ -263,7 +264,7 @@ class ParquetTable:
         self._writer = pyarrow.parquet.ParquetWriter(sink, self._schema, compression="snappy", version="2.6")
 
     def add(self, row: Row) -> None:
-        """A row; what it does not have is null."""
+        """Write a row; a missing value is null."""
         times = {name: _moment(row.get(name)) for name in self._times}
         self._rows.append({**row, **times})
         if len(self._rows) >= MAX_ROWS_HELD:
@@ -273,7 +274,7 @@ class ParquetTable:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write what is left and the footer, without which it is no Parquet file."""
+        """Write the remaining rows and the footer, without which the file is not Parquet."""
         if kind is None:
             if self._rows:
                 self._flush()
@@ -306,7 +307,7 @@ def _moment(text: object) -> datetime | None:
 
 @contextmanager
 def text_output(path: Path | None) -> Iterator[Write]:
-    """Writes to standard output, or to a file that is replaced once all is written."""
+    """Yield a function that writes to standard output, or to a file replaced after the last write."""
     if path is None:
         yield sys.stdout.write
         return
@@ -318,7 +319,7 @@ def text_output(path: Path | None) -> Iterator[Write]:
 def table_in(
     path: Path | None, form: Format, columns: Sequence[Column], about: Mapping[str, Any]
 ) -> Iterator[Add]:
-    """Adds rows to a table on standard output, or in a file that is replaced once all is written."""
+    """Yield a function that adds rows on standard output, or to a file replaced after the last row."""
     if form != "parquet":
         with text_output(path) as write:
             yield TEXT_FORMATS[form](write, columns).add

@@ -1,8 +1,8 @@
-"""TCP ports: accepting connections so that a flood of them costs little; limits for clients by address.
+"""TCP ports: accept connections so that a flood of them costs little; limit clients by address.
 
-asyncio's own servers accept as many connections in a row as wait, and where descriptors have run out
-(EMFILE) they log a traceback for each and try all of them again: 60 connections at 32 descriptors made
-18,502 tracebacks.
+asyncio's own servers accept all waiting connections in a row. When descriptors run out (EMFILE), they log a
+traceback for each connection and retry all of them: 60 connections at 32 descriptors caused 18,502
+tracebacks.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from altd.status.health import Component
 log = logging.getLogger("altd")
 
 BACKLOG = 128
-"""Connections that the kernel keeps until they are accepted."""
+"""Maximum number of connections that the kernel keeps until they are accepted."""
 
 RETRY_INTERVAL_S = 1.0
 _ACCEPT_INTERVAL_S = 0.001
-"""Between two connections."""
+"""Time between two accepted connections."""
 
 HANDSHAKE_TIMEOUT_S = 5.0
-"""A client that has not done its part of a TLS handshake by then is cut off."""
+"""Maximum time of a TLS handshake; then the client is disconnected."""
 
 SHUTDOWN_TIMEOUT_S = 1.0
 MAX_HANDSHAKES = 16
-"""TLS handshakes of an interface at a time."""
+"""Maximum number of simultaneous TLS handshakes of an interface."""
 
 _NO_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _NO_LISTENER = frozenset({errno.EBADF, errno.EINVAL, errno.ENOTSOCK})
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """The listening socket; raises OSError that names the cause, where it is known, and a remedy."""
+    """Open the listening socket; raises OSError that names the cause, if known, and a remedy."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
@@ -57,7 +57,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def _remedy(number: int, host: str, port: int) -> str:
-    """The remedy for an address that cannot be listened on, as the end of a sentence."""
+    """Return the remedy for an address that cannot be listened on, as the end of a sentence."""
     if number == errno.EACCES:
         right = "the service may use ports from 502 up (sysctl net.ipv4.ip_unprivileged_port_start)"
         return f": {right}; by hand, choose a port from 1024 on"
@@ -75,16 +75,16 @@ async def accept(
     component: Component,
     admit: Callable[[socket.socket], Awaitable[None]],
 ) -> NoReturn:
-    """Hand one connection after the other to ``admit``, until cancelled.
+    """Pass one connection after the other to ``admit``, until cancelled.
 
-    A flood of them gets a part of the loop's time, and requests have the rest. Raises OSError when the
+    A flood of connections gets only a part of the loop's time; requests get the rest. Raises OSError if the
     listening socket itself is gone.
     """
     loop = asyncio.get_running_loop()
     while True:
         try:
             connection, _ = await loop.sock_accept(listener)
-        except OSError as error:  # any other: that connection was gone already (accept(2))
+        except OSError as error:  # any other error: that connection was gone already (accept(2))
             if error.errno in _NO_LISTENER:
                 raise
             if error.errno in _NO_RESOURCES:
@@ -94,15 +94,15 @@ async def accept(
         else:
             try:
                 await admit(connection)
-            except OSError:  # it left meanwhile
+            except OSError:  # the client has disconnected meanwhile
                 connection.close()
         await asyncio.sleep(_ACCEPT_INTERVAL_S)
 
 
 def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:
-    """Whether the connection has one of the process' last descriptors: cameras and ports need those.
+    """Whether the connection has one of the process's last descriptors, which cameras and ports need.
 
-    A new descriptor has the lowest number that is free (POSIX.1-2017, 2.14), so a high one says that few are.
+    A new descriptor gets the lowest free number (POSIX.1-2017, 2.14): a high number means that few are free.
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return limit != resource.RLIM_INFINITY and connection.fileno() >= limit - kept_descriptors
@@ -111,11 +111,11 @@ def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 _V6_GROUP_BITS = 64
-"""A host has a whole network of IPv6 addresses for itself (RFC 4291, 2.5.4)."""
+"""Prefix length of one IPv6 client: a host has a whole network of addresses (RFC 4291, 2.5.4)."""
 
 
 def address_of(host: str) -> Address | None:
-    """The address that a socket names: an IPv4 one where IPv6 only wraps it, without a zone; None: none."""
+    """Return a host's IP address, without zone and with mapped IPv4 unwrapped; None: not an address."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:
@@ -124,19 +124,19 @@ def address_of(host: str) -> Address | None:
 
 
 def is_loopback(address: Address | None) -> bool:
-    """Whether it is the computer's own."""
+    """Whether ``address`` is a loopback address of this computer."""
     return address is not None and address.is_loopback
 
 
 def group_of(address: Address) -> str:
-    """The client that limits count it as: the address itself, or its network of IPv6."""
+    """Return the client to which limits apply: the address itself, or its IPv6 network."""
     if isinstance(address, ipaddress.IPv6Address):
         return str(ipaddress.IPv6Network((address, _V6_GROUP_BITS), strict=False))
     return str(address)
 
 
 class Networks:
-    """Networks of IP addresses, as the settings name them."""
+    """IP networks given in the settings."""
 
     def __init__(self, networks: Iterable[str]) -> None:
         self._networks = tuple(map(ipaddress.ip_network, networks))
@@ -149,38 +149,38 @@ class Networks:
 
 
 MAX_KEYS = 1024
-"""Of so many the last asking is remembered; who was longest silent is forgotten, which is to be forgiven."""
+"""Maximum number of remembered keys; beyond it, the key unused for longest gets a full bucket again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """So many at once, and so many a second from then on."""
+    """Maximum number at once, and rate per second after that."""
 
     burst: int
     per_s: float
 
 
 CONNECTIONS = Rate(burst=200, per_s=100.0)
-"""Of one address, where a connection costs a TLS handshake, before a byte of it is read."""
+"""Limit of connections per address, before a byte is read, if each costs a TLS handshake."""
 
 
 class Buckets:
-    """A bucket of tokens for each key, filled by the monotonic clock."""
+    """A token bucket for each key, filled by the monotonic clock."""
 
     def __init__(self, rate: Rate, clock: Clock) -> None:
         self._rate = rate
         self._clock = clock
         self._full_ns: OrderedDict[str, int] = OrderedDict()
-        """When each bucket will be full again; the one that was used last comes last."""
+        """Time at which each bucket will be full again, in the order of last use."""
 
     def wait_s(self, key: str) -> float:
-        """Seconds until there is a token again; 0: there is one."""
+        """Return the time until a token is available, s; 0: now."""
         lacking_ns = self._full_ns.get(key, 0) - self._clock.monotonic_ns()
         room_ns = round((self._rate.burst - 1) / self._rate.per_s * 1e9)
         return max(lacking_ns - room_ns, 0) * 1e-9
 
     def take(self, key: str) -> float:
-        """Take a token; returns the seconds until there is one again, where there is none: 0, it is taken."""
+        """Take a token and return 0; if there is none, return the time until the next one, s."""
         if wait_s := self.wait_s(key):
             return wait_s
         now_ns = self._clock.monotonic_ns()
@@ -191,6 +191,6 @@ class Buckets:
         return 0.0
 
     def give_back(self, key: str) -> None:
-        """Release a port that was taken and is not used."""
+        """Return a token that was taken."""
         if key in self._full_ns:
             self._full_ns[key] -= round(1e9 / self._rate.per_s)

@@ -32,15 +32,15 @@ _CLOCK_TOLERANCE = 0.0002  # share of the elapsed time by which two clocks may d
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """One telegram. None is a field that is empty; with a ``fault`` the numbers of the beam are None."""
+    """One telegram. None: an empty field; with a ``fault`` the numbers of the beam are None."""
 
     mode: str
     """``A`` live, ``V`` invalid; ``P`` (played) and ``S`` (simulated) are never valid."""
     fault: str = ""
-    """Why the reader refuses the telegram; empty: it does not.
+    """Why the reader refuses the telegram; empty: it is accepted.
 
     ``foreign``: of another unit. ``unchecked``: without the third sentence. ``restarted``: of another
-    session, see ``Reader.restart``. ``not newer``: repeated, or older than the one before. ``late``: older
+    session, see ``Reader.restart``. ``not newer``: repeated, or older than the previous one. ``late``: older
     than ``max_age_s``.
     """
     sequence: int | None = None
@@ -53,52 +53,52 @@ class Reading:
     pitch_deg: float | None = None
     roll_deg: float | None = None
     frames: int | None = None
-    """Exposures that were averaged."""
+    """Number of averaged exposures."""
     sigma_x_mm: float | None = None
     sigma_y_mm: float | None = None
     sigma_yaw_deg: float | None = None
     sigma_pitch_deg: float | None = None
     reasons: tuple[str, ...] = ()
-    """Codes: why it is invalid, or what it warns of."""
+    """Codes: why the telegram is invalid, or its warnings."""
     session: int | None = None
-    """This field and those below are of the third sentence."""
+    """Session; this field and those below are from the third sentence."""
     message: int | None = None
     clock_ms: int | None = None
     date: date | None = None
-    """UTC, goes with ``time``."""
+    """UTC date of ``time``."""
     age_ms: int | None = None
-    """From the middle of the exposures to the moment when the unit sent it."""
+    """Time from the middle of the exposures until the unit sent the telegram, ms."""
 
     @property
     def valid(self) -> bool:
-        """Whether the numbers may be used: they are live, and nothing speaks against the telegram."""
+        """Whether the numbers may be used: they are live, and the telegram has no fault."""
         return self.mode == "A" and not self.fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """The content of the sentence ``$PALTI`` about the unit that sends; None is an empty field."""
+    """Content of the sentence ``$PALTI`` about the sending unit; None: an empty field."""
 
     unit: int | None
-    """CRC-32 of the whole serial number."""
+    """CRC-32 of the complete serial number."""
     serial: str | None
     firmware: str | None
     calibrated: date | None
     date: date | None
-    """UTC, goes with ``time`` of the telegram before it."""
+    """UTC date of ``time`` in the telegram before it."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether ``serial`` is the whole serial number; a long one is sent without its end."""
+        """Whether ``serial`` is complete; a long serial number is sent without its end."""
         return self.serial is not None and _unit_number(self.serial) == self.unit
 
 
 class Reader:
-    """Turns bytes into readings.
+    """Converts bytes into readings.
 
     ``unit``: serial number of the unit, whose port has ``checked = true``. The reader then refuses another
-    unit, another session, and what is older than ``max_age_s`` with all delays that it finds. None: it
-    ignores the third sentence and finds none of these, which is enough for a display and not for a control.
+    unit, another session, and telegrams older than ``max_age_s`` including all measured delays. None: it
+    ignores the third sentence and detects none of these, which suffices for a display but not for a control.
     ``clock``: seconds of a clock that is never set.
     """
 
@@ -106,11 +106,11 @@ class Reader:
         self, unit: str | None = None, max_age_s: float = 1.0, clock: Callable[[], float] = monotonic
     ) -> None:
         self.damaged = 0
-        """Lines that were no intact sentence, and telegrams that lacked a sentence."""
+        """Number of lines without an intact sentence, and of telegrams without one of their sentences."""
         self.lost = 0
-        """Telegrams that were sent and not received, as far as ``message`` shows. Only with ``unit``."""
+        """Number of lost telegrams, as far as ``message`` shows. Only with ``unit``."""
         self.identity: Identity | None = None
-        """The unit that sends, once its port has identified it."""
+        """The sending unit, once its port has identified it."""
         self._unit = None if unit is None else _unit_number(unit)
         self._max_age_s = max_age_s
         self._clock = clock
@@ -119,8 +119,8 @@ class Reader:
     def restart(self) -> None:
         """Accept the next telegram as the first one.
 
-        Until this is called, the reader refuses a unit that was restarted: an old session that was recorded
-        and is played again looks the same. Call it from the start procedure of the machine.
+        Until this is called, the reader refuses a unit that was restarted, because a replay of an old
+        recorded session looks the same. Call it from the start procedure of the machine.
         """
         self._rest = b""
         self._begun: list[tuple[bytes, dict[str, Any]]] = []
@@ -129,14 +129,14 @@ class Reader:
         self._delay_s = 0.0
 
     def feed(self, data: bytes) -> list[Reading]:
-        """The readings that these bytes complete; the bytes may be cut anywhere."""
+        """Return the readings that these bytes complete; the bytes may be cut anywhere."""
         now_s = self._clock()
         *lines, rest = (self._rest + data).split(b"\n")
-        self._rest = rest[-_MAX_SENTENCE_BYTES:]  # longer is no sentence, however it ends
+        self._rest = rest[-_MAX_SENTENCE_BYTES:]  # anything longer is not a sentence
         return [reading for line in lines if (reading := self._take(line + b"\n", now_s))]
 
     def _take(self, line: bytes, now_s: float) -> Reading | None:
-        """The reading that this line completes, or whose end it shows to be missing."""
+        """Return the reading that this line completes, or whose missing end it reveals."""
         garbage, dollar, rest = line.rpartition(b"$")
         if garbage:
             self._drop(is_damaged=True)
@@ -154,13 +154,13 @@ class Reader:
         return cut_short
 
     def _drop(self, *, is_damaged: bool = False) -> Reading | None:
-        """Give up what was begun; returns no reading."""
+        """Discard the incomplete telegram; returns no reading."""
         self.damaged += is_damaged or bool(self._begun)
         self._begun = []
         return None
 
     def _end(self, now_s: float) -> Reading | None:
-        """The reading of the sentences so far: the telegram is complete, or its next sentence is missing."""
+        """Return the reading of a complete telegram, or of one whose next sentence is missing."""
         fields = self._joined() if len(self._begun) > 1 else None
         if fields is None:
             return self._drop()
@@ -172,7 +172,7 @@ class Reader:
         return _reading(fields, fault)
 
     def _joined(self) -> dict[str, Any] | None:
-        """The fields of all sentences; None when they contradict each other or the CRC-32."""
+        """Return the fields of all sentences; None if they contradict each other or the CRC-32."""
         (measured, of_measured), (quality, of_quality), *proofs = self._begun
         fields = of_measured | of_quality
         for proof, of_proof in proofs:
@@ -189,7 +189,7 @@ class Reader:
         return fields if agrees and of_measured["sequence"] == of_quality["sequence"] else None
 
     def _disorder(self, fields: Mapping[str, Any]) -> str:
-        """The fault of a telegram whose third sentence is ignored."""
+        """Return the fault of a telegram whose third sentence is ignored."""
         if fields["sequence"] is None:
             return ""
         if self._last is not None:
@@ -200,7 +200,7 @@ class Reader:
         return ""
 
     def _fault(self, fields: Mapping[str, Any], now_s: float) -> str:
-        """The first check of ``docs/proof.md`` that a telegram fails, after that of its CRC-32."""
+        """Return the first check of ``docs/proof.md`` after the CRC-32 that a telegram fails."""
         if fields["unit"] != self._unit:
             return "foreign"
         if (last := self._last) is not None:
@@ -230,7 +230,7 @@ def _unit_number(serial: str) -> int:
 
 
 def _decoded(line: bytes) -> tuple[str, dict[str, Any]]:
-    """The name and the fields of an intact sentence; ``other``: of another kind, empty: it is none."""
+    """Return the name and the fields of a sentence; ``other``: another kind, empty: not intact."""
     body = line[1:-5]
     if len(line) > _MAX_SENTENCE_BYTES or line != b"$%s*%02X\r\n" % (body, reduce(xor, body, 0)):
         return "", {}
@@ -250,7 +250,7 @@ def _decoded(line: bytes) -> tuple[str, dict[str, Any]]:
 
 
 class _Kind(NamedTuple):
-    """The format of a field, and its reader; that raises ValueError for text without a meaning."""
+    """Format of a field, and its reader, which raises ValueError for meaningless text."""
 
     form: str
     read: Callable[[str], Any] = float
@@ -266,7 +266,7 @@ def _number(largest: int) -> _Kind:
 
 
 def _unescaped(text: str) -> str:
-    """Without escapes and the mark of a cut; raises ValueError for what is no UTF-8."""
+    """Remove escapes and the mark of a cut; raises ValueError for text that is not UTF-8."""
     escaped = text.removesuffix("~").encode("ascii")
     return re.sub(rb"\^(..)", lambda found: bytes.fromhex(found[1].decode()), escaped).decode()
 

@@ -1,5 +1,5 @@
-"""The cost of the unit: time a stage, CPU, rate, latency and start, measured on simulated frames."""
+"""Cost of the unit: time per stage, CPU, rate, latency and start, measured on simulated frames."""
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is there, as altd does
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported, as in altd

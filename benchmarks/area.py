@@ -1,10 +1,10 @@
 """``python -m benchmarks.area`` (``make bench-area``): beams anywhere on the 140 × 110 mm of both targets.
 
-Simulated units are scanned, calibrated and measured; each measurement is held against where the beam was. The
-scan goes over the specified area, or over 125 × 100 mm as that of Fig. 3.24 did: what lies outside of its
-nodes is then measured by the margin of the maps. ``tight`` are cameras whose pictures end 4 mm beside the
-area, so that spots at its edge are cut. ``hard`` has all effects of ``hw_sim.hardness``, ``no laser speckle``
-all but the laser's own speckle; their flats are made with a lamp.
+Simulated units are scanned, calibrated and measured; each measurement is compared with the true beam. The
+scan covers the specified area, or 125 × 100 mm as in Fig. 3.24: positions outside its nodes are then measured
+in the margin of the maps. ``tight`` cameras have pictures that end 4 mm beside the area, so that spots at its
+edge are cut. ``hard`` has all effects of ``hw_sim.hardness``, ``no laser speckle`` all except the laser's own
+speckle; their flats are made with a lamp.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ FLAT_EXPOSURES = 10
 FLAT_SHARE = 0.6
 POSES_STREAM = 11
 COVERAGE_FACTOR = 2.0
-"""Of the expanded uncertainty, for 95 %."""
+"""Coverage factor of the expanded uncertainty, for 95 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The construction and scans of the units."""
+    """Construction and scans of the units."""
 
     name: str
     flat: bool = False
@@ -96,7 +96,7 @@ CASES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A beam against its truth: x mm, y mm, yaw °, pitch °, NaN where it is not measured."""
+    """Errors and sigmas of a beam: x mm, y mm, yaw °, pitch °; NaN where it is not measured."""
 
     is_outer: bool
     errors: npt.NDArray[np.float64]
@@ -110,7 +110,7 @@ class Comparison:
 
 
 def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison]:
-    """The beams of one unit, after its calibration."""
+    """Measure the beams of one unit, after its calibration."""
     of_unit = UnitConfig(
         seed=seed,
         field_half_mm=case.field_half_mm,
@@ -145,7 +145,7 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
         record_scan(scan, unit, stage, 2, quiet, Grid(case.pitch_mm))
     if case.laser_flat:
         stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM + 2]), mounting=case.mounting)
-        for name in CAMERAS:  # speckle clips pixels at the exposure of a measurement
+        for name in CAMERAS:  # speckle saturates pixels at the exposure time of a measurement
             unit.set_camera(name, exposure_ms=FLAT_SHARE * EXPOSURES_MS[name])
         record_laser_flat(folder / "flat", unit, stage, RASTER_PITCH_MM, FLAT_EXPOSURES, quiet)
         for name in CAMERAS:
@@ -169,7 +169,7 @@ def _compared(measurement: Measurement, pose: BeamPose, distance_mm: float) -> C
 
 
 def line(name: str, beams: Sequence[Comparison]) -> str:
-    """Figures of some beams."""
+    """Figures of a group of beams, as a line."""
     valid = [beam for beam in beams if beam.is_valid]
     if not valid:
         return f"{name:<24}{len(beams):>6}     0 %"
@@ -186,7 +186,7 @@ def line(name: str, beams: Sequence[Comparison]) -> str:
 
 
 def reasons(beams: Iterable[Comparison]) -> str:
-    """The reasons of the invalid ones, with their numbers."""
+    """Reasons of the invalid measurements, with their numbers."""
     counted = Counter(reason for beam in beams for reason in beam.reasons)
     return ", ".join(f"{reason} {count}" for reason, count in counted.most_common()) or "none"
 

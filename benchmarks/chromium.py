@@ -1,4 +1,4 @@
-"""The Chromium of this machine, driven by Playwright, and what its processes take."""
+"""The Chromium of this machine, driven by Playwright, and the resources of its processes."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from playwright.async_api import Browser, Page, async_playwright
 from benchmarks.process_memory import proportional_mb
 
 PICTURES = 'figure.target[data-sequence]:not([data-sequence=""])'
-"""Each of the targets that the unit's page shows a picture of."""
+"""Selector of the targets whose picture the unit's page shows."""
 
 _PATIENCE_MS = 60_000
 
 
 @dataclass(frozen=True, slots=True)
 class BrowserProcess:
-    """One of a browser's processes; ``kind`` as Chromium names it: browser, renderer, GPU, utility."""
+    """One of a browser's processes; ``kind`` as in Chromium: browser, renderer, GPU, utility."""
 
     kind: str
     pid: int
     cpu_s: float
-    """Since it was started."""
+    """CPU time since its start."""
 
     def pss_mb(self) -> float:
-        """Its memory, what it shares with others by its share; 0 when it has ended."""
+        """Proportional memory of the process, with its share of shared memory; 0 if it has ended."""
         try:
             return proportional_mb(self.pid)
         except OSError:
@@ -36,15 +36,15 @@ class BrowserProcess:
 
 
 class Asked(Protocol):
-    """A connection that answers Chromium's own protocol."""
+    """A session of the Chrome DevTools Protocol."""
 
     def send(self, method: str, /) -> Awaitable[dict[str, Any]]:
-        """The answer of a method without parameters."""
+        """Call a method without parameters and return its response."""
         ...
 
 
 def program() -> str:
-    """The path of the program; raises SystemExit where there is none."""
+    """Path of the program; raises SystemExit if there is none."""
     path = shutil.which("chromium")
     if path is None:
         raise SystemExit("benchmarks: there is no program chromium")
@@ -53,7 +53,7 @@ def program() -> str:
 
 @contextlib.asynccontextmanager
 async def chromium() -> AsyncIterator[Browser]:
-    """Headless, for as long as the block lasts; raises SystemExit where there is none."""
+    """Run Chromium headless within the block; raises SystemExit if there is none."""
     async with async_playwright() as playwright:
         started = await playwright.chromium.launch(executable_path=program(), args=["--no-sandbox"])
         try:
@@ -63,7 +63,7 @@ async def chromium() -> AsyncIterator[Browser]:
 
 
 async def processes(browser: Asked) -> list[BrowserProcess]:
-    """All of them, by a session of the whole browser (such as ``Browser.new_browser_cdp_session``)."""
+    """All processes, from a session of the whole browser (such as ``Browser.new_browser_cdp_session``)."""
     said = await browser.send("SystemInfo.getProcessInfo")
     return [BrowserProcess(each["type"], each["id"], each["cpuTime"]) for each in said["processInfo"]]
 

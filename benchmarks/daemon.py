@@ -1,4 +1,4 @@
-"""The real daemon on cameras that deliver from memory: CPU, latency and the highest rate."""
+"""The real daemon on cameras that deliver from memory: CPU, latency and the maximum rate."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from benchmarks.stages import pure_rate
 
 POLLS_PER_S = 10
 SETTLE_S = 1.2
-"""Until the window is full and every client is attached."""
+"""Time until the window is full and every client is connected."""
 _MAX_HISTORY_BYTES = 400 * 10**6
 _PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """A duration, ms; of a value, from its pair's last frame handed over to a reader's hands."""
+    """A duration, ms; for a value, from the delivery of its pair's last frame to its arrival at a reader."""
 
     count: int
     p50_ms: float
@@ -44,7 +44,7 @@ class Latency:
 
 @dataclass(frozen=True, slots=True)
 class LoadFigures:
-    """The cost of the daemon's process, all threads; a share of 1 is one core."""
+    """Cost of the daemon's process, all threads; a share of 1 is one core."""
 
     name: str
     seconds: float
@@ -54,12 +54,12 @@ class LoadFigures:
     cpu_ms_a_pair: float | None
     latency: Latency | None
     answers: dict[str, int]
-    """The figures of the attached clients."""
+    """Figures of the connected clients."""
 
 
 @dataclass(frozen=True, slots=True)
 class RateFigures:
-    """Pairs/s on one core."""
+    """Rates in pairs/s on one core."""
 
     core: int
     seconds: float
@@ -69,20 +69,20 @@ class RateFigures:
     refused: tuple[float, ...]
     """Rates that lost a pair, in the order tried."""
     others_share: float
-    """The use of that core by other processes meanwhile: while they run, frames of this one are replaced."""
+    """CPU share of other processes on that core; while they run, frames of this process are replaced."""
 
 
 def measure_load(material: Material, name: str, pairs_per_s: float, seconds: float) -> LoadFigures:
-    """Run the daemon without interfaces and watch it."""
+    """Measure the daemon without interfaces."""
     return asyncio.run(_load(material, name, pairs_per_s, seconds, make_config(), dict))
 
 
 def measure_served(
     material: Material, name: str, seconds: float, has_broker: bool, has_clients: bool
 ) -> LoadFigures:
-    """The same with all interfaces, and with clients of Modbus TCP, HTTP and telegram in another process.
+    """Measure with all interfaces, and with clients of Modbus TCP, HTTP and telegram in another process.
 
-    Without them the telegrams go to the null device. Without a broker the unit tries to reach one.
+    Without clients the telegrams go to the null device. Without a broker the unit tries to connect to one.
     """
     with interfaces() as unit, broker(unit.mqtt_port) if has_broker else contextlib.nullcontext():
         command = [sys.executable, "-m", "benchmarks.poller", str(unit.modbus_port)]
@@ -106,10 +106,10 @@ def measure_served(
 
 
 def measure_rate(material: Material, probe_s: float, probes: int, seconds: float) -> RateFigures:
-    """The highest rate at which one core loses no pair for ``seconds``.
+    """Find the maximum rate at which one core loses no pair for ``seconds``.
 
-    Bisection below the chain's own rate with short probes; then the best of them for the whole time, and
-    a little less each time that it fails. A trial ends with the first loss.
+    Bisection below the chain's own rate with short trials; then the best rate for the whole time, reduced a
+    little after each failure. A trial ends with the first loss.
     """
     allowed = os.sched_getaffinity(0)
     core = max(allowed)
@@ -166,13 +166,13 @@ async def _load(
 
 
 def latency_of(waits_ms: FloatArray) -> Latency:
-    """Of at least one wait."""
+    """Statistics of at least one wait."""
     p50_ms, p99_ms = (float(value) for value in np.percentile(waits_ms, (50, 99)))
     return Latency(len(waits_ms), p50_ms, p99_ms, float(waits_ms.max()))
 
 
 async def watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
-    """A reader like any other: notes how old the frames of a valid value are when it has it in hands."""
+    """Read as any client does; record the age of a valid value's frames at its arrival."""
     cursor = daemon.board.cursor()
     while True:
         measurement = await cursor.next()
@@ -182,7 +182,7 @@ async def watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
 
 
 async def _holds(material: Material, pairs_per_s: float, seconds: float) -> int:
-    """The number of pairs measured when none was lost, else 0."""
+    """Number of measured pairs if none was lost, else 0."""
     source = Source(material, pairs_per_s)
     async with running(source, make_config()) as daemon:
         end_ns = source.start_ns() + round(seconds * 1e9)
@@ -195,7 +195,7 @@ async def _holds(material: Material, pairs_per_s: float, seconds: float) -> int:
 
 
 def lost(daemon: Daemon) -> int:
-    """Frames that were dropped or came late, and exposures after the first half window without a value."""
+    """Frames that were dropped or late, and exposures after the first half window without a value."""
     counters = daemon.health.component("measuring").counters
     dropped = sum(counters.get(f"dropped_{camera}", 0) for camera in CAMERAS)
     useless = counters.get("measurements", 0) - counters.get("valid", 0) - (WINDOW // 2 - 1)
@@ -206,7 +206,7 @@ def lost(daemon: Daemon) -> int:
 async def running(
     source: Source, config: Config, lamps: Lamps | None = None, history: Path | None = None
 ) -> AsyncIterator[Daemon]:
-    """A daemon on the cameras of a source, for as long as the block lasts; it keeps its history in a file."""
+    """Run a daemon on the cameras of a source within the block; its history is stored in ``history``."""
     daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps, rehearsal=True)
     if history is not None:
         about = history_about(config, source.material.calibration, daemon.board.quantities)
@@ -221,7 +221,7 @@ async def running(
 
 
 def _busy_s(core: int) -> float:
-    """Seconds that a core has worked since the machine started, for whomever (proc(5), /proc/stat)."""
+    """Busy time of a core since the machine started, for all processes (proc(5), /proc/stat)."""
     line = next(
         line for line in Path("/proc/stat").read_text().splitlines() if line.startswith(f"cpu{core} ")
     )
@@ -230,7 +230,7 @@ def _busy_s(core: int) -> float:
 
 
 def _pin(cores: set[int]) -> None:
-    """Every thread of this process, those that wait included."""
+    """Pin every thread of this process, including waiting ones."""
     for thread in Path("/proc/self/task").iterdir():
         with contextlib.suppress(ProcessLookupError):
             os.sched_setaffinity(int(thread.name), cores)
@@ -238,7 +238,7 @@ def _pin(cores: set[int]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ServedUnit:
-    """The daemon in this process, its cameras, and where it is read."""
+    """The daemon in this process, its cameras, and its interfaces."""
 
     daemon: Daemon
     source: Source
@@ -249,9 +249,9 @@ class ServedUnit:
 async def served_unit(
     material: Material, folder: Path, rtu_lines: int = 0, more: Collection[str] = ()
 ) -> AsyncIterator[ServedUnit]:
-    """It measures and serves for as long as the block lasts; a history in ``folder`` is continued.
+    """Run a unit that measures and serves within the block; a history in ``folder`` is continued.
 
-    Modbus TCP and HTTP, so many lines of Modbus RTU, and ``more``: ``mqtt`` with a broker, ``opcua``.
+    It has Modbus TCP and HTTP, ``rtu_lines`` of Modbus RTU, and ``more``: ``mqtt`` with a broker, ``opcua``.
     """
     has_broker = "mqtt" in more
     with interfaces(rtu_lines) as unit, broker(unit.mqtt_port) if has_broker else contextlib.nullcontext():
@@ -268,7 +268,7 @@ async def served_unit(
 
 
 def _is_serving(daemon: Daemon, interfaces_count: int) -> bool:
-    """Whether there is a valid measurement, and every interface serves it."""
+    """Whether there is a valid measurement and all interfaces are running."""
     measurement = daemon.board.read()
     names = ("http ", "modbus_tcp ", "mqtt ", "opcua ", "serial ")
     states = [part.state for part in daemon.health if part.name.startswith(names)]

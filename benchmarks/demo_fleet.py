@@ -1,8 +1,8 @@
 """``python -m benchmarks.demo_fleet``: twenty simulated units, broker, PostgreSQL, ingest and `altd fleet`.
 
-Each unit has a real history, outbox and MQTT publisher; its measurements are invented, two a second. Two of
-the units fail. One loses its beam for ten seconds in each half minute: its state, its cause and its share of
-valid measurements show it. The other one has no network for forty seconds in each minute, and catches up.
+Each unit has a real history, outbox and MQTT publisher; its measurements are invented, two per second. Two of
+the units have faults. One loses its beam for ten seconds in each half minute, as its state, its cause and its
+share of valid measurements show. The other has no network for forty seconds in each minute, and catches up.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from benchmarks.fleet import servers
 
 _UNITS = 20
 _BLIND, _CUT_OFF = 7, 13
-"""The units that fail, by their numbers."""
+"""Numbers of the units with faults."""
 
 _INTERVAL_S = 0.5
 _SHOWN_EVERY_S = 5.0
@@ -93,7 +93,7 @@ class DemoUnit:
             await asyncio.sleep(_INTERVAL_S)
 
     async def _publish(self) -> None:
-        """The cable of one unit is pulled and plugged."""
+        """Publish, with the network of one unit disconnected periodically."""
         while True:
             has_network = self.number != _CUT_OFF or self._clock.monotonic_ns() * 1e-9 % 60 < 20
             if has_network:

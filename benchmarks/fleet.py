@@ -47,7 +47,7 @@ _TIMEOUT_S = 120.0
 
 @dataclass
 class Unit:
-    """A unit without a file: its row of a sequence can be made again."""
+    """A unit without a file: the row of any sequence number can be generated again."""
 
     serial: str
     start_s: int
@@ -56,10 +56,10 @@ class Unit:
     sent: int = 0
     acknowledged: int = 0
     made_s: dict[int, float] = field(default_factory=dict)
-    """When a row was made, by its sequence, until it is acknowledged."""
+    """Creation times of rows that are not yet acknowledged, by sequence number."""
 
     def row(self, sequence: int) -> Second:
-        """The row of a sequence: numbers of seven digits, as a unit's."""
+        """Row of a sequence number, with numbers of seven digits as in a real unit."""
         chance = (self.number * 7919 + sequence * 104_729) % 100_003
         values: list[tuple[float, float | None, float, float] | None] = [
             (round(mean + chance * 1e-4, 4), 0.004, round(mean, 4), round(mean + 11.0, 4))
@@ -68,7 +68,7 @@ class Unit:
         return Second(sequence, 1, self.start_s + sequence, 20, 20, 0, "", "", values)
 
     def next_batch(self) -> str | None:
-        """The next message; None: there is nothing to send, or the ingest has too much of it already."""
+        """Next message; None if there is nothing to send or too much is unacknowledged."""
         if self.sent >= self.newest or self.sent - self.acknowledged >= MAX_UNACKNOWLEDGED_S:
             return None
         last = min(self.sent + ROWS_PER_BATCH, self.newest)
@@ -108,19 +108,19 @@ class Units:
         self._client.loop_start()
 
     def end(self) -> None:
-        """Leave the broker."""
+        """Disconnect from the broker."""
         self._client.disconnect()
         self._client.loop_stop()
 
     def send(self, unit: Unit) -> bool:
-        """Send the next batch of a unit, if there is one."""
+        """Send the next batch of a unit, if any; return whether one was sent."""
         if (payload := unit.next_batch()) is None:
             return False
         self._client.publish(f"altd/{unit.serial}/outbox", payload, qos=1)
         return True
 
     def wait(self) -> None:
-        """Wait until each row is acknowledged."""
+        """Wait until every row is acknowledged."""
         deadline_s = time.monotonic() + _TIMEOUT_S
         while any(unit.acknowledged < unit.newest for unit in self.by_serial.values()):
             assert time.monotonic() < deadline_s, "not all rows were acknowledged"  # noqa: S101
@@ -140,7 +140,7 @@ class Units:
 
 
 def live(port: int, count: int, hz: int, seconds: int, start_s: int) -> Units:
-    """Each unit sends once a second, one after the other within it."""
+    """Let each unit send once a second, spread over the second."""
     units = Units(port, "LIVE", count, start_s)
     began_s = time.monotonic()
     for tick in range(count * seconds):
@@ -150,7 +150,7 @@ def live(port: int, count: int, hz: int, seconds: int, start_s: int) -> Units:
         unit = units.by_serial[f"LIVE-{tick % count}"]
         for _ in range(hz):
             unit.newest += 1
-            unit.made_s[unit.newest] = due_s  # a sender that is late counts as the ingest's delay
+            unit.made_s[unit.newest] = due_s  # delays of the sender count as delays of the ingest
         units.send(unit)
     units.wait()
     units.end()
@@ -158,7 +158,7 @@ def live(port: int, count: int, hz: int, seconds: int, start_s: int) -> Units:
 
 
 def backlog(port: int, count: int, rows: int, start_s: int) -> tuple[Units, float]:
-    """All units send what they have; returns how long it takes until all is acknowledged, s."""
+    """Send all pending rows of all units; return the units and the time until all are acknowledged, s."""
     units = Units(port, "BACKLOG", count, start_s)
     for unit in units.by_serial.values():
         unit.newest = rows // count
@@ -174,7 +174,7 @@ def backlog(port: int, count: int, rows: int, start_s: int) -> tuple[Units, floa
 
 
 def plain_copy_s(connection: str) -> tuple[float, int]:
-    """The time of one COPY of all rows, as text, into a table like the ingest's; and their number."""
+    """Time of one COPY of all rows, as text, into a table like the ingest's; and the number of rows."""
     with psycopg.connect(connection, autocommit=True) as opened:
         with opened.cursor().copy("COPY (SELECT * FROM altd.seconds ORDER BY received) TO STDOUT") as copy:
             pieces = [bytes(piece) for piece in copy]
@@ -190,7 +190,7 @@ def plain_copy_s(connection: str) -> tuple[float, int]:
 
 
 def faults(connection: str, units: Units) -> tuple[int, int]:
-    """The numbers of rows that were sent and are missing or wrong, and of rows that are there twice."""
+    """Number of rows that were sent and are missing or wrong, and number of duplicate rows."""
     lost = twice = 0
     with psycopg.connect(connection) as opened:
         for unit in units.by_serial.values():
@@ -208,7 +208,7 @@ def faults(connection: str, units: Units) -> tuple[int, int]:
 
 @contextlib.contextmanager
 def servers(settings: list[str]) -> Iterator[tuple[int, str, dict[str, int]]]:
-    """Broker, database and ingest; the broker's port, the database and the processes."""
+    """Run broker, database and ingest; yield the broker's port, the database and the processes."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         port = free_port()
@@ -238,7 +238,7 @@ def servers(settings: list[str]) -> Iterator[tuple[int, str, dict[str, int]]]:
 
 
 def cpu_s(name: str, pid: int) -> float:
-    """The time for which a process has worked; of the database, with its children."""
+    """CPU time of a process; for the database, with its children."""
     pids = [pid]
     if name == "database":
         pids += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
@@ -250,7 +250,7 @@ def cpu_s(name: str, pid: int) -> float:
 
 
 def main() -> int:
-    """Measure and print; 1: a row was lost or is there twice."""
+    """Measure and print; return 1 if a row was lost or is duplicate."""
     parser = argparse.ArgumentParser(prog="benchmarks.fleet", description="many units and one ingest")
     parser.add_argument("--units", type=int, default=1000, help="units that are live (default: 1000)")
     parser.add_argument("--hz", type=int, default=1, help="rows of each a second (default: 1)")

@@ -1,9 +1,9 @@
 """``python -m benchmarks.frame_sizes`` (``make bench-sizes``): the real daemon on frames of several sizes.
 
-How soon it answers, and how late its event loop comes to what is due.
+It measures the response time, and the delays of its event loop.
 
-Large frames are those of hw_sim, enlarged, with noise of their own; so their spots are larger, too, and the
-unit is calibrated with frames of that size.
+Large frames are enlarged frames of hw_sim, with independent noise. Their spots are therefore also larger, and
+the unit is calibrated with frames of that size.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class Ticker:
-    """``with``: each tick's lateness, ns, in ``late_ns``. asyncio's own timers are a millisecond coarse."""
+    """Records each tick's delay within ``with``, ns, in ``late_ns``; asyncio's timers resolve only 1 ms."""
 
     def __init__(self) -> None:
         self.late_ns: list[int] = []
 
     def __enter__(self) -> Ticker:
-        """Begin to tick; raises OSError where the kernel has no timer for us."""
+        """Start the ticks; raises OSError if the kernel provides no timer."""
         self._timer = _libc.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK)
         if self._timer < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create")
@@ -68,14 +68,14 @@ class Ticker:
 
     def _tick(self) -> None:
         (ticks,) = struct.unpack("Q", os.read(self._timer, 8))
-        self.late_ns.append(time.monotonic_ns() - self._due_ns)  # of the first that was due
+        self.late_ns.append(time.monotonic_ns() - self._due_ns)  # delay of the first tick that was due
         self._due_ns += ticks * _PERIOD_NS
 
 
 SIZES = (752, 480), (2448, 2048), (4096, 3000)
 
 _GRID = Grid(pitch_mm=14.0, columns=4, rows=4)
-"""About the beam's places; a scan of the whole area would take minutes."""
+"""Grid around the beam's positions; a scan of the whole area would take minutes."""
 _FLAT_EXPOSURES = 4
 _PAIRS = 8
 _START_TIMEOUT_S = 30.0
@@ -84,10 +84,10 @@ _NOISE_COUNTS = 1.0
 
 @dataclass(frozen=True, slots=True)
 class SizeFigures:
-    """A daemon at work on frames of a size, ``FPS`` pairs/s, with a Modbus TCP client that polls it.
+    """A daemon that measures frames of a size, ``FPS`` pairs/s, with a Modbus TCP client that polls it.
 
-    ``modbus`` is from request to answer, in the client's process; ``stalls`` how late the loop comes to what
-    is due every millisecond.
+    ``modbus`` is the time from request to answer, in the client's process; ``stalls`` is the delay of the
+    event loop for a task that is due every millisecond.
     """
 
     width: int
@@ -102,7 +102,7 @@ class SizeFigures:
 
 
 def measure_size(material: Material, seconds: float) -> SizeFigures:
-    """Run the daemon and watch it."""
+    """Run and measure the daemon."""
     return asyncio.run(_measured(material, seconds))
 
 
@@ -113,7 +113,7 @@ async def _measured(material: Material, seconds: float) -> SizeFigures:
         watching = asyncio.create_task(watch(daemon, source, waits_ns))
         await asyncio.sleep(SETTLE_S)
         async with asyncio.timeout(_START_TIMEOUT_S):
-            while not waits_ns:  # noqa: ASYNC110  what a large unit makes of its calibration takes a second
+            while not waits_ns:  # noqa: ASYNC110  preparing the calibration takes a second
                 await asyncio.sleep(0.05)
         await asyncio.sleep(SETTLE_S)
         seen, lost_before, begun_s, cpu_s = len(waits_ns), lost(daemon), time.monotonic(), time.process_time()
@@ -143,7 +143,7 @@ async def _measured(material: Material, seconds: float) -> SizeFigures:
 
 
 def make_large_material(width: int, height: int, pairs: int) -> Material:
-    """The material of an ordinary unit whose cameras have larger chips behind the same lenses."""
+    """Material of an ordinary unit whose cameras have larger sensors behind the same lenses."""
     rng = np.random.default_rng(SEED)
 
     def enlarged(pixels: PixelArray) -> PixelArray:
@@ -165,7 +165,7 @@ def make_large_material(width: int, height: int, pairs: int) -> Material:
 
 
 def _enlarged(pixels: PixelArray, width: int, height: int, rng: np.random.Generator) -> PixelArray:
-    """As large as it fits, the rest of the chip as its border; 8 bits."""
+    """Enlarge the picture as far as it fits, and fill the rest of the sensor from its border; 8 bits."""
     rows, columns = pixels.shape
     scale = min(width / columns, height / rows)
     size = round(columns * scale), round(rows * scale)
@@ -183,7 +183,7 @@ def _enlarge_recording(
     for camera in CAMERAS:
         for file in sorted((folder / camera).glob("*.png")):
             picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-            assert picture is not None  # noqa: S101  hw_sim has just written it
+            assert picture is not None  # noqa: S101  written by hw_sim
             cv2.imwrite(str(file), enlarged(picture.astype(np.uint8)))
     header = json.loads((folder / "recording.json").read_text())
     for camera in header["cameras"].values():

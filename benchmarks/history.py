@@ -1,8 +1,8 @@
-"""A year of history, made: how large it is, and how long its trends take. ``python -m benchmarks.history``.
+"""A generated year of history: its size, and the time to read its trends. ``python -m benchmarks.history``.
 
 A unit with an inclinometer that ran for a year: 31 days of summaries of 1 s, 525,600 of 1 min, 8,760 of 1 h,
-an hour of measurements, 100,000 events. The numbers scatter as those of a unit do; every thousandth second is
-invalid. The file is a history as the daemon writes it; only the rows are put in at once.
+an hour of measurements, 100,000 events. The values scatter as those of a unit; every thousandth second is
+invalid. The file is a history as the daemon writes it, except that the rows are inserted at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
 
 END_S = 1_795_161_600
-"""2026-11-20T08:00:00Z: the history ends there, at a whole hour."""
+"""End of the history, 2026-11-20T08:00:00Z, at a whole hour."""
 
 DAY_S = 86_400
 SPANS = {
@@ -44,7 +44,7 @@ _REPEATS = 5
 
 
 def make_history(path: Path, end_s: int = END_S, days: int = 365, unit: str = "BENCH") -> None:
-    """Leave so many days of history in a file that is not there yet; ``end_s`` is a whole hour, Unix time."""
+    """Write this number of days of history to a new file; ``end_s`` is a whole hour, Unix time."""
     columns = columns_of(QUANTITIES.with_sensor("roll_deg"), ("front", "rear"))
     store = Store(path, 10**9, About(columns, {"serial": unit}))
     began_us = (end_s - days * DAY_S) * _US
@@ -62,7 +62,7 @@ def make_history(path: Path, end_s: int = END_S, days: int = 365, unit: str = "B
 
 
 def trend_ms(reader: Reader, span_s: int, points: int) -> tuple[str, int, float]:
-    """The table that was read, the points that came, and the best of some times, ms."""
+    """Read a trend; return the table used, the number of points, and the shortest of some times, ms."""
     best_s = float("inf")
     for _ in range(_REPEATS):
         begun_s = time.perf_counter()
@@ -101,7 +101,7 @@ def _rows(
     summarised: list[tuple[int, Column]],
     random: np.random.Generator,
 ) -> Iterator[list[int | None]]:
-    """The beam wanders over the whole area; a longer span has a larger scatter."""
+    """Rows in which the beam wanders over the whole area; a longer span has a larger scatter."""
     widths = random.exponential(1.0, (count, len(summarised), 2)) + 1.5
     parts = []
     for index, (_, column) in enumerate(summarised):
@@ -150,7 +150,7 @@ def _fill_events(connection: sqlite3.Connection, end_s: int) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Make a year, say its size and the time of its trends."""
+    """Make a year of history, print its size and the times of its trends."""
     parser = argparse.ArgumentParser(prog="benchmarks.history")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="where to leave the year")
     options = parser.parse_args(arguments)

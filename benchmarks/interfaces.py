@@ -1,4 +1,4 @@
-"""All interfaces of a unit on ports of this computer, and the other ends of them."""
+"""All interfaces of a unit on ports of this computer, and their far ends."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hw_sim.ports import free_port
 BAUD = 115200
 HOST = "127.0.0.1"
 BROKER = shutil.which("mosquitto") or ""
-"""The broker of the measurements with MQTT; empty: it is not installed."""
+"""Path of the broker for measurements with MQTT; empty if it is not installed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interfaces:
-    """The tables of a config; TCP ports, and descriptors of the other ends of the serial lines."""
+    """Tables of a config; TCP ports, and descriptors of the far ends of the serial lines."""
 
     tables: dict[str, Any]
     modbus_port: int
@@ -35,7 +35,7 @@ class Interfaces:
 
 @contextlib.contextmanager
 def interfaces(rtu_lines: int = 1) -> Iterator[Interfaces]:
-    """Free TCP ports, and pseudo terminals for the telegram and for so many lines of Modbus RTU."""
+    """Provide free TCP ports, and pseudo terminals for the telegram and ``rtu_lines`` of Modbus RTU."""
     modbus_port, http_port, mqtt_port, opcua_port = (free_port() for _ in range(4))
     terminals = [raw_terminal() for _ in range(1 + rtu_lines)]
     telegram, *rtu = [{"device": os.ttyname(device), "baud": BAUD} for _, device in terminals]
@@ -60,7 +60,7 @@ def interfaces(rtu_lines: int = 1) -> Iterator[Interfaces]:
 
 @contextlib.contextmanager
 def broker(port: int) -> Iterator[None]:
-    """Mosquitto on this port, in the idle scheduling class: a plant's broker has a computer of its own."""
+    """Run Mosquitto on this port, in the idle scheduling class: in a plant it has its own computer."""
     with subprocess.Popen([BROKER, "-p", str(port)], stderr=subprocess.DEVNULL) as process:  # noqa: S603
         os.sched_setscheduler(process.pid, os.SCHED_IDLE, os.sched_param(0))
         try:

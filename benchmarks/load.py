@@ -1,18 +1,18 @@
 """``python -m benchmarks.load`` (``make bench-load``): clients of all interfaces at the real daemon.
 
-With history and kept frames, as on a unit; the cameras deliver from memory. The clients run in processes of
-their own, in the idle scheduling class. Printed are, for the daemon without clients, with those of each
-interface alone, and with all of them: exposures lost, and the CPU of the daemon's process. The difference
-from the daemon without clients ("more") is the CPU of an interface, that of the process of OPC UA included.
-MQTT and OPC UA are configured where they have a client; the broker's CPU is not counted. "stolen" is the
-time for which the hypervisor gave a core of this machine to another one (0 on a machine of its own); the last
-lines name what it took around each loss.
+History and kept frames are enabled, as on a unit; the cameras deliver from memory. The clients run in
+separate processes, in the idle scheduling class. It prints the lost exposures and the CPU of the daemon's
+process without clients, with clients of each interface alone, and with all of them. The difference from the
+daemon without clients ("more") is the CPU of an interface, including the process of OPC UA. MQTT and OPC UA
+are configured only where they have a client; the broker's CPU is not counted. "stolen" is the time for which
+the hypervisor gave a core of this machine to another one (0 on a physical machine); the last lines list the
+stolen time around each loss.
 
-Of each interface beside all others: how soon requests are answered, and how old messages are. A message has
-its capture time, and its age when it was sent. The clients know the age at arrival, for their clock is the
-unit's: now less the capture time. "behind" is the age at arrival less the age in the message: by so much is
-a value older than its message says. It is the time in the unit's buffers, a broker and the client, with an
-error of 1 ms from rounding. A value that waits in the unit before its message is made shows in "age" alone.
+For each interface beside all others it prints the response time to requests and the age of messages. A
+message states its capture time, and its age when it was sent. The clients compute the age at arrival as the
+current time less the capture time, because they share the unit's clock. "behind" is the age at arrival less
+the age in the message, that is, the time in the unit's buffers, a broker and the client, with an error of 1
+ms from rounding. A value that waits in the unit before its message is made contributes to "age" alone.
 Pictures have no age in their message; theirs counts from the exposure.
 """
 
@@ -39,13 +39,13 @@ from benchmarks.process_memory import resident_mb
 
 _PAIRS = 200
 CLIENTS = {"modbus_tcp": 10, "modbus_rtu": 3, "mqtt": 1, "opcua": 1, "browser": 2}
-"""The number of each kind; ``browser`` emulates the page, or is Chromium."""
+"""Number of clients of each kind; ``browser`` emulates the page, or is Chromium."""
 ANSWER_AIM_MS, BEHIND_AIM_MS = 5.0, 150.0
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedFigures:
-    """The daemon's process beside its clients; ``cpu_share`` is of one core, ``memory_mb`` at the end."""
+    """The daemon's process with its clients; ``cpu_share`` is of one core, ``memory_mb`` at the end."""
 
     seconds: float
     pairs: int
@@ -53,22 +53,22 @@ class LoadedFigures:
     cpu_share: float
     stolen_s: float
     losses: list[str]
-    """When, how many, and what the hypervisor took in the second around."""
+    """Time and size of each loss, and the stolen time in the second around it."""
     memory_mb: float
     seen: dict[str, Seen]
     picture_ages_ms: list[float]
-    """Since the light, when it came or, by Chromium, when it was drawn."""
+    """Time from exposure to arrival or, with Chromium, to display."""
 
 
 async def measure(
     material: Material, kinds: list[str], seconds: float, folder: Path, chromium: bool
 ) -> LoadedFigures:
-    """Run a daemon and these clients; ``chromium``: it shows the page, and no browser is emulated."""
+    """Run a daemon and these clients; ``chromium`` shows the page instead of an emulated browser."""
     more = [kind for kind in ("mqtt", "opcua") if kind in kinds]
     async with served_unit(material, folder, CLIENTS["modbus_rtu"], more) as unit:
         clients = {kind: await _started(kind, unit, chromium) for kind in kinds}
         for kind, client in clients.items():
-            assert client.stdout is not None  # noqa: S101  it was asked for
+            assert client.stdout is not None  # noqa: S101  requested
             if not await client.stdout.readline():
                 raise RuntimeError(f"{kind} does not read")
         await asyncio.sleep(SETTLE_S)
@@ -93,7 +93,7 @@ async def measure(
 
 
 async def _losses(unit: ServedUnit, seconds: float) -> list[str]:
-    """Wait so long, and note each loss with the time stolen within the second that ends with it."""
+    """Wait for ``seconds``; record each loss with the time stolen in the second that ends with it."""
     losses, stolen_s = [], deque([_stolen_s()], maxlen=5)
     begun_s, lost_before = time.monotonic(), lost(unit.daemon)
     while (now_s := time.monotonic() - begun_s) < seconds:
@@ -127,7 +127,7 @@ async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subpr
 
 
 def _cpu_s() -> float:
-    """CPU time of the daemon's process so far, and of the process that serves OPC UA."""
+    """CPU time so far of the daemon's process and of the process for OPC UA."""
     own_s, ticks = time.process_time(), 0
     for children in Path("/proc/self/task").glob("*/children"):
         for pid in children.read_text().split():
@@ -139,7 +139,7 @@ def _cpu_s() -> float:
 
 
 def _stolen_s() -> float:
-    """Of all cores, since the machine was started (Linux, ``Documentation/filesystems/proc.rst``)."""
+    """Stolen time of all cores since the machine started (Linux, ``Documentation/filesystems/proc.rst``)."""
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / os.sysconf("SC_CLK_TCK")
 
 
@@ -150,7 +150,7 @@ def _percentiles(values_ms: Sequence[float]) -> str:
 
 
 def lines(figures: LoadedFigures) -> Iterator[str]:
-    """The answers and ages of each interface."""
+    """Answers and ages of each interface, as lines."""
     spread = f"{'p50':>8}{'p99':>8}{'max':>8}"
     yield f"{'with all, ms':>14}{'answers':>10}{spread}{'behind':>10}{spread}{'age':>6}{spread}"
     for kind, seen in figures.seen.items():
@@ -169,7 +169,7 @@ def lines(figures: LoadedFigures) -> Iterator[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print a row for each set of clients, then what each interface did beside all others."""
+    """Print a row for each set of clients, then the figures of each interface beside all others."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
     parser.add_argument(
         "--seconds", type=float, default=600.0, help="with all clients; a twentieth without and alone"

@@ -1,13 +1,14 @@
-"""``python -m benchmarks.load_readers KIND PLACE...``: clients of one kind, one for each place, in a process.
+"""``python -m benchmarks.load_readers KIND PLACE...``: clients of one kind in a process, one for each place.
 
 ``modbus_tcp`` and ``modbus_rtu`` poll 20 times a second, at a TCP port or at a descriptor of a serial line;
-``mqtt`` subscribes to every measurement at a broker's port, ``opcua`` to ``x_mm`` each 50 ms. ``browser``
-does over the network what the page does: the stream, the status twice a second, and pictures, the next when
-it has the last; it draws none, for that costs its own computer. ``chromium`` shows the page itself.
+``mqtt`` subscribes to every measurement at a broker's port, ``opcua`` to ``x_mm`` each 50 ms. ``browser`` has
+the network traffic of the page: the stream, the status twice a second, and pictures, each requested when the
+last has arrived; it draws none, because drawing loads the client's computer. ``chromium`` shows the page
+itself.
 
-Prints a line when all clients read, and, when its standard input ends, what they got since then, as JSON.
-All of it runs in the idle scheduling class: clients have computers of their own, and must not take the
-daemon's time.
+It prints a line when all clients read and, when its standard input ends, the figures since then, as JSON. The
+process runs in the idle scheduling class: clients have their own computers and must not take the daemon's
+time.
 """
 
 from __future__ import annotations
@@ -65,30 +66,30 @@ _SETTLE_S = 1.0
 
 @dataclass
 class Seen:
-    """The figures of all clients of a process. Without ``chromium`` they draw nothing."""
+    """Figures of all clients of a process. Without ``chromium`` the cost stays 0."""
 
     answers_ms: list[float] = field(default_factory=list)
-    """From each request to its answer."""
+    """Time from each request to its answer."""
     ages_ms: list[tuple[float, float]] = field(default_factory=list)
-    """Of each message: its age at arrival, and by how much that is more than the age that it states."""
+    """Age of each message at arrival, and its excess over the stated age."""
     pictures: list[tuple[int, float]] = field(default_factory=list)
-    """The numbers of the frames, and when they came or were drawn, Unix time in ms."""
+    """Numbers of the frames, and when they arrived or were drawn, Unix time in ms."""
     cores: float = 0.0
     memory_mb: float = 0.0
-    """The cost of all of Chromium."""
+    """Memory of all processes of Chromium at the end; ``cores`` is their CPU."""
 
     def note_age(self, captured_ms: float, age_ms: float) -> None:
-        """Of a message with this capture time, Unix time in ms, and this age, both rounded to 1 ms."""
+        """Record a message with this capture time, Unix time in ms, and this age, both rounded to 1 ms."""
         arrived_ms = 1e3 * time.time() - captured_ms
         self.ages_ms.append((arrived_ms, arrived_ms - age_ms))
 
     def note_registers(self, registers: bytes) -> None:
-        """Of a Modbus answer from address 0: age at 6, UTC at 10, its milliseconds at 12."""
+        """Record a Modbus answer from address 0: age at 6, UTC at 10, its milliseconds at 12."""
         age_ms, utc_s, utc_ms = struct.unpack_from(">H6xIH", registers, 12)
         self.note_age(1e3 * utc_s + utc_ms, age_ms)
 
     def note_json(self, line: bytes) -> None:
-        """Of a measurement in JSON."""
+        """Record a measurement in JSON."""
         told = json.loads(line)
         self.note_age(1e3 * datetime.fromisoformat(told["time"]).timestamp(), 1e3 * told["age_s"])
 
@@ -142,7 +143,7 @@ async def modbus_tcp(port: int, first_s: float, seen: Seen) -> None:
 
 
 async def modbus_rtu(descriptor: int, first_s: float, seen: Seen) -> None:
-    """Poll over Modbus RTU; a pseudo terminal hands bytes on at once, whatever its baud rate."""
+    """Poll over Modbus RTU; a pseudo terminal transfers bytes at once, regardless of its baud rate."""
     reader = asyncio.StreamReader()
     pipe = os.fdopen(descriptor, "rb", buffering=0, closefd=False)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), pipe)
@@ -159,7 +160,7 @@ async def modbus_rtu(descriptor: int, first_s: float, seen: Seen) -> None:
 
 
 async def mqtt(port: int, _: float, seen: Seen) -> None:
-    """Take every measurement from a broker."""
+    """Receive every measurement from a broker."""
     async with aiomqtt.Client(_HOST, port, protocol=aiomqtt.ProtocolVersion.V5) as client:
         await client.subscribe("altd/+/measurement", qos=1)
         async for message in client.messages:
@@ -168,7 +169,7 @@ async def mqtt(port: int, _: float, seen: Seen) -> None:
 
 
 async def browser(port: int, _: float, seen: Seen) -> None:
-    """Read as a browser does that shows the page."""
+    """Read as a browser that shows the page."""
     async with asyncio.TaskGroup() as tasks:
         for part in (_stream, _status, _pictures):
             tasks.create_task(part(port, seen))
@@ -205,13 +206,13 @@ async def _pictures(port: int, seen: Seen) -> None:
 
 
 class _Changes:
-    """Notes the age of each change of a variable: a server states its time of sending as well."""
+    """Records the age of each change of a variable; a server also states its time of sending."""
 
     def __init__(self, seen: Seen) -> None:
         self._seen = seen
 
     def datachange_notification(self, _node: Any, _value: Any, data: Any) -> None:
-        """As asyncua calls it."""
+        """Handle a change; called by asyncua."""
         found = data.monitored_item.Value
         captured_ms = 1e3 * found.SourceTimestamp.timestamp()
         self._seen.note_age(captured_ms, 1e3 * found.ServerTimestamp.timestamp() - captured_ms)
@@ -219,7 +220,7 @@ class _Changes:
 
 async def opcua(port: int, _: float, seen: Seen) -> None:
     """Subscribe to a number."""
-    logging.getLogger("asyncua").setLevel(logging.ERROR)  # the server grants shorter lives than asyncua wants
+    logging.getLogger("asyncua").setLevel(logging.ERROR)  # asyncua requests longer lifetimes than granted
     async with Client(f"opc.tcp://{_HOST}:{port}/altd") as client:
         namespace = await client.get_namespace_index("urn:altd:unit")
         (unit,) = [
@@ -260,7 +261,7 @@ async def _read(kind: str, places: list[int]) -> Seen:
 
 
 def main() -> int:
-    """Read, and print what came."""
+    """Read, and print the figures."""
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     kind, places = sys.argv[1], [int(place) for place in sys.argv[2:]]
     print(json.dumps(asdict(asyncio.run(_show(places) if kind == "chromium" else _read(kind, places)))))

@@ -1,6 +1,6 @@
-"""The material: frame pairs of a simulated, moving and vibrating unit, rendered before anything is timed.
+"""The material: frame pairs of a simulated, moving and vibrating unit, rendered before the measurement.
 
-Cameras deliver it from memory, and keep when they did.
+Cameras deliver it from memory, and record the delivery times.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CAMERAS = simulated.CAMERAS
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Pairs (front, rear) one period apart, and the calibration of the unit that they come from.
+    """Pairs (front, rear) one period apart, and the calibration of their unit.
 
     ``calibration`` was made with flats, ``without_flats`` from the same scan alone.
     """
@@ -46,9 +46,9 @@ class Material:
     without_flats: Calibration
 
     def pair(self, sequence: int, t_ns: int) -> tuple[Frame, Frame]:
-        """Frame set number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps.
+        """Frame set number ``sequence`` of an endless run: the pairs back and forth, so that no beam jumps.
 
-        Each way is a playthrough of its own: its pictures come again by intent.
+        Each pass is a separate playthrough, because its pictures repeat intentionally.
         """
         last = len(self.pairs) - 1
         front, rear = self.pairs[last - abs(last - sequence % (2 * last))]
@@ -60,7 +60,7 @@ class Material:
 
 
 def make_material(pairs: int, exposures_a_node: int) -> Material:
-    """Render the pairs and calibrate their unit by a scan of its own."""
+    """Render the pairs and calibrate their unit from its own scan."""
     rendered = make_pairs(pairs)
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
         scan = Path(folder, "scan")
@@ -76,7 +76,7 @@ def make_material(pairs: int, exposures_a_node: int) -> Material:
 
 
 def make_pairs(count: int, pairs_per_s: float = FPS) -> list[tuple[Frame, Frame]]:
-    """Pairs (front, rear) of the moving and shaking unit, from cameras of so many pairs a second."""
+    """Pairs (front, rear) of the moving and vibrating unit, at ``pairs_per_s``."""
     unit = simulated.Unit(
         simulated.UnitConfig(seed=SEED, fps=pairs_per_s, vibration=Vibration(), drive=Drive())
     )
@@ -90,9 +90,9 @@ def make_pairs(count: int, pairs_per_s: float = FPS) -> list[tuple[Frame, Frame]
 
 
 def make_config(**tables: Any) -> Config:
-    """An ordinary unit's config with these tables; the maker of the daemon gives it the cameras.
+    """Config of an ordinary unit with these tables; the caller passes the cameras to the daemon.
 
-    Unknown tables are left out, so that the same benchmark measures an older altd beside this one.
+    Unknown tables are omitted, so that the same benchmark also measures an older altd.
     """
     return Config(
         unit=Unit(serial=f"SIM-{SEED}", calibration=Path("in-memory")),
@@ -105,40 +105,40 @@ def make_config(**tables: Any) -> Config:
 
 
 _LEAD_NS = 50_000_000
-"""From the first camera's opening to the first frame set: both threads are waiting by then."""
+"""Time from the opening of the first camera to the first frame set; both threads wait by then."""
 
 
 class Source:
-    """One trigger for all cameras: frame set k at ``start + k`` periods. At 0 pairs/s nothing ever comes."""
+    """One trigger for all cameras: frame set k at ``start + k`` periods. At 0 pairs/s there are no frames."""
 
     def __init__(self, material: Material, pairs_per_s: float) -> None:
         self.material = material
         self.period_ns = round(1e9 / pairs_per_s) if pairs_per_s else 0
         self.handed_ns: list[int] = []
-        """Per frame set, when its last frame was handed over."""
+        """Time at which the last frame of each frame set was delivered."""
         self.stop_at_ns: int | None = None
-        """No exposures after this instant."""
+        """Time after which there are no exposures."""
         self._start_ns: int | None = None
         self._lock = threading.Lock()
 
     @property
     def cameras(self) -> dict[str, MemoryCamera]:
-        """Fresh cameras of this source, by name."""
+        """New cameras of this source, by name."""
         return {name: MemoryCamera(self, index) for index, name in enumerate(CAMERAS)}
 
     def start_ns(self) -> int:
-        """The instant of the exposure of frame set 0; the first to ask fixes it."""
+        """Time of the exposure of frame set 0, fixed by the first call."""
         with self._lock:
             if self._start_ns is None:
                 self._start_ns = time.monotonic_ns() + _LEAD_NS
             return self._start_ns
 
     def planned(self, seconds: float) -> int:
-        """Exposures from the first one on for that long."""
+        """Number of exposures in this duration, counted from the first one."""
         return round(seconds * 1e9) // self.period_ns + 1
 
     def note(self, sequence: int) -> None:
-        """A frame of this frame set is handed over now."""
+        """Record the delivery of a frame of this frame set."""
         with self._lock:
             if sequence == len(self.handed_ns):
                 self.handed_ns.append(0)
@@ -146,7 +146,7 @@ class Source:
 
 
 class MemoryCamera:
-    """See ``altd.ports.Camera``. Late, it delivers what it owes at once: a driver's queue does the same."""
+    """Camera (``altd.ports.Camera``) that delivers late frames at once, as a driver's queue does."""
 
     waits = False
     origin = Origin.SIMULATED
@@ -161,7 +161,7 @@ class MemoryCamera:
         self._next = 0
 
     def open(self) -> None:
-        """Join the trigger."""
+        """Open the camera."""
         self._source.start_ns()
 
     def next_frame(self, timeout_s: float) -> Frame:
@@ -181,7 +181,7 @@ class MemoryCamera:
         return frame
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Never asked for: there is no range."""
+        """Do nothing; never called because there is no range."""
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.measure`` (``make bench``): the figures, with the aims beside them."""
+"""``python -m benchmarks.measure`` (``make bench``): the figures, with their targets."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _IMPORTS = "import altd.cli.main, altd.config, altd.app.daemon, altd.publish.htt
 class StartFigures:
     """Seconds from process start, medians over ``runs``.
 
-    ``least_s`` of the time to the first valid value are spent waiting for exposures: half a window.
+    ``least_s`` of the time to the first valid value is the wait for exposures: half a window.
     """
 
     runs: int
@@ -53,7 +53,7 @@ class StartFigures:
 
 
 def measure_start(material: Material, runs: int) -> StartFigures:
-    """Start ``altd run`` on a recording that plays in real time, and ask until it has a value."""
+    """Start ``altd run`` on a recording that plays in real time, and poll until it has a value."""
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as name:
         port = free_port()
         config = _write_run_folder(Path(name), material.calibration, port, exposures=WINDOW)
@@ -69,7 +69,7 @@ def measure_start(material: Material, runs: int) -> StartFigures:
 
 
 def _write_run_folder(folder: Path, calibration: Calibration, http_port: int, exposures: int) -> Path:
-    """A config for ``altd run`` that plays a recording in real time, with all that it needs beside it."""
+    """Write a config for ``altd run`` that plays a recording in real time, with all files that it needs."""
     still = simulated.Unit(simulated.UnitConfig(seed=SEED))
     with recording(folder / "recording", still, "measurement", exposures, lambda done, planned: None) as made:
         for _ in range(exposures):
@@ -83,7 +83,7 @@ def _write_run_folder(folder: Path, calibration: Calibration, http_port: int, ex
 
 
 def _start(config: Path, port: int) -> tuple[float, float]:
-    """Seconds to the first answer of any kind, and to the first valid measurement."""
+    """Time to the first answer of any kind, and to the first valid measurement, s."""
     begun_s = time.monotonic()
     command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
     with (
@@ -122,7 +122,7 @@ def _ask(port: int) -> bool | None:
 
 
 def _import_s() -> float:
-    """The imports of ``altd run`` in a fresh interpreter, without the interpreter's own start."""
+    """Time of the imports of ``altd run`` in a new interpreter, without the interpreter's own start."""
     code = f"import time; t = time.perf_counter(); {_IMPORTS}; print(time.perf_counter() - t)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)  # noqa: S603
     return float(done.stdout)
@@ -140,7 +140,7 @@ START_AIM_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """All of a run."""
+    """All figures of a run."""
 
     quick: bool
     pairs: int
@@ -152,7 +152,7 @@ class Figures:
 
 
 def lines(figures: Figures) -> Iterator[str]:
-    """The table."""
+    """Lines of the table."""
     yield (
         f"altd bench{', quick' if figures.quick else ''}: a pair is two frames of 752 × 480, 8 bits;"
         f" {figures.pairs} different pairs of hw_sim (seed {SEED}) in memory"
@@ -216,17 +216,17 @@ def _start_lines(start: StartFigures) -> Iterator[str]:
 
 
 FAST_PAIRS_PER_S = 300.0
-"""Of the cameras that the highest rate is measured with: the faster, the less moves from pair to pair."""
+"""Rate of the cameras for the maximum-rate measurement: the higher, the less moves from pair to pair."""
 IDLE, BARE = "cameras silent", "no publishers"
 SERVED = [("all interfaces, unread", False, False), ("the same with clients", bool(BROKER), True)]
 if BROKER:
     SERVED.insert(1, ("the same with a broker", True, False))
-"""Rows with all interfaces: name, whether there is a broker of MQTT, and whether clients read."""
+"""Rows with all interfaces: name, whether there is an MQTT broker, and whether clients read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """The extent of each part."""
+    """Extent of each part."""
 
     pairs: int
     exposures_a_node: int
@@ -257,9 +257,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def measure(effort: Effort, quick: bool) -> Figures:
-    """Everything, one after the other, in this process and its children."""
-    cv2.setNumThreads(1)  # as the daemon does
-    logging.getLogger().addHandler(logging.NullHandler())  # the broker is missing on purpose
+    """Measure everything, one after another, in this process and its children."""
+    cv2.setNumThreads(1)  # as in the daemon
+    logging.getLogger().addHandler(logging.NullHandler())  # the broker is missing intentionally
     machine = _machine()
     show("rendering the frames")
     material = make_material(effort.pairs, effort.exposures_a_node)

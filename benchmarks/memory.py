@@ -1,7 +1,7 @@
-"""``python -m benchmarks.memory`` (``make bench-memory``): what commands take, against nodes and frames.
+"""``python -m benchmarks.memory`` (``make bench-memory``): memory of commands, by nodes and frames.
 
-Each command runs as a process of its own, one at a time; its peak is what the kernel counts (``ru_maxrss`` of
-wait4). A process begins with the peak of the one that starts it: so this module imports nothing large.
+Each command runs in a separate process, one at a time; its peak is the kernel's (``ru_maxrss`` of wait4). A
+process begins with the peak of its parent, so this module imports nothing large.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """The cost of one run of a command; ``size`` is the nodes of its scan, or the frames of its recording."""
+    """Cost of one run of a command; ``size`` is the nodes of its scan, or the frames of its recording."""
 
     command: str
     size: int
@@ -41,7 +41,7 @@ class Figure:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Make the inputs, run the commands, print a line each."""
+    """Make the inputs, run the commands, print a line for each."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.memory", description="Peak memory and time of altd's commands."
     )
@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def measure(folder: Path, nodes: Sequence[int], frames: Sequence[int], exposures: int) -> Iterator[Figure]:
-    """All commands in ``folder``, the smallest input first."""
+    """Run all commands in ``folder``, the smallest input first."""
     flat, scan, calibration = folder / "flat", folder / "scan", folder / "calibration.json"
     _run("hw_sim flat", 0, *_hw_sim("flat", flat))
     output = "-o", str(calibration)
@@ -85,7 +85,7 @@ def measure(folder: Path, nodes: Sequence[int], frames: Sequence[int], exposures
 
 
 def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]:
-    """The commands that make, measure and copy a recording of so many frames of two cameras."""
+    """Run the commands that make, measure and copy a recording of ``frames`` of two cameras."""
     played, copied = folder / "played", folder / "copied"
     poses = max(frames // 2 // EXPOSURES_A_POSE, 1)
     few = "--poses", str(poses), "--exposures", str(EXPOSURES_A_POSE), "--truth", str(folder / "truth.json")
@@ -96,7 +96,7 @@ def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]
     config = folder / "altd.toml"
     camera = f'driver = "recording"\npath = "{played}"\npace = "fast"'
     config.write_text(unit_toml("SIM-1", "none.json", camera, camera))
-    seconds = str(math.ceil(frames / FPS) + 1)  # more than it plays
+    seconds = str(math.ceil(frames / FPS) + 1)  # more frames than it plays
     record = *_altd("record"), "--config", str(config), "-o", str(copied), "--seconds", seconds
     yield _run("altd record, played at full speed", frames, *record)
     shutil.rmtree(played)
@@ -104,7 +104,7 @@ def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]
 
 
 def _run(name: str, size: int, *command: str) -> Figure:
-    """Run a command to its end; raises RuntimeError with what it said when it fails."""
+    """Run a command to its end; raises RuntimeError with its output if it fails."""
     begun_s = time.monotonic()
     with tempfile.TemporaryFile("w+") as said:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said)  # noqa: S603  our own
@@ -126,7 +126,7 @@ def _hw_sim(command: str, output: Path) -> tuple[str, ...]:
 
 
 def _grid(nodes: int) -> str:
-    """Columns and rows of so many nodes, nearest to 5 : 4, as the area has them."""
+    """Columns and rows for about this number of nodes, nearest to 5 : 4 as the area."""
     rows = min(
         (rows for rows in range(4, nodes // 4 + 1) if nodes % rows == 0),
         key=lambda rows: abs(math.log(nodes / rows**2 / 1.25)),

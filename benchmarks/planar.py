@@ -1,6 +1,6 @@
 """``python -m benchmarks.planar``: the planar pose on simulated plates, among false lights, on photographs.
 
-Simulated plates: a calibration from known poses, then new poses of which LEDs are lost one by one.
+Simulated plates: a calibration from known poses, then new poses whose LEDs are lost one by one.
 
 False lights: LEDs and other lights at random, without rendering; each pose that is marked valid is judged.
 
@@ -45,7 +45,7 @@ BOARD_MM = np.stack(np.meshgrid(np.arange(7.0), -np.arange(5.0)), axis=-1).resha
 GROUPS, IN_GROUP = 20, 7
 
 _Errors = dict[int, list[tuple[FloatArray, FloatArray]]]
-"""By the number of LEDs: error and sigma of a, b, φ; of one that is not valid, NaN."""
+"""Error and sigma of a, b, φ, by the number of LEDs; NaN if the pose is not valid."""
 
 
 def simulated(seed: int, errors: _Errors) -> PlanarCalibration:
@@ -67,7 +67,7 @@ def simulated(seed: int, errors: _Errors) -> PlanarCalibration:
 
 
 def print_simulated(seeds: Sequence[int]) -> dict[int, PlanarCalibration]:
-    """The errors over all seeds by the number of LEDs."""
+    """Print the errors over all seeds by the number of LEDs."""
     errors: _Errors = defaultdict(list)
     calibrations = {}
     for seed in seeds:
@@ -91,7 +91,7 @@ def _print_row(name: str, of_leds: Sequence[tuple[FloatArray, FloatArray]]) -> N
 
 
 def print_false_lights(calibrations: Mapping[int, PlanarCalibration], poses: int) -> None:
-    """Counts poses from LEDs among other lights: right, wrong by more than six sigma, or refused."""
+    """Count poses from LEDs among other lights: right, wrong by more than six sigma, or refused."""
     print("LEDs  other lights    right  wrong  refused")
     for lit, others in [(7, 1), (4, 1), (3, 1), (2, 1), (1, 1), (0, 2), (5, 3), (3, 2), (2, 4), (2, 0)]:
         tally: Counter[str] = Counter()
@@ -109,7 +109,7 @@ def print_false_lights(calibrations: Mapping[int, PlanarCalibration], poses: int
 
 
 def _discs(scene: PlanarScene, at_mm: FloatArray, rng: np.random.Generator) -> list[Disc]:
-    """The discs of lights at (n, 2) mm, as wide as LEDs, with the noise of centres."""
+    """Discs of lights at (n, 2) mm, as wide as LEDs, with noise of their centres."""
     px = np.stack(scene.lens.project(*at_mm.T), axis=-1)
     right, up = (np.stack(scene.lens.project(*(at_mm + step).T), axis=-1) - px for step in np.eye(2))
     area_px = np.abs(right[:, 0] * up[:, 1] - right[:, 1] * up[:, 0]) * math.pi / 4 * LED_DIAMETER_MM**2
@@ -133,11 +133,11 @@ def _outcome(instrument: PlanarInstrument, discs: Sequence[Disc], pose: Pose) ->
 
 
 _Planar = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], Pose]
-"""The pose of corners (n, 2) mm seen at (n, 2) px, in the plane of others (m, 2) mm seen at (m, 2) px."""
+"""Pose of corners (n, 2) mm imaged at (n, 2) px, in the plane of others (m, 2) mm imaged at (m, 2) px."""
 
 
 def print_photographs() -> None:
-    """The errors of poses of seven corners in the plane of the others, by method."""
+    """Print the errors of poses of seven corners in the plane of the others, by method."""
     views = []
     for path in sorted(PHOTOGRAPHS.glob("left*.jpg")):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -158,7 +158,7 @@ def print_photographs() -> None:
             rest = np.setdiff1d(np.arange(len(BOARD_MM)), group)
             for name, pose_of in methods.items():
                 pose = pose_of(BOARD_MM[group], view[group], BOARD_MM[rest], view[rest])
-                # of the group's middle: the plate's origin is a corner of the board, a lever away
+                # of the group's middle: the plate's origin is a corner of the board, at a lever arm
                 middle = BOARD_MM[group].mean(axis=0)
                 turned = np.array([-middle[1], middle[0]]) * math.radians(pose[2])
                 errors[name].append(np.array([*(np.array(pose[:2]) + turned), pose[2]]))
@@ -171,7 +171,7 @@ def print_photographs() -> None:
 
 
 def _methods(size: tuple[int, int], others: Sequence[FloatArray]) -> dict[str, _Planar]:
-    """Ours from the one photograph; OpenCV's with its camera from the other photographs, or from this one."""
+    """Methods: ours from one photograph; OpenCV's with its camera from the other photographs, or this one."""
     of_others = _camera([BOARD_MM] * len(others), others, size)
 
     def homography(at: FloatArray, px: FloatArray, rest: FloatArray, rest_px: FloatArray) -> Pose:
@@ -225,7 +225,7 @@ def _camera(
 def _pnp(
     flag: int, at_mm: FloatArray, px: FloatArray, matrix: Any, distortion: Any
 ) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) and shift (3,) of a plane whose points (n, 2) mm are seen at (n, 2) px."""
+    """Rotation (3, 3) and translation (3,) of a plane whose points (n, 2) mm are imaged at (n, 2) px."""
     _, turn, shift = cv2.solvePnP(_in_space(at_mm), px, matrix, distortion, flags=flag)
     return np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel()
 

@@ -1,8 +1,8 @@
-"""``python -m benchmarks.poller PORT``: a Modbus TCP controller in a process of its own, others beside it.
+"""``python -m benchmarks.poller PORT``: a Modbus TCP controller and other clients in a separate process.
 
-It reads the input registers until its standard input ends. Then it prints as JSON of each poll when it was
-sent (``time.monotonic``, s), how long its answer took, s, and the header of the register table, from
-``status`` to ``age``; and how many events and telegrams came.
+It reads the input registers until its standard input ends. Then it prints as JSON for each poll its time
+(``time.monotonic``, s), its response time, s, and the header of the register table, from ``status`` to
+``age``; and the numbers of events and telegrams received.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import time
 REGISTERS = 100
 HEADER_REGISTERS = 7
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, REGISTERS)
-"""The request for the first input registers (function 4)."""
+"""Request for the first input registers (function 4)."""
 ANSWER_BYTES = 9 + 2 * REGISTERS
 
 _HOST = "127.0.0.1"
@@ -70,7 +70,7 @@ def main() -> int:
 
 
 def connected(port: int, timeout_s: float = 5.0) -> socket.socket:
-    """A connection to a server that may still be starting."""
+    """Connect to a server that may still be starting."""
     give_up_s = time.monotonic() + timeout_s
     while True:
         try:
@@ -85,7 +85,7 @@ def connected(port: int, timeout_s: float = 5.0) -> socket.socket:
 
 
 def read_registers(link: socket.socket) -> tuple[int, ...]:
-    """The first input registers; raises ConnectionError for any other answer."""
+    """Read the first input registers; raises ConnectionError for any other answer."""
     link.sendall(READ)
     answer = received(link, ANSWER_BYTES)
     if answer[7] != 4:
@@ -94,7 +94,7 @@ def read_registers(link: socket.socket) -> tuple[int, ...]:
 
 
 def received(link: socket.socket, length: int) -> bytes:
-    """So many bytes; raises ConnectionError when the other side closes before."""
+    """Receive ``length`` bytes; raises ConnectionError if the other side closes before."""
     heard = b""
     while len(heard) < length:
         piece = link.recv(length - len(heard))

@@ -1,4 +1,4 @@
-"""Debian's PostgreSQL on a socket of its own, for measurements and tests."""
+"""A separate PostgreSQL server of Debian's package, for measurements and tests."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _START_TIMEOUT_S = 60.0
 
 
 def programs() -> Path | None:
-    """The folder of the newest installed server's programs; None: none is installed."""
+    """Folder of the newest installed server's programs; None if none is installed."""
     found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
     return found[-1].parent if found else None
 
 
 @dataclass
 class Cluster:
-    """A server on a socket in ``folder``, which is its own user's; root's server runs as ``postgres``."""
+    """A server on a socket in ``folder``, owned by its user; if started by root it runs as ``postgres``."""
 
     folder: Path
     programs: Path
@@ -38,7 +38,7 @@ class Cluster:
     databases: int = 0
 
     def initialise(self) -> None:
-        """Make the folder of its data."""
+        """Initialise its data folder."""
         made = self._run("initdb", "-D", str(self.folder / "data"), "-U", "altd", "-A", "trust", "--no-sync")
         assert made.wait() == 0, (self.folder / "log").read_text()  # noqa: S101
 
@@ -59,17 +59,17 @@ class Cluster:
                 return
 
     def stop(self, how: signal.Signals = signal.SIGINT) -> None:
-        """Stop: SIGINT in order, SIGQUIT as in a crash."""
+        """Stop the server: SIGINT cleanly, SIGQUIT as in a crash."""
         if self.server is not None and self.server.poll() is None:
             self.server.send_signal(how)
             self.server.wait()
 
     def connection(self, database: str) -> str:
-        """The connection string of a database."""
+        """Connection string of a database."""
         return f"host={self.folder} dbname={database} user=altd"
 
     def new_database(self) -> str:
-        """The connection string of an empty database."""
+        """Create an empty database and return its connection string."""
         self.databases += 1
         name = f"fleet_{self.databases}"
         with psycopg.connect(self.connection("postgres"), autocommit=True) as connection:
@@ -91,7 +91,7 @@ class Cluster:
 
 @contextlib.contextmanager
 def postgresql(*settings: str) -> Iterator[Cluster]:
-    """A new cluster that runs, with these settings (``fsync=off``)."""
+    """Run a new cluster with these settings (such as ``fsync=off``)."""
     found = programs()
     assert found is not None, "PostgreSQL is not installed (Debian package postgresql)"  # noqa: S101
     folder = Path(tempfile.mkdtemp(prefix="altd-postgresql-"))

@@ -1,4 +1,4 @@
-"""Memory, descriptors and threads of processes, as the kernel counts them (proc(5))."""
+"""Memory, descriptors and threads of processes, as counted by the kernel (proc(5))."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _RESIDENT = re.compile(r"^VmRSS:\s+(\d+) kB$", re.MULTILINE)
 
 
 def resident_mb(pid: int | str = "self") -> float:
-    """The memory of a process, all that it shares with others included; raises OSError."""
+    """Resident memory of a process, including all shared memory; raises OSError."""
     return _megabytes(_RESIDENT, Path(f"/proc/{pid}/status"))
 
 
 def proportional_mb(pid: int) -> float:
-    """Its proportional set size: of what it shares with others only its share; raises OSError."""
+    """Proportional set size, with its share of shared memory; raises OSError."""
     return _megabytes(_PSS, Path(f"/proc/{pid}/smaps_rollup"))
 
 
@@ -31,7 +31,7 @@ def _megabytes(line: re.Pattern[str], file: Path) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ProcessSample:
-    """A process after so many hours."""
+    """State of a process after this number of hours."""
 
     hour: float
     memory_mb: float
@@ -40,24 +40,24 @@ class ProcessSample:
 
     @classmethod
     def taken(cls, hour: float, pid: int | str = "self") -> ProcessSample:
-        """That of this instant; raises OSError."""
+        """Take a sample now; raises OSError."""
         process = Path("/proc", str(pid))
         descriptors, threads = (sum(1 for _ in (process / folder).iterdir()) for folder in ("fd", "task"))
         return cls(hour, resident_mb(pid), descriptors, threads)
 
     def __str__(self) -> str:
-        """In words."""
+        """Sample as text."""
         numbers = f"{self.descriptors} descriptors, {self.threads} threads"
         return f"{self.hour:7.2f} h: {self.memory_mb:.1f} MB, {numbers}"
 
 
 def growth_mb_per_hour(samples: Sequence[ProcessSample]) -> float:
-    """The slope of memory over two samples or more."""
+    """Slope of memory over at least two samples."""
     return float(np.polyfit([each.hour for each in samples], [each.memory_mb for each in samples], 1)[0])
 
 
 def growth_faults(samples: Sequence[ProcessSample]) -> Iterator[str]:
-    """Growth of two samples or more, in words: more in the second half than ever in the first."""
+    """Growth over at least two samples, as text: more in the second half than ever in the first."""
     growth = growth_mb_per_hour(samples)
     if growth > MAX_GROWTH_MB_PER_HOUR:
         yield f"memory grows by {growth:.2f} MB an hour"

@@ -6,7 +6,7 @@ import sys
 
 
 def show(what: str) -> None:
-    """One line on standard error while it is a terminal; silence otherwise."""
+    """Show one line on standard error if that is a terminal."""
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\033[K{what}")
         sys.stderr.flush()

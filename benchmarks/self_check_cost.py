@@ -1,7 +1,7 @@
-"""``python -m benchmarks.self_check_cost`` (``make bench-selfcheck``): what a self-check costs.
+"""``python -m benchmarks.self_check_cost`` (``make bench-selfcheck``): cost of a self-check.
 
-The real daemon on cameras in memory that see the frame LEDs as its lamps were switched, 20 exposures a
-second, a Modbus TCP client that polls it 50 times a second, and beside them processes that only work.
+The real daemon runs on cameras in memory that show the frame LEDs in their switched state, 20 exposures a
+second. A Modbus TCP client polls it 50 times a second, and further processes load the CPU.
 """
 
 from __future__ import annotations
@@ -30,35 +30,35 @@ from hw_sim.ports import free_port
 
 
 class LedLine:
-    """See ``altd.ports.Lamps``; with the times at which it was switched."""
+    """LED line, see ``altd.ports.Lamps``; it records its switching times."""
 
     def __init__(self) -> None:
         self._switched: list[tuple[int, bool]] = [(0, False)]
 
     def forget(self) -> None:
-        """Dark, and nothing is known of before."""
+        """Switch off, and discard the recorded times."""
         self._switched = [(0, False)]
 
     def open(self) -> None:
-        """Dark."""
+        """Switch off."""
         self.switch(False)
 
     def switch(self, on: bool) -> None:
-        """From now on the LEDs are so."""
+        """Switch the LEDs from now on."""
         if on is not self._switched[-1][1]:
             self._switched.append((time.monotonic_ns(), on))
 
     def close(self) -> None:
-        """Dark."""
+        """Switch off."""
         self.switch(False)
 
     def level_at(self, t_ns: int) -> bool:
-        """Whether they shone at a time."""
+        """Whether the LEDs were on at a time."""
         return next(on for since_ns, on in reversed(self._switched) if since_ns <= t_ns)
 
     @property
     def lit_s(self) -> list[float]:
-        """For how long each time."""
+        """Durations of the periods with the LEDs on."""
         edges = self._switched[1:]
         return [
             (off_ns - on_ns) * 1e-9 for (on_ns, _), (off_ns, _) in zip(edges[::2], edges[1::2], strict=False)
@@ -67,15 +67,15 @@ class LedLine:
 
 @dataclass(frozen=True, slots=True)
 class LedMaterial(Material):
-    """Pairs of a beam at rest with the LEDs dark and, as many, ``lit_pairs``."""
+    """Pairs of a beam at rest with the LEDs off and, in the same number, ``lit_pairs``."""
 
     lit_pairs: tuple[tuple[Frame, Frame], ...]
     line: LedLine
 
     def pair(self, sequence: int, t_ns: int) -> tuple[Frame, Frame]:
-        """Frame set number ``sequence`` of an endless run, exposed at ``t_ns``: the pairs again and again.
+        """Frame set number ``sequence`` of an endless run, exposed at ``t_ns``, from the repeated pairs.
 
-        Each time is a playthrough of its own: its pictures come again by intent.
+        Each repetition is a separate playthrough, because its pictures repeat intentionally.
         """
         turn, number = divmod(sequence, len(self.pairs))
         front, rear = (self.lit_pairs if self.line.level_at(t_ns) else self.pairs)[number]
@@ -86,7 +86,7 @@ class LedMaterial(Material):
 
 
 def make_led_material(pairs: int) -> tuple[LedMaterial, LedLine]:
-    """Render the pairs and calibrate their unit by a scan of its own."""
+    """Render the pairs and calibrate their unit from its own scan."""
     unit, line, calibration = simulated.Unit(simulated.UnitConfig(seed=SEED)), LedLine(), calibrated(SEED)
     unit.place(BeamPose(4.0, -3.0, 0.02, -0.03))
 
@@ -107,25 +107,25 @@ POLLS_PER_S = 50.0
 BUSY_PROCESSES = 0, 1, 2, 4
 _PAIRS = 40
 _AFTER_S = 2.0
-"""So long after its answer a check counts as the cause of what is polled: a window is filled by then."""
+"""Time after its answer in which a check counts as the cause of changes; a window is filled by then."""
 _WITHIN_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Polls:
-    """The client's polls in a part of the time; ``reasons`` of the invalid polls."""
+    """Polls of the client in a part of the time; ``reasons`` of the invalid polls."""
 
     count: int
     invalid: int
     largest_age_ms: int
     longest_gap_s: float
-    """Between two new measurements, in the daemon."""
+    """Longest time between two new measurements, in the daemon."""
     reasons: Counter[str]
 
 
 @dataclass(frozen=True, slots=True)
 class CheckCost:
-    """Of each check in turn; polls from the request to ``_AFTER_S`` after the answer, and those between."""
+    """Cost by check. ``checking``: polls from request to ``_AFTER_S`` after the answer, ``between``: rest."""
 
     verdicts: Counter[str]
     lost: list[int]
@@ -155,7 +155,7 @@ class _Poll:
 
 
 def measure_checks(material: Material, line: LedLine, checks: int, busy: int) -> CheckCost:
-    """Ask for checks one after the other, beside so many busy processes."""
+    """Request checks one after another, beside ``busy`` processes that load the CPU."""
     return asyncio.run(_measured(material, line, checks, busy))
 
 
@@ -225,7 +225,7 @@ async def _watch(daemon: Daemon, published_s: list[float]) -> None:
 
 @contextlib.asynccontextmanager
 async def _polling(port: int) -> AsyncIterator[list[_Poll]]:
-    """A client's polls meanwhile, there once the block has ended."""
+    """Collect a client's polls during the block; they are available after it."""
     polls: list[_Poll] = []
     client = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "benchmarks.poller", str(port), "--rate", str(POLLS_PER_S)),
@@ -239,7 +239,7 @@ async def _polling(port: int) -> AsyncIterator[list[_Poll]]:
 
 @contextlib.asynccontextmanager
 async def _busy(count: int) -> AsyncIterator[None]:
-    """So many processes that only work."""
+    """Run processes that load the CPU."""
     processes = [
         await asyncio.create_subprocess_exec(sys.executable, "-c", "while True: pass") for _ in range(count)
     ]

@@ -1,8 +1,8 @@
-"""``python -m benchmarks.selfcheck``: which drift is found, the rate of false alarms, what is corrected.
+"""``python -m benchmarks.selfcheck``: detected drift, rate of false alarms, and corrections.
 
-False alarms are counted twice. With pictures: checks of simulated units that are as they were calibrated;
-each calibration has LED references of its own, for those are the same in all its checks. With places alone,
-many more: LEDs of Gaussian noise through fit and test.
+False alarms are counted twice. With pictures: checks of simulated units that are unchanged since their
+calibration; each calibration has its own LED references, because they are the same in all its checks. With
+positions alone, many more: LEDs with Gaussian noise through fit and test.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hw_sim.measure import random_poses
 from hw_sim.unit import CAMERAS
 
 LED_NOISE_PX = 0.0055
-"""Of one pair of hw_sim at 1000 lux, an axis."""
+"""Noise of one pair of hw_sim at 1000 lux, per axis."""
 PAIRS = 2
 CHECKS_A_CALIBRATION = 25
 PX_A_DAY = 0.02
@@ -39,7 +39,7 @@ MOVED_PX, TURNED_DEG = 0.6, 0.1
 
 
 def detection(seed: int, checks: int) -> None:
-    """0.3 px and 0.05° of either camera, with all LEDs, and with one dark and those at the border cut."""
+    """Detect 0.3 px and 0.05° of either camera, with all LEDs, and with one dark and the border LEDs cut."""
     for name, field_half_mm, levels in (
         ("all LEDs", WIDE, (1.0,) * 6),
         ("one dark, others cut", TIGHT, (0.0, 1.0, 1.0, 1.0, 1.0, 1.0)),
@@ -77,7 +77,7 @@ def _detect(
 
 
 def false_alarms(seed: int, checks: int) -> None:
-    """Checks of a unit that is as it was calibrated, with pictures, the beam anywhere."""
+    """Check an unchanged unit, with pictures, the beam anywhere."""
     of_unit = calibrated(seed)
     checked = CheckedUnit(seed)
     rng = np.random.default_rng([seed, 2])
@@ -102,7 +102,7 @@ def false_alarms(seed: int, checks: int) -> None:
 
 
 def false_alarms_of_places(checks: int) -> None:
-    """The fit and its tests alone, for places with Gaussian noise; the sigma is known to 15 %."""
+    """Run the fit and its tests alone, for positions with Gaussian noise; the sigma is known to 15 %."""
     rng = np.random.default_rng(3)
     references = np.array([(120, 66), (372, 24), (645, 62), (122, 400), (375, 453), (648, 422)], dtype=float)
     about = references.mean(axis=0)
@@ -132,7 +132,7 @@ def false_alarms_of_places(checks: int) -> None:
 
 
 def slow_drifts(calibrations: int, days: int) -> None:
-    """A drift of 0.02 px a day, and none, through the history: one check a day, and 24."""
+    """Test a drift of 0.02 px a day, and none, through the history: one check a day, and 24."""
     rng = np.random.default_rng(4)
     for checks_a_day in (1, 24):
         found = [_day_found(rng, PX_A_DAY, checks_a_day, 15) for _ in range(calibrations)]
@@ -147,7 +147,7 @@ def slow_drifts(calibrations: int, days: int) -> None:
 
 
 def _day_found(rng: np.random.Generator, px_a_day: float, checks_a_day: int, days: int) -> int | None:
-    """After how many days a drift in one direction is reported; None: not at all."""
+    """Day on which a drift in one direction is reported; None if never."""
     radius = 330.0
     sigma = np.array([1.0, 1.0, math.degrees(1 / radius), 1e6 / radius]) * LED_NOISE_PX / math.sqrt(6)
     angle = rng.uniform(0, 2 * math.pi)
@@ -172,7 +172,7 @@ def _check_of(vector: FloatArray, covariance: FloatArray, radius: float) -> Self
 
 
 def correction(seed: int) -> None:
-    """0.6 px and 0.1° of either camera, corrected, against the same beams without a drift."""
+    """Compare the same beams with 0.6 px and 0.1° of either camera, corrected, and without a drift."""
     calibration = calibrated(seed)
     checked = CheckedUnit(seed, exact=True)
     rng = np.random.default_rng([seed, 5])
@@ -207,7 +207,7 @@ def _say(what: str, errors: FloatArray, sigmas: FloatArray, normal: FloatArray) 
 
 
 def main() -> int:
-    """Print what is asked for."""
+    """Run and print the requested parts."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.selfcheck", description=__doc__)
     parser.add_argument("what", choices=("detection", "alarms", "places", "history", "correction"))
     parser.add_argument("--seed", type=int, default=3)

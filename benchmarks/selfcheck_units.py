@@ -27,16 +27,16 @@ from hw_sim.stage import Stage
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
 HARD_LUX = 1000.0
-"""The brightest surroundings of App. A.1."""
+"""Ambient light in the brightest surroundings of App. A.1."""
 WIDE, TIGHT = FIELD_HALF_MM, (76.0, 60.0)
-"""The content of the pictures: all frame LEDs, or some of them cut by the border."""
+"""Half of the field of view, mm: with all frame LEDs, or with some of them cut by the border."""
 EXPOSURES = 2
-"""Of each camera, for a measurement."""
+"""Exposures of each camera for a measurement."""
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 
 def calibrated(seed: int, field_half_mm: tuple[float, float] = WIDE) -> Calibration:
-    """The calibration of a simulated unit, from its own scan."""
+    """Calibration of a simulated unit, from its own scan."""
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
         unit = Unit(UnitConfig(seed=seed, field_half_mm=field_half_mm))
         stage = Stage(np.random.default_rng([seed, STAGE_STREAM]))
@@ -53,7 +53,7 @@ class CheckedUnit:
         self._sequence = 1000
 
     def views(self, pairs: int) -> dict[str, LedView]:
-        """One check: so many exposures of each camera with the LEDs on and as many with them off."""
+        """Exposures of one check: ``pairs`` of each camera with the LEDs on and as many with them off."""
         frames: dict[tuple[str, bool], list[Frame]] = {(c, on): [] for c in CAMERAS for on in (True, False)}
         for _ in range(pairs):
             for on in (True, False):
@@ -65,7 +65,7 @@ class CheckedUnit:
         return {c: LedView(tuple(frames[c, True]), tuple(frames[c, False])) for c in CAMERAS}
 
     def with_new_references(self, calibration: Calibration, pairs: int = 2) -> Calibration:
-        """The calibration with LED references from current frames, as ``altd calibrate`` takes them."""
+        """Calibration with LED references from current frames, as ``altd calibrate`` takes them."""
         targets = []
         for target in calibration.targets:
             view = self.views(pairs)[target.name]

@@ -1,9 +1,9 @@
-"""``python -m benchmarks.soak`` (``make soak``): a daemon for many hours of a clock that is set.
+"""``python -m benchmarks.soak`` (``make soak``): a daemon for many hours on a stepped clock.
 
-Two simulated cameras deliver a frame each second; history and all interfaces but OPC UA run, and are read
+Two simulated cameras deliver a frame each second. History and all interfaces except OPC UA run, and are read
 once a minute. Every ten minutes one camera loses a frame, once an hour both are silent for ten seconds, and
-frames are kept. Memory, descriptors and threads are those of this process, cameras and readers included. The
-frames come from a stock that is longer than the memory of the check for repeated pictures.
+frames are kept. Memory, descriptors and threads are those of this process, including cameras and readers. The
+frames are taken from a stock that is longer than the memory of the check for repeated pictures.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from hw_sim.ports import free_port
 UNIT = "plain"
 MEASURING = Measuring(window=4, pair_by="time", silent_after_s=2.0, stale_after_s=5.0)
 MINUTE, HOUR = 60, 3600
-"""Exposures."""
+"""Exposures in a minute and in an hour."""
 _SILENT = 10
 _SAMPLE = 15 * MINUTE
 _WARM_HOURS = 5.0
-"""Buffers, the ring of frames and the trends' minutes fill up before."""
+"""Time in which buffers, the ring of frames and the trends' minutes fill up."""
 _MIN_HOURS = 1.0
 _TRANSFER_NS = 5_000_000
 
 
 def stock_of(rig: SimulatedRig) -> dict[str, list[PixelArray]]:
-    """Pictures of a beam at rest, each with noise of its own."""
+    """Pictures of a beam at rest, each with independent noise."""
     rng = np.random.default_rng(1)
     count = MAX_COMPARED_FRAMES + 32
     clip = SimulatedClip(rig, BeamPose(4.0, -3.0, 0.02, -0.03), np.zeros(4), 0, count, rng)
@@ -57,7 +57,7 @@ def stock_of(rig: SimulatedRig) -> dict[str, list[PixelArray]]:
 
 
 def lost_cameras(k: int) -> tuple[str, ...]:
-    """The cameras that deliver nothing at an exposure."""
+    """Cameras that deliver nothing at an exposure."""
     if k % HOUR >= HOUR - _SILENT:
         return CAMERAS
     return (CAMERAS[k // (10 * MINUTE) % 2],) if k % (10 * MINUTE) == 5 * MINUTE else ()
@@ -65,7 +65,7 @@ def lost_cameras(k: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Soak:
-    """The result: samples, exposures of which a frame was delivered, those that were measured, and losses."""
+    """Result: samples, exposures with a delivered frame, measured exposures, and losses."""
 
     samples: list[ProcessSample]
     delivered: int
@@ -74,7 +74,7 @@ class Soak:
     valid: int
 
     def faults(self) -> Iterator[str]:
-        """Growth and losses, in words."""
+        """Growth and losses, as text."""
         warm = [
             sample for sample in self.samples if sample.hour > min(_WARM_HOURS, self.samples[-1].hour / 2)
         ]
@@ -85,7 +85,7 @@ class Soak:
 
 
 async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | None) -> Soak:
-    """Let the hours pass."""
+    """Run for this number of hours."""
     with interfaces(1) as places, contextlib.closing(TelegramLine(folder / "ttyUSB0")) as telegram:
         del places.tables["opcua"]
         places.tables["history"] = {"file": folder / "history.db"}
@@ -102,7 +102,7 @@ async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | 
             samples = []
             async for sample in _samples(count, stock, unit, wires):
                 samples.append(sample)
-                if sample.hour % max(round(hours / 20), 1) == 0:  # a run that is cut short has shown these
+                if sample.hour % max(round(hours / 20), 1) == 0:  # in case the run is interrupted
                     print(f"{sample}; {unit.daemon.chain.frame_sets} exposures measured", flush=True)
             counters = unit.daemon.health.component("measuring").counters
             lost = sum(number for name, number in counters.items() if name.startswith(("dropped", "late")))
@@ -113,7 +113,7 @@ async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | 
 async def _samples(
     count: int, stock: dict[str, list[PixelArray]], unit: LiveUnit, wires: Wires
 ) -> AsyncIterator[ProcessSample]:
-    """Let so many exposures pass; a sample each quarter of an hour."""
+    """Expose this number of times; yield a sample each quarter of an hour."""
     for k in range(count):
         t_ns = START_NS + (k + 1) * 10**9
         await unit.clock.set(t_ns + _TRANSFER_NS)
@@ -128,7 +128,7 @@ async def _samples(
 
 
 def main() -> int:
-    """Run, print; 1: memory, descriptors or threads grow, or an exposure is lost that was delivered."""
+    """Run and print; return 1 if memory, descriptors or threads grow, or a delivered exposure is lost."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=100.0, help="of the set clock (default 100)")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Microseconds per stage of the chain, each over many frames that no cache holds."""
+"""Microseconds per stage of the chain, each over many frames that are not in any cache."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PERIOD_NS = 50_000_000
 COPY, SEARCH, CHAIN = "memory pass: copy", "coarse search", "whole chain"
 
 _Part = tuple[ModuleType, str, str]
-"""A function as the module that calls it knows it, and what the table calls it."""
+"""Module that calls a function, the function's name there, and its name in the table."""
 
 _SEARCH_PARTS: Sequence[_Part] = (
     (search_room, "coarse_image", "coarse picture"),
@@ -54,9 +54,9 @@ _SPOT_PARTS: Sequence[_Part] = (
 
 @dataclass(frozen=True, slots=True)
 class StageFigures:
-    """One stage: how often a pair needs it, and a call's time; ``passes`` is the time in memory passes.
+    """One stage: number of calls for a pair, and time of a call; ``passes`` is the time in memory passes.
 
-    A stage whose ``part_of`` is not empty is within another one.
+    If ``part_of`` is not empty, the stage is part of another one.
     """
 
     name: str
@@ -69,14 +69,14 @@ class StageFigures:
 
 @dataclass(slots=True)
 class _Stage:
-    """The functions of ``parts`` are timed in the stage's own calls."""
+    """A stage; the functions of ``parts`` are timed within its own calls."""
 
     name: str
     calls_a_pair: int
     works: Sequence[Callable[[], object]]
     parts: Sequence[_Part] = ()
     rest: str = ""
-    """The table's name for the time that no part took."""
+    """Name in the table for the time outside all parts."""
     part_of: str = ""
     samples_us: list[float] = field(default_factory=list)
     inside_us: dict[str, list[float]] = field(default_factory=dict)
@@ -94,7 +94,7 @@ class _Stage:
                 self.samples_us.append((clock() - before) * 1e-3)
 
     def inner(self) -> list[_Stage]:
-        """The parts as stages; those that a target did not need are left out."""
+        """Parts as stages, without parts that a target did not need."""
         used = {name: samples_us for name, samples_us in self.inside_us.items() if samples_us}
         if self.rest:
             parts = zip(*used.values(), strict=True)
@@ -106,9 +106,9 @@ class _Stage:
 
 
 def measure_stages(material: Material, rounds: int) -> list[StageFigures]:
-    """Every stage over all frames, in turn, ``rounds`` times: what disturbs, disturbs all alike.
+    """Time every stage over all frames, in turn, ``rounds`` times: disturbances affect all alike.
 
-    Before its turn comes again a frame has left the caches, as one has that a camera has just written.
+    Before a frame's next turn it has left the caches, like a frame that a camera has just written.
     """
     stages = [
         *_memory_stages(material),
@@ -124,7 +124,7 @@ def measure_stages(material: Material, rounds: int) -> list[StageFigures]:
 
 
 def pure_rate(material: Material, seconds: float) -> float:
-    """Pairs/s of the chain alone, called back to back."""
+    """Pairs/s of the chain alone, called in a loop."""
     chain = _chain(material)
     count, begun = 0, time.perf_counter()
     while time.perf_counter() - begun < seconds:
@@ -150,7 +150,7 @@ def _chain(material: Material) -> MeasuringChain:
 
 
 def _memory_stages(material: Material) -> list[_Stage]:
-    """The least that touching every pixel of a frame costs."""
+    """Minimum cost of accessing every pixel of a frame."""
     frames = [frame.pixels for pair in material.pairs for frame in pair]
     kept = np.empty_like(frames[0])
     size = kept.shape[1] // 8, kept.shape[0] // 8
@@ -198,7 +198,7 @@ def _timed(work: Callable[..., object], samples_us: list[float]) -> Callable[...
 
 
 def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
-    """Pairing to beam, and the whole chain: they remember, so their frames are those of one long run."""
+    """Pairing to beam, and the whole chain: they have state, so their frames are those of one long run."""
     calls = len(material.pairs)
     run = [material.pair(k, k * PERIOD_NS) for k in range(rounds * calls)]
     spots = {id(frame.pixels): _spot(material, frame) for pair in material.pairs for frame in pair}

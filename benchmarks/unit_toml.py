@@ -1,10 +1,10 @@
-"""The settings of a unit, as a file; nothing large is imported for it."""
+"""Settings of a unit, as a file; this module imports nothing large."""
 
 from __future__ import annotations
 
 
 def unit_toml(serial: str, calibration: object, front: str, rear: str) -> str:
-    """A unit with two targets, each before a camera whose table has the lines ``front`` or ``rear``."""
+    """Settings of a unit with two targets; ``front`` and ``rear`` are the lines of the cameras' tables."""
     return f"""\
 [unit]
 serial = "{serial}"

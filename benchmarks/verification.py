@@ -1,10 +1,10 @@
 """``python -m benchmarks.verification``: how often ``altd verify`` fails right and wrong units.
 
-200 simulated units are calibrated and verified without rendering: the simulated lenses project the places
-of the beam, a smooth random field represents print and speckle, and stages and beams err by what their limits
-state. A tenth of the units has changed since its calibration, by twice the expanded uncertainty (k = 2) of
-one of the tested numbers: scale of x or y, squareness, zero of yaw or pitch. Spots become measurements by
-altd's own maps and solver. The verification has two sets, the second with the unit turned.
+200 simulated units are calibrated and verified without rendering: the simulated lenses project the positions
+of the beam, a smooth random field represents print and speckle, and stages and beams have errors according to
+their limits. A tenth of the units has changed since its calibration, by twice the expanded uncertainty (k =
+2) of one of the tested numbers: scale of x or y, squareness, zero of yaw or pitch. Spots become measurements
+by altd's own maps and solver. The verification has two sets, the second with the unit turned.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hw_sim.scan import USUAL, dense_grid
 
 Z_MM = {"front": 0.0, "rear": 280.0}
 PATTERN_PX = 0.035
-"""Of a node without a flat, as on the recorded unit (../shared/data/unit-a)."""
+"""Standard deviation of a node without a flat, as on the recorded unit (../shared/data/unit-a)."""
 PATTERN_LENGTH_MM = 4.0
 WAVES = 300
 SCATTER_PX = 0.01
@@ -45,12 +45,12 @@ REFERENCE_LIMITS = Limits(0.002, 20.0, 0.02, 0.3)
 KINDS = ("scale_x_ppm", "scale_y_ppm", "square_mrad", "zero_yaw_deg", "zero_pitch_deg")
 CHECKED = dense_grid(5, 4)
 TRAVEL_MM = 60.0
-"""Half of the verification's grid along x; its nodes are not those of the calibration."""
+"""Half of the verification's grid along x; its nodes differ from those of the calibration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Errors of a unit since its calibration: its readings are too long, skew, or off."""
+    """Errors of a unit since its calibration, in scale, squareness and zero."""
 
     scale_x_ppm: float = 0.0
     scale_y_ppm: float = 0.0
@@ -58,7 +58,7 @@ class Change:
     zero_yaw_deg: float = 0.0
     zero_pitch_deg: float = 0.0
     pattern: float = 1.0
-    """Factor of the pattern, such as by dirt."""
+    """Factor of the pattern, such as from dirt."""
 
 
 NO_CHANGE = Change()
@@ -66,7 +66,7 @@ NO_CHANGE = Change()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pattern:
-    """A smooth Gaussian field on a target: displacements of the spot in px by its place in mm."""
+    """A smooth Gaussian field on a target: displacements of the spot in px by its position in mm."""
 
     waves: FloatArray
     phases: FloatArray
@@ -92,20 +92,20 @@ class Stage:
 
     @classmethod
     def made(cls, limits: Limits, rng: np.random.Generator) -> Stage:
-        """A stage drawn from these limits."""
+        """Draw a stage from these limits."""
         scale = rng.normal(0, 1e-6 * (limits.stage_scale_ppm or 0.0), 2)
         square = rng.normal(0, 1e-3 * (limits.stage_square_mrad or 0.0))
         slope = rng.normal(0, 1e-3 * (limits.beam_normal_mm_per_m or 0.0), 2)
         return cls(np.array([[1 + scale[0], square], [0.0, 1 + scale[1]]]), slope, limits.stage_mm or 0.0)
 
     def places_mm(self, known_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """The places (n, 2) of the beam at z = 0 for known positions (n, 2)."""
+        """Positions (n, 2) of the beam at z = 0 for known positions (n, 2)."""
         places: FloatArray = known_mm @ self.shape.T + rng.normal(0, self.sigma_mm, known_mm.shape)
         return places
 
 
 class VerifiedUnit:
-    """A unit of a seed with its calibration; ``verified`` measures two sets with a stage of its own."""
+    """A unit of a seed with its calibration; ``verified`` measures two sets with a separate stage."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 25])
@@ -142,13 +142,13 @@ class VerifiedUnit:
         )
 
     def _seen(self, name: str, places_mm: FloatArray, change: Change) -> FloatArray:
-        """The spots (n, 2) px of a beam at these places of a target, in the unit's own axes."""
+        """Spots (n, 2) px of a beam at these positions of a target, in the unit's own axes."""
         px = np.column_stack(self._lenses[name].project(*places_mm.T))
         px += change.pattern * self._patterns[name].at(places_mm)
         return px + self._rng.normal(0, SCATTER_PX, px.shape)
 
     def verified(self, change: Change = NO_CHANGE) -> Judgement:
-        """Verify with a stage and a mounting of their own, both orientations."""
+        """Verify with a separate stage and mounting, in both orientations."""
         stage = Stage.made(REFERENCE_LIMITS, self._rng)
         turn = self._rng.normal(0, 2e-3)
         sets = [self._set(stage, turn, is_turned, change) for is_turned in (False, True)]
@@ -187,7 +187,7 @@ class VerifiedUnit:
 
 @dataclass(slots=True)
 class Outcome:
-    """Units without an error, and with one, and how many of them failed.
+    """Numbers of units without and with an error, and how many of them failed.
 
     ``wrong`` units are wrong by twice the expanded uncertainty; ``expected`` of them fail by the power of the
     tests. ``detectable`` of the same units fail with an error of the smallest detectable size.
@@ -229,7 +229,7 @@ def run(first_seed: int, units: int, wrong_every: int) -> Outcome:
 
 
 def power(error_sigmas: float, tests: int) -> float:
-    """The probability that an error of so many standard uncertainties fails its test, one of so many."""
+    """Probability that an error in standard uncertainties fails its test, one of ``tests``."""
     normal = NormalDist()
     factor = normal.inv_cdf(1.0 - (1.0 - CONFIDENCE) / (2 * tests))
     return normal.cdf(error_sigmas - factor) + normal.cdf(-error_sigmas - factor)

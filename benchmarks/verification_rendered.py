@@ -1,7 +1,8 @@
 """``python -m benchmarks.verification_rendered DIR``: ``altd verify`` on the frames of simulated units.
 
 Each unit is scanned, calibrated and verified with two sets of 5 × 4 nodes, the second with the unit turned;
-stages and beams err by what the headers state. Recordings, calibration and page are left in ``DIR/SEED``.
+stages and beams have errors according to the headers. Recordings, calibration and page are left in
+``DIR/SEED``.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ EXPOSURES = 4
 
 
 def scan(folder: Path, unit: Unit, stage: Stage, grid: Grid, turned: bool, limits: Limits) -> None:
-    """Record a grid with this stage, the unit turned by 180° or not, and state the limits."""
+    """Record a grid with this stage, the unit turned by 180° or not, and write the limits to its header."""
     rng = np.random.default_rng([unit.config.seed, turned])
     nodes = grid.nodes_mm()
     planned = len(LED_REFERENCE) + EXPOSURES * len(nodes)

@@ -24,7 +24,7 @@ COMMANDS = {
     "chain-demo": (chain_demo, "run the daemon on a row of glass targets; show values and truth"),
     "chain": (chain, "record a row of switched glass targets: scans, rounds, settings"),
 }
-"""Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
+"""Modules of the commands; each has ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 
 
 FIRST_STEPS = """first steps:
@@ -35,7 +35,7 @@ FIRST_STEPS = """first steps:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; the exit status, 2 for what the caller did wrong."""
+    """Run one command; return the exit status, 2 for an error of the caller."""
     parser = command_parser()
 
     def work() -> int:
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def command_parser() -> Parser:
-    """The parser of all commands."""
+    """Parser of all commands."""
     parser = Parser(
         prog="python -m hw_sim", description="A simulated Active Laser Target.", epilog=FIRST_STEPS
     )

@@ -11,7 +11,7 @@ from hw_sim.recording import Progress
 
 
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
-    """The folder of the recording, and its unit."""
+    """Add the folder of the recording and its unit."""
     parser.add_argument(
         "-o",
         "--output",
@@ -30,7 +30,7 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_demo_arguments(parser: argparse.ArgumentParser, seed: str) -> None:
-    """The seed, of which ``seed`` tells what it selects, the duration, and the port of the page."""
+    """Add the seed (``seed`` is the text of what it selects), the duration and the port of the page."""
     parser.add_argument("--seed", type=natural, default=1, help=seed)
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds (default: never)")
     parser.add_argument(
@@ -39,12 +39,12 @@ def add_demo_arguments(parser: argparse.ArgumentParser, seed: str) -> None:
 
 
 def natural(text: str) -> int:
-    """A whole number from 0 on."""
+    """Parse an integer of at least 0."""
     return _whole(text, 0)
 
 
 def at_least_one(text: str) -> int:
-    """A whole number from 1 on."""
+    """Parse an integer of at least 1."""
     return _whole(text, 1)
 
 
@@ -56,7 +56,7 @@ def _whole(text: str, minimum: int) -> int:
 
 
 def port(text: str) -> int:
-    """A TCP port; 0: any that is free."""
+    """Parse a TCP port; 0 selects any free port."""
     number = int(text) if text.isdecimal() and len(text) < 9 else -1
     if not 0 <= number <= 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
@@ -64,7 +64,7 @@ def port(text: str) -> int:
 
 
 def seconds(text: str) -> float:
-    """A length of time above 0."""
+    """Parse a duration above 0, s."""
     try:
         value = float(text)
     except ValueError:
@@ -75,7 +75,7 @@ def seconds(text: str) -> float:
 
 
 def terminal_progress(what: str) -> Progress:
-    """A counter on standard error while it is a terminal; silence otherwise."""
+    """Return a counter on standard error if that is a terminal, else a function that does nothing."""
     if not sys.stderr.isatty():
         return lambda _done, _planned: None
 

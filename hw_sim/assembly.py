@@ -1,4 +1,4 @@
-"""Differences from unit to unit: lenses, tilts and print, drawn from the unit's seed."""
+"""Differences between units: lenses, tilts and print, drawn from the unit's seed."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens, rotation
 from hw_sim.targets import DotPattern, DotPrint, PrintFlaws
 
 FIELD_HALF_MM = (77.5, 62.5)
-"""Half the field of view: a spot of 15 mm anywhere on the 140 × 110 mm (App. A.1), so 155 × 125 mm of the
-plate's 160 × 130 (App. A.3). It is what the thesis' lens of 5.7 mm sees from 250 mm (Sec. 3.3.2): 126 mm
+"""Half the field of view: a spot of 15 mm anywhere on the 140 × 110 mm (App. A.1) covers 155 × 125 mm of the
+plate's 160 × 130 mm (App. A.3). The thesis' lens of 5.7 mm has this field from 250 mm (Sec. 3.3.2): 126 mm
 across the 480 rows of 6 µm."""
 
 MARGIN_PX = 3.0
 
 FLAWED_DOTS = 256
-"""Rows and columns after which the flaws of a print repeat; a window has fewer."""
+"""Rows and columns after which the flaws of a print repeat; a window has fewer dots than that."""
 
 FRONT_FOCAL_MM = (7.7, 8.2)
 REAR_FOCAL_MM = (5.6, 6.0)
-"""The micro lenses of App. A.3, f = 8 and 5.7 mm, with their tolerances."""
+"""Focal lengths of the micro lenses of App. A.3, f = 8 and 5.7 mm, with their tolerances."""
 
 
 def make_dots(
     pattern: DotPattern, rng: np.random.Generator, jitter_mm: float = 0.0, bleed_mm: float = 0.0
 ) -> DotPrint:
-    """A print at a random place on the window, turned by up to 2°, with its flaws if it has any."""
+    """Draw a print at a random position on the window, turned by up to 2°, with its flaws if it has any."""
     phase_x, phase_y = rng.uniform(0.0, pattern.pitch_mm, size=2)
     turn_rad = math.radians(rng.uniform(-2.0, 2.0))
     flaws = None
@@ -44,7 +44,7 @@ def make_lens(
     rng: np.random.Generator,
     field_half_mm: tuple[float, float] = FIELD_HALF_MM,
 ) -> Lens:
-    """A barrel lens beside the beam, as near to its target as the field of view allows."""
+    """Draw a barrel lens beside the beam, as close to its target as the field of view allows."""
     side = rng.choice([-1.0, 1.0])
     turned = rotation(
         math.radians(side * rng.uniform(8.0, 13.0)),
@@ -69,7 +69,7 @@ def make_lens(
 
 
 def at_framing_distance(lens: Lens, half_mm: tuple[float, float], focal_lengths: tuple[float, float]) -> Lens:
-    """The lens at the smallest distance, in its focal lengths, whose image holds all of a rectangle."""
+    """The lens at the smallest distance at which its image holds the whole rectangle, in focal lengths."""
     lower_mm, upper_mm = (lengths * lens.focal_mm for lengths in focal_lengths)
     while upper_mm - lower_mm > PIXEL_MM:
         middle = 0.5 * (lower_mm + upper_mm)

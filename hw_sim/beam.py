@@ -1,4 +1,4 @@
-"""The reference beam: where it runs in the unit frame, and the irradiance it puts on a target."""
+"""The reference beam: its path in the unit frame, and its irradiance on a target."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ RIM = 0.05
 """Width of the soft rim that diffraction gives to a clipped beam, in half diameters: 0.3 mm of 6 mm."""
 
 TAIL_CUTOFF = 1e-6
-"""Below this share of the peak the beam is not rendered: 0.02 counts of 16 bits."""
+"""Share of the peak below which the beam is not rendered: 0.02 counts of 16 bits."""
 
 
 @dataclass(frozen=True, slots=True)
 class BeamPose:
-    """A beam that enters at (x, y) mm on z = 0 and runs with dimensionless slopes (dx/dz, dy/dz)."""
+    """A beam that crosses z = 0 at (x, y) mm, with dimensionless slopes (dx/dz, dy/dz)."""
 
     x_mm: float
     y_mm: float
@@ -30,24 +30,24 @@ class BeamPose:
 
     @property
     def yaw_deg(self) -> float:
-        """The angle in the plane of x and z."""
+        """Angle of the beam in the plane of x and z."""
         return math.degrees(math.atan(self.slope_x))
 
     @property
     def pitch_deg(self) -> float:
-        """The angle in the plane of y and z."""
+        """Angle of the beam in the plane of y and z."""
         return math.degrees(math.atan(self.slope_y))
 
     def at(self, z_mm: float) -> tuple[float, float]:
-        """The intersection of the beam with the plane at ``z_mm``, (x, y) in mm."""
+        """Intersection of the beam with the plane at ``z_mm``, (x, y) in mm."""
         return self.x_mm + self.slope_x * z_mm, self.y_mm + self.slope_y * z_mm
 
 
 def glass_shift_mm(pose: BeamPose, glass_mm: float, index: float) -> tuple[float, float]:
-    """The (x, y) by which plane glass displaces a beam on all planes behind it, mm.
+    """Displacement (x, y) of a beam by plane glass, on all planes behind it, mm.
 
-    Snell's law, sin θ = n sin θ': within the glass of thickness t the beam proceeds aside by t·tan θ' instead
-    of t·tan θ, and leaves in its old direction. So the shift is −t·(tan θ − tan θ') along the slope.
+    Snell's law, sin θ = n sin θ': within glass of thickness t the beam moves sideways by t·tan θ' instead of
+    t·tan θ, and leaves in its original direction. The shift is therefore −t·(tan θ − tan θ') along the slope.
     """
     slope = math.hypot(pose.slope_x, pose.slope_y)
     if glass_mm == 0.0 or slope == 0.0:
@@ -59,14 +59,14 @@ def glass_shift_mm(pose: BeamPose, glass_mm: float, index: float) -> tuple[float
 
 @dataclass(frozen=True, slots=True)
 class BeamFlaws:
-    """Departures of a beam's profile from an ellipse's, about its centroid.
+    """Deviations of a beam's profile from the elliptical profile, about its centroid.
 
-    The truth of a beam is its centroid: that of all its light except for the halo, which is centred on it.
+    The true position of a beam is the centroid of all its light except the halo, which is centred on it.
     Lengths are in half diameters of the beam.
 
     ``skew``, −0.5 to 0.5: along the first axis the profile is (1 + skew) times as wide on the positive side
-    of its peak, (1 − skew) times on the other; the power stays the same. ``aperture``: beyond this radius
-    around the peak (of the skewed profile) the light is cut. ``halo_share`` of the power is a Gaussian,
+    of its peak, (1 − skew) times on the other; the power is unchanged. ``aperture``: radius around the peak
+    (of the skewed profile) beyond which the light is cut. ``halo_share`` of the power is a Gaussian,
     ``halo_ratio`` times as wide as the beam.
     """
 
@@ -76,7 +76,7 @@ class BeamFlaws:
     halo_ratio: float = 2.5
 
     def peak_offset(self, order: float) -> float:
-        """The distance from the peak to the centroid along the first axis, in half diameters."""
+        """Distance from the peak to the centroid along the first axis, in half diameters."""
         return 2.0 * self.skew * _mean_distance(order, self.aperture)
 
     def profile(
@@ -96,7 +96,7 @@ class BeamFlaws:
         return light
 
     def reach(self, order: float) -> float:
-        """The distance from the centroid, in half diameters, beyond which all light is below the cut-off."""
+        """Distance from the centroid beyond which all light is below the cut-off, in half diameters."""
         whole = math.sqrt(-0.5 * math.log(TAIL_CUTOFF))
         core = min(math.pow(whole, 1.0 / order), self.aperture + RIM) * (1.0 + abs(self.skew))
         core += abs(self.peak_offset(order))
@@ -104,13 +104,13 @@ class BeamFlaws:
 
 
 def _passed(rho: npt.NDArray[Any], aperture: float) -> npt.NDArray[Any]:
-    """The share of the light that an aperture with a soft rim lets pass."""
+    """Share of the light that passes an aperture with a soft rim."""
     return np.clip((aperture - rho) / np.float32(RIM) + np.float32(0.5), 0.0, 1.0)
 
 
 @lru_cache(maxsize=16)
 def _mean_distance(order: float, aperture: float) -> float:
-    """The mean of |p| over a beam of this order, cut by the aperture; 1/√(2π) for a whole Gaussian."""
+    """Mean of |p| over a beam of this order, cut by the aperture; 1/√(2π) for a complete Gaussian."""
     rho = np.linspace(0.0, min((-0.5 * math.log(1e-12)) ** (0.5 / order), aperture + RIM), 20_001)
     light = np.exp(-2.0 * rho ** (2.0 * order)) * (_passed(rho, aperture) if math.isfinite(aperture) else 1.0)
     return float(2.0 / math.pi * (rho * rho * light).sum() / (rho * light).sum())
@@ -121,8 +121,9 @@ class Laser:
     """The reference laser (App. A.1: 1–5 mW, ellipse or circle up to 15 mm).
 
     The profile across the beam is exp(−2 ρ^(2·order)), ρ = 1 on the ellipse of the 1/e² diameters, whose
-    first axis is turned by ``angle_rad`` from x towards y; order 1 is a Gaussian, above a super-Gaussian. The
-    theodolite's spot has 12 mm at 10 m (App. A.3). ``flaws`` are departures from that profile.
+    first axis is turned by ``angle_rad`` from x towards y; order 1 is a Gaussian, higher orders are
+    super-Gaussian. The theodolite's spot has 12 mm at 10 m (App. A.3). ``flaws`` are deviations from that
+    profile.
     """
 
     power_mw: float = 3.0
@@ -133,7 +134,7 @@ class Laser:
 
     @property
     def peak_mw_per_mm2(self) -> float:
-        """The irradiance on the axis, on a surface across the beam."""
+        """Irradiance on the axis, on a surface perpendicular to the beam."""
         a_mm, b_mm = (diameter / 2.0 for diameter in self.diameters_mm)
         area_mm2 = math.pi * a_mm * b_mm * math.gamma(1.0 + 1.0 / self.order) / 2.0 ** (1.0 / self.order)
         return float(self.power_mw / area_mm2)
@@ -141,12 +142,12 @@ class Laser:
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """A beam's irradiance on a plane of constant z, around (x, y).
+    """Irradiance of a beam on a plane of constant z, around (x, y).
 
-    ``form`` (xx, xy, yy) in 1/mm² gives ρ² = xx·dx² + 2·xy·dx·dy + yy·dy²; it holds the elongation by
-    1/cos of a beam that comes in aslant, and ``peak_mw_per_mm2`` the matching loss by cos. ``shadow`` is
-    that of dust which the beam has passed. ``slopes`` are the beam's. With ``flaws``, ``axes`` (px, py, qx,
-    qy) in 1/mm take an offset to half diameters along the beam's two axes.
+    ``form`` (xx, xy, yy) in 1/mm² gives ρ² = xx·dx² + 2·xy·dx·dy + yy·dy²; it includes the elongation by
+    1/cos of an oblique beam, and ``peak_mw_per_mm2`` the corresponding loss by cos. ``shadow`` is the shadow
+    of dust in the beam's path. ``slopes`` are the slopes of the beam. With ``flaws``, ``axes`` (px, py, qx,
+    qy) in 1/mm convert an offset to half diameters along the beam's two axes.
     """
 
     x_mm: float
@@ -181,7 +182,7 @@ class Footprint:
 
     @property
     def half_box_mm(self) -> tuple[float, float]:
-        """Half width and half height of the box that holds all but the last of the tail."""
+        """Half width and half height of the box that holds all light above the cut-off."""
         xx, xy, yy = self.form
         rho2 = (-0.5 * math.log(TAIL_CUTOFF)) ** (1.0 / self.order)
         if self.flaws is not None:
@@ -191,7 +192,7 @@ class Footprint:
 
 
 def footprint(laser: Laser, pose: BeamPose, z_mm: float, share: float = 1.0) -> Footprint:
-    """The light of ``share`` of the laser's power on the plane at ``z_mm``."""
+    """Light of ``share`` of the laser's power on the plane at ``z_mm``."""
     direction = np.array([pose.slope_x, pose.slope_y, 1.0])
     direction /= np.linalg.norm(direction)
     first = np.array([math.cos(laser.angle_rad), math.sin(laser.angle_rad), 0.0])

@@ -15,9 +15,9 @@ _REMEMBERED = 8
 
 
 class Schedule:
-    """When the frame sets are exposed: number k at ``start + k`` periods, for every camera the same.
+    """Exposure times of the frame sets: number k at ``start + k`` periods, the same for every camera.
 
-    In real time it starts when it is first begun; otherwise at 0, on a clock of its own.
+    In real time the schedule starts at the first ``begin``; otherwise at 0, on its own clock.
     """
 
     def __init__(self, period_ns: int, *, real_time: bool) -> None:
@@ -28,20 +28,20 @@ class Schedule:
         self._lock = threading.Lock()
 
     def begin(self) -> None:
-        """Start unless another camera has done so."""
+        """Start the schedule unless another camera has started it."""
         with self._lock:
             if not self._begun:
                 self._start_ns = time.monotonic_ns()
                 self._begun = True
 
     def time_ns(self, sequence: int) -> int:
-        """The middle of a frame set's exposure."""
+        """Middle of a frame set's exposure."""
         return self._start_ns + sequence * self._period_ns
 
     def due(self, after: int, lag_ns: int) -> tuple[int, int]:
-        """The frame set for a reader who has had ``after``, and the nanoseconds until it has been made.
+        """The frame set to deliver next to a reader at ``after``, and the time until it is complete, ns.
 
-        In real time the newest one that has been made, otherwise simply the next one.
+        In real time it is the newest complete frame set, otherwise the next one.
         """
         if not self._real_time:
             return after + 1, 0
@@ -59,31 +59,31 @@ class RealTimeLamps:
         self._switched: tuple[tuple[int, bool], ...] = ((0, False),)
 
     def open(self) -> None:
-        """Darken them."""
+        """Switch the LEDs off."""
         self.switch(False)
 
     def switch(self, on: bool) -> None:
-        """Light or darken them, for the exposures from now on."""
+        """Switch the LEDs on or off, for all later exposures."""
         self._switched = (*self._switched[-_REMEMBERED:], (time.monotonic_ns(), on))
 
     def close(self) -> None:
-        """Darken them again."""
+        """Switch the LEDs off."""
         self.switch(False)
 
     def lit_at(self, t_ns: int) -> bool:
-        """The state at ``t_ns``: a frame may be rendered after the LEDs were switched again."""
+        """State at ``t_ns``; a frame may be rendered after the LEDs were switched again."""
         return next((on for since_ns, on in reversed(self._switched) if since_ns <= t_ns), False)
 
 
 class Scene(Protocol):
-    """The view of the cameras, by their names; ``Unit`` and ``LiveRow`` have one."""
+    """Source of the cameras' frames, by camera name; implemented by ``Unit`` and ``LiveRow``."""
 
     @property
     def serial(self) -> str:
-        """The serial number of the unit."""
+        """Serial number of the unit."""
 
     def lag_ns(self, camera: str) -> int:
-        """The delay of a camera behind the schedule."""
+        """Delay of a camera relative to the schedule."""
 
     def is_silent(self, camera: str) -> bool:
         """Whether a camera delivers nothing."""
@@ -92,13 +92,13 @@ class Scene(Protocol):
         """Whether a camera loses this frame."""
 
     def switch_leds(self, camera: str, on: bool) -> None:
-        """Light or darken the frame LEDs that a camera sees."""
+        """Switch the frame LEDs in the view of a camera on or off."""
 
     def set_camera(self, camera: str, *, exposure_ms: float | None = None, gain: float | None = None) -> None:
-        """Expose so from the next frame on."""
+        """Set exposure time or gain from the next frame on."""
 
     def expose(self, camera: str, sequence: int, t_ns: int) -> Frame:
-        """The frame of a camera."""
+        """Frame of a camera."""
 
 
 class SimulatedCamera:
@@ -118,41 +118,41 @@ class SimulatedCamera:
 
     @property
     def name(self) -> str:
-        """The name of the camera and of its target."""
+        """Name of the camera and of its target."""
         return self._name
 
     @property
     def origin(self) -> Origin:
-        """Always simulated, and every output reports it."""
+        """Origin of the frames, always simulated; every output reports it."""
         return Origin.SIMULATED
 
     @property
     def playback(self) -> bool:
-        """Computed now, not played."""
+        """Whether frames are played back; here they are computed live."""
         return False
 
     @property
     def identity(self) -> CameraIdentity:
-        """One camera of one simulated unit."""
+        """Identity of one camera of one simulated unit."""
         return CameraIdentity(f"{self._unit.serial}-{self._name}", "simulated", "hw_sim")
 
     @property
     def waits(self) -> bool:
-        """Whether frames wait to be taken; in real time they do not."""
+        """Whether frames wait until they are fetched; false in real time."""
         return self._waits
 
     @property
     def exposure_range(self) -> ExposureRange:
-        """The ranges of an ordinary chip."""
+        """Exposure and gain ranges of an ordinary sensor."""
         return EXPOSURE_RANGE
 
     def open(self) -> None:
-        """Get ready; the schedule continues where it is."""
+        """Open the camera; the schedule continues."""
         self._schedule.begin()
         self._closed.clear()
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The newest frame that was not delivered yet, rendered on this call."""
+        """The newest frame not yet delivered, rendered during this call."""
         deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         while not self._closed.is_set():
             lag_ns = self._unit.lag_ns(self._name)
@@ -173,21 +173,21 @@ class SimulatedCamera:
         raise CameraError(f"{self._name}: the camera is not open")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Expose so from the next frame on."""
+        """Set exposure time and gain from the next frame on."""
         self._unit.set_camera(self._name, exposure_ms=exposure_ms, gain=10.0 ** (gain_db / 20.0))
 
     def close(self) -> None:
-        """Release it; a call that waits for a frame ends."""
+        """Close the camera; a waiting ``next_frame`` ends."""
         self._closed.set()
 
 
 def make_cameras(
     unit: Unit, *, real_time: bool = True, lamps: RealTimeLamps | None = None
 ) -> tuple[SimulatedCamera, ...]:
-    """The cameras of a unit, front and rear, on one schedule; ``lamps`` switches its LEDs, in real time.
+    """Cameras of a unit, front and rear, on one schedule; ``lamps`` switches its LEDs, in real time.
 
-    In real time frame sets come at the unit's rate on ``time.monotonic_ns``, and a late caller gets the
-    newest; otherwise they come as fast as they are taken, none is left out, and time starts at 0.
+    In real time frame sets arrive at the unit's rate on ``time.monotonic_ns``, and a late caller gets the
+    newest. Otherwise they are delivered as fast as they are fetched, none is skipped, and time starts at 0.
     """
     schedule = Schedule(unit.config.period_ns, real_time=real_time)
     return tuple(SimulatedCamera(unit, name, schedule, waits=not real_time, lamps=lamps) for name in CAMERAS)

@@ -1,4 +1,4 @@
-"""``python -m hw_sim demo``: a simulated unit, measured by the real daemon, to be watched and asked."""
+"""``python -m hw_sim demo``: a simulated unit, measured by the real daemon, to watch and to query."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the demo on the command line."""
+    """Add the command-line arguments of the demo."""
     parser.add_argument("--seed", type=natural, default=1, help="selects the unit (default: 1)")
     parser.add_argument(
         "--calibration",
@@ -88,29 +88,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show the demo until its time is over, ``q`` or a signal; raises BadInputError."""
+    """Run the demo until its duration is over, ``q`` or a signal; raises BadInputError."""
     return run_until_stopped(partial(_demo, arguments))
 
 
 def run_until_stopped(demo: Callable[[Callable[[], None]], Coroutine[None, None, None]]) -> int:
-    """Run a demo, which is called with what ends it, until that or a signal; raises what it fails with."""
+    """Run a demo, called with a function that ends it, until that or a signal; raises its failure."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # for a terminal without ±
+        sys.stdout.reconfigure(errors="replace")  # for a terminal that lacks ±
     try:
         asyncio.run(_until_stopped(demo))
-    except KeyboardInterrupt:  # before or after the loop, which handles it
+    except KeyboardInterrupt:  # raised before or after the loop, which handles the signal itself
         return 0
-    except BrokenPipeError:  # the reader of our output has closed it
+    except BrokenPipeError:  # the reader of standard output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
-        for number in _ENDING:  # it is ending: a second request needs no answer
+        for number in _ENDING:  # already ending: further requests are ignored
             signal.signal(number, signal.SIG_IGN)
     return 0
 
 
 async def _until_stopped(made: Callable[[Callable[[], None]], Coroutine[None, None, None]]) -> None:
-    """The demo, cancelled once, however often its end is requested; raises what it fails with."""
+    """Run the demo and cancel it once, however often its end is requested; raises its failure."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     for number in _ENDING:
@@ -125,7 +125,7 @@ async def _until_stopped(made: Callable[[Callable[[], None]], Coroutine[None, No
 
 
 async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None:
-    """Make a unit, calibrate it unless that is done, measure with it; ends by cancellation or a failure."""
+    """Make a unit, calibrate it if necessary and measure with it; ends by cancellation or a failure."""
     async with contextlib.AsyncExitStack() as parts:
         folder = parts.enter_context(demo_folder(arguments.keep))
         calibration = arguments.calibration
@@ -179,7 +179,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
 
 
 async def together(*work: Coroutine[None, None, None]) -> None:
-    """Until cancelled or until one fails; a failure that has a line of its own comes out bare."""
+    """Run until cancelled or until one fails; a failure with a message of its own is raised ungrouped."""
     try:
         async with asyncio.TaskGroup() as tasks:
             for one in work:
@@ -192,7 +192,7 @@ async def together(*work: Coroutine[None, None, None]) -> None:
 
 
 async def _on_screen(view: View, unit: Unit, stop: Callable[[], None]) -> None:
-    """Redraw a terminal in place and listen to its keys."""
+    """Redraw the terminal in place and handle its keys."""
     logging.getLogger("altd").addHandler(logging.NullHandler())  # the screen shows the interfaces' states
 
     def pressed(key: str) -> None:
@@ -211,7 +211,7 @@ async def _on_screen(view: View, unit: Unit, stop: Callable[[], None]) -> None:
 
 
 async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> None:
-    """Write a line a second for a file, a pipe or a log."""
+    """Write one line each second for a file, a pipe or a log."""
     logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     text = "\n".join([view.title, *view.commands(), view.heading])
     while True:
@@ -222,7 +222,7 @@ async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> N
 
 
 async def _calibrate(seed: int, calibration: Path) -> None:
-    """Scan and calibrate, as for every new unit before its first use, by the same two commands."""
+    """Scan and calibrate with the same two commands as for every new unit before its first use."""
     with tempfile.TemporaryDirectory(prefix="altd-scan-") as folder:
         scan = str(Path(folder, "scan"))
         print(
@@ -234,7 +234,7 @@ async def _calibrate(seed: int, calibration: Path) -> None:
 
 
 async def command(module: str, *arguments: str) -> None:
-    """Run a command to its end; raises BadInputError when it fails, having said why on standard error."""
+    """Run a command; raises BadInputError if it fails, after it has printed the cause on standard error."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -255,7 +255,7 @@ async def command(module: str, *arguments: str) -> None:
 
 
 def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
-    """The settings of an ordinary unit with all of its interfaces, on this machine only."""
+    """Config of an ordinary unit with all interfaces, on this machine only."""
     return Config(
         unit=UnitTable(serial=unit.config.serial, calibration=calibration),
         targets=(

@@ -1,4 +1,4 @@
-"""The statistics of a demo: measurements against the truth, frame sets, and the process itself."""
+"""Statistics of a demo: measurements against the truth, frame sets, and the process itself."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit
 
 MEMORY_SETTLED_S = 10.0
-"""By then the memory has settled; what it grows by from then on is a leak."""
+"""Time by which the memory has settled, s; later growth is a leak."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One of the numbers that the unit measures; its unit ends its key, and its field of ``BeamPose``."""
+    """A measured quantity; ``unit`` is the suffix of its key and of its field in ``BeamPose``."""
 
     name: str
     unit: str
     decimals: int
 
     def measured(self, measurement: Measurement) -> float:
-        """The value of a valid measurement."""
+        """Value of a valid measurement."""
         return measurement.values[f"{self.name}_{self.unit}"].value
 
     def sigma(self, measurement: Measurement) -> float:
-        """Its published standard deviation."""
+        """Published standard deviation of a valid measurement; NaN if unknown."""
         return measurement.values[f"{self.name}_{self.unit}"].sigma or math.nan
 
     def true(self, pose: BeamPose) -> float:
-        """The value that the simulator knows."""
+        """True value in the simulator."""
         return float(getattr(pose, f"{self.name}_{self.unit}"))
 
 
@@ -48,7 +48,7 @@ QUANTITIES = (
 
 
 class _Squares:
-    """The root of a mean square, one number at a time."""
+    """Root mean square of a series of numbers."""
 
     def __init__(self) -> None:
         self._sum = 0.0
@@ -64,19 +64,19 @@ class _Squares:
 
 
 def truth_of(unit: Unit, measurement: Measurement) -> BeamPose:
-    """The true value of a measurement: the machine's path at its time, without the drive's vibration.
+    """True value of a measurement: the machine's path at its time, without the drive's vibration.
 
-    A controller steers by where the machine is, not by where it vibrates to. The measurement is the mean over
-    its window's frame sets, and its time is their middle: on a path that is straight for a second that mean
-    is the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the path at that time is
-    the truth. The vibration left in the mean is an error of the measurement, and its sigma, taken from the
+    A controller steers by the machine's position, not by its vibration. The measurement is the mean over its
+    window's frame sets, and its time is their middle. On a path that is straight for a second that mean
+    equals the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the path at that time
+    is the truth. The vibration left in the mean is an error of the measurement, and its sigma, taken from the
     scatter of the frame sets, must cover it.
     """
     return unit.truth(measurement.t_ns, vibration=False)
 
 
 class Figures:
-    """The statistics of one run. They take each measurement once, through a cursor of their own."""
+    """Statistics of one run; every measurement is counted once, through a separate cursor."""
 
     def __init__(self, daemon: Daemon, unit: Unit, runs_here: str = "daemon and simulator together") -> None:
         self._daemon = daemon
@@ -93,7 +93,7 @@ class Figures:
         self.settled_mib = math.nan
 
     async def follow(self) -> None:
-        """Take every measurement until cancelled."""
+        """Count every measurement until cancelled."""
         cursor = self._daemon.board.cursor()
         skipped = 0
         while True:
@@ -102,7 +102,7 @@ class Figures:
             skipped = cursor.skipped
 
     def take(self, measurement: Measurement, skipped: int) -> None:
-        """Take one measurement; ``skipped`` are those that came before it and were not seen."""
+        """Count one measurement; ``skipped`` is the number of earlier measurements that were missed."""
         if measurement.sequence <= self._last_sequence:
             return  # silent cameras expose no frame set
         self._last_sequence = measurement.sequence
@@ -118,32 +118,32 @@ class Figures:
 
     @property
     def seconds(self) -> float:
-        """Since the daemon was started."""
+        """Time since the daemon was started."""
         return time.monotonic() - self._began_s
 
     @property
     def cpu_share(self) -> float:
-        """Of one core, all that runs in this process, since the daemon was started."""
+        """CPU share of this process since the daemon was started; 1 is one core."""
         return (time.process_time() - self._cpu_began_s) / self.seconds
 
     @property
     def frames_dropped(self) -> int:
-        """Frames that replaced an unused one before it was paired, or that came too late for a frame set."""
+        """Frames that replaced an unused frame before pairing, or arrived too late for a frame set."""
         counters = self._counters("measuring")
         return counters.get("late_frames", 0) + sum(counters.get(f"dropped_{name}", 0) for name in CAMERAS)
 
     @property
     def pairs_lost(self) -> int:
-        """Frame sets of which not both frames were measured, as the pairing counts them."""
+        """Frame sets without a measurement from both frames, as the pairing counts them."""
         return self._daemon.chain.pairer.lost_pairs
 
     def note_memory(self) -> None:
-        """Note the memory once it has settled; to be called now and then."""
+        """Record the memory once it has settled; to be called regularly."""
         if math.isnan(self.settled_mib) and self.seconds >= MEMORY_SETTLED_S:
             self.settled_mib = memory_mib()
 
     def summary(self) -> Iterator[str]:
-        """The run in a few lines for people."""
+        """Summary of the run in a few lines."""
         settled = (
             ""
             if math.isnan(self.settled_mib)

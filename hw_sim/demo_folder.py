@@ -1,4 +1,4 @@
-"""The demo's folder: what its daemon keeps, and the commands that read it."""
+"""The demo's folder: the data that its daemon keeps, and the commands that read them."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ from altd.errors import BadInputError
 
 _DISK_MB = 500
 _AGAIN_AFTER_S = 60.0
-"""Shorter than the default: a person who tries the demo blocks the beam more than once in ten minutes."""
+"""Shorter than the default: people who try the demo block the beam more than once in ten minutes."""
 
 _PROGRAM = "altd"
 
 
 @dataclass(frozen=True, slots=True)
 class DemoFolder:
-    """The folders of a demo's daemon for history and frames, and the socket for its own computer."""
+    """Folders of a demo's daemon for history and frames, and its local socket."""
 
     path: Path
 
     @property
     def calibration(self) -> Path:
-        """The unit's calibration, where the demo makes it."""
+        """Path of the unit's calibration, which the demo makes."""
         return self.path / "calibration.json"
 
     @property
     def history(self) -> HistorySettings:
-        """The history in this folder."""
+        """Settings of the history in this folder."""
         return HistorySettings(file=self.path / "history.db")
 
     @property
     def kept_frames(self) -> KeptFrames:
-        """Recordings in this folder."""
+        """Settings of the recordings in this folder."""
         return KeptFrames(folder=self.path / "recordings", disk_mb=_DISK_MB, again_after_s=_AGAIN_AFTER_S)
 
     @property
     def local(self) -> LocalSettings | None:
-        """The local socket in this folder; None: its path would be too long for one."""
+        """Settings of the local socket in this folder; None if its path would be too long for a socket."""
         socket = self.path / "altd.sock"
         fits = str(socket).isprintable() and len(os.fsencode(socket)) <= MAX_SOCKET_BYTES
         return LocalSettings(socket=socket) if fits else None
 
     def commands(self) -> list[tuple[str, str]]:
-        """The command that shows the kept data, from any folder, with its name."""
+        """Command that shows the stored data, from any folder, with its name."""
         altd = f"cd {shlex.quote(str(self.path))} && ./{_PROGRAM}"
         watch = f"{altd} watch --socket altd.sock"
         return [
@@ -62,9 +62,9 @@ class DemoFolder:
 
 @contextlib.contextmanager
 def demo_folder(keep: Path | None) -> Iterator[DemoFolder]:
-    """The folder ``keep``, which stays, or a temporary one; raises BadInputError where it cannot be had.
+    """Yield the folder ``keep``, which stays, or a temporary one; raises BadInputError if unavailable.
 
-    While it is used there is a link to the program in it: its commands are the same wherever altd is
+    While in use it contains a link to the program: the demo's commands are then the same wherever altd is
     installed, and short enough for a terminal of 80 columns.
     """
     with contextlib.ExitStack() as parts:
@@ -77,7 +77,7 @@ def demo_folder(keep: Path | None) -> Iterator[DemoFolder]:
         link = path / _PROGRAM
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if link.is_symlink():  # of a demo that was killed
+            if link.is_symlink():  # left by a demo that was killed
                 link.unlink()
             link.symlink_to(Path(sys.executable).with_name(_PROGRAM))
         except OSError as error:

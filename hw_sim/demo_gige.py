@@ -1,4 +1,4 @@
-"""The demo's cameras as hardware: ``hw_sim gige`` in a process of its own, and altd's settings for it."""
+"""The demo's cameras as hardware: ``hw_sim gige`` in a separate process, and altd's settings for it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _POLL_INTERVAL_S = 0.05
 
 
 class Hardware:
-    """The process that serves the cameras at ``addresses``, by their names."""
+    """Process that serves the cameras at ``addresses``, by camera name."""
 
     def __init__(self, process: asyncio.subprocess.Process, addresses: Mapping[str, str]) -> None:
         self._process = process
@@ -25,12 +25,12 @@ class Hardware:
 
     @property
     def tables(self) -> dict[str, Any]:
-        """The tables of ``altd.toml`` that such cameras need."""
+        """Tables of ``altd.toml`` for these cameras."""
         cameras = {
             name: AravisCameraSettings(
                 driver="aravis",
                 device=address,
-                exposure=ExposureSettings(exposure_ms=EXPOSURES_MS[name]),  # at which the unit was scanned
+                exposure=ExposureSettings(exposure_ms=EXPOSURES_MS[name]),  # as in the scan
             )
             for name, address in self._addresses.items()
         }
@@ -38,7 +38,7 @@ class Hardware:
         return {"cameras": cameras, "lamps": lamps, "measuring": Measuring(pair_by="time")}
 
     async def follow(self, unit: Unit) -> None:
-        """Let the cameras have the faults that ``unit`` has; raises BadInputError when the process ends."""
+        """Apply the faults of ``unit`` to the cameras; raises BadInputError when the process ends."""
         sent: frozenset[Fault] = frozenset()
         while self._process.returncode is None:
             if (faults := unit.faults) != sent and self._process.stdin is not None:
@@ -50,9 +50,9 @@ class Hardware:
 
 @contextlib.asynccontextmanager
 async def served(seed: int, addresses: Mapping[str, str]) -> AsyncIterator[Hardware]:
-    """Serve the cameras of a unit on its way; raises BadInputError when they are not ready soon.
+    """Serve the cameras of a unit on its path; raises BadInputError if they are not ready in time.
 
-    The process has said why on standard error.
+    The process prints the cause on standard error.
     """
     where = [part for name, address in addresses.items() for part in (f"--{name}", address)]
     process = await asyncio.create_subprocess_exec(
@@ -62,7 +62,7 @@ async def served(seed: int, addresses: Mapping[str, str]) -> AsyncIterator[Hardw
         start_new_session=True,  # Ctrl-C goes to the demo alone, which ends the process
     )
     try:
-        assert process.stdout is not None  # noqa: S101  a pipe, as asked for
+        assert process.stdout is not None  # noqa: S101  a pipe, as requested
         if not await process.stdout.readline():
             raise BadInputError("hw_sim gige", f"ended with status {await process.wait()}")
         yield Hardware(process, addresses)

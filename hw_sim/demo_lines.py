@@ -1,7 +1,7 @@
-"""Serial lines without hardware: each is two pseudo-terminals with a cable between them.
+"""Serial lines without hardware: each is two pseudo-terminals connected by a cable.
 
-The unit opens one end, a person the other, with any program that opens a device. As on a real line, what is
-sent while the far end is closed is lost: a program that opens it gets what is sent from then on, nothing old.
+The unit opens one end, a person the other, with any program that opens a device. As on a real line, data sent
+while the far end is closed are lost: a program that opens it receives only later data.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Self
 READ_SIZE = 4096
 
 POLL_INTERVAL_S = 0.05
-"""Interval at which a line checks whether its far end is open; what is sent meanwhile waits."""
+"""Interval at which a line checks whether its far end is open; data sent meanwhile wait."""
 
 
 class Line:
-    """One cable; ``unit_end`` and ``far_end`` are devices such as ``/dev/pts/4``."""
+    """A cable; ``unit_end`` and ``far_end`` are devices such as ``/dev/pts/4``."""
 
     def __init__(self) -> None:
         self._unit, self._unit_device = os.openpty()
@@ -71,15 +71,15 @@ class Line:
     def _from_far(self, gone: asyncio.Event) -> None:
         try:
             data = os.read(self._far, READ_SIZE)
-        except OSError:  # the last one has closed it
+        except OSError:  # its last user has closed it
             asyncio.get_running_loop().remove_reader(self._far)
-            tty.setraw(self._far)  # throws away what was not read, undoes what a terminal program has set
+            tty.setraw(self._far)  # discards unread data and the settings of the terminal program
             gone.set()
         else:
             _send(self._unit, data)
 
 
 def _send(descriptor: int, data: bytes) -> None:
-    """Send what the other end has room for; a line does not wait."""
+    """Send as much as the other end has room for; a line does not wait."""
     with contextlib.suppress(BlockingIOError):
         os.write(descriptor, data)

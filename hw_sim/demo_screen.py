@@ -1,4 +1,4 @@
-"""The terminal of the demo: a screen redrawn in place, single keys, and all of it put back at the end."""
+"""The demo's terminal: a screen redrawn in place, single keys, and the terminal restored at the end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 
 class Style(StrEnum):
-    """The look of a line: parameters of the control sequence SGR (ECMA-48, 8.3.117)."""
+    """Style of a line: parameters of the control sequence SGR (ECMA-48, 8.3.117)."""
 
     PLAIN = ""
     BOLD = "1"
@@ -26,14 +26,14 @@ class Style(StrEnum):
 
 StyledLine = tuple[str, Style]
 
-_ENTER = "\x1b[?1049h\x1b[?25l"  # the alternate screen, the cursor hidden
+_ENTER = "\x1b[?1049h\x1b[?25l"  # alternate screen, hidden cursor
 _LEAVE = "\x1b[0m\x1b[?25h\x1b[?1049l"
 
 
 class Screen:
-    """The terminal on standard output, and the keys of the one on standard input.
+    """The terminal on standard output, and the keys of the terminal on standard input.
 
-    Only lines that have changed are written, so that a person can mark and copy the others.
+    Only changed lines are written, so that a person can select and copy the others.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class Screen:
         self._left = False
 
     async def draw(self, lines: Sequence[StyledLine]) -> None:
-        """Show these lines, cut to the terminal's size. A terminal that takes nothing blocks nothing."""
+        """Show these lines, cut to the terminal's size. A terminal that accepts no data blocks nothing."""
         await asyncio.to_thread(self._write, self._changes(lines))
 
     def _changes(self, lines: Sequence[StyledLine]) -> str:
@@ -75,7 +75,7 @@ class Screen:
 
     @contextlib.contextmanager
     def open(self) -> Iterator[None]:
-        """Use the alternate screen; whatever happens inside, restore the terminal."""
+        """Use the alternate screen; restore the terminal in any case."""
         self._write(_ENTER)
         try:
             yield
@@ -87,12 +87,12 @@ class Screen:
 
 @contextlib.contextmanager
 def keys(pressed: Callable[[str], None]) -> Iterator[bool]:
-    """Call ``pressed`` with every key at once; yields whether there is a keyboard for it.
+    """Call ``pressed`` with every key immediately; yields whether there is a keyboard.
 
     Ctrl-C still works. Ctrl-S and Ctrl-Z, which would freeze a half-drawn screen, do nothing.
     """
     keyboard = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
-    if keyboard is None or os.tcgetpgrp(keyboard) != os.getpgrp():  # none, or it belongs to the shell
+    if keyboard is None or os.tcgetpgrp(keyboard) != os.getpgrp():  # no terminal, or the shell owns it
         yield False
         return
     before = termios.tcgetattr(keyboard)

@@ -1,4 +1,4 @@
-"""The texts of the demo: the table on a terminal, the line a second elsewhere, the commands to try."""
+"""Texts of the demo: the table on a terminal, the line per second elsewhere, the commands to try."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hw_sim.faults import Fault
 from hw_sim.unit import Unit
 
 FLOATS, FLOAT_COUNT = 20, 15
-"""Addresses of the values in floating point (docs/modbus.md), and their number."""
+"""Address of the first value in floating point (docs/modbus.md), and the number of values."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultKey:
-    """The effect of a key on the unit."""
+    """Effect of a key on the unit."""
 
     fault: Fault
     does: str
@@ -39,7 +39,7 @@ CLEAR_KEY, QUIT_KEY = "c", "q"
 
 @dataclass(frozen=True, slots=True)
 class Faces:
-    """The addresses at which the unit answers: TCP ports of this machine, serial lines, and a folder."""
+    """Addresses of the unit's interfaces: TCP ports of this machine, serial lines, and a folder."""
 
     http_port: int
     modbus_port: int
@@ -50,7 +50,7 @@ class Faces:
     mqtt: MqttSettings | None = None
 
     def commands(self) -> list[tuple[str, str]]:
-        """The command to try each, with its name. Flags and registers are those of docs/modbus.md."""
+        """Commands to try each interface, with its name. Flags and registers are those of docs/modbus.md."""
         url = f"http://127.0.0.1:{self.http_port}"
         floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {FLOAT_COUNT}"
         return [
@@ -71,7 +71,7 @@ class Faces:
         return [("MQTT", f"mosquitto_sub -V 5 {where} -v -t '{self.mqtt.topic}/#'")]
 
     def components(self) -> dict[str, str]:
-        """The names of the interfaces' components in the unit's health, by the interface's usual name."""
+        """Names of the interfaces' components in the unit's health, by the interface's usual name."""
         return {
             "HTTP": f"http 127.0.0.1:{self.http_port}",
             "Modbus TCP": f"modbus_tcp 127.0.0.1:{self.modbus_port}",
@@ -82,7 +82,7 @@ class Faces:
 
 
 class View:
-    """Formats what the unit measures beside what the simulator knows."""
+    """Formats measured values next to the simulator's truth."""
 
     heading = (
         "each value ± its sigma, in brackets the difference from the simulator's truth; "
@@ -97,11 +97,11 @@ class View:
         self.title = f"Active Laser Target {unit.config.serial}, SIMULATED: nothing here is live"
 
     def commands(self) -> list[str]:
-        """The commands to try, one a line."""
+        """Commands to try, one on each line."""
         return [f"  {name:<11} {command}" for name, command in self._faces.commands()]
 
     def line(self) -> str:
-        """The moment in one line."""
+        """Current state in one line."""
         measurement = self._daemon.board.read()
         self._figures.note_memory()
         head = f"{self._figures.seconds:7.1f} s  "
@@ -119,7 +119,7 @@ class View:
         return f"{head}valid  {values}  {status}"
 
     def screen(self, keys: bool) -> list[StyledLine]:
-        """The screen of a terminal, made for 80 columns and 24 rows; with the keys when there are any."""
+        """Screen of a terminal of 80 columns and 24 rows; with the keys if there is a keyboard."""
         measurement = self._daemon.board.read()
         self._figures.note_memory()
         minutes, seconds = divmod(int(self._figures.seconds), 60)

@@ -1,4 +1,4 @@
-"""A camera that has moved relative to its target: its lens as it is then."""
+"""Lens of a camera that has moved relative to its target."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """A movement of a camera's picture about its principal point: shift, turn from u to v, scale.
+    """Movement of a camera's picture about its principal point: shift, turn from u to v, scale.
 
-    The chip is shifted in its plane, the camera rolls about its axis, the lens gets longer (as a camera that
-    comes nearer, but without the perspective that changes with it).
+    The sensor shifts in its plane, the camera rolls about its axis, the lens gets longer (as if the camera
+    moved closer, but without the change of perspective).
     """
 
     shift_px: tuple[float, float] = (0.0, 0.0)
@@ -25,7 +25,7 @@ class Displacement:
     scale_ppm: float = 0.0
 
     def of(self, lens: Lens) -> Lens:
-        """The lens of a camera that is displaced so."""
+        """Lens of a camera with this displacement."""
         roll = rotation(0.0, 0.0, math.radians(self.turn_deg))
         return replace(
             lens,
@@ -40,7 +40,7 @@ class Displacement:
 
 
 def carried(texture: Image, before: Lens, after: Lens) -> Image:
-    """A surface texture, (rows, columns), as the displaced camera sees it: it moves with the target."""
+    """Surface texture, (rows, columns), in the displaced camera's picture: it moves with the target."""
     columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
     u, v = before.project(*after.unproject(columns, rows))
     return cv2.remap(

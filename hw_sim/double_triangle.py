@@ -1,7 +1,7 @@
 """The source's planar 3-PRP machine (§2.3.2): steppers move three points, the moving triangle follows.
 
-The pose is found by following the closure of the mechanism from where the machine is, as the real one moves;
-so it stays in its assembly mode and jams where the closure has no further solution.
+The pose is found by following the closure of the mechanism from the current pose, as the real machine moves.
+It therefore stays in its assembly mode, and jams where the closure has no further solution.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 STEP_MM = 0.025
-"""Ball screws of 5 mm pitch, 200 steps a turn (§2.4.5)."""
+"""Travel of one step: ball screws of 5 mm pitch, 200 steps a turn (§2.4.5)."""
 _STRIDE_MM = 2.0
 _CLOSED_MM = 1e-10
 _MIN_SINE = 1e-3
@@ -24,23 +24,23 @@ _MAX_NEWTON_STEPS = 20
 
 
 BASE_MM = 500.0
-"""Short side of both triangles; the source states the ratio 6 : 5 alone."""
+"""Short side of both triangles; the source states only the ratio 6 : 5."""
 REST = (0.0, 700.0)
-"""Place of the plate's origin in the fixed frame with the machine in the middle, as in Eq. 2.64."""
+"""Position of the plate's origin in the fixed frame with the machine in the middle, as in Eq. 2.64."""
 MAX_TRAVEL_MM = 60.0
-"""Of each joint from the middle, for random poses: the plate stays in the picture."""
+"""Maximum travel of each joint from the middle for random poses, so that the plate stays in the picture."""
 _MAX_DRAWS = 10_000
 
 
 class JammedError(Exception):
-    """The joints ask for a place at which the moving triangle cannot be; the message names the joints."""
+    """The moving triangle cannot reach the requested joints; the message names them."""
 
 
 @dataclass(frozen=True, slots=True)
 class MachineFlaws:
-    """Errors of a machine, one sigma each: places and directions of rails and edges, screws, lost steps.
+    """Errors of a machine, 1 sigma each: positions and directions of rails and edges, screws, lost steps.
 
-    A lost step is lost for good: the counter continues. ``lost_share`` is the share of all steps.
+    A lost step is permanent: the counter continues. ``lost_share`` is the share of all steps.
     """
 
     place_mm: float = 0.0
@@ -81,7 +81,7 @@ class DoubleTriangle:
         self._close()
 
     def move(self, joints_mm: Array) -> None:
-        """Drive the joints (3,) to the nearest steps; raises JammedError, unmoved, where it would jam."""
+        """Drive the joints (3,) to the nearest steps; raises JammedError, unmoved, if it would jam."""
         wanted = STEP_MM * np.round(np.asarray(joints_mm, float) / STEP_MM)
         steps = np.round((wanted - self.joints_mm) / STEP_MM).astype(int)
         lost = self._rng.binomial(np.abs(steps), self.flaws.lost_share) * np.sign(steps)
@@ -112,7 +112,7 @@ class DoubleTriangle:
         return turn @ at + (a, b), turn @ along
 
     def _crossings(self) -> Array:
-        """Travels (3,) at which the edges cross the rails in the pose."""
+        """Travels (3,) at which the edges cross the rails in the current pose."""
         travels = list[float]()
         for k, (start, along) in enumerate(self._rails):
             at, edge = self._placed(k)
@@ -123,7 +123,7 @@ class DoubleTriangle:
         return np.array(travels)
 
     def _close(self) -> None:
-        """Find the pose next to the present one in which every driven point is on its edge (Newton)."""
+        """Find the pose nearest to the current one with every driven point on its edge (Newton)."""
         for _ in range(_MAX_NEWTON_STEPS):
             gaps, slopes = np.empty(3), np.empty((3, 3))
             for k, (start, along) in enumerate(self._rails):
@@ -131,7 +131,7 @@ class DoubleTriangle:
                 across = np.array([-edge[1], edge[0]])
                 lever = start + self._travel_mm[k] * along - at
                 gaps[k] = across @ lever
-                # A turn about the origin of the EE moves the edge's point, too.
+                # A turn about the origin of the EE also moves the edge's point.
                 arm = start + self._travel_mm[k] * along - self.pose[:2]
                 slopes[k] = (-across[0], -across[1], -(edge @ arm))
             try:
@@ -157,7 +157,7 @@ def source_machine(flaws: MachineFlaws | None = None, seed: int = 0) -> DoubleTr
     fixed = np.array([(0.0, 0.0), (BASE_MM, 0.0), (BASE_MM / 2, height)])
     moving = np.array([(0.0, 0.0), (BASE_MM / 2, -height), (BASE_MM, 0.0)])
     plate = moving.mean(axis=0)
-    vertex = np.array([0.12 * BASE_MM, 0.5 * BASE_MM])  # of the moving triangle, in the fixed one
+    vertex = np.array([0.12 * BASE_MM, 0.5 * BASE_MM])  # position of the moving triangle in the fixed one
     shift = np.array(REST) - (vertex + plate)
     return DoubleTriangle(
         fixed + shift, moving - plate, np.array([*REST, 0.0]), flaws or MachineFlaws(), seed
@@ -165,9 +165,9 @@ def source_machine(flaws: MachineFlaws | None = None, seed: int = 0) -> DoubleTr
 
 
 def random_motion(machine: DoubleTriangle, half_range: tuple[float, float, float]) -> Iterator[Array]:
-    """Drive to random joints without end; the true poses (a mm, b mm, φ °) within ``half_range`` of the rest.
+    """Drive to random joints without end; yield true poses (a mm, b mm, φ °) up to ``half_range`` from rest.
 
-    Joints at which the machine would jam are passed over.
+    Joints at which the machine would jam are skipped.
     """
     middle = machine.joints_mm
     rng = np.random.default_rng([machine.seed, 25])

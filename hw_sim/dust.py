@@ -1,8 +1,8 @@
 """Dust and grease that settle on window and plate after the calibration.
 
-Dust is opaque, a smear takes a few hundredths of the light and has no edge. On the window they are between
-the laser and the ink, or between the ink and its camera, which for a spot on the ink is the same, and they
-cast a shadow on the rear target; on the plate they hide it.
+Dust is opaque; a smear absorbs a few hundredths of the light and has no edge. On the window they are between
+the laser and the ink, or between the ink and its camera, which is equivalent for a spot on the ink, and they
+cast a shadow on the rear target. On the plate they hide it.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from hw_sim.image import Image
 from hw_sim.targets import soft_disc
 
 SPECKS, SMEARS = 1000, 30
-"""On a target with the heaviest dust: specks cover 1 % of it, seven lie in a spot of 12 mm."""
+"""Numbers on a target with the heaviest dust: specks cover 1 % of it, seven are in a spot of 12 mm."""
 
 SPECK_DIAMETERS_MM = (0.1, 1.0)
 SMEAR_SIGMAS_MM = (2.0, 15.0)
 SMEAR_LOSS = (0.01, 0.05)
 
 HALF_MM = (78.0, 63.0)
-"""Half of the surface on which it settles; beyond, the glass is clean."""
+"""Half of the surface on which it settles; beyond that the glass is clean."""
 
 CELL_MM = 0.1
 
 SHADOW_SIGMA_MM = 0.3
-"""By how much diffraction blurs the shadow of a speck on the way to the rear target: about half of
-√(λ D), 0.43 mm."""
+"""Blur of a speck's shadow by diffraction on the way to the rear target, 1 sigma: about half of √(λ D), 0.43
+mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dust:
-    """The share of light that a surface lets pass, (rows, columns) of ``CELL_MM``, from the smallest x, y."""
+    """Transmission of a surface, (rows, columns) in cells of ``CELL_MM``, from the smallest x, y."""
 
     transmission: Image
 
     def at(self, x_mm: Image, y_mm: Image) -> Image:
-        """The share that passes at points of the surface, (rows, columns)."""
+        """Transmission at points of the surface, (rows, columns)."""
         columns = (x_mm + np.float32(HALF_MM[0])) / np.float32(CELL_MM) - np.float32(0.5)
         rows = (y_mm + np.float32(HALF_MM[1])) / np.float32(CELL_MM) - np.float32(0.5)
         share = cv2.remap(
@@ -54,24 +54,24 @@ class Dust:
         return share.astype(np.float32, copy=False)
 
     def blurred(self, sigma_mm: float) -> Dust:
-        """The transmission of its shadow far behind."""
+        """Transmission of the shadow far behind the surface, with this blur."""
         return Dust(cv2.GaussianBlur(self.transmission, (0, 0), sigma_mm / CELL_MM).astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shadow:
-    """The shadow of dust along a beam on a plane behind it, ``shift_mm`` aside of where it lies."""
+    """Shadow of dust along a beam on a plane behind it, displaced by ``shift_mm`` from the dust."""
 
     dust: Dust
     shift_mm: tuple[float, float]
 
     def at(self, x_mm: Image, y_mm: Image) -> Image:
-        """The share of the beam that arrives at points of the plane, (rows, columns)."""
+        """Share of the beam that arrives at points of the plane, (rows, columns)."""
         return self.dust.at(x_mm - np.float32(self.shift_mm[0]), y_mm - np.float32(self.shift_mm[1]))
 
 
 def make_dust(amount: float, rng: np.random.Generator) -> Dust:
-    """Dust of an ``amount`` of 0 to 1 (heavy); of one generator's state more dust holds all of less.
+    """Draw dust of 0 to 1 (heavy); from the same generator state, more dust contains all of less.
 
     Raises ValueError for another amount.
     """
@@ -97,7 +97,7 @@ def make_dust(amount: float, rng: np.random.Generator) -> Dust:
 def _around(
     place_mm: tuple[float, float], reach_mm: tuple[float, float], size: tuple[int, int]
 ) -> tuple[tuple[slice, slice], Image, Image]:
-    """The cells within reach of a place, and their distances from it along x and y in mm."""
+    """Cells within reach of a place, and their distances from it along x and y in mm."""
     spans, distances = [], []
     for half, at, reach, cells in zip(HALF_MM, place_mm, reach_mm, reversed(size), strict=True):
         low = max(math.floor((at - reach + half) / CELL_MM), 0)

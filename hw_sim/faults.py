@@ -11,7 +11,7 @@ from hw_sim.frame_leds import Shines, Stray
 
 
 class Fault(StrEnum):
-    """One named fault. Several may be present at once."""
+    """A named fault. Several may be present at once."""
 
     NO_LASER = "no_laser"
     """The beam is off or blocked; ambient light and hot pixels stay."""
@@ -27,21 +27,21 @@ class Fault(StrEnum):
     WHITE = "white"
     """Every pixel reads full scale."""
     NOISE_ONLY = "noise_only"
-    """Grey values around a quarter of full scale that have nothing to do with light."""
+    """Grey values around a quarter of full scale, unrelated to light."""
     CUT_BY_EDGE = "cut_by_edge"
-    """The beam is where the front camera's picture ends, normal to the targets."""
+    """The beam meets the edge of the front camera's picture, normal to the targets."""
     OUT_OF_AREA = "out_of_area"
     """The beam is at OUT_OF_AREA_MM, in the picture but outside the area that a scan calibrates."""
     OUT_OF_STEP = "out_of_step"
-    """The rear camera exposes, and stamps, half a period late."""
+    """The rear camera exposes half a period late, with matching timestamps."""
     FRONT_SILENT = "front_silent"
     REAR_SILENT = "rear_silent"
     DROPPED_FRAMES = "dropped_frames"
-    """Each camera loses one frame in five, not the same ones."""
+    """Each camera loses one frame in five, independently."""
     LEDS_ON = "leds_on"
-    """The frame LEDs shine although they are not switched on."""
+    """The frame LEDs are lit although they are switched off."""
     LEDS_DARK = "leds_dark"
-    """The frame LEDs stay dark although they are switched on."""
+    """The frame LEDs are dark although they are switched on."""
     FRONT_BLINKING_LIGHT = "front_blinking_light"
     """A light as bright as a frame LED, between two of them, blinks independently of them."""
     PUSHED_ASIDE = "pushed_aside"
@@ -58,11 +58,11 @@ BLINKING_LIGHT = Stray(-40.0, 30.0, shines=Shines.BY_ITSELF)
 PUSHED_ASIDE_MM = 5.0
 CAMERA_MOVED = Displacement((0.6, -0.2), turn_deg=0.1)
 ALL_PIXELS = frozenset({Fault.BLACK, Fault.WHITE, Fault.NOISE_ONLY})
-"""Faults that leave nothing of the picture."""
+"""Faults that replace the whole picture."""
 
 
 def parse_faults(names: Iterable[str]) -> frozenset[Fault]:
-    """The faults of these names; raises BadInputError that lists the known ones."""
+    """Faults with these names; raises BadInputError that lists the known names."""
     faults = set()
     for name in names:
         if name not in set(Fault):

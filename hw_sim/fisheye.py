@@ -1,4 +1,4 @@
-"""A lens whose distortion follows the angle of the ray, as the micro lens of f = 3.6 mm (Table 3.2)."""
+"""A lens whose distortion depends on the angle of the ray, as the micro lens of f = 3.6 mm (Table 3.2)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MIN_RADIUS = 1e-12
 class FisheyeLens(Lens):
     """Kannala and Brandt's model: r = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), θ the angle to the axis.
 
-    ``distortion`` holds (k1, k2, k3, k4, 0); all 0 is the equidistant lens. θ must stay below 90°.
+    ``distortion`` holds (k1, k2, k3, k4, 0); all 0 is the equidistant lens. θ must be below 90°.
     """
 
     def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,12 +17,12 @@ from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
 EVEN_MW_PER_MM2 = 0.03
-"""Brings the ink of the window and the plate to more than half of full scale."""
+"""Irradiance that brings the ink of the window and the plate to more than half of full scale."""
 
 RASTER_PITCH_MM = 2.5
-"""A quarter of a spot of 12 × 11 mm: the light of four spots' middles falls on each pixel."""
+"""A quarter of a spot of 12 × 11 mm: the light of four spots' centres falls on each pixel."""
 _REACH_DIAMETERS = 0.75
-"""Reach of the raster beyond the scan's nodes: what their spots light is then lit as the rest is."""
+"""Reach of the raster beyond the scan's nodes; the light around the outer nodes is then even too."""
 
 
 def record_flat(folder: Path, unit: Unit, frame_sets: int, progress: Progress) -> None:
@@ -40,10 +40,10 @@ def record_flat(folder: Path, unit: Unit, frame_sets: int, progress: Progress) -
 def record_laser_flat(
     folder: Path, unit: Unit, stage: Stage, pitch_mm: float, frame_sets: int, progress: Progress
 ) -> None:
-    """Write ``frame_sets`` in the dark, then one for each place of the laser's spot, into ``folder``.
+    """Write ``frame_sets`` in the dark, then one for each position of the laser's spot, into ``folder``.
 
-    The stage carries the spot over the area of the usual scan and what its outermost spots reach, row by
-    row and back, in steps of at most ``pitch_mm``.
+    The stage moves the spot over the area of the usual scan and the reach of its outermost spots, row by row
+    and back, in steps of at most ``pitch_mm``.
     """
     nodes = raster_mm(pitch_mm, _REACH_DIAMETERS * max(unit.config.laser.diameters_mm))
     with recording(folder, unit, "flat", frame_sets + len(nodes), progress) as recorder:
@@ -56,7 +56,7 @@ def record_laser_flat(
 
 
 def raster_mm(pitch_mm: float, beyond_mm: float) -> list[tuple[float, float]]:
-    """The places (x, y) of a raster in mm: over the usual scan's nodes and ``beyond_mm`` on each side."""
+    """Positions (x, y) of a raster in mm: over the usual scan's nodes and ``beyond_mm`` on each side."""
     along_x, along_y = (
         np.linspace(-half_mm, half_mm, math.ceil(2 * half_mm / pitch_mm) + 1)
         for half_mm in ((lines - 1) / 2 * USUAL.pitch_mm + beyond_mm for lines in (USUAL.columns, USUAL.rows))
@@ -69,7 +69,7 @@ def raster_mm(pitch_mm: float, beyond_mm: float) -> list[tuple[float, float]]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the flat field on the command line."""
+    """Add the command-line arguments of the flat field."""
     add_common_arguments(parser)
     parser.add_argument(
         "--exposures",
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _pitch_mm(text: str) -> float:
-    """A pitch of at least half a millimetre: at that, a hundred thousand exposures."""
+    """Parse a pitch of at least half a millimetre, which makes a hundred thousand exposures."""
     try:
         value = float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The frame LEDs one by one, and lights that are none of them."""
+"""The frame LEDs one by one, and lights that are not frame LEDs."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from hw_sim.image import Image
 from hw_sim.targets import LED_DIAMETER_MM, LED_POSITIONS_MM, soft_disc
 
 ALL_LIT = (1.0,) * len(LED_POSITIONS_MM)
-"""The brightness of each LED when all is well, in the order of LED_POSITIONS_MM."""
+"""Usual brightness of each LED, in the order of LED_POSITIONS_MM."""
 
 
 class Shines(StrEnum):
-    """When a light that is no frame LED shines."""
+    """Times at which a light that is not a frame LED is lit."""
 
     WITH_LEDS = "with_leds"
-    """A reflection of the LEDs."""
+    """Together with the LEDs, as their reflection."""
     BY_ITSELF = "by_itself"
-    """In every second exposure on average, whatever the LEDs do."""
+    """In every second exposure on average, independently of the LEDs."""
     ALWAYS = "always"
 
 
 @dataclass(frozen=True, slots=True)
 class Stray:
-    """A round light on a target that is no frame LED; ``level`` 1 is as bright as one."""
+    """A round light on a target that is not a frame LED; ``level`` 1 is the brightness of a frame LED."""
 
     x_mm: float
     y_mm: float
@@ -36,9 +36,9 @@ class Stray:
 
 
 def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float, levels: tuple[float, ...] = ALL_LIT) -> Image:
-    """Light of the frame LEDs in a small cell at points of the frame, 1 within one as bright as usual.
+    """Light of the frame LEDs in a small cell at points of the frame; 1 within an LED of usual brightness.
 
-    ``levels`` is the brightness of each; 0 is dark.
+    ``levels`` is the brightness of each LED; 0 is dark.
     """
     cover = np.zeros_like(x_mm)
     for (led_x, led_y), level in zip(LED_POSITIONS_MM, levels, strict=True):
@@ -49,7 +49,7 @@ def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float, levels: tuple[flo
 
 
 def stray_coverage(x_mm: Image, y_mm: Image, softness_mm: float, strays: tuple[Stray, ...]) -> Image:
-    """Light of the strays in the same measure."""
+    """Light of the strays in the unit of ``led_coverage``."""
     cover = np.zeros_like(x_mm)
     for stray in strays:
         distance = np.hypot(x_mm - np.float32(stray.x_mm), y_mm - np.float32(stray.y_mm))

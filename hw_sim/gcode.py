@@ -1,4 +1,4 @@
-"""One line of G-code: its words, the modes that it sets, and Grbl's complaints about it."""
+"""One line of G-code: its words, the modes that it sets, and Grbl's errors about it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ INCH_MM = 25.4
 _WORD = re.compile(r"([A-Z])([^A-Z]*)")
 _MOTION, _UNITS, _DISTANCE = {0, 1}, {20, 21}, {90, 91}
 _ACCEPTED = {17, 40, 49, 54, 80, 94}
-"""G words that ask for what is the case anyway."""
+"""G words that select what always applies here."""
 _AXIS_COMMANDS = {0, 1, 10, 92}
 _DWELL, _SET_OFFSET, _MACHINE_COORDINATES, _SET_POSITION = 4, 10, 53, 92
 _KNOWN = {*_MOTION, *_UNITS, *_DISTANCE, *_ACCEPTED, _DWELL, _SET_OFFSET, _MACHINE_COORDINATES, _SET_POSITION}
 
 
 class GrblError(Exception):
-    """``error:N``."""
+    """Grbl's response ``error:N``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -39,8 +39,8 @@ class Modes:
 class Block:
     """A line of G-code as a stage executes it.
 
-    ``codes`` are the numbers of its G words, ``values`` the values of the others, ``axes_mm`` those of X, Y
-    and Z in mm; ``modes`` hold from this line on.
+    ``codes`` are the numbers of its G words, ``values`` the values of the other words, ``axes_mm`` the values
+    of X, Y and Z in mm; ``modes`` are valid from this line on.
     """
 
     codes: frozenset[int]
@@ -50,27 +50,27 @@ class Block:
 
     @property
     def sets_work_zero(self) -> bool:
-        """G10 and G92."""
+        """Whether the line sets the work zero, G10 and G92."""
         return bool(self.codes & {_SET_OFFSET, _SET_POSITION})
 
     @property
     def sets_offset(self) -> bool:
-        """G10 L2: the axes are the work zero itself; else they are the position in work coordinates."""
+        """Whether the axes are the work zero itself, G10 L2, or the position in work coordinates."""
         return _SET_OFFSET in self.codes and self.values.get("L") == 2
 
     @property
     def is_dwell(self) -> bool:
-        """G4."""
+        """Whether the line is a dwell, G4."""
         return _DWELL in self.codes
 
     @property
     def in_machine(self) -> bool:
-        """G53: the axes are in machine coordinates."""
+        """Whether the axes are in machine coordinates, G53."""
         return _MACHINE_COORDINATES in self.codes
 
 
 def read_block(line: str, modes: Modes) -> Block:
-    """The block of a line under the modes that hold before it; only what a stage needs, the rest is error:20.
+    """Parse a line under the modes before it; words that a stage does not need are error:20.
 
     Raises GrblError.
     """
@@ -96,7 +96,7 @@ def read_block(line: str, modes: Modes) -> Block:
 
 
 def parse_words(line: str) -> tuple[set[int], dict[str, float]]:
-    """The numbers of the G words, and the values of the others; raises GrblError."""
+    """Parse the numbers of the G words, and the values of the other words; raises GrblError."""
     if line and not line[0].isalpha():
         raise GrblError(1)
     codes: set[int] = set()

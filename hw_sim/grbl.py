@@ -1,8 +1,8 @@
-"""A controller that speaks Grbl 1.1: bytes in, bytes out, and a machine that it moves in simulated time.
+"""A controller for Grbl 1.1: bytes in, bytes out, and a machine that it moves in simulated time.
 
-What it answers was compared with Grbl 1.1h itself (``tests/unit/hw_sim/test_grbl.py``). It knows what a stage
-needs: straight moves, work coordinates, homing, soft and hard limits, hold and reset. It stops between
-moves (Grbl blends them), has no overrides, arcs, probe or spindle, and its z stays where it is.
+Its responses were compared with Grbl 1.1h itself (``tests/unit/hw_sim/test_grbl.py``). It supports the
+functions that a stage needs: straight moves, work coordinates, homing, soft and hard limits, hold and reset.
+It stops between moves (Grbl blends them), has no overrides, arcs, probe or spindle, and its z does not move.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hw_sim.grbl_machine import HOMING, SOFT_LIMIT_ALARM, SOFT_LIMITS, Machine
 WELCOME_MESSAGE = "Grbl 1.1h ['$' for help]"
 
 REPORT_WORK, INCHES = 10, 13
-"""Numbers of settings."""
+"""Numbers of Grbl's settings."""
 
 PLANNER_BLOCKS = 15
 MAX_LINE_LENGTH = 80
@@ -26,7 +26,7 @@ OFFSET_EVERY_REPORTS = 30
 
 @dataclass(slots=True)
 class Controller:
-    """One controller and its machine. The caller gives the time, in s; it never runs back."""
+    """A controller and its machine. The caller supplies the time, in s, which must not decrease."""
 
     machine: Machine = field(default_factory=Machine)
     _modes: Modes = field(default_factory=Modes)
@@ -38,18 +38,18 @@ class Controller:
     _out: list[str] = field(default_factory=list)
 
     def cut_power(self, t_s: float) -> None:
-        """Stop dead; nothing is known any more."""
+        """Stop abruptly; the position is lost."""
         self._advance(t_s)
         self.machine.stop_dead(t_s)
 
     def power_on(self) -> str:
-        """The text it sends at power-on: position and modes are forgotten, the rest is not."""
+        """Return the text sent at power-on; position and modes are reset, other state is kept."""
         self.machine.start_up()
         self._restart()
         return self._take_out()
 
     def receive(self, data: bytes, t_s: float) -> str:
-        """Take bytes from the line; what is answered at once."""
+        """Process bytes from the line; return the immediate response."""
         self._advance(t_s)
         for byte in data:
             self._take_byte(byte, t_s)
@@ -57,13 +57,13 @@ class Controller:
         return self._take_out()
 
     def tick(self, t_s: float) -> str:
-        """Let time pass; what is sent meanwhile."""
+        """Advance the time; return the text sent meanwhile."""
         self._advance(t_s)
         self._execute_waiting(t_s)
         return self._take_out()
 
     def hit_limit(self, t_s: float) -> str:
-        """A limit switch closes, wherever the table is."""
+        """Close a limit switch, regardless of the table's position."""
         self._advance(t_s)
         self.machine.hit_limit_switch(t_s)
         return self._take_out()
@@ -79,7 +79,7 @@ class Controller:
         self.machine.messages.clear()
 
     def _advance(self, t_s: float) -> None:
-        """Bring the machine up to ``t_s``; homing and a dwell get their ``ok`` when they are over."""
+        """Advance the machine to ``t_s``; homing and a dwell get their ``ok`` when they end."""
         was_homing = self.machine.is_homing
         self.machine.advance(t_s)
         self._collect_messages()
@@ -90,7 +90,7 @@ class Controller:
             self._out.append("ok")
 
     def _take_byte(self, byte: int, t_s: float) -> None:
-        """Real-time bytes act at once, whatever else waits; the others make lines."""
+        """Process a byte: real-time bytes act at once, ahead of waiting lines; the others form lines."""
         character = chr(byte)
         if byte == 0x18:
             self._reset(t_s)
@@ -102,7 +102,7 @@ class Controller:
         elif character == "~":
             self.machine.resume(t_s)
         elif byte >= 0x80:
-            pass  # overrides, which it does not have
+            pass  # overrides, which are not supported
         elif character in "\r\n":
             if character == "\n" or self._line:
                 self._waiting.append(self._line)
@@ -126,7 +126,7 @@ class Controller:
                 self._out.append(f"error:{error.code}")
 
     def _execute(self, line: str, t_s: float) -> bool:
-        """Execute one line; whether ``ok`` is due now."""
+        """Execute one line; return whether ``ok`` is due now."""
         if line.startswith("$"):
             return self._execute_system(line, t_s)
         if self.machine.state == "Alarm" and line:
@@ -134,7 +134,7 @@ class Controller:
         return self._execute_block(line, t_s)
 
     def _execute_system(self, line: str, t_s: float) -> bool:
-        """A line that begins with ``$``."""
+        """Execute a line that begins with ``$``."""
         machine, modes = self.machine, self._modes
         if line == "$$":
             self._out += [f"${number}={value}" for number, value in machine.settings.items()]
@@ -189,7 +189,7 @@ class Controller:
         return True
 
     def _reset(self, t_s: float) -> None:
-        """Stop and restart; the line that left the travel gets its ``ok`` only now."""
+        """Stop and restart; the line that left the travel only now gets its ``ok``."""
         ok_pending = self.machine.alarm == SOFT_LIMIT_ALARM
         self._collect_messages()
         self.machine.reset(t_s)

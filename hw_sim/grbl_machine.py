@@ -15,25 +15,25 @@ SETTINGS = {
     112: "500.000", 120: "10.000", 121: "10.000", 122: "10.000", 130: "200.000", 131: "200.000",
     132: "200.000",
 }  # fmt: skip
-"""``$$`` of a controller as it leaves the factory: mm, mm/min, mm/s²."""
+"""Grbl's factory settings, as ``$$`` lists them: mm, mm/min, mm/s²."""
 
 STEPS_PER_MM, SOFT_LIMITS, HARD_LIMITS, HOMING = 100, 20, 21, 22
 SEEK_MM_PER_MIN, PULL_OFF_MM, RATE_MM_PER_MIN, ACCELERATION, TRAVEL_MM = 25, 27, 110, 120, 130
-"""Numbers of settings."""
+"""Numbers of Grbl's settings."""
 
 HARD_LIMIT_ALARM, SOFT_LIMIT_ALARM, RESET_WHILE_MOVING, RESET_WHILE_HOMING = 1, 2, 3, 6
 
 START_DELAY_S = 0.03
-"""After ``ok`` the steppers need a moment to start; a report meanwhile says ``Idle``, as Grbl's does."""
+"""Delay from ``ok`` to the start of the steppers; a report meanwhile shows ``Idle``, as Grbl's does."""
 
 
 @dataclass(slots=True)
 class Machine:
-    """A table and what its controller knows of it. The caller gives the time, in s; it never runs back.
+    """A table and its controller's state. The caller supplies the time, in s, which must not decrease.
 
-    ``limit_switches_mm`` are their places, (lowest x, highest x, lowest y, highest y) in machine coordinates;
-    None: nowhere. ``state`` is that of Grbl's reports. ``alarm`` is the one after which nothing is taken
-    until a reset. ``messages`` collects what is sent without being asked for.
+    ``limit_switches_mm`` are their positions, (lowest x, highest x, lowest y, highest y) in machine
+    coordinates; None: no switches. ``state`` is that of Grbl's reports. ``alarm`` is the alarm after which no
+    command is accepted until a reset. ``messages`` collects unsolicited output.
     """
 
     settings: dict[int, str] = field(default_factory=lambda: dict(SETTINGS))
@@ -47,28 +47,28 @@ class Machine:
 
     @property
     def is_homing(self) -> bool:
-        """Whether it searches its switches."""
+        """Whether the table searches its switches."""
         return self._home_until_s is not None
 
     def is_set(self, setting: int) -> bool:
-        """Whether a setting is other than 0."""
+        """Whether a setting is not 0."""
         return float(self.settings[setting]) != 0
 
     def is_braking(self, t_s: float) -> bool:
-        """Whether it still moves on a hold."""
+        """Whether the table is still moving after a hold."""
         return self.planner.held is not None and self.planner.moving(t_s)
 
     def start_up(self) -> None:
-        """Power: the position is forgotten, the settings are not."""
+        """Power on: the position is lost, the settings are kept."""
         self.planner = Planner((0.0, 0.0))
         self._unlock_or_lock(self.is_set(HOMING))
 
     def stop_dead(self, t_s: float) -> None:
-        """Stop without braking; nothing is known any more."""
+        """Stop without braking; planned moves are discarded."""
         self.planner.stop_dead(t_s)
 
     def reset(self, t_s: float) -> None:
-        """Stop and restart; a table in motion loses steps, one at rest on a hold does not."""
+        """Stop and restart; a moving table loses steps, a table at rest on a hold does not."""
         moving, homing = self.planner.moving(t_s), self.state == "Home"
         locked = self.state == "Alarm" or moving or homing
         if moving:
@@ -79,7 +79,7 @@ class Machine:
         self._unlock_or_lock(locked)
 
     def advance(self, t_s: float) -> None:
-        """Bring moves, homing and switches up to ``t_s``."""
+        """Advance moves, homing and switches to ``t_s``."""
         if self._home_until_s is not None and t_s >= self._home_until_s:
             self._end_homing()
         if self.state == "Run":
@@ -89,7 +89,7 @@ class Machine:
                 self.state = "Idle"
 
     def move(self, block: Block, t_s: float) -> None:
-        """Plan the move of a block on whole steps; a target outside the travel is a soft-limit alarm."""
+        """Plan the move of a block in whole steps; a target outside the travel is a soft-limit alarm."""
         target = self._target_mm(block)
         travel = [float(self.settings[TRAVEL_MM + axis]) for axis in (0, 1)]
         outside = any(not -length <= value <= 0.0 for value, length in zip(target, travel, strict=True))
@@ -112,7 +112,7 @@ class Machine:
         self.state = "Run"
 
     def set_work_zero(self, block: Block) -> None:
-        """G10 L2 sets the work zero, G10 L20 and (here for good) G92 the position in work coordinates."""
+        """Set the work zero (G10 L2) or the work position (G10 L20, and G92, which is permanent here)."""
         if not block.axes_mm:
             raise GrblError(26)
         here, zero = self.planner.target_mm, list(self.work_zero_mm)
@@ -123,7 +123,7 @@ class Machine:
         self.work_zero_mm = zero[0], zero[1]
 
     def home(self, t_s: float) -> None:
-        """Search the switches; raises GrblError where there is no homing."""
+        """Search the switches; raises GrblError if homing is disabled."""
         if not self.is_set(HOMING):
             raise GrblError(5)
         away = max(abs(value) for value in self.planner.place_mm)
@@ -143,7 +143,7 @@ class Machine:
             self.state = "Run" if self.planner.moves else "Idle"
 
     def hit_limit_switch(self, t_s: float) -> None:
-        """A limit switch closes, wherever the table is."""
+        """Close a limit switch, regardless of the table's position."""
         if self.is_set(HARD_LIMITS):
             self.planner.stop_dead(t_s)
             self._raise_alarm(HARD_LIMIT_ALARM)
@@ -161,7 +161,7 @@ class Machine:
         return target[0], target[1]
 
     def _limited(self, start: Xy, end: tuple[float, ...], setting: int, most: float) -> float:
-        """The largest value along the way that no axis exceeds."""
+        """Largest value along the path at which no axis exceeds its limit."""
         length = math.dist(start, end)
         for axis in (0, 1):
             share = abs(end[axis] - start[axis]) / length
@@ -183,7 +183,7 @@ class Machine:
         self.alarm = code
 
     def _end_homing(self) -> None:
-        """The table has found its switches at the upper ends and is away from them by the pull-off."""
+        """End homing: the table is at the switches at the upper ends, less the pull-off."""
         place = -float(self.settings[PULL_OFF_MM])
         self.planner = Planner((place, place))
         self._home_until_s = None

@@ -1,4 +1,4 @@
-"""Straight moves of an xy table, one after the other; each speeds up, runs and brakes."""
+"""Straight moves of an xy table, one after another; each accelerates, runs and brakes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Xy = tuple[float, float]
 
 @dataclass(slots=True)
 class Move:
-    """From standstill to standstill, mm in machine coordinates; ``begin`` sets it going."""
+    """Move from standstill to standstill, mm in machine coordinates; ``begin`` starts it."""
 
     start_mm: Xy
     end_mm: Xy
@@ -21,17 +21,17 @@ class Move:
 
     @property
     def length_mm(self) -> float:
-        """The way."""
+        """Length of the path."""
         return math.dist(self.start_mm, self.end_mm)
 
     @property
     def _peak_speed_mm_s(self) -> float:
-        """The speed that is reached: a short way is over before the full one."""
+        """Maximum speed of the move; a short path ends before full speed is reached."""
         return min(self.speed_mm_s, math.sqrt(self.acceleration_mm_s2 * self.length_mm))
 
     @property
     def end_s(self) -> float:
-        """When it is at rest again."""
+        """Time at which the table is at rest again."""
         if self.length_mm == 0:
             return self.start_s
         return (
@@ -41,11 +41,11 @@ class Move:
         )
 
     def begin(self, t_s: float) -> None:
-        """Start at ``t_s``."""
+        """Start the move at ``t_s``."""
         self.start_s = t_s
 
     def travelled_mm(self, t_s: float) -> float:
-        """The distance travelled at ``t_s``."""
+        """Distance travelled at ``t_s``."""
         if t_s <= self.start_s or self.length_mm == 0:
             return 0.0
         if t_s >= self.end_s:
@@ -59,21 +59,21 @@ class Move:
         return top * (passed - top / a / 2)
 
     def speed_at(self, t_s: float) -> float:
-        """Speed along the way, mm/s."""
+        """Speed along the path, mm/s."""
         if not self.start_s < t_s < self.end_s:
             return 0.0
         a = self.acceleration_mm_s2
         return min(self._peak_speed_mm_s, a * (t_s - self.start_s), a * (self.end_s - t_s))
 
     def at(self, t_s: float) -> Xy:
-        """The place at ``t_s``."""
+        """Position at ``t_s``."""
         share = self.travelled_mm(t_s) / self.length_mm if self.length_mm else 1.0
         (x0, y0), (x1, y1) = self.start_mm, self.end_mm
         return x0 + share * (x1 - x0), y0 + share * (y1 - y0)
 
 
 def braking(move: Move, t_s: float) -> Move:
-    """A move after a hold: the second half of one with that top speed."""
+    """Motion after a hold: the second half of a move whose top speed is the current speed."""
     speed, a = move.speed_at(t_s), move.acceleration_mm_s2
     here = move.at(t_s)
     way = min(speed**2 / (2 * a), move.length_mm - move.travelled_mm(t_s))
@@ -87,40 +87,40 @@ def braking(move: Move, t_s: float) -> Move:
 
 @dataclass(slots=True)
 class Planner:
-    """The planned moves, and the place of the table between them, mm in machine coordinates."""
+    """Planned moves, and the position of the table between them, mm in machine coordinates."""
 
     place_mm: Xy
     moves: deque[Move] = field(default_factory=deque)
     held: Move | None = None
-    """The course of braking on a hold."""
+    """Braking move of a hold; None without a hold."""
 
     @property
     def target_mm(self) -> Xy:
-        """The end of the last move."""
+        """End of the last move."""
         return self.moves[-1].end_mm if self.moves else self.place_mm
 
     def at(self, t_s: float) -> Xy:
-        """The place at ``t_s``."""
+        """Position at ``t_s``."""
         if self.held is not None:
             return self.held.at(t_s)
         return self.moves[0].at(t_s) if self.moves else self.place_mm
 
     def moving(self, t_s: float) -> bool:
-        """Whether it moves, be it that it brakes."""
+        """Whether the table moves, including braking."""
         return t_s < self.held.end_s if self.held is not None else bool(self.moves)
 
     def started(self, t_s: float) -> bool:
-        """Whether the first move is under way."""
+        """Whether the first move has started."""
         return bool(self.moves) and t_s >= self.moves[0].start_s
 
     def add(self, move: Move, t_s: float) -> None:
-        """Plan a move; it begins at once when nothing else is planned."""
+        """Plan a move; it begins at once if no other is planned."""
         if not self.moves:
             move.begin(t_s)
         self.moves.append(move)
 
     def advance(self, t_s: float) -> None:
-        """Take away what is over."""
+        """Remove finished moves."""
         while self.moves and self.held is None and t_s >= self.moves[0].end_s:
             done = self.moves.popleft()
             self.place_mm = done.end_mm
@@ -128,7 +128,7 @@ class Planner:
                 self.moves[0].begin(done.end_s)
 
     def hold(self, t_s: float) -> None:
-        """Brake."""
+        """Start braking."""
         if self.moves:
             self.held = braking(self.moves[0], t_s)
 
@@ -141,7 +141,7 @@ class Planner:
             self.held = None
 
     def stop_dead(self, t_s: float) -> None:
-        """Stop without braking, and forget what was planned."""
+        """Stop without braking, and discard planned moves."""
         self.place_mm = self.at(t_s)
         self.moves.clear()
         self.held = None

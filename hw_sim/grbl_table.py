@@ -1,7 +1,7 @@
-"""An xy table with a Grbl controller on a pseudo-terminal; it carries the laser of a simulated unit.
+"""An xy table with a Grbl controller on a pseudo-terminal; it moves the laser of a simulated unit.
 
-Its controller believes to know where the table is. Where it really is differs by the positioning error of
-``hw_sim.stage`` and, after a loss of power or of steps, by whatever was lost, until it is homed.
+The controller has its own position count. The true position differs from it by the positioning error of
+``hw_sim.stage`` and, after a loss of power or of steps, by the lost distance, until homing.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from hw_sim.unit import Unit
 
 TICK_S = 0.002
 MAX_POSES = 4000
-"""Poses that are kept, one a tick: a frame is rendered after its exposure."""
+"""Maximum number of stored poses, one for each tick: a frame is rendered after its exposure."""
 
 MIDDLE_MM = (-100.0, -100.0)
-"""The middle of the targets as seen from the switches, which sit at the upper ends of a travel of 200 mm. The
+"""Middle of the targets relative to the switches, which are at the upper ends of a travel of 200 mm. The
 table is there when the simulation begins, and the work zero is set there."""
 
 FAST_SETTINGS = {110: "30000", 111: "30000", 120: "3000", 121: "3000", 25: "20000"}
-"""Settings of a quick table, so that a person or a test need not wait: 0.5 m/s, 3 m/s²."""
+"""Settings of a fast table, so that people and tests need not wait: 0.5 m/s, 3 m/s²."""
 SWITCH_SETTINGS = {20: "1", 21: "1", 22: "1"}
 """Settings of a table with limit switches."""
 
 LOST_STEPS_MM = 0.4
-"""The distance that is lost when the table stops abruptly."""
+"""Distance that is lost when the table stops abruptly."""
 
 
 class GrblTable:
-    """``with GrblTable(unit) as table``: the controller answers on ``table.device``.
+    """``with GrblTable(unit) as table``: the controller responds on ``table.device``.
 
-    ``noise`` is the share of bytes, each way, that the line changes. Without ``switches`` the table cannot be
-    homed; it was powered on in the middle.
+    ``noise`` is the share of bytes, in each direction, that the line corrupts. Without ``switches`` the table
+    cannot be homed; it was powered on in the middle.
     """
 
     def __init__(
@@ -83,29 +83,29 @@ class GrblTable:
         self.unplug()
 
     def beam(self, t_ns: int) -> BeamPose:
-        """The beam at an instant of the last seconds."""
+        """Beam at an instant of the last seconds."""
         with self._lock:
             index = bisect_right(self._times_ns, t_ns) - 1
             return self._poses[max(index, 0)]
 
     def unplug(self) -> None:
-        """Pull the cable: the port is gone."""
+        """Unplug the cable: the port disappears."""
         with self._lock:
             self._port.unplug()
 
     def stop_answering(self) -> None:
-        """Let the controller's firmware stop answering; a move that is under way is finished."""
+        """Stop the controller's responses; a move in progress is finished."""
         with self._lock:
             self._answers = False
 
     def lose_power(self) -> None:
-        """Stop at once and be silent; the table stays where it is."""
+        """Stop immediately and do not respond; the table stays in its position."""
         with self._lock:
             self.controller.cut_power(_now_s())
             self._power = False
 
     def power_on(self) -> None:
-        """Power again: the controller believes to be at its zero, wherever the table is."""
+        """Restore power: the controller assumes its zero, regardless of the table's position."""
         with self._lock:
             self.displace(*self.machine.planner.place_mm)
             sent = self.controller.power_on()
@@ -118,12 +118,12 @@ class GrblTable:
             self._send(self.controller.hit_limit(_now_s()))
 
     def displace(self, x_mm: float, y_mm: float) -> None:
-        """Push the table without its controller noticing."""
+        """Displace the table without its controller noticing."""
         with self._lock:
             self._displacement_mm = self._displacement_mm[0] + x_mm, self._displacement_mm[1] + y_mm
 
     def zero_by_hand(self, x_mm: float, y_mm: float) -> None:
-        """Carry the table to a place of the unit frame, from which the controller then counts."""
+        """Move the table by hand to a position of the unit frame, which becomes the controller's zero."""
         with self._lock:
             self.machine.planner.place_mm = (0.0, 0.0)
             self._displacement_mm = MIDDLE_MM[0] + x_mm, MIDDLE_MM[1] + y_mm

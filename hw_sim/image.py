@@ -1,4 +1,4 @@
-"""Images of the simulator: light, electrons or shares of a pixel, before they become grey values."""
+"""Images of the simulator: light, electrons or shares of a pixel, before conversion to grey values."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ import numpy as np
 import numpy.typing as npt
 
 Image = npt.NDArray[np.float32]
-"""(rows, columns)."""
+"""Image of shape (rows, columns)."""

@@ -1,4 +1,4 @@
-"""One camera of the unit as it images: its view, its sensor, and the exposure time and gain it is set to."""
+"""The imaging of one camera: its view, its sensor, and its exposure time and gain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Background:
-    """The image without the beam, for one state of settings and lamps."""
+    """Image without the beam, for one state of settings and lamps."""
 
     view: View
     settings: Settings
@@ -37,7 +37,7 @@ class _Background:
 
 
 class Imager:
-    """A camera's view and sensor; ``settings`` and ``sensor`` may be replaced any time, from any thread."""
+    """View and sensor of a camera; any thread may replace ``settings`` and ``sensor`` at any time."""
 
     def __init__(self, view: View, sensor: Sensor, settings: Settings, lux: float) -> None:
         self.view = view
@@ -45,7 +45,7 @@ class Imager:
         self.settings = settings
         self._lux = lux
         self.blink_on = False
-        """Whether blinking stray lights shine in the next exposure."""
+        """Whether blinking stray lights are lit in the next exposure."""
         self._clean_view = view
         self._dust: Dust | None = None
         self._levels: tuple[float, ...] = ALL_LIT
@@ -54,24 +54,24 @@ class Imager:
 
     @property
     def blinks(self) -> bool:
-        """Whether a stray light blinks."""
+        """Whether any stray light blinks."""
         return self.view.blinking is not None
 
     def set_view(self, view: View) -> None:
-        """See the target otherwise, with the dust and the lights that are there."""
+        """Replace the view of the target, with the current dust and lights."""
         self._clean_view = view
         if self._levels != ALL_LIT or self._strays:
             self._clean_view = view.with_lights(self._levels, self._strays)
         self.set_dust(self._dust)
 
     def set_lights(self, levels: tuple[float, ...], strays: tuple[Stray, ...]) -> None:
-        """Let the frame LEDs be so bright, and these stray lights shine and no others."""
+        """Set the brightness of the frame LEDs, and replace the stray lights."""
         self._levels, self._strays = levels, strays
         self._clean_view = self._clean_view.with_lights(levels, strays)
         self.set_dust(self._dust)
 
     def set_dust(self, dust: Dust | None) -> None:
-        """Let this dust, and no other, lie on what the view shows."""
+        """Replace the dust on the viewed target."""
         self._dust = dust
         self.view = self._clean_view if dust is None else self._clean_view.with_dust(dust)
 
@@ -80,7 +80,7 @@ class Imager:
     ) -> Image:
         """Mean electrons of a frame, (rows, columns): the light, before any noise.
 
-        ``even_mw_per_mm2`` lights the whole target, as a flat field wants it.
+        ``even_mw_per_mm2`` lights the whole target, as for a flat field.
         """
         view = self.view
         electrons = view.background_e(exposure_ms, self._lux, leds_on, self.blink_on)
@@ -97,7 +97,7 @@ class Imager:
         rng: np.random.Generator,
         even_mw_per_mm2: float = 0.0,
     ) -> PixelArray:
-        """Grey values with Poisson noise drawn pixel by pixel."""
+        """Grey values with Poisson noise drawn for each pixel."""
         settings = self.settings
         mean_e = self.mean_e(spots, leds_on, settings.exposure_ms, even_mw_per_mm2)
         return self.sensor.expose(mean_e, settings.gain, rng)

@@ -1,6 +1,6 @@
-"""Two inclinometers on a pseudo-terminal that speak Modbus RTU: Balluff BSI R11A0 and WitMotion WT901C485.
+"""Two inclinometers on a pseudo-terminal with Modbus RTU: Balluff BSI R11A0 and WitMotion WT901C485.
 
-They turn with ``roll_deg`` and ``pitch_deg``, have noise and a temperature, and can be made to fail.
+They turn with ``roll_deg`` and ``pitch_deg``, have noise and a temperature, and can simulate faults.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _REQUEST_BYTES = 8
 _WAIT_S = 0.05
 
 Registers = dict[tuple[int, int], int]
-"""By function and address."""
+"""Register values by (function, address)."""
 
 
 def crc(data: bytes) -> bytes:
-    """Modbus' CRC-16, low byte first (Modbus over Serial Line V1.02, 6.2.2)."""
+    """CRC-16 of Modbus, low byte first (Modbus over Serial Line V1.02, 6.2.2)."""
     register = 0xFFFF
     for byte in data:
         register ^= byte
@@ -36,12 +36,12 @@ def crc(data: bytes) -> bytes:
 
 
 class Inclinometer:
-    """``with Inclinometer.balluff() as sensor``: it answers on ``sensor.device``.
+    """``with Inclinometer.balluff() as sensor``: it responds on ``sensor.device``.
 
-    ``roll_deg``, ``pitch_deg``, ``temperature_c`` and ``noise_deg`` may be changed at any time, and so may
-    the faults: ``answers`` (else it is silent), ``frozen``, ``corrupts`` (every CRC is wrong), ``echoes``
-    (the line gives back what is sent), ``late_s`` (it answers so late) and ``address``.
-    ``settings`` are its holding registers.
+    ``roll_deg``, ``pitch_deg``, ``temperature_c`` and ``noise_deg`` may be changed at any time, as may the
+    faults: ``answers`` (False: it is silent), ``frozen``, ``corrupts`` (every CRC is wrong), ``echoes`` (the
+    line returns sent data), ``late_s`` (delay of its responses) and ``address``. ``settings`` are its holding
+    registers.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Inclinometer:
 
     @classmethod
     def balluff(cls) -> Self:
-        """One axis, address 1, 19200 baud; as it leaves the factory."""
+        """One axis, address 1, 19200 baud, with factory settings."""
         return cls(1, {132: 1, 133: 1, 134: 0, 135: 0, 136: 0, 200: 1, 201: 192}, _balluff)
 
     @classmethod
@@ -80,9 +80,10 @@ class Inclinometer:
         self.unplug()
 
     def unplug(self) -> None:
-        """Pull the USB adapter: the port is gone.
+        """Unplug the USB adapter: the port disappears.
 
-        The thread ends first: it would read from whatever file gets the number of a closed one.
+        The thread ends first; otherwise it would read from the next file that gets the descriptor of the
+        closed one.
         """
         self._ending.set()
         if self._thread.is_alive():
@@ -90,7 +91,7 @@ class Inclinometer:
         self._port.unplug()
 
     def angle_deg(self, angle_deg: float) -> float:
-        """An angle with the noise of a reading."""
+        """Angle with the noise of a reading."""
         return angle_deg + self.random.gauss(0.0, self.noise_deg)
 
     def _serve(self) -> None:
@@ -122,7 +123,7 @@ class Inclinometer:
             os.write(terminal, frame + (bytes(255 - byte for byte in check) if self.corrupts else check))
 
     def response(self, request: bytes) -> bytes:
-        """The answer to a request, both from the function on."""
+        """Response to a request, both from the function code on."""
         function, first, count = struct.unpack(">BHH", request)
         if not self.frozen:
             self._measured = self._measure(self)
@@ -138,7 +139,7 @@ class Inclinometer:
 
 
 def _balluff(sensor: Inclinometer) -> Registers:
-    """Input registers 0, 10, 17, 18; 55555 in register 0 where a setting is none."""
+    """Input registers 0, 10, 17, 18; register 0 is 55555 if a setting is invalid."""
     angle = round(sensor.angle_deg(sensor.roll_deg) * 100) % 36000
     turned = -angle if sensor.settings[135] else angle
     shown = (turned + 18000) % 36000 - 18000 if sensor.settings[136] else turned % 36000

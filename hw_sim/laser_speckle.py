@@ -27,21 +27,21 @@ from hw_sim.image import Image
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 
 SHIFTS = 512
-"""Places of the field, along each axis, from which a pattern can be taken."""
+"""Number of positions along each axis of the field at which a pattern can start."""
 
 GRAIN_SIGMA_PX = 0.4
 """Blur after which neighbouring pixels have a correlation of 0.09, as areas of 6 µm with grains of 2.6 µm."""
 
 MIN_INK = 0.05
-"""Share of ink below which the contrast grows no more: such a pixel hardly shows the spot."""
+"""Share of ink below which the contrast stops growing: such a pixel hardly shows the spot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserSpeckle:
-    """Pixel-by-pixel factors of mean 1 that depend on the place and the angle of the beam.
+    """Factors of mean 1 for each pixel, which depend on position and angle of the beam.
 
-    ``field`` holds standard normals. The patterns of beams ``place_mm`` or ``angle_rad`` apart, along one
-    axis, have little in common; in between the pattern changes gradually, and its contrast is the same.
+    ``field`` holds standard normals. The patterns of beams that differ by ``place_mm`` or ``angle_rad`` along
+    one axis have little in common; in between the pattern changes gradually, with the same contrast.
     """
 
     field: Image
@@ -50,7 +50,7 @@ class LaserSpeckle:
     angle_rad: float
 
     def factor(self, region: tuple[slice, slice], spot: Footprint) -> Image:
-        """The factor at the pixels of a region for this beam, (rows, columns)."""
+        """Factors at the pixels of a region for this beam, (rows, columns)."""
         rows, columns = region
         at = (
             spot.x_mm / self.place_mm,
@@ -86,7 +86,7 @@ def make_laser_speckle(
 ) -> LaserSpeckle:
     """Speckle of one camera's picture; ``ink`` is the share of each pixel that a print covers, None for all.
 
-    A pixel that ink covers in part holds fewer grains, and its contrast grows with 1/√share.
+    A pixel partly covered by ink holds fewer grains, and its contrast grows with 1/√share.
     """
     seen = contrast if ink is None else contrast / np.sqrt(np.clip(ink, MIN_INK, 1.0)).astype(np.float32)
     white = rng.standard_normal((HEIGHT_PX + SHIFTS, WIDTH_PX + SHIFTS), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""A tilted pinhole camera with Brown distortion that looks at one plane target."""
+"""A tilted pinhole camera with Brown distortion, directed at a plane target."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy.typing as npt
 from altd.records import FloatArray
 
 WIDTH_PX, HEIGHT_PX = 752, 480
-"""The sensor of App. A.3."""
+"""Size of the sensor of App. A.3."""
 
 PIXEL_MM = 0.006
-"""Its pitch; 752 × 480 of 6 µm make the 1/3 inch chip."""
+"""Pixel pitch of the sensor; 752 × 480 pixels of 6 µm make the 1/3 inch chip."""
 
 MAX_NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-12
@@ -21,12 +21,12 @@ NEWTON_TOLERANCE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lens:
-    """The point on the sensor of a point on the target, and the inverse.
+    """Projection of a point on the target to the sensor, and the inverse.
 
-    The camera sees the plane in plane coordinates: X right and Y down in its picture, Z away from it. So
-    X = x and Y = −y for the camera that looks along the beam, and X = −x, Y = −y where ``mirrored``,
-    for the one that looks against it. ``rotation`` (3 × 3) and ``translation_mm`` (3) take plane
-    coordinates into the camera frame; ``distortion`` is Brown's (k1, k2, p1, p2, k3).
+    The camera frame's plane coordinates are X right and Y down in its picture, Z away from it. So X = x and Y
+    = −y for the camera that looks along the beam, and X = −x, Y = −y where ``mirrored``, for the camera that
+    looks against it. ``rotation`` (3 × 3) and ``translation_mm`` (3) take plane coordinates into the camera
+    frame; ``distortion`` is Brown's (k1, k2, p1, p2, k3).
     """
 
     focal_mm: float
@@ -44,7 +44,7 @@ class Lens:
         return self.principal_px[0] + focal_px * distorted_x, self.principal_px[1] + focal_px * distorted_y
 
     def unproject(self, u_px: npt.ArrayLike, v_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Target coordinates (x, y) in mm that the pixel coordinates show, any shape."""
+        """Target coordinates (x, y) in mm at the pixel coordinates, any shape."""
         focal_px = self.focal_mm / PIXEL_MM
         distorted_x = (np.asarray(u_px, dtype=np.float64) - self.principal_px[0]) / focal_px
         distorted_y = (np.asarray(v_px, dtype=np.float64) - self.principal_px[1]) / focal_px
@@ -57,12 +57,12 @@ class Lens:
         return (-face_x if self.mirrored else face_x), -face_y
 
     def relative_illumination(self, x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> FloatArray:
-        """The natural fall-off cos⁴ of the angle between the ray and the lens axis, any shape."""
+        """Natural fall-off cos⁴ of the angle between the ray and the lens axis, any shape."""
         ray_x, ray_y, _ = self._rays(x_mm, y_mm)
         return np.asarray((1.0 + ray_x**2 + ray_y**2) ** -2.0)
 
     def incidence_tangent(self, x_mm: npt.ArrayLike, y_mm: npt.ArrayLike, tilt_rad: float) -> FloatArray:
-        """The tangent of the angle between the ray and a normal tilted towards the picture's right."""
+        """Tangent of the angle between the ray and a normal tilted towards the picture's right."""
         ray_x, ray_y, _ = self._rays(x_mm, y_mm)
         along = ray_x * np.sin(tilt_rad) + np.cos(tilt_rad)
         across = ray_x * np.cos(tilt_rad) - np.sin(tilt_rad)
@@ -89,7 +89,7 @@ class Lens:
         )
 
     def _undistort(self, distorted_x: FloatArray, distorted_y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The inverse of Brown's model by Newton steps from the bent ray itself."""
+        """Inverse of Brown's model by Newton steps from the distorted ray itself."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = distorted_x, distorted_y
         for _ in range(MAX_NEWTON_STEPS):
@@ -110,7 +110,7 @@ class Lens:
 
 
 def rotation(yaw_rad: float, pitch_rad: float, roll_rad: float) -> FloatArray:
-    """The rotation (3 × 3) about Y, then X, then Z of a camera that is turned away from the normal."""
+    """Rotation (3 × 3) about Y, then X, then Z of a camera that is turned away from the normal."""
     (cy, cp, cr), (sy, sp, sr) = (f(np.array([yaw_rad, pitch_rad, roll_rad])) for f in (np.cos, np.sin))
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])

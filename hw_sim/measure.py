@@ -1,4 +1,4 @@
-"""``python -m hw_sim measure``: poses of the beam with their truth, recorded back to back."""
+"""``python -m hw_sim measure``: record poses of the beam with their truth, one after another."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from hw_sim.recording import Progress, recording
 from hw_sim.unit import Unit, UnitConfig
 
 MAX_YAW_SLOPE, MAX_PITCH_SLOPE = 0.110, 0.250
-"""The specified range of slopes (App. A.1)."""
+"""Maximum slopes by specification (App. A.1)."""
 
 POSES_STREAM = 5
-"""Keeps the poses' random numbers apart from those of the frames."""
+"""Separate random stream for the poses, apart from that of the frames."""
 
 HALF_AREA_MM = (70.0, 55.0)
-"""Of the 140 × 110 mm of App. A.1, which hold both spots of every pose."""
+"""Half of the 140 × 110 mm of App. A.1, which contain both spots of every pose."""
 
 
 def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator) -> list[BeamPose]:
-    """Poses whose front spots are even over the area and whose slopes are as even as the rear allows."""
+    """Draw poses with even front spots over the area and slopes as even as the rear target allows."""
     poses: list[BeamPose] = []
     while len(poses) < count:
         x_mm, y_mm = rng.uniform(-1.0, 1.0, size=2) * HALF_AREA_MM
@@ -41,7 +41,7 @@ def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator
 def record_measurement(
     folder: Path, unit: Unit, poses: Sequence[BeamPose], frame_sets: int, progress: Progress
 ) -> dict[str, object]:
-    """Write ``frame_sets`` frame pairs of each pose into ``folder``; the truth, ready for JSON."""
+    """Write ``frame_sets`` frame pairs of each pose into ``folder``; return the truth, ready for JSON."""
     truth = []
     with recording(folder, unit, "measurement", len(poses) * frame_sets, progress) as recorder:
         for pose in poses:
@@ -54,7 +54,7 @@ def record_measurement(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the measurement on the command line."""
+    """Add the command-line arguments of the measurement."""
     add_common_arguments(parser)
     parser.add_argument("--truth", type=Path, required=True, metavar="FILE", help="JSON file for the truth")
     parser.add_argument("--poses", type=at_least_one, default=30, help="number of beams (default: 30)")

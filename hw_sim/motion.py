@@ -1,7 +1,7 @@
-"""Movement of the unit against the beam: the drive's vibration and the machine on its way.
+"""Movement of the unit relative to the beam: the drive's vibration and the machine's path.
 
-Both are sums of sinusoids, so that the truth at any instant is a formula without memory: any thread may
-ask, and the answer for a time is always the same.
+Both are sums of sinusoids, so that the truth at any instant is a formula without memory: any thread can
+evaluate it, and the result for a time is always the same.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ RANDOM_BAND_HZ = (0.5, 80.0)
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """The drive's vibration, rms in each of x, y (mm) and of yaw, pitch (mrad).
+    """Vibration of the drive, rms in each of x, y (mm) and of yaw, pitch (mrad).
 
-    ``random_share`` of its power is spread over a band, the rest sits in lines at ``lines_hz``.
+    ``random_share`` of its power is spread over a band, the rest is in lines at ``lines_hz``.
     """
 
     rms_mm: float = 0.05
@@ -33,7 +33,7 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The machine's slow path: largest offsets in x, y (mm) and yaw, pitch (mrad), and their time scale."""
+    """Slow path of the machine: maximum offsets in x, y (mm) and yaw, pitch (mrad), and their time scale."""
 
     x_mm: float = 18.0
     y_mm: float = 12.0
@@ -43,7 +43,7 @@ class Drive:
 
 
 SLOW_DRIVE = Drive(x_mm=24.0, y_mm=16.0, yaw_mrad=60.0, pitch_mrad=70.0, period_s=180.0)
-"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 70 × 56."""
+"""A slow Lissajous figure, at most 41 × 36 mm from the middle on the rear target; the scan has 70 × 56 mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class Oscillation:
     phase_rad: npt.NDArray[np.float64]
 
     def moved(self, pose: BeamPose, t_ns: int) -> BeamPose:
-        """The beam in the unit frame when the unit has moved as it has at ``t_ns``."""
+        """Beam in the unit frame with the movement of the unit at ``t_ns``."""
         angle = 2.0 * math.pi * self.frequency_hz * (t_ns * 1e-9) + self.phase_rad
         x_mm, y_mm, yaw_mrad, pitch_mrad = (self.amplitude * np.sin(angle)).sum(axis=0)
         return BeamPose(
@@ -67,7 +67,7 @@ class Oscillation:
 
 
 def make_vibration(vibration: Vibration, rng: np.random.Generator) -> Oscillation:
-    """The oscillation of a drive: its lines, and a random part of many small ones."""
+    """Oscillation of a drive: its lines, and a random part of many small lines."""
     lines = len(vibration.lines_hz)
     rms = np.array([vibration.rms_mm, vibration.rms_mm, vibration.rms_mrad, vibration.rms_mrad])
     in_lines = np.full((lines, 4), math.sqrt(2.0 * (1.0 - vibration.random_share) / lines))
@@ -85,7 +85,7 @@ def make_vibration(vibration: Vibration, rng: np.random.Generator) -> Oscillatio
 
 
 def make_path(drive: Drive, rng: np.random.Generator) -> Oscillation:
-    """The oscillation of a machine on its path: one slow line an axis, no two in a simple ratio."""
+    """Oscillation of a machine on its path: one slow line for each axis, no two in a simple ratio."""
     return Oscillation(
         np.array([[drive.x_mm, drive.y_mm, drive.yaw_mrad, drive.pitch_mrad]]),
         np.array([[1.0, 1.31, 0.77, 1.13]]) / drive.period_s,

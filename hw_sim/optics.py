@@ -11,24 +11,24 @@ from hw_sim.image import Image
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 
 WAVELENGTH_NM = 650.0
-"""Of the laser and of the filter's middle at normal incidence."""
+"""Wavelength of the laser, and of the filter's centre at normal incidence."""
 
 EFFECTIVE_INDEX = 2.0
-"""Of an interference filter of metal oxides: 1.8 to 2.2."""
+"""Effective index of an interference filter of metal oxides: 1.8 to 2.2."""
 
 LAMP_NM = 25.0
-"""Full width at half maximum of the red LEDs that light targets."""
+"""Full width at half maximum of the red LEDs that light the targets."""
 
 GLARE_SIGMA_PX = 60.0
 GLARE_CELL_PX = 16
 
 
 def transmission(tan_angle: npt.ArrayLike, width_nm: float, source_nm: float = 0.0) -> FloatArray:
-    """A filter's transmission relative to that at normal incidence, any shape.
+    """Transmission of a filter relative to normal incidence, any shape.
 
-    At angle θ its middle moves to λ₀·√(1 − sin²θ/n²) (thin-film interference with an effective index). The
+    At angle θ its centre moves to λ₀·√(1 − sin²θ/n²) (thin-film interference with an effective index). The
     pass band is that of two cavities, 1/(1 + (2Δλ/width)⁴); ``width_nm`` is its full width at half maximum. A
-    source of full width ``source_nm`` (a Gaussian) averages it over its spectrum; the laser is a line.
+    source of full width ``source_nm`` (a Gaussian) is averaged over its spectrum; the laser is a line.
     """
     tan2 = np.square(np.asarray(tan_angle, dtype=np.float64))
     sin2 = tan2 / (1.0 + tan2)
@@ -43,10 +43,10 @@ def transmission(tan_angle: npt.ArrayLike, width_nm: float, source_nm: float = 0
 
 
 def with_glare(electrons: Image, region: tuple[slice, slice], share: float) -> Image:
-    """The whole picture (rows, columns) of a spot in a region, ``share`` of its light spread by the lens.
+    """Whole picture (rows, columns) of a spot in a region, with ``share`` of its light spread by the lens.
 
     Reflections between the surfaces of a lens spread it over a kernel far wider than a spot: a Gaussian here.
-    Light that falls beside the chip is lost.
+    Light that falls outside the sensor is lost.
     """
     picture = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
     picture[region] = electrons

@@ -29,7 +29,7 @@ from hw_sim.sensor import FULL_WELL_E, Sensor
 from hw_sim.view import PSF_SIGMA_PX
 
 WIDTH_PX, HEIGHT_PX = 1024, 768
-"""The picture of Sec. 2.4.4."""
+"""Size of the picture of Sec. 2.4.4."""
 LEDS_MM = (
     (-41.0, -40.0),
     (-7.0, -39.0),
@@ -39,32 +39,32 @@ LEDS_MM = (
     (-38.0, 23.0),
     (2.0, 39.0),
 )
-"""A layout that no rotation takes into itself, and whose 21 distances differ by 1.4 mm at least."""
+"""Positions of the LEDs, without rotational symmetry; the 21 distances differ by at least 1.4 mm."""
 LED_PLACE_SIGMA_MM = 0.005
-"""Standard deviation of the holes' places from the drawing, per axis: a jig borer's."""
+"""Standard deviation of the holes' positions from the drawing, per axis, as of a jig borer."""
 KNOWN_SIGMA_MM, KNOWN_SIGMA_DEG = 0.005, 0.003
-"""Standard deviations of the true poses from those that the recording states: of gauge blocks."""
+"""Standard deviations of the true poses from the stated ones, as of gauge blocks."""
 MIDDLE_MM = (0.0, 700.0)
-"""The pose in the middle of the workspace, as the source's machine has it."""
+"""Pose in the middle of the workspace, as of the source's machine."""
 HALF_RANGE = (45.0, 32.0, 40.0)
-"""Of a, b (mm) and φ (°) about it."""
+"""Half ranges of a, b (mm) and φ (°) about the middle."""
 FOCAL_MM = (7.5, 9.0)
 MAX_TILT_DEG = 15.0
 K1 = (-0.12, -0.04)
 """Light barrel distortion: 2 to 6 px in the corners of the picture."""
 LED_SHARE, AMBIENT_SHARE = 0.55, 0.03
-"""Of the full well: a lit LED and the matte plate in the light of the room."""
+"""Shares of the full well: a lit LED, and the matte plate in the room's light."""
 FPS = 20.0
 MAX_DRAWS = 10_000
 MACHINE_FLAWS = MachineFlaws(place_mm=0.5, direction_deg=0.1, screw_ppm=200.0)
 
 Pose = tuple[float, float, float]
-"""(a mm, b mm, φ °) of Eq. 2.59: the place of the plate's origin in the fixed frame, and its turn."""
+"""Pose (a mm, b mm, φ °) of Eq. 2.59: position of the plate's origin in the fixed frame, and its turn."""
 
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """A disc of light that is no LED of the plate, in the fixed frame: a reflection or a lamp."""
+    """A disc of light that is not an LED of the plate, in the fixed frame: a reflection or a lamp."""
 
     x_mm: float
     y_mm: float
@@ -115,7 +115,7 @@ class PlanarScene:
         self._rng = rng
 
     def poses(self, count: int) -> list[Pose]:
-        """Poses at random whose LEDs are all well inside the picture; raises ValueError without any."""
+        """Draw poses with all LEDs well inside the picture; raises ValueError if there is none."""
         poses: list[Pose] = []
         for _ in range(MAX_DRAWS):
             if len(poses) == count:
@@ -128,17 +128,17 @@ class PlanarScene:
         raise ValueError("the picture does not hold the plate")
 
     def shuffled_leds(self) -> list[int]:
-        """The LEDs, counted from 0, in an order at random."""
+        """LEDs, counted from 0, in random order."""
         return [int(led) for led in self._rng.permutation(len(self.leds_mm))]
 
     def near(self, pose: Pose) -> Pose:
-        """The true pose of a plate that was set to ``pose``."""
+        """True pose of a plate that was set to ``pose``."""
         sigmas = (KNOWN_SIGMA_MM, KNOWN_SIGMA_MM, KNOWN_SIGMA_DEG)
         a, b, phi = (float(x) for x in np.array(pose) + self._rng.normal(0.0, sigmas))
         return a, b, phi
 
     def mean_electrons(self, pose: Pose, lit: Collection[int], lights: Sequence[Light] = ()) -> Image:
-        """Electrons of each pixel without noise; ``lit`` are the LEDs that shine, counted from 0."""
+        """Mean electrons of each pixel without noise; ``lit`` are the lit LEDs, counted from 0."""
         covered = np.zeros((HEIGHT_PX, WIDTH_PX), np.float32)
         radius_mm = LED_DIAMETER_MM / 2.0
         for led, (x_mm, y_mm) in enumerate(places_mm(self.true_leds_mm, pose).tolist()):
@@ -159,7 +159,7 @@ class PlanarScene:
 
 
 def places_mm(leds_mm: FloatArray, pose: Pose) -> FloatArray:
-    """Points (n, 2) of the plate in the fixed frame, Eq. 2.59."""
+    """Coordinates (n, 2) of the plate's points in the fixed frame, Eq. 2.59."""
     a, b, phi_deg = pose
     cosine, sine = math.cos(math.radians(phi_deg)), math.sin(math.radians(phi_deg))
     return np.asarray(leds_mm @ np.array([[cosine, sine], [-sine, cosine]]) + (a, b))
@@ -167,7 +167,7 @@ def places_mm(leds_mm: FloatArray, pose: Pose) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Stay:
-    """A pose of the plate with the LEDs that shine there; ``stated`` is what the recording says of it."""
+    """A pose of the plate with its lit LEDs; ``stated`` is the pose stated in the recording."""
 
     pose: Pose
     lit: tuple[int, ...]
@@ -232,7 +232,7 @@ def known_and_unknown(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the recording on the command line."""
+    """Add the command-line arguments of the recording."""
     output = "new or empty folder for the recording"
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=output)
     parser.add_argument("--truth", type=Path, metavar="FILE", help="JSON file for the true poses")

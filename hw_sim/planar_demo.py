@@ -29,19 +29,19 @@ from hw_sim.planar import HALF_RANGE, MACHINE_FLAWS, PlanarScene, Pose
 from hw_sim.ports import free_port
 
 PERIOD_NS = 100_000_000
-"""Ten frames a second: a frame of 0.8 Mpx with its noise takes half of that time to compute."""
+"""Frame period, ten frames a second: a frame of 0.8 Mpx with its noise takes half of that to compute."""
 STEP_MM = 2.0
-"""Of the joints from frame to frame."""
+"""Maximum travel of the joints from frame to frame."""
 REST_FRAMES = 30
 DARK_CYCLE = (7, 7, 5, 3, 2, 1)
-"""LEDs that are lit at the rests, one after another."""
+"""Numbers of lit LEDs at successive rests."""
 LOCALHOST = "127.0.0.1"
 _OF_DEMO = {Reason.SIMULATED, Reason.REHEARSAL}
-"""Warnings of every measurement here."""
+"""Warnings of every measurement in this demo."""
 
 
 class PlateCamera:
-    """The camera of a plate that the machine drives from rest to rest; see ``altd.ports.Camera``.
+    """Camera of a plate that the machine drives from rest to rest; see ``altd.ports.Camera``.
 
     The number of lit LEDs changes from rest to rest. ``truth`` has the true pose of each exposure.
     """
@@ -68,19 +68,19 @@ class PlateCamera:
 
     @staticmethod
     def _rests_mm(seed: int) -> itertools.cycle[Array]:
-        """Joints of poses in the picture, by a machine of the same errors."""
+        """Joints of poses within the picture, from a machine with the same errors."""
         other = source_machine(MACHINE_FLAWS, seed)
         return itertools.cycle(
             [other.joints_mm.copy() for _ in itertools.islice(random_motion(other, HALF_RANGE), 12)]
         )
 
     def open(self) -> None:
-        """Get ready; the first frame is due now."""
+        """Open the camera; the first frame is due now."""
         self._start_ns = self._start_ns or time.monotonic_ns()
         self._closed.clear()
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next frame when it is due, or the newest of those that are; the plate has moved until then."""
+        """Return the next frame when due, or the newest due one; the plate has moved until then."""
         due = (time.monotonic_ns() - self._start_ns) // PERIOD_NS
         sequence = max(due, self._last + 1)
         wait_s = (self._start_ns + sequence * PERIOD_NS - time.monotonic_ns()) * 1e-9
@@ -103,15 +103,15 @@ class PlateCamera:
         return Frame(self.name, sequence, self._start_ns + sequence * PERIOD_NS, pixels)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """The exposure is fixed."""
+        """Raise CameraError: the exposure is fixed."""
         raise CameraError(f"{self.name}: the exposure is fixed")
 
     def close(self) -> None:
-        """Release it; a call that waits for a frame ends."""
+        """Close the camera; a waiting ``next_frame`` ends."""
         self._closed.set()
 
     def _move(self) -> None:
-        """Move towards the goal by one frame; at the goal, rest and choose another one."""
+        """Move towards the goal by one frame; at the goal, rest and then select another goal."""
         way = self._goal_mm - self._machine.joints_mm
         if np.abs(way).max() < STEP_MM / 100:
             self._rested += 1
@@ -123,17 +123,17 @@ class PlateCamera:
         step = way * min(STEP_MM / float(np.abs(way).max()), 1.0)
         try:
             self._machine.move(self._machine.joints_mm + step)
-        except JammedError:  # on the straight way of the joints; another goal is chosen
+        except JammedError:  # on the straight path of the joints; another goal is selected
             self._goal_mm = next(self._rests)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the demo on the command line."""
+    """Add the command-line arguments of the demo."""
     add_demo_arguments(parser, "selects camera and plate (default: 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show the demo until its time is over or a signal; raises BadInputError."""
+    """Run the demo until its duration is over or a signal arrives; raises BadInputError."""
     return run_until_stopped(partial(_demo, arguments))
 
 
@@ -162,7 +162,7 @@ _HEADING = f"{'a mm':>22}{'b mm':>22}{'phi °':>22}   {'error a, b mm, phi °':2
 
 
 async def _show(daemon: Daemon, camera: PlateCamera) -> None:
-    """A line a second: values, their sigma, their errors."""
+    """Print a line each second: values, their sigma, their errors."""
     cursor = daemon.board.cursor()
     while True:
         measurement = await cursor.next()

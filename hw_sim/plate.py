@@ -1,4 +1,4 @@
-"""``python -m hw_sim plate``: the plate of 7 × 5 LEDs (Sec. 3.3.4) at each target's place, recorded."""
+"""``python -m hw_sim plate``: record the plate of 7 × 5 LEDs (Sec. 3.3.4) at each target's place."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from hw_sim.view import LED_LEVEL_E_PER_MS, PSF_SIGMA_PX, View, make_view
 COLUMNS, ROWS = 7, 5
 LED_DIAMETER_MM = 5.0
 PITCH_MM = 23.0
-"""The plate of App. A.3 has 25 mm; its outer columns do not fit the picture of an ordinary unit's cameras,
-which are as near as the 140 × 110 mm target allows."""
+"""Pitch of the LEDs. The plate of App. A.3 has 25 mm, but its outer columns exceed the picture of an ordinary
+unit's cameras, which are as close as the 140 × 110 mm target allows."""
 WIDE_PITCH_MM = 25.0
-"""For cameras that are made for the plate, tilted or with a fisheye lens."""
+"""Pitch for cameras made for the plate, tilted or with a fisheye lens."""
 FISHEYE_FOCAL_MM = (3.5, 3.7)
 LED_PLACE_SIGMA_MM = 0.005
-"""Standard deviation of the LEDs' places from the drawing, per axis."""
+"""Standard deviation of the LEDs' positions from the drawing, per axis."""
 MIN_BRIGHTNESS = 0.8
 SUBSAMPLES = 6
 MAX_TILT_DEG = 35.0
 PLATE_STREAM = 9
-"""Keeps the plate's random numbers apart from those of the frames."""
+"""Separate random stream for the plate, apart from that of the frames."""
 
 Led = tuple[int, int]
-"""Column and row, counted from the smallest x and y."""
+"""Column and row of an LED, counted from the smallest x and y."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """A plate: its pitch, and its LEDs that are dark. ``tilt_deg`` and ``fisheye`` are the cameras'."""
+    """A plate: its pitch and its dark LEDs. ``tilt_deg`` and ``fisheye`` describe the cameras."""
 
     pitch_mm: float = PITCH_MM
     dark: tuple[Led, ...] = ()
@@ -56,7 +56,7 @@ class Plate:
 
     @property
     def origin_mm(self) -> tuple[float, float]:
-        """The LED with the smallest x and y; the plate's middle is the target's."""
+        """Position of the LED with the smallest x and y; the plate is centred on the target."""
         return -(COLUMNS - 1) / 2.0 * self.pitch_mm, -(ROWS - 1) / 2.0 * self.pitch_mm
 
     @property
@@ -65,7 +65,7 @@ class Plate:
         return (-self.origin_mm[0] + LED_DIAMETER_MM / 2.0, -self.origin_mm[1] + LED_DIAMETER_MM / 2.0)
 
     def lit_mm(self) -> list[tuple[float, float]]:
-        """The places of the lit LEDs in the drawing."""
+        """Positions of the lit LEDs in the drawing."""
         return [
             (self.origin_mm[0] + column * self.pitch_mm, self.origin_mm[1] + row * self.pitch_mm)
             for row in range(ROWS)
@@ -75,7 +75,7 @@ class Plate:
 
 
 def with_plate(unit: Unit, plate: Plate) -> Unit:
-    """The unit with its cameras on the plate instead of their targets, and without the laser."""
+    """The unit with its cameras directed at the plate instead of their targets, and without the laser."""
     rng = np.random.default_rng([unit.config.seed, PLATE_STREAM])
     imagers = {}
     for camera in CAMERAS:
@@ -117,7 +117,7 @@ def record_plate(folder: Path, unit: Unit, plate: Plate, frame_sets: int, progre
 def _plate_lens(
     lens: Lens, plate: Plate, focal_range_mm: tuple[float, float], rng: np.random.Generator
 ) -> Lens:
-    """A lens tilted against the plate, at the distance at which its image holds all of it."""
+    """A lens tilted against the plate, at the distance at which its image holds the whole plate."""
     tilt, towards = math.radians(plate.tilt_deg or 0.0), rng.uniform(0.0, 2.0 * math.pi)
     turned = rotation(
         tilt * math.cos(towards), tilt * math.sin(towards), math.radians(rng.uniform(-2.0, 2.0))
@@ -140,7 +140,7 @@ def _plate_lens(
 
 
 def _lamps(view: View, lit_mm: Sequence[tuple[float, float]], rng: np.random.Generator) -> Image:
-    """Electrons per ms of the plate's LEDs, each with its own deviation in place and brightness."""
+    """Electrons per ms of the plate's LEDs, each with its own deviation in position and brightness."""
     lit = np.zeros_like(view.x_mm)
     for x_mm, y_mm in lit_mm:
         off_x, off_y = rng.normal(0.0, LED_PLACE_SIGMA_MM, size=2)
@@ -162,7 +162,7 @@ def add_disc(
 ) -> None:
     """Add to ``lit`` the share of each pixel's area that a disc covers.
 
-    ``plane_mm`` are the maps (x, y) of the point of the plane that each pixel shows.
+    ``plane_mm`` are the maps (x, y) of the point of the plane in each pixel.
     """
     around = np.linspace(0.0, 2.0 * math.pi, 32)
     u, v = lens.project(
@@ -188,7 +188,7 @@ def add_disc(
 
 
 def _led(text: str) -> Led:
-    """An LED as COLUMN,ROW, counted from 0."""
+    """Parse an LED as COLUMN,ROW, counted from 0."""
     try:
         column, row = (int(part) for part in text.split(","))
     except ValueError:
@@ -199,7 +199,7 @@ def _led(text: str) -> Led:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the plate on the command line."""
+    """Add the command-line arguments of the plate."""
     add_common_arguments(parser)
     parser.add_argument(
         "--exposures", type=at_least_one, default=4, help="pairs of exposures, LEDs off and on (default: 4)"

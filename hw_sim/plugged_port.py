@@ -1,4 +1,4 @@
-"""A serial port that can be unplugged: a pseudo-terminal under a name of its own."""
+"""A serial port that can be unplugged: a pseudo-terminal with its own path."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 
 class PluggedPort:
-    """``terminal`` is the far end; the program under test opens ``device``, which goes with the port.
+    """``terminal`` is the far end; the program under test opens ``device``, which vanishes with the port.
 
-    The kernel gives the number of a closed pseudo-terminal to the next one, of whatever program: a path in
+    The kernel assigns the number of a closed pseudo-terminal to the next one, of any program: a path in
     /dev/pts would soon lead there.
     """
 
@@ -23,7 +23,7 @@ class PluggedPort:
         self.device.symlink_to(os.ttyname(self._line))
 
     def unplug(self) -> None:
-        """Pull the cable: the port is gone, and ``terminal`` is -1."""
+        """Unplug the cable: the port disappears, and ``terminal`` is -1."""
         if self.terminal < 0:
             return
         shutil.rmtree(self.device.parent)

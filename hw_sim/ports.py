@@ -1,4 +1,4 @@
-"""TCP ports for daemons that are started."""
+"""Free TCP ports for daemons."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _given: set[int] = set()
 
 
 def free_port() -> int:
-    """A TCP port that is free at the moment, and that was not given before."""
+    """A TCP port that is currently free and was not returned before."""
     while True:
         with socket.create_server(("127.0.0.1", 0)) as server:
             port: int = server.getsockname()[1]

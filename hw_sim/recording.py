@@ -1,4 +1,4 @@
-"""Writes altd-recording/1 folders: recording.json, frames.csv, one PNG a frame."""
+"""Writes altd-recording/1 folders: recording.json, frames.csv, one PNG for each frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hw_sim.unit import CAMERAS, FRONT, REAR, Unit
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
 STORED = (cv2.IMWRITE_PNG_COMPRESSION, 0, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
-"""PNG without compression: three times the size, a tenth of the time to write and to read it."""
+"""PNG without compression: three times the size, a tenth of the time to write and to read."""
 
 Progress = Callable[[int, int], None]
 """Called after each frame set with the number made and the number planned."""
@@ -50,7 +50,7 @@ class Recorder:
 
     @property
     def t_ns(self) -> int:
-        """The middle of the next frame set's exposure."""
+        """Middle of the next frame set's exposure."""
         return self._sequence * self._unit.config.period_ns
 
     def expose(
@@ -64,7 +64,7 @@ class Recorder:
     ) -> None:
         """Record one frame of each camera, exposed at the same time; ``stage_mm`` is the stage's position.
 
-        With even light on the targets, for a flat field, the row says ``leds`` on.
+        With even light on the targets, for a flat field, the row has ``leds`` on.
         """
         self._unit.place(pose)
         self._unit.leds_on = leds_on
@@ -92,11 +92,11 @@ def recording(
     progress: Progress,
     extra_header: Mapping[str, object] | None = None,
 ) -> Iterator[Recorder]:
-    """A recorder whose frames become the recording ``folder`` at the end, or nothing at all.
+    """Yield a recorder whose frames become the recording ``folder`` at the end, or nothing after an error.
 
-    ``extra_header`` adds to the header or replaces what it has.
+    ``extra_header`` adds to the header or replaces its entries.
 
-    Raises BadInputError for a folder that holds something or that cannot be made.
+    Raises BadInputError if the folder is not empty or cannot be made.
     """
     folder = folder.resolve()
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
@@ -106,7 +106,7 @@ def recording(
         for camera in CAMERAS:
             (draft / camera).mkdir(parents=True)
         with (draft / "frames.csv").open("w", newline="") as table:
-            png = () if kind == "flat" else STORED  # made with the laser, it has thousands of frames
+            png = () if kind == "flat" else STORED  # a flat made with the laser has thousands of frames
             yield Recorder(draft, table, unit, planned, progress, png)
         (draft / "recording.json").write_text(
             json.dumps({**_header(unit, kind), **(extra_header or {})}, indent=1) + "\n"

@@ -1,4 +1,4 @@
-"""``python -m hw_sim scan``: the calibration scan of Sec. 3.5.7, recorded."""
+"""``python -m hw_sim scan``: record the calibration scan of Sec. 3.5.7."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The nodes of a scan, around the middle of the targets; by default the grid of Fig. 3.24.
+    """Nodes of a scan, around the middle of the targets; by default the grid of Fig. 3.24.
 
-    That covers 140 × 112 mm, the area of App. A.1.
+    The default covers 140 × 112 mm, the area of App. A.1.
     """
 
     pitch_mm: float = 28.0
@@ -28,7 +28,7 @@ class Grid:
     rows: int = 5
 
     def nodes_mm(self) -> list[tuple[float, float]]:
-        """The nodes (x, y) in mm, row by row from the smallest x and y."""
+        """Nodes (x, y) in mm, row by row from the smallest x and y."""
         return [
             (
                 (column - (self.columns - 1) / 2.0) * self.pitch_mm,
@@ -42,17 +42,17 @@ class Grid:
 USUAL = Grid()
 
 STAGE_STREAM = 6
-"""Keeps the stage's random numbers apart from those of the frames."""
+"""Separate random stream for the stage, apart from that of the frames."""
 
 SETTLED_S = 10.0
-"""A switched glass has settled for so long at a node."""
+"""Time that a switched glass has had to settle at a node."""
 
 LED_REFERENCE = (False, True, False, True)
-"""The frame LEDs in the frame sets before the grid, with the beam in the middle."""
+"""State of the frame LEDs in the frame sets before the grid, with the beam in the middle."""
 
 
 def dense_grid(columns: int, rows: int) -> Grid:
-    """A grid of so many nodes with the widest pitch at which it lies within the usual one."""
+    """Grid of this size with the widest pitch at which it is within the usual grid."""
     columns_share, rows_share = (USUAL.columns - 1) / (columns - 1), (USUAL.rows - 1) / (rows - 1)
     return Grid(USUAL.pitch_mm * min(columns_share, rows_share), columns, rows)
 
@@ -60,9 +60,9 @@ def dense_grid(columns: int, rows: int) -> Grid:
 def record_scan(
     folder: Path, unit: Unit, stage: Stage, frame_sets: int, progress: Progress, grid: Grid = USUAL
 ) -> None:
-    """Write the scan of a unit into ``folder``: LED reference pairs, then ``frame_sets`` a node.
+    """Write the scan of a unit into ``folder``: LED reference pairs, then ``frame_sets`` for each node.
 
-    Of a unit with a switched front target, front and rear target are exposed one after the other.
+    For a unit with a switched front target, front and rear target are exposed one after the other.
     """
     nodes, glass = grid.nodes_mm(), unit.glass
     shown = [CAMERAS] if glass is None else [(camera,) for camera in CAMERAS]
@@ -80,7 +80,7 @@ def record_scan(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the scan on the command line."""
+    """Add the command-line arguments of the scan."""
     add_common_arguments(parser)
     parser.add_argument("--exposures", type=at_least_one, default=2, help="exposures per node (default: 2)")
     parser.add_argument(
@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _grid(text: str) -> Grid:
-    """The dense grid of these columns and rows."""
+    """Parse columns and rows of a dense grid."""
     try:
         columns, rows = (int(part) for part in text.split(","))
     except ValueError:

@@ -1,7 +1,7 @@
-"""The camera's chip: from mean electrons to grey values, with noise.
+"""The camera's sensor: from mean electrons to grey values, with noise.
 
-Two ways to the same statistics: ``expose`` draws photons one pixel at a time (recordings); in real time,
-where a frame must take about a millisecond, Gaussian noise comes from a pool that was drawn once
+Two methods have the same statistics. ``expose`` draws photons for each pixel (recordings). In real time,
+where a frame must take about a millisecond, Gaussian noise is taken from a pool that was drawn once
 (``NoisePool``).
 """
 
@@ -24,17 +24,17 @@ POOL_SIZE = 1 << 21
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A global-shutter chip, read with ``bits`` of 8 to 16. At gain 1 a full well is full scale."""
+    """A global-shutter sensor, read with ``bits`` of 8 to 16. At gain 1 a full well is full scale."""
 
     bits: int = 8
 
     @property
     def full_scale(self) -> int:
-        """The largest grey value."""
+        """Largest grey value."""
         return (1 << self.bits) - 1
 
     def counts_per_electron(self, gain: float) -> float:
-        """The slope of the grey values."""
+        """Slope of the grey values."""
         return self.full_scale / FULL_WELL_E * gain
 
     def expose(self, mean_e: Image, gain: float, rng: np.random.Generator) -> PixelArray:
@@ -44,7 +44,7 @@ class Sensor:
         return self.quantise(self.mean_counts(collected, gain))
 
     def mean_counts(self, electrons: Image, gain: float) -> Image:
-        """Grey values before quantisation; no well holds more than it can."""
+        """Grey values before quantisation; electrons are limited to the full well."""
         held = np.minimum(electrons, np.float32(FULL_WELL_E))
         slope = np.float32(self.counts_per_electron(gain))
         return held * slope + np.float32(BLACK_LEVEL * self.full_scale)
@@ -56,21 +56,21 @@ class Sensor:
         return slope * np.sqrt(held + np.float32(READ_NOISE_E**2))
 
     def quantise(self, counts: Image) -> PixelArray:
-        """Whole grey values within the scale; ``counts`` is used up as the buffer."""
+        """Whole grey values within the scale; ``counts`` is overwritten."""
         counts += np.float32(0.5)
         np.clip(counts, 0.0, self.full_scale, out=counts)
         return counts.astype(np.uint8) if self.bits <= 8 else counts.astype(np.uint16)
 
 
 class NoisePool:
-    """Standard normal numbers drawn once; a frame takes a stretch of them from a place of its own."""
+    """Standard normal numbers drawn once; each frame uses a section that starts at its own position."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._numbers = rng.standard_normal(POOL_SIZE, dtype=np.float32)
 
     def stretch(self, key: int, shape: tuple[int, int]) -> Image:
-        """Noise (rows, columns) for the frame known as ``key``: the same key, the same noise."""
+        """Noise (rows, columns) for the frame ``key``; the same key gives the same noise."""
         size = shape[0] * shape[1]
-        # Weyl's sequence on the golden ratio: neighbours in time lie far apart in the pool.
+        # Weyl's sequence on the golden ratio: sections of successive frames are far apart in the pool.
         start = int(key * 0.6180339887498949 % 1.0 * (POOL_SIZE - size))
         return self._numbers[start : start + size].reshape(shape)

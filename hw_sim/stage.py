@@ -1,4 +1,4 @@
-"""The calibration table: positions a beam in front of the targets, with the errors that such a table has."""
+"""The calibration table: it positions a beam in front of the targets, with typical errors."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ STAGE_SIGMA_MM = 0.002
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """Errors that a scan shares with its own reference, each (x, y), and how the unit is mounted.
+    """Errors that a scan shares with its own reference, each (x, y), and the mounting of the unit.
 
-    The table moves by 1 + ``scale_ppm`` of what it reports, its axes move x by ``square_mrad`` of y and y by
-    that of x, and its beam runs with slopes ``tilt_mm_per_m``. ``is_turned``: the unit is turned by half a
-    turn about its own z axis, and its middle is then at ``seat_mm`` of the table.
+    The table moves by 1 + ``scale_ppm`` of the reported position, its axes move x by ``square_mrad`` of y and
+    vice versa, and its beam has slopes ``tilt_mm_per_m``. ``is_turned``: the unit is turned by half a turn
+    about its own z axis, and its middle is then at ``seat_mm`` of the table.
     """
 
     scale_ppm: tuple[float, float] = (0.0, 0.0)
@@ -30,7 +30,7 @@ class Mounting:
 
 ADJUSTED = Mounting()
 MISALIGNED = Mounting((120.0, 120.0), (0.2, 0.0), (-0.8, 0.47))
-"""A table and a beam as a metrologist may find them without a reference of his own."""
+"""Typical errors of a table and a beam for a metrologist without a separate reference."""
 
 
 class Stage:
@@ -44,7 +44,7 @@ class Stage:
         self.mounting = mounting
 
     def place(self, x_mm: float, y_mm: float) -> BeamPose:
-        """The true beam in the unit frame when the table reports (x, y)."""
+        """True beam in the unit frame when the table reports (x, y)."""
         of = self.mounting
         error_x, error_y = self._rng.normal(0.0, self.sigma_mm, size=2)
         table_x = x_mm * (1 + of.scale_ppm[0] * 1e-6) + of.square_mrad[0] * 1e-3 * y_mm + float(error_x)
@@ -55,7 +55,7 @@ class Stage:
         return BeamPose(table_x, table_y, slope_x, slope_y)
 
     def header(self) -> dict[str, object]:
-        """The keys of a scan's header: the errors as the table's certificate states them, 1 sigma an axis."""
+        """Keys of a scan's header: the errors in the table's certificate, 1 sigma for each axis."""
         of = self.mounting
         limits = {
             "stage_mm": self.sigma_mm,

@@ -1,7 +1,7 @@
 """``python -m hw_sim scan --stage``: altd's own scan of a simulated unit, its table on a pseudo-terminal.
 
-All of it is as with a real unit: ``altd scan`` speaks Grbl to the table, which carries the laser, and takes
-the frames that the cameras deliver meanwhile. Interrupted, it is resumed like a real one.
+It works as with a real unit: ``altd scan`` controls the table, which moves the laser, over Grbl, and takes
+the frames that the cameras deliver meanwhile. An interrupted scan is resumed like a real one.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ class SimulatedLamps:
         self._unit = unit
 
     def open(self) -> None:
-        """Dark."""
+        """Switch the LEDs off."""
         self._unit.leds_on = False
 
     def switch(self, on: bool) -> None:
-        """Light or darken them, from the next frame set on."""
+        """Switch the LEDs on or off, from the next frame set on."""
         self._unit.leds_on = on
 
     def close(self) -> None:
-        """Dark again."""
+        """Switch the LEDs off."""
         self._unit.leds_on = False
 
 
 def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:
-    """The settings of an ordinary unit whose stage is at ``device``."""
+    """Config of an ordinary unit whose stage is at ``device``."""
     return Config(
         unit=UnitTable(serial=unit.config.serial, calibration=Path("calibration.json")),
         targets=(
@@ -54,7 +54,7 @@ def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:
 
 
 def staged_scan(folder: Path, seed: int, frame_sets: int, hard: Hardness | None = None) -> int:
-    """Scan the unit of ``seed`` with its table into ``folder``; the exit status. Raises BadInputError."""
+    """Scan the unit of ``seed`` with its table into ``folder``; return the status; raises BadInputError."""
     unit = Unit(UnitConfig(seed=seed, hard=hard))
     with GrblTable(unit, np.random.default_rng([seed, STAGE_STREAM])) as table:
         config = scan_config(unit, table.device, Scan(exposures=frame_sets, settle_s=0.2))

@@ -1,4 +1,4 @@
-"""Scatterers of the light: the printed window, the plain plate, their speckle; places of the frame LEDs."""
+"""Scattering surfaces: the printed window, the plain plate, their speckle; positions of the frame LEDs."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from hw_sim.image import Image
 
 DOT_DIAMETER_MM = 0.5
 DOT_PITCH_MM = 1.0
-"""The screen print of Table 3.1's last row."""
+"""Pitch of the screen print in Table 3.1's last row."""
 
 WINDOW_TRANSMISSION = 0.92
-"""Clear glass with two uncoated surfaces."""
+"""Transmission of clear glass with two uncoated surfaces."""
 
 LED_DIAMETER_MM = 5.0
 LED_POSITIONS_MM = ((-74.0, 48.0), (0.0, 59.0), (74.0, 48.0), (-74.0, -48.0), (0.0, -59.0), (74.0, -48.0))
-"""The six frame LEDs (Sec. 3.4, App. A.3): beside the 140 × 110 mm that are measured, within the picture."""
+"""Six frame LEDs (Sec. 3.4, App. A.3): outside the measured 140 × 110 mm, within the picture."""
 
 
 @dataclass(frozen=True, slots=True)
 class DotPattern:
-    """The print of a window: round dots on a hexagonal or an orthogonal (square) lattice.
+    """Print of a window: round dots on a hexagonal or an orthogonal (square) lattice.
 
     ``size_mm`` is the width and height of the print, centred on the window and turned with its rows; None: it
-    reaches beyond the picture.
+    extends beyond the picture.
     """
 
     diameter_mm: float = DOT_DIAMETER_MM
@@ -45,11 +45,12 @@ class DotPattern:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrintFlaws:
-    """Faults of each dot of a digital print (Fig. 3.8 left, Table 3.1), from a table of standard normals.
+    """Flaws of each dot of a digital print (Fig. 3.8 left, Table 3.1), from a table of standard normals.
 
-    ``jitter_mm`` is the standard deviation of a dot's place per axis. ``bleed_mm`` is that of the ink's run
-    beyond (or short of) the drawn edge, one value a dot, and the width over which every edge fades.
-    ``normals`` (2, n, n, 3): of the lattice's two parts, the dots repeat after n rows and columns.
+    ``jitter_mm`` is the standard deviation of a dot's position per axis. ``bleed_mm`` is the standard
+    deviation of the ink's run beyond (or short of) the drawn edge, one value for each dot, and the width over
+    which every edge fades. ``normals`` (2, n, n, 3): of the lattice's two parts, the dots repeat after n rows
+    and columns.
     """
 
     jitter_mm: float
@@ -59,7 +60,7 @@ class PrintFlaws:
 
 @dataclass(frozen=True, slots=True)
 class DotPrint:
-    """A printed pattern: where one dot sits (mm), and the turn of the rows from x towards y."""
+    """A printed pattern: the position of one dot (mm), and the turn of the rows from x towards y."""
 
     phase_mm: tuple[float, float]
     rotation_rad: float
@@ -75,7 +76,7 @@ class DotPrint:
         pitch = np.float32(pattern.pitch_mm)
         offsets: tuple[float, ...] = (0.0,)
         row = pitch
-        if pattern.hexagonal:  # two rectangular lattices, one in the middle of the other
+        if pattern.hexagonal:  # two rectangular lattices, one centred in the other
             row, offsets = np.float32(pattern.pitch_mm * math.sqrt(3.0)), (0.0, 0.5)
         radius_mm = pattern.diameter_mm / 2.0
         if self.flaws is not None:
@@ -102,7 +103,7 @@ class DotPrint:
 def _beyond_flawed_dot(
     across: Image, up: Image, offset: np.float32, pitches: tuple[np.float32, np.float32], flaws: PrintFlaws
 ) -> Image:
-    """Distance from the nearest dot's middle, less the run of its ink, in one part of the lattice, mm."""
+    """Distance from the nearest dot's centre, less the run of its ink, in one part of the lattice, mm."""
     column, row = np.rint(across / pitches[0] - offset), np.rint(up / pitches[1] - offset)
     n = flaws.normals.shape[1]
     drawn = flaws.normals[int(offset > 0.0)][row.astype(np.int64) % n, column.astype(np.int64) % n]
@@ -113,10 +114,10 @@ def _beyond_flawed_dot(
 
 
 def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -> Image:
-    """The fixed factor of mean 1 by which the surface texture changes each pixel's light, (rows, columns).
+    """Fixed factor of mean 1 by which the surface texture changes each pixel's light, (rows, columns).
 
     The texture is finer than a pixel, so its mean over one pixel's area differs from the next one's with
-    ``contrast``, and the lens then blurs it with all else. Target and camera are fixed to each other: the
+    ``contrast``, and the lens then blurs it like all else. Target and camera are fixed to each other: the
     texture belongs to the pixels.
     """
     texture = rng.standard_normal(shape, dtype=np.float32) * np.float32(contrast)
@@ -125,9 +126,9 @@ def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -
 
 
 def soft_disc(distance_mm: Image, radius_mm: float, softness_mm: float) -> Image:
-    """1 inside and 0 outside of a disc, with an edge as wide as the cell that is asked about.
+    """1 inside and 0 outside of a disc, with an edge as wide as the cell that is evaluated.
 
-    A straight edge of width w adds π·w²/12 to the disc's area; the radius gives that back.
+    A straight edge of width w adds π·w²/12 to the disc's area; the radius compensates for that.
     """
     radius_mm = math.sqrt(radius_mm**2 - softness_mm**2 / 12.0)
     edge = np.float32(0.5) + (np.float32(radius_mm) - distance_mm) / np.float32(softness_mm)

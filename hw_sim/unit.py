@@ -40,11 +40,11 @@ FRONT, REAR = "front", "rear"
 CAMERAS = (FRONT, REAR)
 
 EXPOSURES_MS: Mapping[str, float] = {FRONT: 1.6, REAR: 1.6}
-"""Bring 3 mW in a spot of 12 × 11 mm to about three quarters of full scale."""
+"""Exposure times that bring 3 mW in a spot of 12 × 11 mm to about three quarters of full scale."""
 
 INK_SPECKLE_RATIO = 0.6
 """Speckle of the window's ink relative to the plate's: light that diffuses through ink loses contrast. With
-it a node of a scan scatters about the map as on the recorded unit (../shared/data/unit-a): 0.04 px."""
+it a scan's node scatters about the map as on the recorded unit (../shared/data/unit-a): 0.04 px."""
 
 _MISSING = {FRONT: Fault.FRONT_SPOT_MISSING, REAR: Fault.REAR_SPOT_MISSING}
 _SECOND = {FRONT: Fault.FRONT_SECOND_SPOT, REAR: Fault.REAR_SECOND_SPOT}
@@ -90,12 +90,12 @@ class UnitConfig:
 
     @property
     def serial(self) -> str:
-        """The unit's serial number."""
+        """Serial number of the unit."""
         return f"SIM-{self.seed}"
 
     @property
     def period_ns(self) -> int:
-        """The time from one frame set to the next."""
+        """Time from one frame set to the next."""
         return round(1e9 / self.fps)
 
 
@@ -157,12 +157,12 @@ class Unit:
 
     @property
     def faults(self) -> frozenset[Fault]:
-        """The faults that are present now."""
+        """Faults that are currently present."""
         return self._faults
 
     @property
     def leds_on(self) -> bool:
-        """Whether the LEDs around any target are lit; setting it switches those of all targets."""
+        """Whether the LEDs around any target are lit; setting it switches the LEDs of all targets."""
         return bool(self._lit)
 
     @leds_on.setter
@@ -171,17 +171,17 @@ class Unit:
 
     @property
     def serial(self) -> str:
-        """The unit's serial number."""
+        """Serial number of the unit."""
         return self.config.serial
 
     def switch_leds(self, camera: str, on: bool) -> None:
-        """Light or darken the LEDs around one camera's target, from its next frame on."""
+        """Switch the LEDs around one camera's target on or off, from its next frame on."""
         if on != (camera in self._lit):
             with self._lock:
                 self._lit = self._lit | {camera} if on else self._lit - {camera}
 
     def inject(self, *faults: Fault) -> None:
-        """Let these faults be present from the next frame set on."""
+        """Add these faults from the next frame set on."""
         with self._lock:
             self._have(self._faults | set(faults))
 
@@ -191,7 +191,7 @@ class Unit:
             self._have(self._faults - set(faults) if faults else frozenset())
 
     def _have(self, faults: frozenset[Fault]) -> None:
-        """Let these faults be present and no others; lights and view that one changed are then as made."""
+        """Replace the faults; lights or view are reset if one of their faults changes."""
         changed = faults ^ self._faults
         if (blinks := Fault.FRONT_BLINKING_LIGHT) in changed:
             self.set_lights(FRONT, strays=(BLINKING_LIGHT,) if blinks in faults else ())
@@ -200,11 +200,11 @@ class Unit:
         self._faults = faults
 
     def place(self, pose: BeamPose) -> None:
-        """Point the reference laser; drive and vibration come on top."""
+        """Point the reference laser; drive and vibration are added to it."""
         self._pose_at = _constant_path(pose)
 
     def follow(self, path: Callable[[int], BeamPose]) -> None:
-        """Let the reference laser follow a path: its pose at ``t_ns``."""
+        """Let the reference laser follow a path, given as its pose at ``t_ns``."""
         self._pose_at = path
 
     def set_camera(
@@ -215,7 +215,7 @@ class Unit:
         gain: float | None = None,
         bits: int | None = None,
     ) -> None:
-        """Set exposure, gain or the bits of a pixel of one camera, from its next frame on."""
+        """Set exposure time, gain or bits per pixel of one camera, from its next frame on."""
         imager = self.imagers[camera]
         if exposure_ms is not None:
             imager.settings = replace(imager.settings, exposure_ms=exposure_ms)
@@ -225,9 +225,10 @@ class Unit:
             imager.sensor = Sensor(bits)
 
     def set_dust(self, amount: float) -> None:
-        """Let dust of 0 (none) to 1 (heavy) lie on window and plate, from the next frame set on.
+        """Set dust of 0 (none) to 1 (heavy) on window and plate, from the next frame set on.
 
-        Where a speck lies is the unit's; a larger amount adds to a smaller one. Raises ValueError.
+        The positions of the specks belong to the unit; a larger amount adds to a smaller one. Raises
+        ValueError.
         """
         dust = {
             camera: make_dust(amount, np.random.default_rng(seed))
@@ -239,7 +240,7 @@ class Unit:
             self._window_dust = dust[FRONT].blurred(SHADOW_SIGMA_MM) if amount else None
 
     def displace(self, camera: str, displacement: Displacement) -> None:
-        """Displace a camera so from the next exposure on, relative to its original place."""
+        """Displace a camera from the next exposure on, relative to its original position."""
         view = self._views[camera](np.random.default_rng(self._view_streams[camera]), displacement)
         with self._lock:
             self.imagers[camera].set_view(view)
@@ -247,7 +248,7 @@ class Unit:
     def set_lights(
         self, camera: str, levels: tuple[float, ...] = ALL_LIT, strays: tuple[Stray, ...] = ()
     ) -> None:
-        """Let the LEDs around a camera's target be so bright when lit, and these strays shine, no others.
+        """Set the brightness of lit LEDs around a camera's target, and replace its stray lights.
 
         ``levels`` has a number for each LED: 1 as usual, 0 dark. Raises ValueError for another length.
         """
@@ -255,7 +256,7 @@ class Unit:
             self.imagers[camera].set_lights(levels, strays)
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
-        """The place of the beam at ``t_ns``, also where it is switched off."""
+        """Pose of the beam at ``t_ns``, even while it is switched off."""
         pose = self._nominal_pose(t_ns)
         if self._drive is not None:
             pose = self._drive.moved(pose, t_ns)
@@ -264,13 +265,13 @@ class Unit:
         return pose
 
     def spots(self, camera: str, t_ns: int) -> list[Footprint]:
-        """The light of the beam on a camera's target at ``t_ns``."""
+        """Light of the beam on a camera's target at ``t_ns``."""
         return self._spots(camera, self.truth(t_ns), self._faults, t_ns)
 
     def exposed_spots(self, camera: str, t_ns: int) -> list[Footprint]:
-        """The light on a camera's target over an exposure with its middle at ``t_ns``.
+        """Light on a camera's target over an exposure with its middle at ``t_ns``.
 
-        Where the beam moves meanwhile, it is that of each of ``Hardness.instants`` in turn.
+        If the beam moves meanwhile, there is a spot for each of ``Hardness.instants``.
         """
         instants = self._instants
         step_ns = self.imagers[camera].settings.exposure_ms * 1e6 / instants
@@ -291,7 +292,7 @@ class Unit:
         )
 
     def lag_ns(self, camera: str) -> int:
-        """The delay of a camera's exposure against the schedule."""
+        """Delay of a camera's exposure relative to the schedule."""
         out_of_step = camera == REAR and Fault.OUT_OF_STEP in self._faults
         return self.config.period_ns // 2 if out_of_step else 0
 
@@ -328,7 +329,7 @@ class Unit:
         )
 
     def _nominal_pose(self, t_ns: int) -> BeamPose:
-        """The beam of the laser, unless a fault takes it elsewhere."""
+        """Beam of the laser, unless a fault moves it."""
         if Fault.CUT_BY_EDGE in self._faults:
             x_mm, y_mm = self.imagers[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
             return BeamPose(float(x_mm), float(y_mm))
@@ -340,7 +341,7 @@ class Unit:
         return pose
 
     def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault], t_ns: int) -> list[Footprint]:
-        """The spots on one target; a switched glass is as at ``t_ns``."""
+        """Spots on one target; a switched glass is in its state at ``t_ns``."""
         if faults & {Fault.NO_LASER, _MISSING[camera]}:
             return []
         share = OVERLOAD_RATIO if Fault.SATURATED in faults else 1.0
@@ -377,12 +378,12 @@ class Unit:
         return sensor.quantise(counts)
 
     def _rng(self, camera: str, sequence: int, purpose: int) -> np.random.Generator:
-        """Random numbers that belong to one frame of one unit and to nothing else."""
+        """Random numbers that are specific to one frame of one unit."""
         return np.random.default_rng([self.config.seed, CAMERAS.index(camera), sequence, purpose])
 
 
 def _constant_path(pose: BeamPose) -> Callable[[int], BeamPose]:
-    """The path of a beam that stays where it is."""
+    """Path of a beam that does not move."""
 
     def path(_t_ns: int) -> BeamPose:
         return pose

@@ -1,9 +1,9 @@
-"""One camera's fixed view of its target: what every pixel shows, and how bright it is.
+"""One camera's fixed view of its target: the point of the target in every pixel, and its brightness.
 
-Target and camera are fixed to each other, so all that does not depend on the beam is worked out once: the
-point of the target at each pixel's centre, the ink and lamps that the pixel's area covers after the lens
-has blurred them, speckle, fall-off. An exposure then costs one exponential per pixel around the spot. The
-beam is taken as even over a pixel (0.25 mm of a spot of several mm).
+Target and camera are fixed to each other, so everything independent of the beam is computed once: the point
+of the target at each pixel's centre, the ink and lamps that the pixel's area covers after the lens has
+blurred them, speckle, fall-off. An exposure then costs one exponential per pixel around the spot. The beam is
+assumed even over a pixel (0.25 mm of a spot of several mm).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hw_sim.sensor import FULL_WELL_E
 from hw_sim.targets import DotPrint, speckle
 
 SUBSAMPLES = 4
-"""Cells per pixel and axis; with soft edges the share of ink is right to about 1 %."""
+"""Cells per pixel and axis; with soft edges the share of ink is correct to about 1 %."""
 
 PSF_SIGMA_PX = 0.74
 """Blur of the lens. With a surface texture of 0.16 a bright spot then looks as in the frames of the recorded
@@ -41,7 +41,7 @@ F_NUMBER = 4.0
 LENS_AND_FILTER_TRANSMISSION = 0.6
 QUANTUM_EFFICIENCY = 0.5
 PHOTONS_PER_MJ = 650e-9 / (6.62607015e-34 * 2.99792458e8) * 1e-3
-"""At 650 nm, per mW·s."""
+"""Photons per mJ (mW·s) at 650 nm."""
 
 ELECTRONS_PER_EXPOSURE = (
     LENS_AND_FILTER_TRANSMISSION
@@ -62,7 +62,7 @@ LED_LEVEL_E_PER_MS = 0.5 * FULL_WELL_E
 
 
 Coverage = Callable[[Image, Image, float], Image]
-"""The cover, or the brightness, of a small cell at points (x, y)."""
+"""Coverage, or brightness, of a small cell at points (x, y)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,11 +85,11 @@ class View:
     blinking: Image | None = None
     """Electrons per ms of blinking stray lights, while they shine."""
     laser_falloff: Image | None = None
-    """Transmission of the filter for the laser, which ``response`` holds."""
+    """Transmission of the filter for the laser; included in ``response``."""
     lamp_falloff: Image | None = None
     """Transmission of the filter for the light of LEDs."""
     speckle: LaserSpeckle | None = None
-    """Speckle of the laser's own."""
+    """Speckle of the laser's coherent light."""
     glare_share: float = 0.0
     """Share of the spot's light that the lens spreads widely."""
     blur_px: float = PSF_SIGMA_PX
@@ -103,12 +103,12 @@ class View:
         return self.response / self.laser_falloff * self.lamp_falloff
 
     def with_dust(self, dust: Dust) -> View:
-        """The same with dust on what it shows; lamps and chip are beside it."""
+        """The view with dust on the target; lamps and sensor stay clean."""
         passed = _blurred(dust.at(self.x_mm, self.y_mm), self.blur_px)
         return replace(self, response=self.response * passed, ambient=self.ambient * passed)
 
     def with_lights(self, levels: tuple[float, ...] = ALL_LIT, strays: tuple[Stray, ...] = ()) -> View:
-        """The same with frame LEDs of these levels, and with these stray lights and no others."""
+        """The view with frame LEDs of these levels, and with only these stray lights."""
         by_time = {when: tuple(stray for stray in strays if stray.shines is when) for when in Shines}
 
         def leds(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
@@ -162,11 +162,11 @@ class View:
         return region, electrons
 
     def region(self, footprints: Sequence[Footprint]) -> tuple[slice, slice]:
-        """The rows and columns that hold the spots; empty slices when none is in the picture."""
+        """Rows and columns that hold the spots; empty slices if none is in the picture."""
         if not footprints:
             return slice(0, 0), slice(0, 0)
         around = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
-        circle = np.stack([np.cos(around), np.sin(around)], axis=1) * math.sqrt(2.0)  # around the box
+        circle = np.stack([np.cos(around), np.sin(around)], axis=1) * math.sqrt(2.0)  # encloses the box
         points = np.concatenate(
             [np.array([spot.x_mm, spot.y_mm]) + circle * spot.half_box_mm for spot in footprints]
         )
@@ -174,7 +174,7 @@ class View:
         return _within(v, HEIGHT_PX), _within(u, WIDTH_PX)
 
 
-def make_view(  # noqa: PLR0913  a target, its camera, and what has happened to both
+def make_view(  # noqa: PLR0913  a target, its camera, and changes to both
     lens: Lens,
     dots: DotPrint | None,
     contrast: float,
@@ -183,9 +183,9 @@ def make_view(  # noqa: PLR0913  a target, its camera, and what has happened to 
     displaced: Displacement | None = None,
     hard: Hardness | None = None,
 ) -> View:
-    """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None.
+    """Maps of a camera with a printed window in view, or a plain plate if ``dots`` is None.
 
-    ``displaced``: as it sees the same target once it has moved. ``hard``: with these effects.
+    ``displaced``: the camera has moved relative to the same target. ``hard``: the effects to include.
     """
     before = lens
     if displaced is not None:
@@ -247,7 +247,7 @@ def _hardened(view: View, hard: Hardness, ink: Image | None, rng: np.random.Gene
 def _reflectance_and_lamps(
     x_mm: Image, y_mm: Image, dots: DotPrint | None, texture: Image, blur_px: float
 ) -> tuple[Image, Image]:
-    """Mean reflectance and share of lit LED over each pixel's area, seen through the lens's blur."""
+    """Mean reflectance and share of lit LED over each pixel's area, after the lens's blur."""
     lit = _blurred(_mean_over_pixels(x_mm, y_mm, led_coverage), blur_px)
     if dots is None:
         return _blurred(texture, blur_px) * np.float32(PLATE_REFLECTANCE), lit
@@ -257,12 +257,12 @@ def _reflectance_and_lamps(
 
 
 def _mean_over_pixels(x_mm: Image, y_mm: Image, coverage: Coverage) -> Image:
-    """The mean of what covers small cells, over each pixel's area."""
+    """Mean over each pixel's area of the coverage of small cells."""
     return _summed_over_pixels(x_mm, y_mm, coverage) / np.float32(SUBSAMPLES**2)
 
 
 def _summed_over_pixels(x_mm: Image, y_mm: Image, coverage: Coverage) -> Image:
-    """The sum of what covers a pixel's cells; the cells are SUBSAMPLES along each axis."""
+    """Sum of the coverage of a pixel's cells; there are SUBSAMPLES cells along each axis."""
     by_u = (np.gradient(x_mm, axis=1), np.gradient(y_mm, axis=1))
     by_v = (np.gradient(x_mm, axis=0), np.gradient(y_mm, axis=0))
     cell_mm = float(np.median(np.hypot(*by_u))) / SUBSAMPLES
@@ -281,7 +281,7 @@ def _blurred(image: Image, blur_px: float) -> Image:
 
 
 def _within(positions_px: FloatArray, size: int) -> slice:
-    """The whole pixels between the smallest and the largest position, within the picture."""
+    """Whole pixels between the smallest and the largest position, within the picture."""
     low = min(max(int(np.floor(positions_px.min())) - 1, 0), size)
     high = min(max(int(np.ceil(positions_px.max())) + 2, low), size)
     return slice(low, high)

@@ -1,1 +1,1 @@
-"""Tools that maintain the project and are not part of it."""
+"""Tools to maintain the project; they are not part of altd."""

@@ -1,7 +1,8 @@
-"""The locks against a stored list of advisories, without a network: ``python -m tools.audit``.
+"""Compare the locks with a stored list of advisories, without a network: ``python -m tools.audit``.
 
-A line and status 1 for each locked package that an advisory concerns. ``--update FOLDER SOURCE`` writes the
-list from a folder of OSV records in JSON, such as the unpacked export of an advisory database.
+Prints one line for each locked package that an advisory affects; the exit status is then 1. ``--update FOLDER
+SOURCE`` writes the list from a folder of OSV records in JSON, such as the unpacked export of an advisory
+database.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _OLD_DAYS = 90
 
 
 def locked(project: Path) -> dict[str, set[Version]]:
-    """The versions of each package in the locks."""
+    """Locked versions by package name."""
     found: dict[str, set[Version]] = {}
     for lock in LOCKS:
         for name, version in re.findall(
@@ -36,7 +37,7 @@ def locked(project: Path) -> dict[str, set[Version]]:
 
 
 def faults(packages: Mapping[str, set[Version]], advisories: list[dict[str, Any]]) -> Iterator[str]:
-    """A line for each version that an advisory concerns."""
+    """Yield a line for each locked version that an advisory affects."""
     for advisory in advisories:
         for of in advisory["affected"]:
             name = canonicalize_name(of["package"]["name"])
@@ -46,7 +47,7 @@ def faults(packages: Mapping[str, set[Version]], advisories: list[dict[str, Any]
 
 
 def _is_affected(version: Version, of: Mapping[str, Any]) -> bool:
-    """Whether the list of versions or a range has it (OSV schema, "affected")."""
+    """Whether the advisory affects the version, by its list or a range (OSV schema, "affected")."""
     ranges = [each["events"] for each in of.get("ranges", ()) if each["type"] != "GIT"]
     is_listed = any(Version(each) == version for each in of.get("versions", ()))
     return is_listed or any(_is_within(version, events) for events in ranges)
@@ -67,7 +68,7 @@ def _is_within(version: Version, events: list[dict[str, str]]) -> bool:
 
 
 def updated(folder: Path, packages: Mapping[str, set[Version]], source: str, today: date) -> dict[str, Any]:
-    """The stored list from all records of a folder that are about a locked package and not withdrawn."""
+    """Return the list to store: the folder's records that affect a locked package and are not withdrawn."""
     advisories = []
     for path in sorted(folder.rglob("*.json")):
         record = json.loads(path.read_text())
@@ -82,7 +83,7 @@ def updated(folder: Path, packages: Mapping[str, set[Version]], source: str, tod
 
 
 def main() -> int:
-    """Audit, or update the list."""
+    """Check the locks, or update the list first; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m tools.audit", description=__doc__)
     parser.add_argument("--update", nargs=2, metavar=("FOLDER", "SOURCE"), help="replace the list")
     options = parser.parse_args()

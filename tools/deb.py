@@ -31,7 +31,7 @@ from tools.manual import completion, man_page
 ROOT = Path(__file__).parent.parent
 DEBIAN, SYSTEMD = ROOT / "debian", ROOT / "systemd"
 HOME = "/usr/lib/altd"
-"""The versions are beside each other in it; the package has one as ``package`` (decision 0054)."""
+"""Folder of all installed versions, one subfolder each; the package installs ``package`` (decision 0054)."""
 MAINTAINER = "altd maintainers <maintainers@altd.invalid>"
 _PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 _NEEDLESS = (
@@ -62,15 +62,16 @@ for name in ("anyio._backends._asyncio", "uvicorn.lifespan.on", "uvicorn.protoco
 files = {module.__file__ for module in sys.modules.values() if getattr(module, "__file__", None)}
 print(*(file for file in files if file.startswith(sys.argv[1]) and file.endswith(".py")), sep="\\n")
 """
-"""Prints the files of all modules that altd imports; those of further arguments may be missing."""
+"""Program that prints the files of all modules altd imports; imports named in further arguments may fail."""
 _MAY_MISS = ("gi", "matplotlib", "asyncua", "psycopg", "pyarrow", "libkernel")
 _STUBS = {
     "libopenblasp": "ABORT", "libavcodec": "ABORT", "libavformat": "ABORT", "libavutil": "ABORT",
     "libswscale": "ABORT", "libaom": "FAIL",
 }  # fmt: skip
-"""Libraries of OpenCV for LAPACK, video and AV1, with what only they need 80 MB, by what a call does.
+"""Behaviour of the stub functions of OpenCV's libraries for LAPACK, video and AV1, by library.
 
-altd calls nothing of OpenCV that needs them. A picture in AVIF is then one that cannot be read.
+altd calls no OpenCV function that needs them. With their dependencies they take 80 MB. A picture in AVIF is
+then unreadable.
 """
 _STUB = """#include <stdlib.h>
 #include <unistd.h>
@@ -81,7 +82,7 @@ _STUB = """#include <stdlib.h>
 
 
 def closure(extras: Sequence[str]) -> set[str]:
-    """The names of the packages that altd imports with these extras, as this environment has them."""
+    """Names of the packages that altd imports with these extras, from the metadata in this environment."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     lines = [*project["dependencies"]]
     for extra in extras:
@@ -103,7 +104,7 @@ def closure(extras: Sequence[str]) -> set[str]:
 
 
 def locked(names: set[str]) -> str:
-    """The lines of the lock for these packages, with their hashes."""
+    """Lines of the lock for these packages, with their hashes."""
     parts = re.findall(
         r"^([a-z0-9.-]+)(==.*?)(?=^\S|\Z)", (ROOT / "requirements.lock").read_text(), re.M | re.S
     )
@@ -111,7 +112,7 @@ def locked(names: set[str]) -> str:
 
 
 def run(*command: str | Path, **environment: str) -> str:
-    """Standard output of a program; raises CalledProcessError."""
+    """Run a program and return its standard output; raises CalledProcessError."""
     done = subprocess.run(  # noqa: S603  programs of the builder's machine
         command, check=True, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
     )
@@ -119,7 +120,7 @@ def run(*command: str | Path, **environment: str) -> str:
 
 
 def install(site: Path, extras: Sequence[str]) -> None:
-    """Install altd and what it imports, from wheels that fit the lock."""
+    """Install altd and its dependencies into ``site``, from wheels that match the lock."""
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "-qq")
     target = ("--target", site, "--no-compile", "--no-deps")
     with tempfile.TemporaryDirectory() as folder:
@@ -130,12 +131,12 @@ def install(site: Path, extras: Sequence[str]) -> None:
         (wheel,) = Path(folder).glob("altd-*.whl")
         run(*pip, "install", *target, "--no-index", wheel)
     shutil.rmtree(site / "bin", ignore_errors=True)
-    for leftover in site.glob("*.dist-info/direct_url.json"):  # a path of the builder's machine
+    for leftover in site.glob("*.dist-info/direct_url.json"):  # contains a path of the build machine
         leftover.unlink()
 
 
 def slim(site: Path, place: str) -> None:
-    """Remove what is never imported; compile what is, for a folder ``place`` of the unit."""
+    """Remove unused files and compile the imported modules, with ``place`` on the unit as their path."""
     for pattern in _NEEDLESS:
         for path in list(site.glob(pattern)):
             if path.is_dir():
@@ -145,11 +146,11 @@ def slim(site: Path, place: str) -> None:
     stub_opencv(site)
     kernel = (
         site / "altd" / "vision" / "libkernel.so"
-    )  # of the wheels, auditwheel's changes do not survive it
+    )  # only this file: strip would destroy auditwheel's changes in the wheels' libraries
     run("strip", "--strip-unneeded", kernel)
     isolated = (sys.executable, "-S", "-B", "-c", _IMPORTED, str(site), *_MAY_MISS)
     imported = run(*isolated, PYTHONPATH=str(site)).split()
-    # never compared with the source's time: dpkg, cp and tar treat that differently
+    # never validated against the source's time, which dpkg, cp and tar preserve differently
     compiled = (
         "-m",
         "compileall",
@@ -166,7 +167,7 @@ def slim(site: Path, place: str) -> None:
 
 
 def stub_opencv(site: Path) -> None:
-    """Put a library that does nothing in the place of each of ``_STUBS``; what only those need goes."""
+    """Replace each library of ``_STUBS`` by a stub, and remove the libraries that only these need."""
     folder = site / "opencv_python_headless.libs"
     users, wanted, kept = [site / "cv2" / "cv2.abi3.so"], [site / "cv2" / "cv2.abi3.so"], set[Path]()
     stubs: dict[Path, str] = {}
@@ -217,7 +218,7 @@ def _symbols(library: Path, which: str) -> list[str]:
 
 
 def environment(tree: Path, version: str, extras: Sequence[str]) -> None:
-    """A virtual environment for ``HOME/version``, with its unit files."""
+    """Build a virtual environment for ``HOME/version`` in ``tree``, with its unit files."""
     place = f"lib/{_PYTHON}/site-packages"
     site = tree / place
     site.mkdir(parents=True)
@@ -237,7 +238,7 @@ def environment(tree: Path, version: str, extras: Sequence[str]) -> None:
 
 
 def units() -> dict[str, str]:
-    """The unit file of the service, and the template for several units on one computer."""
+    """Unit file of the service, and the template for several units on one computer."""
     service = (SYSTEMD / "altd.service").read_text()
     template = service.replace("/etc/altd/altd.toml", "/etc/altd/%i.toml")
     for key in ("StateDirectory", "RuntimeDirectory"):
@@ -247,7 +248,7 @@ def units() -> dict[str, str]:
 
 
 def package(root: Path, version: str, extras: Sequence[str], made: datetime) -> None:
-    """The tree of the package, with its control files."""
+    """Write the files of the package and its control files below ``root``."""
     environment(root / HOME[1:] / "package", version, extras)
     usr = root / "usr"
     for name, text in units().items():

@@ -1,4 +1,4 @@
-"""``altd.1`` and the completion of bash, from the parsers of the commands: for the Debian package."""
+"""``altd.1`` and bash completion for the Debian package, from the parsers of the commands."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ complete -o default -F _altd altd
 
 
 def man_page(made: datetime) -> str:
-    """The manual page in troff; ``made`` is its date."""
+    """Manual page in troff; ``made`` is its date."""
     commands = []
     for name, module in COMMANDS.items():
         options = "".join(
@@ -64,7 +64,7 @@ def man_page(made: datetime) -> str:
 
 
 def completion() -> str:
-    """The script that bash reads when a command line begins with ``altd``."""
+    """Completion script of bash for ``altd``."""
     cases = []
     for name, module in COMMANDS.items():
         words = ["--help"]

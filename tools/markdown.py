@@ -1,7 +1,7 @@
-"""Lines of the documentation have at most 120 characters, and each table has a heading.
+"""Check the Markdown pages: lines of at most 120 characters, and a heading for each table.
 
-``python -m tools.markdown FILE…`` names the lines that break this; with ``--wrap`` it wraps those
-that are too long. Tables, code and headings are left alone, and a link counts by its text.
+``python -m tools.markdown FILE…`` lists the lines that violate this; with ``--wrap`` it wraps long lines.
+Tables, code and headings are ignored, and only the text of a link counts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MAX_LETTERS = 120
 _ITEM = re.compile(r"\s*(?:[-*] |\d+\. )")
 _MARK = re.compile(rf"(?:{_ITEM.pattern})?\s*")
 _WORD = re.compile(r"(?:!?\[[^\]]*\]\([^)]*\)|`[^`]*`|\S)+")
-"""Text that is not broken: a link, code within a line, a word, and their neighbours without a blank."""
+"""Text that is never broken: a link, inline code or a word, with adjoining characters up to a blank."""
 _LINK_TARGET = re.compile(r"(?<=\])\([^)]*\)")
 _FENCE = "```"
 _TABLE_RULE = re.compile(r"\|(?: *:?-+:? *\|)+$")
@@ -26,7 +26,7 @@ _INDENTED_CODE = "    "
 
 
 def wrapped(page: str) -> str:
-    """The page with those paragraphs and list items wrapped again that have a line which is too long."""
+    """The page with all paragraphs and list items rewrapped that contain a line over the limit."""
     lines: list[str] = []
     for is_text, block in _blocks(page.split("\n")):
         lines += _filled(block) if is_text and any(map(_is_too_long, block)) else block
@@ -34,7 +34,7 @@ def wrapped(page: str) -> str:
 
 
 def long_lines(page: str) -> Iterator[int]:
-    """The numbers, from 1, of the lines that are too long and could be broken."""
+    """Yield the numbers, from 1, of lines that are too long and can be broken."""
     number = 0
     for is_text, block in _blocks(page.split("\n")):
         for line in block:
@@ -44,7 +44,7 @@ def long_lines(page: str) -> Iterator[int]:
 
 
 def rows_without_table(page: str) -> Iterator[int]:
-    """The numbers, from 1, of the lines where rows without a heading begin: a browser shows them as text."""
+    """Yield the numbers, from 1, of first rows without a table heading: browsers show such rows as text."""
     before, is_fenced = "", False
     for number, (line, following) in enumerate(pairwise([*page.split("\n"), ""]), 1):
         is_fenced ^= line.startswith(_FENCE)
@@ -55,7 +55,7 @@ def rows_without_table(page: str) -> Iterator[int]:
 
 
 def _blocks(lines: Iterable[str]) -> Iterator[tuple[bool, list[str]]]:
-    """Paragraphs and list items whole, every other line alone; whether it is text that can be wrapped."""
+    """Yield paragraphs and list items whole, other lines singly; the flag marks wrappable text."""
     text: list[str] = []
     is_fenced = False
     for line in lines:
@@ -77,7 +77,7 @@ def _blocks(lines: Iterable[str]) -> Iterator[tuple[bool, list[str]]]:
 
 def _filled(block: list[str]) -> list[str]:
     mark = _MARK.match(block[0])
-    assert mark is not None  # noqa: S101  it matches nothing, too
+    assert mark is not None  # noqa: S101  the pattern also matches an empty string
     lines, line = [], mark[0]
     for word in _WORD.findall(" ".join(block)[mark.end() :]):
         if line.strip() and len(line) + 1 + len(word) > MAX_LETTERS and line != mark[0]:
@@ -93,7 +93,7 @@ def _is_too_long(line: str) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Wrap, or name each line at fault; the exit status."""
+    """Wrap the files, or list each faulty line; return the exit status."""
     if arguments[:1] == ["--wrap"]:
         for path in map(Path, arguments[1:]):
             path.write_text(wrapped(path.read_text()))

@@ -1,10 +1,10 @@
-"""Plain English: no text that a person reads holds a phrase of the table below.
+"""Plain English: find phrases of the table below in all texts for people.
 
-``python -m tools.plain PATH…`` names each place, with the wording to use instead: in pages (``.md``), in
-strings, docstrings and comments of Python, and in files of the page in the browser (``.js``, ``.html``). Of a
-folder the files of these three kinds are checked. A string of one word may be a key: it does not count, nor
-do the strings of tests, which are data.
-``--sentences`` prints the words of each page, the mean length of its sentences, and those of more than 35.
+``python -m tools.plain PATH…`` lists each place, with the wording to use instead. It checks pages (``.md``),
+strings, docstrings and comments of Python, and files of the browser page (``.js``, ``.html``), and in a
+folder all files of these three kinds. A string of one word may be a key and is ignored, as are strings of
+tests, which are data. ``--sentences`` prints for each page its number of words, its mean sentence length, and
+sentences of more than 35 words.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 MAX_WORDS = 35
-"""A longer sentence is reported."""
+"""Maximum number of words of a sentence; longer ones are reported."""
 
 _PHRASES = (
     (r"\b(?:whoever|whosoever|whatever is)\b", "name the subject: a client, a reader, the technician"),
@@ -59,9 +59,9 @@ _RULES = [(re.compile(phrase.replace(" ", r"\s+"), re.IGNORECASE), better) for p
 
 _FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 _HIDDEN = re.compile(r"``[^`]+``|`[^`]+`|(?<=\])\([^)]*\)|<[^>]+>|https?://\S+")
-_FIELD = re.compile(r"\{[^{}]*\}")  # of an f-string, or of a template
+_FIELD = re.compile(r"\{[^{}]*\}")  # in an f-string or a template
 _INDENTED = re.compile(r"(?<=\n\n)(?: {4,}[^\n]*\n|\n)+", re.MULTILINE)
-_LINE_ENDS = {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}  # a string behind one is a docstring
+_LINE_ENDS = {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}  # before a docstring
 _SUFFIXES = {".py", ".js", ".html"}
 _OWN = {"plain.py", "test_plain.py"}
 _SENTENCE_END = re.compile(r"(?<=[.!?])[\"”)]?\s+(?=[A-Z(\"“\[*_])")
@@ -69,7 +69,7 @@ _PART = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. |#|\|))|(?<=\|)")
 
 
 class Finding(NamedTuple):
-    """A phrase to replace: the line (from 1), the phrase as it is written, and the advice."""
+    """A phrase to replace: its line (from 1), its wording, and the advice."""
 
     line: int
     phrase: str
@@ -77,7 +77,7 @@ class Finding(NamedTuple):
 
 
 def findings(name: str, text: str) -> Iterator[Finding]:
-    """The phrases in the text of a file; its ``name`` says what language it is in."""
+    """Yield the phrases in the text of a file; the suffix of ``name`` determines its language."""
     for first_line, passage in _passages(name, text):
         for rule, better in _RULES:
             for match in rule.finditer(passage):
@@ -87,7 +87,7 @@ def findings(name: str, text: str) -> Iterator[Finding]:
 
 
 def sentences(page: str) -> list[str]:
-    """The sentences of a page's paragraphs and list items; tables, headings and code do not count."""
+    """Sentences of a page's paragraphs and list items, without tables, headings and code."""
     parts = (part.strip().removeprefix("- ") for part in _PART.split(_without_code(page)))
     texts = (
         " ".join(part.split()) for part in parts if part and part[0] not in "#|<!" and not part.endswith("|")
@@ -117,7 +117,7 @@ def _is_f_string(token_type: int) -> bool:
 
 
 def _without_code(page: str) -> str:
-    """The page with code, link targets and markup replaced by as many blanks and line ends."""
+    """The page with code, link targets and markup replaced by placeholders; line numbers are kept."""
     for pattern in (_FENCED, _INDENTED):
         page = pattern.sub(lambda match: re.sub(r"[^\n]", " ", match[0]), page)
     return _HIDDEN.sub(_blank, page)
@@ -139,7 +139,7 @@ def _print_sentences(paths: Iterable[Path]) -> None:
 
 
 def _files(paths: Iterable[Path]) -> Iterator[Path]:
-    """The files, and those of folders, except the two that hold the phrases, and libraries."""
+    """Yield the files, and the files in the folders except libraries and the two that contain the phrases."""
     for path in paths:
         if path.is_dir():
             found = (
@@ -151,7 +151,7 @@ def _files(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def main(arguments: list[str]) -> int:
-    """Print what the arguments ask for; the exit status is 1 if a phrase was found."""
+    """Check the files or print their sentences; the exit status is 1 if a phrase was found."""
     if arguments[:1] == ["--sentences"]:
         _print_sentences(map(Path, arguments[1:]))
         return 0

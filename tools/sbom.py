@@ -1,7 +1,7 @@
-"""The parts of altd as CycloneDX 1.6 in JSON, from the locks: ``python -m tools.sbom >FILE``.
+"""The components of altd as CycloneDX 1.6 in JSON, from the locks: ``python -m tools.sbom >FILE``.
 
-It lists what a unit needs, with licences and the parts inside of wheels, without tools of tests. The same
-locks give the same bytes.
+It lists the dependencies of a unit, with licences and the components inside wheels, without test tools. The
+same locks give the same bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LOCKED = re.compile(r"^([a-z0-9.-]+)==\S+.*((?:\n    --hash=sha256:[0-9a-f]{64}
 
 
 def sbom(project: Path) -> dict[str, Any]:
-    """The document; raises NotAsLockedError where the packages are not those of the locks."""
+    """Build the document; raises NotAsLockedError if the installed packages do not match the locks."""
     packages = run_time_packages(project)
     hashes = {
         name: re.findall("[0-9a-f]{64}", lines)

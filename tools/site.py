@@ -1,11 +1,12 @@
 """Hooks of MkDocs (``mkdocs.yml``).
 
-A file of the repository outside ``docs/`` that a page links to is copied into the site under ``repository/``,
-and the link follows it. A link to a missing file stays as it is, so that the strict build names it.
+If a page links to a file of the repository outside ``docs/``, the file is copied into the site under
+``repository/`` and the link is changed to the copy. A link to a missing file is unchanged, so that the strict
+build reports it.
 
-Browsers refuse workers on pages from disk, and the theme's search is one. The theme loads a replacement from
-the network; the one below needs none. In the search, the start page ranks above the other pages, and
-decisions and studies below them.
+Browsers refuse workers on pages opened from disk, and the theme's search is a worker. The theme loads a
+replacement from the network; the replacement below needs no network. In search results, the start page ranks
+above the other pages, and decisions and studies below them.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ _LINK = re.compile(r"(?<=\]\()(\.\./[^)#\s]*)")
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """The page with its links out of ``docs/`` turned to the copies."""
+    """Return the page with links outside ``docs/`` changed to the copies, and set its rank in the search."""
     if page.file.src_uri.startswith(("decisions/", "studies/")):
         page.meta["search"] = {"boost": 0.2}
     elif page.is_homepage:  # it answers common questions
@@ -77,13 +78,13 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """The files of the site and the worker from disk."""
+    """Add the worker from disk to the files of the site."""
     files.append(File.generated(config, _SHIM, content=_WORKER_FROM_DISK))
     return files
 
 
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
-    """The page with the worker from disk in place of the one from the network."""
+    """Return the page with the worker from disk in place of the one from the network."""
     return output.replace(
         _NETWORK_SHIM, posixpath.relpath(_SHIM, posixpath.dirname(page.file.dest_uri) or ".")
     )

@@ -1,1 +1,1 @@
-"""Cameras, lamps and the stage, in threads and tasks: frames in, settings out."""
+"""Control of cameras, lamps and the stage in threads and tasks: frames in, settings out."""

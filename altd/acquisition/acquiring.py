@@ -1,7 +1,7 @@
-"""One thread per camera takes its frames: blocking calls, opening again after a loss, no block in the loop.
+"""One thread per camera acquires its frames: it makes the blocking calls and reopens a lost camera.
 
-It does nothing else, so that a camera is triggered, stamped and emptied in time however long a frame takes
-to be measured.
+The thread does nothing else. So a camera is triggered, stamped and emptied in time, however long the
+measurement of a frame takes, and the event loop is never blocked.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from altd.runtime.threads import call_in_thread
 from altd.status.health import Component
 
 _MAX_AHEAD_NS = 100_000_000
-"""Some drivers stamp when the frame is planned to end, and deliver it before (the kernel's vivid, by nearly a
-period); and the length of an exposure may not be known exactly."""
+"""Maximum lead of a frame's time over the clock. Some drivers stamp a frame with its planned end and deliver
+it earlier (the kernel's vivid, by nearly a period). The exposure time may not be known exactly either."""
 MAX_AGE_S = 2.0
-"""A frame that was longer in a buffer, while the computer or the process was held, shows an old beam."""
+"""Maximum age of a frame; an older one was buffered while computer or process stopped: its beam is old."""
 
 
 class StampCheck:
-    """Refuses frames of one camera that were not yet exposed, that waited too long, or that are not in order.
+    """Refuses frames of one camera whose time is in the future, too old, or out of order.
 
-    A refused frame does not count for the order: one lie costs one frame.
+    A refused frame does not count for the order: one wrong time costs one frame.
     """
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
 
     def refusal(self, frame: Frame, now_ns: int) -> str:
-        """Why the frame's time cannot be true, in words; empty when it can."""
+        """Return why the frame's time cannot be true, as text; empty if it can."""
         ahead_s = (frame.t_ns - now_ns) * 1e-9
         if frame.t_ns > now_ns + _MAX_AHEAD_NS:
             return f"exposure {frame.sequence} is stamped {ahead_s:.3f} s ahead of the clock"
@@ -66,14 +66,15 @@ log = logging.getLogger("altd")
 FRAME_TIMEOUT_S = 0.25
 _REPORT_INTERVAL_S = 0.25
 _HEARTBEAT_S = 3.0
-"""Each camera is checked every ``_REPORT_INTERVAL_S``; a loop that is held for a second is not dead."""
+"""Maximum silence of a camera, checked every ``_REPORT_INTERVAL_S``: the loop may be blocked for a second."""
 _MIN_BACKOFF_S = 0.2
 _MAX_BACKOFF_S = 0.5
-"""A camera that is back must be measured again within 2 s; half a window of exposures is 0.5 s of them."""
+"""Maximum time between two attempts to open a camera. A camera that returns must be measured again within
+2 s, of which half a window of exposures takes 0.5 s."""
 _LOG_REPEAT_S = 10.0
-"""A failure is logged once, and again when the camera has delivered for so long."""
+"""Minimum time of delivery after which a failure that was logged before is logged again."""
 _JOIN_TIMEOUT_S = 3.0
-"""The service manager kills after 10 s, and the interfaces shut down too."""
+"""Maximum wait for the thread: the service manager kills after 10 s, and the interfaces shut down too."""
 
 _KINDS: tuple[tuple[type[CameraError], str], ...] = (
     (CameraNotFoundError, "not found"),
@@ -84,22 +85,22 @@ _KINDS: tuple[tuple[type[CameraError], str], ...] = (
 
 
 class FrameSink(Protocol):
-    """Takes the frames of a camera from its thread."""
+    """Receiver of a camera's frames, called in the camera's thread."""
 
     def put(self, frame: Frame, wait: bool) -> None:
-        """Take a frame; ``wait``: nothing is to be dropped, so keep the thread until there is room for it."""
+        """Take a frame; with ``wait`` block the thread until there is room, so that nothing is dropped."""
 
     def close(self) -> None:
-        """Let a thread go that waits."""
+        """Release a waiting thread."""
 
 
 async def acquire(
     camera: Camera, sink: FrameSink, component: Component, exposure: ExposureControl | None = None
 ) -> None:
-    """Deliver a camera's frames until cancelled or until the source is at its end.
+    """Deliver a camera's frames until cancelled or until the source ends.
 
-    A camera that fails is reopened, indefinitely. Without ``exposure`` its exposure is not set.
-    Raises a driver's own failure.
+    A camera that fails is reopened indefinitely. Without ``exposure`` the camera's exposure is not set.
+    Raises exceptions of the driver other than CameraError.
     """
     report = CameraReport(component, camera.waits)
     component.expect(_HEARTBEAT_S)
@@ -116,7 +117,7 @@ async def acquire(
         acquirer.stop.set()
         if not done.done():
             sink.close()
-        # The thread may sit in a driver's call; it is a daemon, so a dead camera cannot keep the process.
+        # A driver's call may block the thread; as a daemon thread it cannot keep the process alive.
         await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
         report.count(acquirer.deliveries)
     done.result()
@@ -128,7 +129,7 @@ def _sentence_of(error: CameraError) -> str:
 
 
 class _Acquirer:
-    """The thread's side. ``deliveries`` is replaced by it; the rest goes through ``call_soon_threadsafe``."""
+    """The thread's part. It replaces ``deliveries``; other reports go through ``call_soon_threadsafe``."""
 
     def __init__(
         self,
@@ -182,7 +183,7 @@ class _Acquirer:
             backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
 
     def _deliver(self) -> None:
-        """Hand over the frames of a camera that has just been opened, until it fails or is at its end."""
+        """Deliver the frames of a camera that has just been opened, until it fails or its source ends."""
         exposure = self._exposure
         self.deliveries = replace(
             self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=False
@@ -219,7 +220,7 @@ class _Acquirer:
             self._sink.put(frame, wait=self._camera.waits)
 
     def _count(self, lost: int) -> None:
-        """A frame came, and ``lost`` before it did not."""
+        """Count a delivered frame and the ``lost`` frames before it."""
         now_ns, before = self._clock.monotonic_ns(), self.deliveries
         self.deliveries = Deliveries(
             frame_ns=now_ns,
@@ -232,7 +233,7 @@ class _Acquirer:
         )
 
     def _count_mistimed(self, sentence: str) -> None:
-        """A frame came whose time cannot be true; it is not measured."""
+        """Count a frame whose time cannot be true; it is not measured."""
         now_ns = self._clock.monotonic_ns()
         self.deliveries = replace(
             self.deliveries,
@@ -248,4 +249,4 @@ class _Acquirer:
         try:
             self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:
-            self.stop.set()  # the loop is closed: the process is going down
+            self.stop.set()  # the loop is closed: the process is ending

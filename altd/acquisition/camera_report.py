@@ -1,4 +1,4 @@
-"""The reports of one camera's thread, as the camera's health; in the event loop only."""
+"""Health of a camera from the reports of its thread; used in the event loop only."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from altd.status.health import Component, State, duration
 log = logging.getLogger("altd")
 
 STALL_TIMEOUT_S = 0.6
-"""A driver that has neither delivered nor timed out for so long does not return from a call."""
+"""Time without a frame or a timeout after which a driver counts as hanging in a call."""
 _LOSS_DISPLAY_S = 1.0
-"""A lost or mistimed frame is reported for so long."""
+"""Duration for which a lost or mistimed frame is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deliveries:
-    """A camera's deliveries so far, by the clock of the component; a new record after each frame.
+    """Deliveries of a camera so far, by the clock of the component; a new record after each frame.
 
-    ``mistimed`` frames came with a time that cannot be true, as ``remark`` says of the last one. The driver
-    returned last at ``returned_ns``, with a frame at ``frame_ns``; before the first one that is when the
-    camera was first wanted. ``is_fresh``: a frame came since the camera was opened and since the last
-    time-out, ``is_late``: it was a time-out.
+    ``mistimed`` counts frames whose time cannot be true; ``remark`` gives the reason of the last one.
+    ``returned_ns`` is when the driver last returned, ``frame_ns`` when it last returned a frame; before the
+    first one, both are the start of acquisition. ``is_fresh``: a frame was delivered since the camera was
+    opened and since the last timeout; ``is_late``: the last call timed out.
     """
 
     frame_ns: int
@@ -39,12 +39,12 @@ class Deliveries:
 
 
 class CameraReport:
-    """Reports in a component how the camera does. ``waits``: the source waits until its frame is taken."""
+    """Reports a camera's state in a component. ``waits``: the source waits until its frame is taken."""
 
     def __init__(self, component: Component, waits: bool) -> None:
         self._component = component
         self._waits = waits
-        """Then it is no fault that no frame follows."""
+        """Whether the source waits for its reader; a missing frame is then no fault."""
         self._is_open = False
         self._known = Deliveries(0, 0)
         self._losses: deque[tuple[int, int]] = deque()
@@ -54,12 +54,12 @@ class CameraReport:
         self._figures: ExposureFigures | None = None
 
     def opened(self) -> None:
-        """The camera was opened; it is well with its first frame."""
+        """Note that the camera was opened; its state becomes OK with the first frame."""
         self._is_open = True
         self._refusal = ""
 
     def exposure_set(self, outcome: Applied | Refused) -> None:
-        """The camera took an exposure setting, or keeps the previous one."""
+        """Note whether the camera accepted an exposure setting or keeps the previous one."""
         self._refusal = outcome.complaint if isinstance(outcome, Refused) else ""
         if self._refusal:
             self._component.count("refused_exposures")
@@ -68,7 +68,7 @@ class CameraReport:
                 log.warning("%s: exposure refused: %s", self._component.name, self._refusal)
 
     def failed(self, deliveries: Deliveries, sentence: str) -> None:
-        """The camera was closed, or never open."""
+        """Report that the camera failed; it is closed, or could not be opened."""
         self.count(deliveries)
         self._is_open = False
         self._losses.clear()
@@ -76,13 +76,13 @@ class CameraReport:
         self._component.count("failures")
 
     def ended(self, deliveries: Deliveries, sentence: str) -> None:
-        """The source is at its end."""
+        """Report that the source has ended."""
         self.count(deliveries)
         self._is_open = False
         self._component.set_state(State.ENDED, sentence)
 
     def update(self, deliveries: Deliveries) -> None:
-        """Report new and missing deliveries: a driver that does not return is detected here."""
+        """Report new and missing deliveries, and a driver that does not return."""
         self.count(deliveries)
         if not self._is_open:
             return
@@ -95,7 +95,7 @@ class CameraReport:
             self._report_delivery(deliveries, now_ns)
 
     def show(self, figures: ExposureFigures | None) -> None:
-        """New figures of the exposure; those that were shown before continue to age."""
+        """Publish new exposure figures; figures that were published before continue to age."""
         if figures is None or figures is self._figures:
             return
         self._figures = figures
@@ -112,7 +112,7 @@ class CameraReport:
             self._component.counters["exposure_changes"] = figures.changes
 
     def count(self, deliveries: Deliveries) -> None:
-        """Count what came since it was counted last; the state stays."""
+        """Count the deliveries since the last count; leave the state unchanged."""
         known, self._known = self._known, deliveries
         now_ns = self._component.clock.monotonic_ns()
         for counter in ("frames", "lost", "mistimed"):

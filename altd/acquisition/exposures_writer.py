@@ -1,4 +1,4 @@
-"""Exposures of cameras that deliver, written as a recording."""
+"""Writes the exposures of delivering cameras as a recording."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ from altd.recording.writer import RecordingWriter
 from altd.records import Frame
 
 FPS = 20.0
-"""Exposures a second by the header, and how long the last one counts."""
+"""Exposures per second in the header; the last exposure counts for one period in the length."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingPlan:
-    """The content of a recording: seconds, unit, targets (None: the usual two), author."""
+    """Content of a recording: length in seconds, unit, targets (None: the usual two), author."""
 
     seconds: float
     unit: UnitHeader
     targets: tuple[TargetHeader, ...] | None = None
     kind: Kind = "measurement"
     by: str = "altd record"
-    """The command, in the recording's note."""
+    """Command in the recording's note."""
     plate: PlateHeader | LedPlateHeader | None = None
-    """The plates at the targets' places in a recording of kind ``plate``, the plate of kind ``planar``."""
+    """Plates in place of the targets for kind ``plate``; the plate with LEDs for kind ``planar``."""
     pose: tuple[float, float, float] | None = None
-    """The known pose of the latter, (a mm, b mm, φ °)."""
+    """Known pose of the plate for kind ``planar``, (a mm, b mm, φ °)."""
     has_opaque: bool = False
-    """Whether the cameras look at targets that are switched in turn."""
+    """Whether the cameras view targets that are switched in turn."""
 
 
 class ExposuresWriter:
-    """Opens the recording with the first exposure of all ``cameras``, when sizes and depths are known.
+    """Opens the recording at the first exposure of all ``cameras``, when sizes and bit depths are known.
 
-    ``utc`` is the UTC of an instant on the clock by which the frames are timed.
+    ``utc`` returns the UTC of an instant on the clock by which the frames are timed.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class ExposuresWriter:
         self._first_ns = 0
         self._first_sequence = 0
         self._last: tuple[int, float] = (-1, -1.0)
-        """Number and time of the last exposure that was kept."""
+        """Number and time in seconds of the last written exposure."""
         self.exposures = 0
         self.length_s = 0.0
 
     def write(self, pair: Pair[Frame]) -> None:
-        """Append an exposure, complete or not; one before the first complete one is left out.
+        """Append an exposure, complete or not; skip exposures before the first complete one.
 
-        Raises BadInputError when the folder cannot be used or a camera is another than at the start.
+        Raises BadInputError if the folder cannot be used or a camera was exchanged since the start.
         """
         if self._writer is None:
             if len(pair.items) < len(self._cameras):
@@ -92,8 +92,8 @@ class ExposuresWriter:
         t_s = (pair.t_ns - self._first_ns) * 1e-9
         last_sequence, last_s = self._last
         if t_s <= last_s:
-            return  # a recording is in the order of time
-        if pair.sequence - self._first_sequence <= last_sequence:  # counted from zero again
+            return  # a recording is in order of time
+        if pair.sequence - self._first_sequence <= last_sequence:  # the camera restarted its count
             self._first_sequence = pair.sequence - last_sequence - 1
         sequence = pair.sequence - self._first_sequence
         self._last = sequence, t_s
@@ -106,7 +106,7 @@ class ExposuresWriter:
         self.length_s = t_s + 1 / FPS
 
     def _check_cameras(self) -> None:
-        """A camera that was changed for another would have its frames taken for those of the first."""
+        """Raise BadInputError if a camera was exchanged: its frames would be attributed to the first one."""
         for name, header in self._headers.items():
             camera = self._cameras[name]
             difference = (camera.identity or header.identity).difference_from(header.identity)
@@ -116,7 +116,7 @@ class ExposuresWriter:
                 raise BadInputError(self._path, f"camera {name} is another than at the start: {difference}")
 
     def close(self) -> None:
-        """Finish; what was written until then is whole."""
+        """Finish the recording; the exposures written so far are complete."""
         if self._writer is not None:
             self._writer.close()
 

@@ -1,4 +1,4 @@
-"""Frames of all cameras on their way from the threads that acquire them: marked, kept for a while, paired."""
+"""Frames of all cameras between acquisition and measurement: marked, kept for a while, paired."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from altd.ports import Clock
 from altd.records import Frame
 
 steps = logging.getLogger("altd.frames")
-"""The way of each frame, step by step, where that is asked for (``altd run --trace-frames``)."""
+"""Logger of each frame's processing steps, for ``altd run --trace-frames``."""
 
 ROOM = 4
-"""Incomplete frame sets that wait for a reader: one that was given up comes together with the next."""
+"""Maximum number of waiting incomplete frame sets: an abandoned one arrives together with the next."""
 
 
 class Marks(Protocol):
-    """The knowledge of what was switched while a frame was exposed."""
+    """Marks frames with the state of switched devices during their exposure."""
 
     def mark(self, frame: Frame) -> Frame:
-        """The frame with its mark; called in the thread of its camera."""
+        """Return the frame with its mark; called in the thread of its camera."""
 
 
 class FramePairs:
-    """The frame sets of the cameras for one reader; a reader that is behind gets the newest.
+    """The frame sets of the cameras for one reader; a slow reader gets the newest.
 
-    ``arrived`` is called in the thread of a camera when there is something to take. ``marks`` mark the
-    frames under LEDs, and with the opaque target, ``ring`` keeps the newest ones; None: nothing does.
+    ``arrived`` is called in a camera's thread when a frame set is ready. ``marks`` mark frames exposed under
+    LEDs and add the opaque target. ``ring`` keeps the newest frames; None: none are kept.
     """
 
     def __init__(
@@ -53,24 +53,24 @@ class FramePairs:
         self._running = set(pairer.cameras)
         self._is_closed = False
         self._changing: set[str] = set()
-        """Cameras that lost a frame with the mark of a change of exposure: the next one bears it."""
+        """Cameras of which a frame marked ``changing`` was dropped: the next frame gets the mark."""
         self.dropped = dict.fromkeys(pairer.cameras, 0)
-        """Frames per camera that were replaced before they were taken."""
+        """Number of frames per camera that were replaced before they were taken."""
         self.delivered_ns = 0
-        """When a camera delivered last; 0: none did."""
+        """Time of the last delivery of any camera, by the monotonic clock; 0: none so far."""
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits to be taken."""
+        """Whether no frame set waits to be taken."""
         return not self._pairs
 
     @property
     def is_at_end(self) -> bool:
-        """Whether nothing follows what waits."""
+        """Whether no frame set will follow the waiting ones."""
         return self._is_closed or not self._running
 
     def put(self, frame: Frame, wait: bool) -> None:
-        """Take a frame from the thread of its camera; with ``wait`` only when nothing waits to be taken."""
+        """Take a frame in its camera's thread; with ``wait`` block until the reader took all frame sets."""
         for marks in self._marks:
             frame = marks.mark(frame)
         if self._ring is not None:
@@ -93,7 +93,7 @@ class FramePairs:
             self._arrived()
 
     def take(self) -> list[Pair[Frame]]:
-        """The frame sets that wait, oldest first; may be none."""
+        """Return the waiting frame sets, oldest first; may be empty."""
         with self._changed:
             pairs = [pair.of(self._with_mark) if self._changing else pair for pair in self._pairs]
             self._pairs.clear()
@@ -101,19 +101,19 @@ class FramePairs:
         return pairs
 
     def end(self, camera: str) -> None:
-        """No frame of this camera follows."""
+        """Note that no frame of this camera follows."""
         self._running.discard(camera)
         self._arrived()
 
     def close(self) -> None:
-        """Release waiting threads; frames that come later are not kept."""
+        """Release waiting threads; later frames are discarded."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
         self._arrived()
 
     def _make_room(self, newest: Pair[Frame]) -> None:
-        """Drop what waits: every complete frame set for a complete one, of incomplete ones the oldest."""
+        """Drop waiting frame sets: every complete one for a complete one, else the oldest incomplete ones."""
         alike = [pair for pair in self._pairs if bool(pair.missing) is bool(newest.missing)]
         room = ROOM if newest.missing else 1
         for pair in alike[: max(len(alike) + 1 - room, 0)]:
@@ -128,7 +128,7 @@ class FramePairs:
                 self._changing.add(frame.camera)
 
     def _with_mark(self, frame: Frame) -> Frame:
-        """The frame, with the mark of an earlier one that was dropped."""
+        """Return the frame, marked ``changing`` if an earlier frame with that mark was dropped."""
         if frame.camera not in self._changing:
             return frame
         self._changing.discard(frame.camera)

@@ -1,4 +1,4 @@
-"""The frames of all cameras, paired: for recordings and scans, which keep pictures."""
+"""Paired frames of all cameras for recordings and scans, which keep the pictures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from altd.records import Frame
 from altd.status.health import Health, State
 
 FRAME_SET_TIMEOUT_S = 5.0
-"""Without a frame set of all cameras for so long, something is wrong with one."""
+"""Maximum time without a frame set of all cameras; then a camera counts as failed."""
 _CHECK_INTERVAL_S = 0.25
 _BUSY_REMEDY = (
     "stop what has them (altd itself: sudo systemctl stop altd), or have altd keep its last seconds "
@@ -26,10 +26,10 @@ _BUSY_REMEDY = (
 
 
 class FrameSets:
-    """``async with``: the cameras deliver; frames that are not requested are dropped.
+    """Frame sets of the cameras, which deliver within ``async with``; frames not requested are dropped.
 
-    Their exposure is set by ``exposure`` when they are opened, and stays constant. ``marks`` mark frames
-    with the opaque target.
+    ``exposure`` sets the cameras' exposure when they are opened; it then stays constant. ``marks`` mark
+    frames with the opaque target.
     """
 
     def __init__(
@@ -70,23 +70,23 @@ class FrameSets:
         await asyncio.gather(*self._acquiring, return_exceptions=True)
 
     def _wake(self) -> None:
-        """Let the reader look, from the thread of a camera."""
-        with contextlib.suppress(RuntimeError):  # the loop is closed: the process is going down
+        """Wake the reader from a camera's thread."""
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the process is ending
             self._loop.call_soon_threadsafe(self._arrived.set)
 
     @property
     def clock(self) -> Clock:
-        """The clock by which the cameras' frames are timed."""
+        """Clock by which the cameras' frames are timed."""
         return next(iter(self._components.values())).clock
 
     @property
     def is_at_end(self) -> bool:
-        """Whether no camera delivers any more, or a driver has failed, and all that they gave was taken."""
+        """Whether every camera has ended or a driver has failed, and every frame set was taken."""
         ended = [task.done() for task in self._acquiring]
         return self._pairs.is_empty and (all(ended) or self._failure is not None)
 
     def check(self) -> None:
-        """Raise a driver's own failure; a camera that was lost, or is at its end, is none."""
+        """Raise a driver's own failure; a lost camera or the end of a source is not one."""
         if self._failure is not None:
             raise self._failure
 
@@ -96,10 +96,10 @@ class FrameSets:
         return next((failure for failure in failures if failure is not None), None)
 
     async def settled(self) -> list[Pair[Frame]]:
-        """The frame sets that are settled next, complete or not; maybe none.
+        """Return the next paired frame sets, complete or not; may be empty.
 
-        Raises CameraError for a camera that could not be opened at all for FRAME_SET_TIMEOUT_S; until then
-        nothing is settled.
+        Empty until every camera was opened. Raises CameraError for a camera that could not be opened within
+        FRAME_SET_TIMEOUT_S.
         """
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_CHECK_INTERVAL_S):
@@ -109,12 +109,12 @@ class FrameSets:
         return [] if self._lacks_camera() else pairs
 
     async def after(self, t_ns: int, count: int) -> list[Pair[Frame]]:
-        """The next ``count`` frame sets that were begun after ``t_ns``, each with the frames of all cameras.
+        """Return the next ``count`` complete frame sets whose exposure began after ``t_ns``.
 
-        A frame carries the middle of its exposure, so the first one behind ``t_ns`` may have begun before
-        it. It is passed over: a camera begins no exposure before the one before has ended. Raises
-        CameraError when a camera is at its end or when none come for FRAME_SET_TIMEOUT_S, and a driver's own
-        failure. Frame sets during which a camera was being set are passed over too.
+        A frame's time is the middle of its exposure, so the first frame after ``t_ns`` may have begun before
+        it and is skipped: a camera begins an exposure only after the previous one has ended. Frame sets
+        during a change of exposure are skipped too. Raises CameraError if a camera's source ends or no
+        complete frame set arrives for FRAME_SET_TIMEOUT_S, and a driver's own failure.
         """
         found: list[Pair[Frame]] = []
         under_way = True
@@ -130,7 +130,7 @@ class FrameSets:
         return found[:count]
 
     async def _complete(self) -> list[Pair[Frame]]:
-        """The next complete frame sets, at least one."""
+        """Return the next complete frame sets, at least one."""
         complete: list[Pair[Frame]] = []
         try:
             async with asyncio.timeout(FRAME_SET_TIMEOUT_S):
@@ -144,7 +144,7 @@ class FrameSets:
         return complete
 
     def _lacks_camera(self) -> bool:
-        """Whether a camera was never open; raises CameraError when that lasts."""
+        """Whether a camera failed before its first frame; raises CameraError if that lasts."""
         failed = [
             component
             for component in self._components.values()

@@ -1,4 +1,4 @@
-"""The cycle of the glasses: one target after the other is opaque, and frames are marked with its name."""
+"""The cycle of the glasses: one target at a time is opaque, and frames are marked with its name."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from altd.ports import Clock, LampsError
 from altd.records import Frame
 
 MAX_PAUSE_SHARE = 0.5
-"""Of the time of settling: a pause by chance before each switching, so that no vibration stays in step."""
+"""Maximum random pause before a switching, as share of the settling time: no vibration stays in step."""
 _REMEMBERED = 8
 _RETRY_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class _Visit:
-    """The glasses have settled since ``from_ns``; until ``until_ns`` (None: now) that target is opaque."""
+    """Interval in which the settled ``target`` is opaque; ``until_ns`` None: it still is."""
 
     target: str
     from_ns: int
@@ -28,10 +28,10 @@ class _Visit:
 
 
 class OpaqueMarks:
-    """Marks frames with the target that was opaque during all of their exposure.
+    """Marks frames with the target that was opaque during their whole exposure.
 
-    One task calls ``begin`` and ``end``; any thread marks. ``period_ns`` of a camera is the time from frame
-    to frame, for frames that do not tell their exposure.
+    One task calls ``begin`` and ``end``; any thread may call ``mark``. ``period_ns`` of a camera is the time
+    from frame to frame; it is used for frames without an exposure time.
     """
 
     def __init__(self, clock: Clock, settle_s: float, period_ns: Mapping[str, int]) -> None:
@@ -39,21 +39,21 @@ class OpaqueMarks:
         self._settle_ns = round(settle_s * 1e9)
         self._period_ns = period_ns
         self._visits: tuple[_Visit, ...] = ()
-        """The last ones, oldest first; replaced, never changed."""
+        """The last visits, oldest first; the tuple is replaced, never changed."""
 
     def begin(self, target: str) -> None:
-        """The glass of a target is without voltage, all others have it: from now on they settle."""
+        """Note that only the glass of ``target`` is without voltage: the glasses begin to settle."""
         visit = _Visit(target, self._clock.monotonic_ns() + self._settle_ns)
         self._visits = (*self._visits, visit)[-_REMEMBERED:]
 
     def end(self) -> None:
-        """The glasses are about to be switched."""
+        """Note that the glasses are about to be switched."""
         if self._visits and self._visits[-1].until_ns is None:
             *before, last = self._visits
             self._visits = (*before, replace(last, until_ns=self._clock.monotonic_ns()))
 
     def mark(self, frame: Frame) -> Frame:
-        """The frame with the target that was opaque; empty: the glasses were switched, or settled."""
+        """Return the frame with its opaque target; empty: the glasses were being switched or settling."""
         ms = frame.exposure_ms
         half_ns = (self._period_ns[frame.camera] if ms is None else round(0.5e6 * ms)) + MARGIN_NS
         begin_ns, end_ns = frame.t_ns - half_ns, frame.t_ns + half_ns
@@ -67,9 +67,9 @@ class OpaqueMarks:
 class GlassCycle:
     """Switches the glasses of ``targets`` in turn, until cancelled.
 
-    A switch that fails is tried again; until then no frame is marked. ``chance`` gives numbers from 0 to 1.
-    ``is_shuffled``: each round has its own order. A beam needs that: a vibration whose period is the round's
-    would move front and rear spots to opposite sides in every round, and look like yaw.
+    A failed switching is retried; until it succeeds no frame is marked. ``chance`` returns numbers from 0 to
+    1. ``is_shuffled``: each round has its own order. A beam needs this: a vibration with the period of a
+    round would move front and rear spots to opposite sides in every round, which looks like yaw.
     """
 
     switches: LampController[str]
@@ -86,7 +86,7 @@ class GlassCycle:
             yield from sorted(self.targets, key=lambda _: self.chance() if self.is_shuffled else 0.0)
 
     async def run(self) -> None:
-        """Switch, settle, expose, and the next."""
+        """Switch, settle and expose one target after the other until cancelled."""
         exposing_s = (self.settings.exposures + 1) / self.fps
         for target in self._order():
             while not await self._switch(target):
@@ -95,7 +95,7 @@ class GlassCycle:
             await self.clock.sleep(self.settings.settle_s + exposing_s + pause_s)
 
     async def _switch(self, target: str) -> bool:
-        """Make a target opaque and all others clear; False: that failed."""
+        """Make a target opaque and all others clear; return whether that succeeded."""
         self.marks.end()
         try:
             await self.switches.apply(target)
@@ -106,7 +106,7 @@ class GlassCycle:
 
 
 def glass_cycle(switches: LampController[str], config: Config, fps: float, clock: Clock) -> GlassCycle:
-    """The cycle of a config's row, or of a beam with ``[switches]``."""
+    """Return the cycle for a config's row, or for a beam with ``[switches]``."""
     settings = _visits(config)
     targets = [target.name for target in config.targets]
     period_ns = {target.camera: round(1e9 / fps) for target in config.targets}
@@ -116,13 +116,13 @@ def glass_cycle(switches: LampController[str], config: Config, fps: float, clock
 
 
 def _visits(config: Config) -> ChainSettings | AnySwitchesSettings:
-    """The settings of the visits: a row has them in [chain], a beam in [switches]."""
+    """Return the settings of the visits: [chain] of a row, [switches] of a beam."""
     is_beam = config.unit.instrument == "beam"
     return config.switches if is_beam and config.switches else config.chain or ChainSettings()
 
 
 def round_s(config: Config, fps: float) -> tuple[float, float]:
-    """The shortest and the longest duration of a round of all targets."""
+    """Return the shortest and the longest duration of a round of all targets, s."""
     settings, targets = _visits(config), len(config.targets)
     visit_s = settings.settle_s + (settings.exposures + 1) / fps
     return targets * visit_s, targets * (visit_s + MAX_PAUSE_SHARE * settings.settle_s)

@@ -1,4 +1,4 @@
-"""The threads that locate the spots of the newest frame set; the event loop takes what they found."""
+"""The threads that locate the spots of the newest frame set; the event loop takes their results."""
 
 from __future__ import annotations
 
@@ -17,59 +17,59 @@ from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
 MAX_WAITING_PAIRS = 8
-"""So many located frame sets wait for a loop that is late; then the thread waits for it."""
+"""Maximum number of located frame sets that wait for the event loop; then the thread waits."""
 _CHECK_INTERVAL_S = 0.25
 _MAX_CHECKS = 20
-"""A frame that is still being located after so many checks, 5 s, never ends. Checks are counted, not seconds:
-a process that was stopped and resumed has not located for longer."""
+"""Number of checks, 5 s, after which a frame still being located counts as stalled. Checks are counted, not
+seconds, so that a stopped and resumed process does not count as stalled."""
 _JOIN_TIMEOUT_S = 3.0
 
 _MIN_PIXELS_BESIDE = 1_000_000
-"""Threads that locate smaller frames side by side mostly wait for the interpreter: a pair of 752 × 480 takes
-13 % more CPU and comes 0.9 ms later. Of 12 Mpx, one after the other is too slow for 20 pairs a second."""
+"""Minimum size of frames located in parallel. Threads with smaller frames mostly wait for the interpreter: a
+pair of 752 × 480 takes 13 % more CPU and 0.9 ms longer. Serially, 12 Mpx are too slow for 20 pairs/s."""
 
 
 class Seen(Protocol):
-    """The content of a frame: the spot of a beam (``Located``), or the lights of a plate."""
+    """Content of a frame: the spot of a beam (``Located``), or the lights of a plate."""
 
     @property
     def camera(self) -> str:
-        """The config's name of its camera."""
+        """Name of the frame's camera in the config."""
 
     @property
     def sequence(self) -> int:
-        """The number of its exposure."""
+        """Number of the exposure."""
 
     @property
     def t_ns(self) -> int:
-        """The middle of its exposure."""
+        """Middle of the exposure."""
 
     @property
     def leds_on(self) -> bool:
-        """The frame LEDs were lit, or being switched."""
+        """Whether the frame LEDs were lit or being switched."""
 
     @property
     def spot(self) -> Spot | NoSpot | str:
-        """The finding, for people."""
+        """Result for display."""
 
     @property
     def found(self) -> Spot | NoSpot | None:
-        """The finding for the control of exposure; None: it learns nothing."""
+        """Result for exposure control; None: exposure control does not use this frame."""
 
 
 class Locator(Protocol):
-    """One camera's part of an instrument's chain; one thread calls it."""
+    """One camera's part of an instrument's chain; called by one thread."""
 
     def locate(self, frame: Frame) -> Seen:
-        """The content of a frame."""
+        """Return the content of a frame."""
 
 
 class LocatingStalledError(Exception):
-    """A frame that is never done: a defect, which a new process may not have."""
+    """The locating of a frame does not end: a defect that a new process may not have."""
 
 
 class LocatedPairs:
-    """Pass the spots located in ``frames`` from the thread to the event loop that makes it."""
+    """Passes the results for ``frames`` from the locating thread to the loop; create it in that loop."""
 
     def __init__(self, frames: FramePairs) -> None:
         self.frames = frames
@@ -80,7 +80,7 @@ class LocatedPairs:
         self._is_closed = False
 
     def put(self, pair: Pair[Any]) -> None:
-        """Hand over a frame set, from the thread; waits for a loop that has not taken those before."""
+        """Pass on a frame set, from the thread; wait while ``MAX_WAITING_PAIRS`` are not yet taken."""
         with self._taken:
             while len(self._pairs) >= MAX_WAITING_PAIRS and not self._is_closed:
                 self._taken.wait()
@@ -88,10 +88,10 @@ class LocatedPairs:
         try:
             self._loop.call_soon_threadsafe(self.wake)
         except RuntimeError:
-            return  # the loop is closed: the process is going down
+            return  # the loop is closed: the process is ending
 
     async def take(self) -> list[Pair[Any]]:
-        """All frame sets that wait, oldest first; may be none."""
+        """Wait for a wake-up; return all waiting frame sets, oldest first; may be empty."""
         await self._ready.wait()
         self._ready.clear()
         with self._taken:
@@ -101,11 +101,11 @@ class LocatedPairs:
         return pairs
 
     def wake(self) -> None:
-        """Let the reader look, from the loop, whatever there is."""
+        """Wake the reader from the loop, even if nothing waits."""
         self._ready.set()
 
     def close(self) -> None:
-        """Release waiting threads; frames that come later are not kept."""
+        """Release waiting threads; later frames are discarded."""
         self.frames.close()
         with self._taken:
             self._is_closed = True
@@ -113,10 +113,10 @@ class LocatedPairs:
 
 
 class Locating:
-    """Locates the spots of frame sets; large frames of one side by side, in a thread for each camera.
+    """Locates the spots of frame sets; large frames of a set in parallel, with one thread per camera.
 
-    ``exposures`` are shown each frame with what was found in it, by camera, and ``show`` is called with each
-    frame and its spot, in these threads.
+    ``exposures`` (by camera) sample each frame with its result, and ``show`` is called with each frame and
+    its spot, both in these threads.
     """
 
     def __init__(
@@ -134,13 +134,13 @@ class Locating:
         """The frame that is being located, by camera."""
 
     def arrived(self) -> None:
-        """Frame sets wait to be located; from any thread."""
+        """Wake the locating thread, from any thread: frame sets wait."""
         self._arrived.set()
 
     async def run(self, located: LocatedPairs) -> None:
-        """Locate the spots of each frame set until cancelled or until nothing follows.
+        """Locate the spots of each frame set until cancelled or until the cameras end.
 
-        Raises what a locator raises, and LocatingStalledError when one does not return.
+        Raises a locator's exception, and LocatingStalledError if a locator does not return.
         """
         done = call_in_thread(lambda: self._locate_all(located), "locate")
         done.add_done_callback(lambda _: done.cancelled() or done.exception())  # it may never be awaited
@@ -160,7 +160,7 @@ class Locating:
             located.close()
             await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
         done.result()
-        located.wake()  # nothing follows that would
+        located.wake()  # no later frame set wakes the reader
 
     def _locate_all(self, located: LocatedPairs) -> None:
         _, *others = self._locators
@@ -170,7 +170,7 @@ class Locating:
             while not is_at_end:
                 self._arrived.wait()
                 self._arrived.clear()
-                is_at_end = located.frames.is_at_end  # asked before what waits is taken
+                is_at_end = located.frames.is_at_end  # read before the waiting frame sets are taken
                 for pair in located.frames.take():
                     if self._stop.is_set():
                         return
@@ -180,7 +180,7 @@ class Locating:
                 helper.end()
 
     def _locate_pair(self, pair: Pair[Frame], helpers: Mapping[str, _Helper]) -> Pair[Any]:
-        """Begin with the large frames that have helpers, locate the others, and wait for those begun."""
+        """Start helpers on their large frames, locate the other frames here, and wait for the helpers."""
         beside = {
             frame.camera
             for frame in pair.all_items
@@ -205,7 +205,7 @@ class Locating:
 
 
 class _Helper:
-    """Locates the frames of one camera in a thread of its own."""
+    """Locates the frames of one camera in a separate thread."""
 
     def __init__(self, locate: Callable[[Frame], Seen]) -> None:
         self._locate = locate
@@ -214,18 +214,18 @@ class _Helper:
         threading.Thread(target=self._run, name="locate beside", daemon=True).start()
 
     def begin(self, frame: Frame) -> None:
-        """Locate the spot of a frame from now on."""
+        """Start locating the spot of a frame."""
         self._frames.put(frame)
 
     def located(self) -> Seen:
-        """The result of the frame that was begun, once it is known; raises what the locator raises."""
+        """Wait for the result of the started frame and return it; raises the locator's exception."""
         located = self._located.get()
         if isinstance(located, BaseException):
             raise located
         return located
 
     def end(self) -> None:
-        """Let the thread end after its current frame."""
+        """End the thread after its current frame."""
         self._frames.put(None)
 
     def _run(self) -> None:
@@ -237,7 +237,7 @@ class _Helper:
 
 
 def locate_frame(frame: Frame, locator: Locator, exposure: ExposureControl | None = None) -> Seen:
-    """The spot of one frame; ``exposure`` receives it."""
+    """Locate the spot of one frame; ``exposure`` samples it."""
     located = locator.locate(frame)
     if exposure is not None and located.found is not None:
         exposure.sample(frame, located.found)

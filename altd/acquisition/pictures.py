@@ -1,7 +1,6 @@
-"""The newest frame of each camera, and what was found in it, as a picture for people.
+"""The newest frame of each camera and its result, as a picture for display.
 
-Nothing is done without a viewer; then each frame is encoded once for all viewers, and no more often than
-``MAX_RATE_HZ``.
+Frames are encoded only if there is a viewer, once for all viewers, and at most at ``MAX_RATE_HZ``.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ from altd.runtime.threads import DeviceThread
 from altd.status.services import NoPictureError, Picture, Points, SpotContour, TargetView
 
 MAX_RATE_HZ = 10.0
-"""Pictures of one camera a second."""
+"""Maximum number of pictures per camera and second."""
 MAX_WIDTH_PX = 800
 _JPEG_QUALITY = 75
 _ENCODE_TIMEOUT_S = 2.0
 _END_TIMEOUT_S = 1.0
 _POINTS_PER_EDGE = 8
-"""Of the outline: lenses bend straight edges."""
+"""Number of points per edge of the outline: lenses bend straight edges."""
 _SHADES = np.round(255 * np.sqrt(np.arange(256) / 255)).astype(np.uint8)
-"""Brightness is shown by its square root: the target's print and frame are far darker than the spot."""
+"""Displayed brightness, its square root: the target's print and frame are far darker than the spot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +41,7 @@ class _Seen:
 
 
 class Pictures:
-    """Shows each camera's frames. ``views`` has what its target's calibration knows, in beam order."""
+    """Encodes each camera's frames. ``views`` has the data of the targets' calibration, in beam order."""
 
     def __init__(self, views: Sequence[TargetView], clock: Clock) -> None:
         self._clock = clock
@@ -50,13 +49,13 @@ class Pictures:
         self._views = tuple(views)
         self._newest: dict[str, _Seen] = {}
         self._made: dict[str, asyncio.Task[Picture]] = {}
-        """The last picture of each camera, made or being made."""
+        """Task of the last picture of each camera, done or running."""
         self._made_of: dict[str, tuple[int, int]] = {}
-        """Of which frame, by its number, and when it was begun, ns."""
+        """Number of the last picture's frame and start time of its encoding, ns, by camera."""
         self._loop = asyncio.get_running_loop()
         self._arrived = asyncio.Event()
         self._looking = threading.Event()
-        """A viewer waits for a frame."""
+        """Whether a viewer waits for a frame."""
         self._thread: DeviceThread | None = None
 
     @property
@@ -65,7 +64,7 @@ class Pictures:
         return self._views
 
     def put(self, frame: Frame, spot: Spot | NoSpot | str) -> None:
-        """Take a frame and what was found in it, from the thread that located it."""
+        """Take a frame and its result, from the thread that located it."""
         last = self._newest.get(frame.camera)
         self._newest[frame.camera] = _Seen(last.number + 1 if last else 1, frame, spot)
         if self._looking.is_set():
@@ -73,10 +72,10 @@ class Pictures:
             try:
                 self._loop.call_soon_threadsafe(self._arrived.set)
             except RuntimeError:
-                return  # the loop is closed: the process is going down
+                return  # the loop is closed: the process is ending
 
     async def newer(self, seen: dict[str, int]) -> Sequence[Picture]:
-        """The newest picture of each target that is newer than the number that was ``seen`` of it."""
+        """Wait for and return the newest picture of each target with a number above that in ``seen``."""
         while True:
             self._arrived.clear()
             self._looking.set()
@@ -89,7 +88,7 @@ class Pictures:
                 await self._arrived.wait()
 
     async def run(self) -> None:
-        """Hold the thread until cancelled."""
+        """Provide the encoding thread until cancelled."""
         self._thread = thread = DeviceThread("pictures")
         try:
             await asyncio.Event().wait()
@@ -104,7 +103,7 @@ class Pictures:
         return seen.get(self._targets[newest.frame.camera], 0)
 
     def _wait_s(self, ready: Sequence[_Seen]) -> float:
-        """Time to wait before these may be encoded; encoded pictures are available at once."""
+        """Return the time until these may be encoded, s; pictures already encoded need no wait."""
         now_ns = self._clock.monotonic_ns()
         begun = [
             begun_ns
@@ -119,7 +118,7 @@ class Pictures:
         if self._made_of.get(camera, (0, 0))[0] != seen.number:
             self._made_of[camera] = seen.number, self._clock.monotonic_ns()
             self._made[camera] = made = asyncio.create_task(self._encoded(seen), name=f"picture {camera}")
-            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # its caller may be gone
+            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # it may never be awaited
         return await asyncio.shield(self._made[camera])
 
     async def _encoded(self, seen: _Seen) -> Picture:
@@ -153,14 +152,14 @@ def _picture_of(target: str, seen: _Seen) -> Picture:
 
 
 def _words(target: str, found: Spot | NoSpot | str) -> str:
-    """The finding where it is no spot."""
+    """Return the result as text if it is not a spot; else empty."""
     if isinstance(found, str):
         return found
     return str(found.fault(target)) if isinstance(found, NoSpot) else ""
 
 
 def _image(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """The frame in 8 bits, at most ``MAX_WIDTH_PX`` wide."""
+    """Return the frame in 8 bits, at most ``MAX_WIDTH_PX`` wide."""
     rows, columns = frame.pixels.shape
     pixels = np.asarray(frame.pixels)
     if columns > MAX_WIDTH_PX:
@@ -171,14 +170,14 @@ def _image(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 def contour_of(spot: Spot) -> SpotContour:
-    """The ellipse at 1/e² of a spot's peak; a circle where its shape was not fitted."""
+    """Return the ellipse at 1/e² of a spot's peak; a circle if its shape was not fitted."""
     semi_px = spot.diameter_px / 2
     axes = (semi_px, semi_px, 0.0) if spot.shape is None else _axes(spot.shape)
     return SpotContour(spot.u_px, spot.v_px, *axes)
 
 
 def _axes(shape: SpotShape) -> tuple[float, float, float]:
-    """Half the axes, px, and the turn of the major one, degrees, of q = 2^(1/order) (``SpotShape``)."""
+    """Return the semi-axes, px, and the major one's angle, degrees, of q = 2^(1/order) (``SpotShape``)."""
     mean, half = (shape.a + shape.c) / 2, math.hypot((shape.a - shape.c) / 2, shape.b)
     twice_q = 2 * 2 ** (1 / shape.order)
     turn_deg = math.degrees(math.atan2(-2 * shape.b, shape.c - shape.a)) / 2
@@ -186,7 +185,7 @@ def _axes(shape: SpotShape) -> tuple[float, float, float]:
 
 
 def view_of(camera: str, target: TargetCalibration) -> TargetView:
-    """The view of a target's camera, by its calibration."""
+    """Return the view of a target's camera from its calibration."""
     size = target.width, target.height
     return outlined(target.name, camera, size, target.map.hull_mm, target.map.to_px, target.leds_px)
 
@@ -199,7 +198,7 @@ def outlined(
     to_px: Callable[[FloatArray], FloatArray],
     leds_px: FloatArray,
 ) -> TargetView:
-    """A view with the picture of an area (n, 2) mm and of the axes."""
+    """Return a view with the image of an area's outline, ``hull_mm`` (n, 2), and of the axes."""
     share = (np.arange(_POINTS_PER_EDGE) / _POINTS_PER_EDGE)[:, None]
     edges = [
         here + share * (there - here)

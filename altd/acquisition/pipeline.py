@@ -1,4 +1,4 @@
-"""The pipeline task: what was located in the frame sets, through the chain onto the board."""
+"""The pipeline task: passes located frame sets through the chain and publishes measurements on the board."""
 
 from __future__ import annotations
 
@@ -20,45 +20,44 @@ from altd.status.health import Component, State
 from altd.status.maintenance import SpotTrends
 
 _HEARTBEAT_S = 4.0
-"""The pipeline is woken at least every ``silent_after_s``, which is 2 s at most."""
+"""Maximum silence of a live pipeline: it is woken at least every ``silent_after_s``, which is 2 s at most."""
 
 
 class Chain(Protocol):
-    """The chain of an instrument: ``pairer``, ``locators`` and ``add`` run in threads of their own."""
+    """The chain of an instrument: ``pairer``, ``locators`` and ``add`` run in separate threads."""
 
     pairer: Pairer[Frame]
     frame_sets: int
 
     @property
     def locators(self) -> Mapping[str, Locator]:
-        """By camera."""
+        """The locators by camera."""
 
     @property
     def silent_after_s(self) -> float:
-        """A camera from which nothing came for so long is silent."""
+        """Time without a frame after which a camera is silent, s."""
 
     def add(self, pair: Pair[Any]) -> Measurement | None:
-        """Take the content of a frame set; returns the measurement that it completes."""
+        """Take the content of a frame set; return the measurement that it completes, if any."""
 
     def silence(self, t_ns: int) -> Measurement:
-        """The measurement of a moment at which no camera delivers."""
+        """Return the measurement for a moment at which no camera delivers."""
 
     def seen(self) -> str:
-        """The last finding of each camera, in words."""
+        """Return the last result of each camera as text."""
 
     def figures(self) -> Mapping[str, float | str | None]:
-        """For health; None: not known."""
+        """Return figures for health; None: not known."""
 
 
 @dataclass(eq=False)
 class Pipeline:
     """One daemon's pipeline.
 
-    When no camera delivers, the board reports it every ``chain.silent_after_s``. ``progress`` is called each
-    time an exposure is processed or something is published on the board, and only then: it feeds the
-    watchdog. Frames without a result do not. ``checks`` and ``trends`` receive what was located; ``checks``
-    add their faults to each measurement. ``record`` takes each measurement as it is published; it must
-    neither wait nor fail.
+    While no camera delivers, the board reports it every ``chain.silent_after_s``. ``progress`` feeds the
+    watchdog: it is called only when an exposure is processed or a measurement is published, not for frames
+    without a result. ``checks`` and ``trends`` receive located spots; ``checks`` add their faults to each
+    measurement. ``record`` takes each measurement as it is published; it must neither block nor fail.
     """
 
     located: LocatedPairs
@@ -74,7 +73,7 @@ class Pipeline:
         self._clock = self.component.clock
         self._silent_after_s = self.chain.silent_after_s
         self._heard_ns = self._clock.monotonic_ns()
-        """When something came or, if that was later, when it was last said that nothing does."""
+        """Time of the last delivery or, if later, of the last published silence."""
 
     async def run(self) -> None:
         """Measure until cancelled; a failure here ends the daemon."""
@@ -88,7 +87,7 @@ class Pipeline:
             await asyncio.gather(ticking, return_exceptions=True)
 
     async def _tick(self) -> None:
-        """Wake the reader when nothing was heard for ``silent_after_s``, and no sooner."""
+        """Wake the reader after ``silent_after_s`` without a delivery."""
         while True:
             left_s = self._silent_after_s - self._silent_for_s()
             if left_s <= 0:

@@ -1,4 +1,4 @@
-"""Keep frames for replay: every exposure of all cameras, paired as the measurement would pair them."""
+"""Records every exposure of all cameras for replay, paired as the measurement would pair them."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from altd.ports import Lamps
 from altd.records import Frame
 
 _SETTLE_S = 0.05
-"""The driver has switched; the LED's light and a slow line follow."""
+"""Time from the driver's switching to settled light: the LED and a slow line follow with a delay."""
 
 
 async def switched_exposures(sets: FrameSets, lamps: Lamps) -> AsyncGenerator[Pair[Frame], None]:
-    """One complete exposure with the LEDs off, one with them on, and so on; the LEDs are dark at the end.
+    """Yield complete exposures with the LEDs off and on in turn; the LEDs are dark at the end.
 
-    To be closed by the caller (``contextlib.aclosing``). Raises LampsError, CameraError when a camera is
-    at its end or delivers nothing, and a driver's own failure.
+    The caller must close the generator (``contextlib.aclosing``). Raises LampsError, CameraError if a
+    camera's source ends or delivers nothing, and a driver's own failure.
     """
     await sets.after(sets.clock.monotonic_ns(), 1)  # a camera must be open before its output can be switched
     try:
@@ -46,16 +46,16 @@ async def record(
     progress: Callable[[int, int], None] = lambda done, planned: None,
     lamps: Lamps | None = None,
 ) -> int:
-    """Write a recording of the cameras' frame sets; returns the number of exposures.
+    """Write a recording of the cameras' frame sets; return the number of exposures.
 
-    Ends after ``plan.seconds`` of exposures, when all sources are at their end, or on cancellation; what was
-    written until then is whole. What was exposed while a camera's exposure was being set is not kept.
-    ``progress`` is called after each exposure: how many of how many are kept. Raises BadInputError when the
-    folder cannot be used, CameraError for a camera that cannot be opened at the beginning, and a driver's own
-    failure; a camera that is lost later is waited for.
+    Ends after ``plan.seconds`` of exposures, at the end of all sources, or on cancellation; the exposures
+    written so far are complete. Exposures during a change of a camera's exposure are not kept. ``progress``
+    is called after each exposure with the number kept and the number planned. Raises BadInputError if the
+    folder cannot be used, CameraError for a camera that cannot be opened at the start, and a driver's own
+    failure; the recording waits for a camera that is lost later.
 
-    ``lamps``: the frame LEDs are switched off and on in turn, and only exposures between are kept. Then a
-    lost camera is a CameraError, and lost lamps are a LampsError.
+    With ``lamps`` the frame LEDs are switched off and on in turn, and only exposures between the switchings
+    are kept. Then a lost camera raises CameraError, and lost lamps raise LampsError.
     """
     sink = ExposuresWriter(path, plan, {camera.name: camera for camera in sets.cameras}, sets.clock.utc)
     try:

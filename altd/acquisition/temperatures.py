@@ -1,4 +1,4 @@
-"""A thermometer read again and again, in a thread of its own: a sensor on a slow bus may hang."""
+"""Reads a thermometer at intervals in a separate thread: a sensor on a slow bus may hang."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
 
 READ_INTERVAL_S = 1.5
-"""Within the age that a figure of health may have."""
+"""Time between two readings, shorter than the maximum age of a figure of health."""
 
 _ANSWER_TIMEOUT_S = 0.4
 _HEARTBEAT_S = 10.0
 _NONE = "none is reported"
 _POSSIBLE_CELSIUS = (-60.0, 150.0)
-"""A value outside is a broken wire, not a temperature."""
+"""Limits of a plausible temperature; a value outside means a broken wire."""
 
 
 class CameraThermometer:
-    """The temperature inside a camera; one that has none, or is away, is no thermometer's fault."""
+    """Thermometer inside a camera; a camera without a sensor or a missing camera is not its failure."""
 
     def __init__(self, camera: TemperatureCamera) -> None:
         self.name = f"camera {camera.name}"
-        """None of the config has a space in it."""
+        """Name of the thermometer, unique: names of thermometers in the config have no space."""
         self._camera = camera
 
     def celsius(self) -> float | None:
-        """The temperature now, °C; raises ThermometerError where the camera refuses to tell it."""
+        """Return the temperature now, °C; raises ThermometerError if the camera refuses the request."""
         try:
             return self._camera.celsius()
         except CameraRefusedError as error:

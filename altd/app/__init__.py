@@ -1,1 +1,1 @@
-"""Composition: the daemon, a replay, and the parts that a config requires."""
+"""Composition of the daemon, of a replay, and of the parts that a config requires."""

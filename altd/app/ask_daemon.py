@@ -1,4 +1,4 @@
-"""A running daemon asked through its local socket: once, again and again, or for a self-check."""
+"""Requests to a running daemon through its local socket: once, at intervals, or for a self-check."""
 
 from __future__ import annotations
 
@@ -42,39 +42,39 @@ Document = TypeVar("Document")
 _MAX_TARGETS = 16
 _NAME = re.compile(NAME_PATTERN)
 _QUANTITIES = replace(OF_BEAM, of_unit=OF_BEAM.of_unit + OF_PLATE.of_unit)
-"""Of any instrument: a measurement has those of its own."""
+"""Quantities of a beam and of a plate; a measurement has only those of its own instrument."""
 
 _GOOD = (http.client.OK, http.client.SERVICE_UNAVAILABLE)
-"""503 is how a measurement is answered while there is none; any other answer with 503 has other keys."""
+"""Accepted statuses. A request for a measurement gets 503 while there is none; other 503s have other keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunningDaemon:
-    """The daemon at a socket; each question raises NoAnswerError, and ends within ``timeout_s``."""
+    """The daemon at a socket; each request ends within ``timeout_s`` and may raise NoAnswerError."""
 
     path: Path
     timeout_s: float
 
     def reading(self) -> tuple[Reading | None, object]:
-        """The latest measurement and its document; None: nothing was measured so far."""
+        """Request the latest measurement and its document; None: no measurement so far."""
         return self._asked(
             "/api/v1/measurement", lambda document: reading_of(document, _quantities_of(document))
         )
 
     def status(self) -> tuple[StatusDocument, object]:
-        """The unit's state, causes, availability and components."""
+        """Request the unit's state, causes, availability and components, and the document."""
         return self._asked("/api/v1/status", StatusDocument.checked)
 
     def self_check(self) -> tuple[SelfCheckDocument, object]:
-        """The last self-check."""
+        """Request the last self-check and its document."""
         return self._asked("/api/v1/self-check", SelfCheckDocument.checked)
 
     def calibration(self) -> tuple[CalibrationDocument, object]:
-        """The quality of the targets' calibration."""
+        """Request the quality of the targets' calibration and its document."""
         return self._asked("/api/v1/calibration", CalibrationDocument.checked)
 
     def targets(self) -> tuple[TargetsDocument, object]:
-        """The areas in which the targets are measured."""
+        """Request the areas in which the targets are measured and their document."""
         return self._asked("/api/v1/targets", TargetsDocument.checked)
 
     def _asked(self, target: str, understood: Callable[[object], Document]) -> tuple[Document, object]:
@@ -88,7 +88,7 @@ class RunningDaemon:
 
 
 def _quantities_of(document: object) -> Quantities:
-    """Quantities of a measurement: those of a row if the document names targets, else of any instrument."""
+    """Return the quantities of a row if the document names targets, else of the other instruments."""
     targets = document.get("targets") if isinstance(document, dict) else None
     if not isinstance(targets, dict):
         return _QUANTITIES
@@ -102,11 +102,11 @@ _TIMEOUT_S = SELF_CHECK_WAIT_S + 5.0
 
 
 def ask_running_daemon(config: Config, place: Path) -> dict[str, Any]:
-    """The document of a check that the daemon with this config makes now, as ``/api/self-check`` gives it.
+    """Request a check from the daemon with this config; return the document of ``/api/self-check``.
 
-    Through the local socket where there is one. Over HTTP where there is none, as of a daemon that was
-    started by hand, or where this user may not open it. Raises BadInputError for a config by which neither
-    is there, NoAnswerError where no check is possible.
+    Uses the local socket if there is one. Uses HTTP if there is none, as with a daemon started by hand, or if
+    this user may not open it. Raises BadInputError for a config with neither, NoAnswerError if no check is
+    possible.
     """
     status, document = _answer(config, place)
     if status == http.client.OK and isinstance(document, dict) and "verdict" in document:
@@ -151,13 +151,13 @@ READING_INTERVAL_S = 0.2
 STATUS_INTERVAL_S = 0.5
 SELDOM_INTERVAL_S = 5.0
 _MAX_HEARD = 64
-"""Answers that wait to be shown; further ones are dropped meanwhile."""
+"""Maximum number of responses that wait for display; further ones are dropped."""
 
 Telling = Callable[[Knowledge], None]
 
 
 class Follower:
-    """Asks while it is entered; ``tell`` hands on what was heard meanwhile."""
+    """Sends requests at intervals during its context; ``tell`` passes on the responses."""
 
     def __init__(self, daemon: RunningDaemon) -> None:
         self._daemon = daemon
@@ -174,7 +174,7 @@ class Follower:
         self._thread.join(timeout=2 * self._daemon.timeout_s)
 
     def tell(self, knowledge: Knowledge) -> None:
-        """Hand over all that was heard since."""
+        """Pass on all responses since the last call."""
         with contextlib.suppress(queue.Empty):
             while True:
                 self._heard.get_nowait()(knowledge)
@@ -196,7 +196,7 @@ class Follower:
                 self._put(partial(Knowledge.hear_nothing, why=str(error)))
             self._end.wait(max(begun_s + READING_INTERVAL_S - time.monotonic(), 0.05))
 
-    # An answer counts from when it was asked for: it may have waited on its way.
+    # The age of a response counts from its request: the response may have been delayed.
 
     def _ask_reading(self) -> None:
         asked_s = time.monotonic()

@@ -1,7 +1,8 @@
-"""``altd backup``: the files that make a unit what it is, in one archive.
+"""``altd backup``: a unit's settings, the files that they name, its state and history in one archive.
 
-The archive, ``altd-backup/1``, is a tar with gzip. Its first member, ``backup.json``, lists the others with
-their sums: ``settings/…`` of the folder of the settings, ``data/…`` of that of the service. It has secrets.
+The archive, ``altd-backup/1``, is a tar with gzip. Its first member, ``backup.json``, lists the other members
+with their checksums: ``settings/…`` from the settings folder, ``data/…`` from the service's folder. The
+archive contains secrets.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ from altd.status.proof import unit_number
 
 INDEX = "backup.json"
 MAX_FILE_BYTES = 1 << 28
-"""Of all but the history: a calibration has some megabytes."""
+"""Maximum size of a file other than the history; a calibration has some megabytes."""
 MODE = 0o664
-"""No file gets more rights."""
+"""Maximum permissions of a file."""
 
 _MEMBER = r"(settings|data)(/[^/.\x00-\x1f][^/\x00-\x1f]{0,200}){1,8}"
-"""No part begins with a dot: none leads out of its folder."""
+"""Pattern of a member's name. No part begins with a dot, so no name leads out of its folder."""
 _Member = Annotated[str, Field(pattern=f"^{_MEMBER}$")]
 
 
 class Entry(BaseModel):
-    """A file of an archive."""
+    """Entry of the index for a file of an archive."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
     size: Annotated[int, Field(ge=0)]
@@ -57,7 +58,7 @@ class Entry(BaseModel):
 
 
 class Index(BaseModel):
-    """The list of an archive's files."""
+    """Index of an archive's files."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
     format: Literal["altd-backup/1"]
@@ -70,14 +71,14 @@ class Index(BaseModel):
 
 
 class Places:
-    """The folders of one unit, and the way from a name in an archive to a file and back."""
+    """The folders of one unit; converts between file paths and names in an archive."""
 
     def __init__(self, settings: Path) -> None:
         self.settings = settings.absolute()
         self.folders = {"settings": self.settings.parent, "data": service_folder(self.settings)}
 
     def member(self, path: Path) -> str | None:
-        """The name in an archive; None: the file is elsewhere, or has a name that none may have."""
+        """Return the name in an archive; None: the file is in another folder or its name is not allowed."""
         for name, folder in self.folders.items():
             if path.is_relative_to(folder):
                 member = f"{name}/{path.relative_to(folder)}"
@@ -85,15 +86,15 @@ class Places:
         return None
 
     def path(self, member: str) -> Path:
-        """The place of a file of an archive."""
+        """Return the path of a member of an archive."""
         name, _, rest = member.partition("/")
         return self.folders[name] / rest
 
 
 def back_up(settings: Path, output: Path) -> list[str]:
-    """Write the archive of the unit with these settings; returns what is not in it, in lines.
+    """Write the archive of the unit with these settings; return one line per file that is not included.
 
-    The daemon may run meanwhile. Kept frames are not in it. Raises BadInputError.
+    The daemon may run meanwhile. Kept frames are not included. Raises BadInputError.
     """
     check_replaceable(output)
     config, places = load_settings(settings), Places(settings)
@@ -141,7 +142,7 @@ def back_up(settings: Path, output: Path) -> list[str]:
 
 
 def check_index(document: object, source: Path) -> Index:
-    """The index of an archive; raises BadInputError."""
+    """Validate and return the index of an archive; raises BadInputError."""
     if not isinstance(document, dict) or not str(document.get("format", "")).startswith("altd-backup/"):
         raise BadInputError(source, "is no backup of altd")
     try:
@@ -159,7 +160,7 @@ def check_index(document: object, source: Path) -> Index:
 
 
 def _paths_in(value: object) -> Iterator[Path]:
-    """All paths of the settings."""
+    """Yield all paths in the settings."""
     if isinstance(value, Path):
         yield value
     elif isinstance(value, BaseModel):
@@ -172,15 +173,15 @@ def _paths_in(value: object) -> Iterator[Path]:
 
 
 def _copy(history: Path, copy: Path) -> None:
-    """Copy a history as it is at one moment, while a daemon may write it; raises sqlite3.Error."""
+    """Copy a consistent state of a history while a daemon may write it; raises sqlite3.Error."""
     place = f"file:{quote(str(history.absolute()))}?mode=ro"
     with closing(sqlite3.connect(place, uri=True)) as source, closing(sqlite3.connect(copy)) as target:
         source.backup(target)
-        target.execute("PRAGMA journal_mode = DELETE")  # a file alone, without a log beside it
+        target.execute("PRAGMA journal_mode = DELETE")  # a single file, without a separate log
 
 
 def _entry(path: Path, content: BinaryIO) -> dict[str, object]:
-    """The line of the index for a file, whose content may be a copy."""
+    """Return the entry of the index for a file, whose content may be a copy."""
     about, digest = path.stat(), hashlib.file_digest(cast("io.BytesIO", content), "sha256").hexdigest()
     user = group = ""
     with suppress(KeyError):

@@ -1,4 +1,4 @@
-"""The baseline of a row of targets in a file: a restart must not begin again at zero."""
+"""Stores the baseline of a row of targets in a file, so that a restart does not reset it to zero."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class _Table(BaseModel):
 
 
 class _Spot(_Table):
-    """A mean spot; see ``Place``."""
+    """Mean spot; see ``Place``."""
 
     mm: tuple[_Number, _Number]
     frames: Annotated[int, Field(ge=1)]
@@ -65,14 +65,14 @@ class _Content(_Table):
 
 @dataclass(frozen=True, slots=True)
 class BaselineFile:
-    """The file of one unit, for one calibration and the stable targets of its config."""
+    """Baseline file of one unit, for one calibration and the stable targets of its config."""
 
     path: Path
     calibration: Calibration
     settings: ChainSettings
 
     def load(self) -> BaselineMeans | None:
-        """Its content; None: there is no file yet. Raises BadInputError: it is damaged, or of another row."""
+        """Read the file; None: no file yet. Raises BadInputError if it is damaged or of another row."""
         if not os.path.lexists(self.path):
             return None
         try:
@@ -85,7 +85,7 @@ class BaselineFile:
             raise BadInputError(self.path, str(error)) from error
 
     def save(self, means: BaselineMeans, made: datetime, simulated: bool) -> None:
-        """Write the file whole or not at all; raises BadInputError."""
+        """Write the file completely or not at all; raises BadInputError."""
         document: dict[str, Any] = {
             "format": _FORMAT,
             "unit": self.calibration.unit_serial,
@@ -133,21 +133,21 @@ class BaselineFile:
 
 
 def baseline_file(config: Config, calibration: Calibration) -> BaselineFile | None:
-    """The file that a config names; None: it names none."""
+    """Return the baseline file of a config; None: the config names none."""
     settings = config.chain or ChainSettings()
     return None if settings.baseline is None else BaselineFile(settings.baseline, calibration, settings)
 
 
 def baseline_path(config: Config, folder: Path) -> Path:
-    """The file of a config's baseline, in ``folder`` where it names none."""
+    """Return the path of a config's baseline file; in ``folder`` if the config names none."""
     named = None if config.chain is None else config.chain.baseline
     return named or folder / f"baseline-{unit_number(config.unit.serial):08X}.json"
 
 
 def with_baseline_kept(config: Config, place: Path) -> Config:
-    """The config with a file for its baseline, in the service's own folder where it names none.
+    """Return the config with a file for its baseline, in the service's folder if it names none.
 
-    Raises BadInputError: without one a restart would begin again at zero.
+    Raises BadInputError if there is neither: a restart would reset the baseline to zero.
     """
     settings, folder = config.chain or ChainSettings(), state_folder()
     if settings.baseline is None and folder is None:
@@ -159,7 +159,7 @@ def with_baseline_kept(config: Config, place: Path) -> Config:
 
 @dataclass(eq=False)
 class BaselineKeeper:
-    """Writes the baseline once the first rounds of a daemon have made it. That of a recording is not kept."""
+    """Writes the baseline made by a daemon's first rounds. A baseline from a recording is not kept."""
 
     chain: RowChain
     board: Board
@@ -170,14 +170,14 @@ class BaselineKeeper:
     def of(
         cls, config: Config, calibration: object, chain: object, board: Board, health: Health
     ) -> Self | None:
-        """Of a row whose config names a file; None: there is nothing to keep."""
+        """Return the keeper for a row whose config names a file; None: there is nothing to keep."""
         if not isinstance(chain, RowChain) or not isinstance(calibration, Calibration):
             return None
         file = baseline_file(config, calibration)
         return None if file is None else cls(chain, board, file, health.component("baseline"))
 
     async def run(self) -> None:
-        """Wait for the baseline, and write it; on a full disk try again."""
+        """Wait for the baseline and write it; retry if the write fails."""
         if (means := self.chain.baseline) is not None:
             self.component.set_state(State.OK, f"that of {self.file.path}")
             return
@@ -216,7 +216,7 @@ def _spot(place: Place) -> dict[str, Any]:
 
 
 def _place(spot: _Spot) -> Place:
-    """Its time is of no meaning in another run."""
+    """Return the place of a stored spot; its time is 0, as it has no meaning in another run."""
     return Place(
         t_ns=0,
         frames=spot.frames,
@@ -231,7 +231,7 @@ def _place(spot: _Spot) -> Place:
 
 def _covariance(matrix: _Matrix) -> FloatArray:
     covariance = np.array(matrix)
-    is_symmetric = np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-12)  # it was when it was made
+    is_symmetric = np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-12)  # a stored one always is
     if not is_symmetric or np.linalg.eigvalsh(covariance)[0] < 0.0:
         raise ValueError("has a covariance that is none")
     return covariance

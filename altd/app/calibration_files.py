@@ -1,4 +1,4 @@
-"""Reads the file of the loaded calibration and the report beside it, in a thread of its own."""
+"""Reads the file of the loaded calibration and the report next to it, in a separate thread."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from altd.runtime.threads import DeviceThread
 from altd.status.services import NoCalibrationFileError, NoReportError
 
 MAX_REPORT_BYTES = 1 << 26
-"""A report has a megabyte, and 5 kB more a node."""
+"""Maximum size of a report, which normally has 1 MB plus 5 kB per node."""
 
 READ_TIMEOUT_S = 10.0
 _NO_ANSWER = "the disk does not answer"
 
 
 class ReadCalibrationFiles:
-    """The files of one loaded calibration; ``loaded`` None: it was not read from a file."""
+    """Files of one loaded calibration; ``loaded`` None: the calibration was not read from a file."""
 
     def __init__(self, path: Path, loaded: CalibrationFile | None) -> None:
         self.name = path.name
@@ -32,7 +32,7 @@ class ReadCalibrationFiles:
         self._thread: DeviceThread | None = None
 
     async def calibration(self) -> bytes:
-        """The file as it was loaded; raises NoCalibrationFileError."""
+        """Return the file as it was loaded; raises NoCalibrationFileError."""
         try:
             content = await self._call(lambda: read_file(self._path, MAX_BYTES))
         except BadInputError as error:
@@ -44,17 +44,17 @@ class ReadCalibrationFiles:
         return content
 
     async def check_report(self) -> None:
-        """Raise NoReportError where there is no report on the loaded calibration."""
+        """Raise NoReportError if there is no report on the loaded calibration."""
         self._check(await self._of_page(lambda: read_head(self._page, HEAD_BYTES)))
 
     async def report(self) -> bytes:
-        """The report; raises NoReportError, also for one that is not on the loaded calibration."""
+        """Return the report; raises NoReportError, also for a report on another calibration."""
         page = await self._of_page(lambda: read_file(self._page, MAX_REPORT_BYTES))
         self._check(page)
         return page
 
     async def end(self) -> None:
-        """No more is read."""
+        """End the reading thread."""
         thread, self._thread = self._thread, None
         if thread is not None:
             await thread.end(lambda: None, READ_TIMEOUT_S)

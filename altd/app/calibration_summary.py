@@ -1,6 +1,6 @@
 """The content of a calibration as plain JSON types, and the valid areas and names of its targets.
 
-Whatever the file holds, the answer is small: texts are cut, and arrays appear as their size or limits.
+The result is small for any file: texts are cut, and arrays appear as their size or limits.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from altd.vision.fingerprint import Fingerprint
 
 
 def target_areas_of(config: Config, calibration: Calibration) -> tuple[TargetArea, ...]:
-    """The targets of the config, in beam order."""
+    """Return the valid areas of the config's targets, in beam order."""
     known = [(target, calibration.target(target.name)) for target in config.targets]
     return tuple(
         TargetArea(
@@ -39,7 +39,7 @@ _RESERVED = reserved_names(QUANTITIES)
 
 
 def why_unusable(name: str) -> str:
-    """Why a target cannot be called so, as the end of a sentence; empty: it can."""
+    """Return why a target cannot have this name, as the end of a sentence; empty: it can."""
     if name in _RESERVED:
         return "is a key of the measurement in JSON"
     columns = [column.name for column in measurement_columns(QUANTITIES, [name], of_scan=True)]
@@ -50,11 +50,11 @@ def why_unusable(name: str) -> str:
 MAX_TEXT_CHARACTERS = 300
 _DIGITS = 4
 _SIGMA_DIGITS = 7
-"""More than is shown, or a number that is rounded twice could differ from that of the report."""
+"""Significant digits of a sigma; more than are shown, for rounding twice could differ from the report."""
 
 
 def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> dict[str, Any]:
-    """The calibration of these targets, out of the file ``name``."""
+    """Return the calibration of these targets from the file ``name``."""
     chosen = [target for each in targets if (target := calibration.target(each)) is not None]
     of_targets = [_target(target) for target in chosen]
     return {
@@ -65,7 +65,7 @@ def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> d
 
 
 def planar_summary_of(calibration: PlanarCalibration, name: str) -> dict[str, Any]:
-    """The calibration of a plate, out of the file ``name``; the sigma is that of the known poses."""
+    """Return the calibration of a plate from the file ``name``; the sigma is that of the known poses."""
     of_place_mm, of_phi_deg = calibration.rms.get(calibration.fit.camera.model, (math.nan, math.nan))
     keys = (quantity.key for quantity in PLANAR_QUANTITIES.of_unit)
     sigmas = zip(keys, (of_place_mm, of_place_mm, of_phi_deg), strict=True)
@@ -93,7 +93,7 @@ def _of_file(calibration: Calibration | PlanarCalibration, name: str) -> dict[st
 
 
 def _expected_sigma(calibration: Calibration) -> dict[str, float | None]:
-    """By quantity, that of the report; empty where the targets have no area in common."""
+    """Return the report's sigma by quantity; empty if the targets have no common area."""
     try:
         prediction = predict(calibration)
     except ValueError:
@@ -148,11 +148,11 @@ def _known(text: str | None) -> str | None:
 
 
 def _shown(text: str) -> str:
-    """A text of the file, cut, with escapes for what is no letter."""
+    """Return a text of the file, cut, with escapes for unprintable characters."""
     return one_line(text if len(text) <= MAX_TEXT_CHARACTERS else f"{text[:MAX_TEXT_CHARACTERS]}…")
 
 
 def _rounded(number: float, digits: int = _DIGITS) -> float | None:
-    """To so many significant digits; None for what is no number, which JSON does not have."""
+    """Round to ``digits`` significant digits; None if not finite, which JSON cannot represent."""
     value = float(number)
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None

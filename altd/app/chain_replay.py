@@ -1,4 +1,4 @@
-"""A recording of a row of switched targets, through the instrument ``chain``."""
+"""Replay of a recording of a row of switched targets, through the instrument ``chain``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from altd.status.measurement_json import as_object
 class ChainReplay:
     """A recording, the calibration of its targets, and the target of each camera; like ``app.replay.Replay``.
 
-    ``means`` is a stored baseline; None: the first rounds make it.
+    ``means`` is a stored baseline; None: the first rounds determine it.
     """
 
     recording: Recording
@@ -46,22 +46,22 @@ class ChainReplay:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether any frame that the rounds rest on was simulated."""
+        """Whether the calibration or any measured camera is simulated."""
         cameras = self.recording.header.cameras
         return self.calibration.simulated or any(
             cameras[name].origin is Origin.SIMULATED for name in self.targets
         )
 
     def measurements(self, progress: Progress = lambda done, total: None) -> Iterator[Measurement]:
-        """A measurement a round. Frames without an opaque target, or with lit LEDs, are not measured.
+        """Yield one measurement per round; skip frames without an opaque target or with lit LEDs.
 
-        Raises BadInputError for a frame that cannot be decoded and where rows of one exposure contradict
-        each other.
+        Raises BadInputError for a frame that cannot be decoded and if rows of one exposure contradict each
+        other.
         """
         yield from self._measured(self._chain(), progress)
 
     def baseline(self, progress: Progress = lambda done, total: None) -> BaselineMeans | None:
-        """The baseline that the first rounds make; None: they are too few."""
+        """Return the baseline from the first rounds; None: there are too few rounds."""
         chain = self._chain()
         for _ in self._measured(chain, progress):
             if chain.baseline is not None:
@@ -69,7 +69,7 @@ class ChainReplay:
         return chain.baseline
 
     def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
-        """A measurement as plain JSON types."""
+        """Return a measurement as plain JSON types."""
         return as_object(measurement)
 
     def _chain(self) -> RowChain:
@@ -96,7 +96,7 @@ class ChainReplay:
 
 
 def _check_exposure(recording: Recording, row: Row, last: Row | None) -> None:
-    """One exposure has one opaque target, and exposures come in the order of time."""
+    """Raise BadInputError if an exposure has two opaque targets, or exposures are out of order of time."""
     if last is None:
         return
     if row.sequence == last.sequence and row.opaque != last.opaque:
@@ -114,9 +114,9 @@ def open_chain_replay(
     config_path: Path | None,
     is_fresh: bool = False,
 ) -> ChainReplay:
-    """Check all that can be checked before a frame is decoded; raises BadInputError.
+    """Open a replay, checking all that does not need a decoded frame; raises BadInputError.
 
-    Without a config no target is stable. A baseline that the config names is used where it is there, unless
+    Without a config no target is stable. The baseline file named in the config is used if it exists, unless
     ``is_fresh``.
     """
     header = recording.header

@@ -1,4 +1,4 @@
-"""The composition root: cameras, chain, board and publishers become one daemon."""
+"""Composition root: combines cameras, chain, board and publishers into one daemon."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ from altd.vision import kernel
 
 
 class Daemon:
-    """One unit's daemon. ``cameras`` are by the config's camera names; the caller chooses them.
+    """One unit's daemon. The caller chooses ``cameras``, by the config's camera names.
 
-    ``lamps``, ``indicators`` and the ``switches`` of the glasses are the caller's choice too;
-    ``self.lamps`` switches the frame LEDs. Played and simulated frames give valid values only with
-    ``rehearsal``. Raises BadInputError for a stored baseline that does not fit.
+    The caller also chooses ``lamps``, ``indicators`` and the ``switches`` of the glasses; ``self.lamps``
+    switches the frame LEDs. Played and simulated frames give valid values only with ``rehearsal``. Raises
+    BadInputError for a stored baseline that does not match.
     """
 
     def __init__(  # noqa: PLR0913  the parts of a unit
@@ -98,7 +98,7 @@ class Daemon:
         }
         self.health.targets = instrument.areas
         self.reloading: Reloading | None = None
-        """The settings that can be reloaded; None: they came from no file."""
+        """Reloads the settings; None: they were not read from a file."""
         self._calibrated = calibration.created.date()
         self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
         self.health.calibration.open(instrument.summary, self._calibration_files)
@@ -145,7 +145,7 @@ class Daemon:
         }
 
     def _self_checks(self, calibration: AnyCalibration) -> SelfChecks | None:
-        """The checks by the frame LEDs of a beam's targets, where the unit can make them."""
+        """Return the checks with the frame LEDs of a beam's targets; None: the unit cannot make them."""
         if isinstance(calibration, PlanarCalibration) or not isinstance(self.chain, MeasuringChain):
             self.health.self_check.unavailable = "this instrument has no frame LEDs"
             return None
@@ -164,17 +164,17 @@ class Daemon:
         return Board(self.clock, stale_after_s, monitor.quantities, identity, monitor.complete, rehearsal)
 
     def keep_state_in(self, folder: Path) -> None:
-        """Keep in this folder what outlives a restart: what checks and recordings left. Before ``run``."""
+        """Keep persistent data of checks and recordings in this folder. Call before ``run``."""
         self._state_folder = folder
         if self.checks is not None:
             path = folder / f"self-checks-{unit_number(self.config.unit.serial):08X}.json"
             self.checks.memory.keep_in(path, self.health.component("self-check history"))
 
     async def run(self, reload: asyncio.Event | None = None) -> None:
-        """Measure and publish until cancelled; each time ``reload`` is set, read the settings again.
+        """Measure and publish until cancelled; each time ``reload`` is set, reload the settings.
 
-        Raises BadInputError for an address that is taken; any other failure of the pipeline ends the
-        daemon with that failure. A publisher's failure never does.
+        Raises BadInputError for an address in use. Any failure of the pipeline ends the daemon with that
+        failure; a failure of a publisher never does.
         """
         async with self.past.recorded():
             try:
@@ -183,7 +183,7 @@ class Daemon:
                 await self._calibration_files.end()
 
     async def _run(self, reload: asyncio.Event | None) -> None:
-        cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
+        cv2.setNumThreads(1)  # for small frames, more threads cost more time than they save
         config, board, clock = self.config, self.board, self.clock
         manager = ServiceManager(board, clock, f"unit {config.unit.serial}", list(interfaces_of(config)))
         try:
@@ -202,8 +202,8 @@ class Daemon:
                     if self.reloading is not None and reload is not None:
                         reloading = self.reloading.run(reload, interfaces, manager)
                         tasks.create_task(reloading, name="reload")
-                    await self._lights()  # inside: told to end, they are dark before a camera is closed
-                    await asyncio.Event().wait()  # a unit without lamps needs the real-time interpreter, too
+                    await self._lights()  # inside: on cancellation lamps darken before a camera is closed
+                    await asyncio.Event().wait()  # a unit without lamps needs the real-time interpreter too
         except BaseExceptionGroup as group:
             refused = unwrap_group(group, BadInputError)
             if refused is None:
@@ -211,7 +211,7 @@ class Daemon:
             raise refused from None
 
     def _measure(self, tasks: asyncio.TaskGroup, manager: ServiceManager) -> None:
-        """A thread acquires the frames of a camera, one more locates the spots of the newest frame set."""
+        """Start a thread per camera, one to locate the spots of the newest frame set, and the pipeline."""
         pictures = Pictures(self._views, self.clock)
         self.health.pictures.open(pictures)
         tasks.create_task(pictures.run(), name="pictures")
@@ -238,7 +238,7 @@ class Daemon:
         tasks.create_task(pipeline.run(), name="pipeline")
 
     def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
-        """The keeper of the last seconds of frames, where the config allows it."""
+        """Start the keeper of the last frames and return its ring; None: the config does not allow it."""
         recordings, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
         if self.config.unit.instrument == "planar" and self.config.plate is None:
             recordings.unavailable = "there is no [plate] table, which a recording of a plate needs"
@@ -255,7 +255,7 @@ class Daemon:
         return keeper.ring
 
     def _marks(self, tasks: asyncio.TaskGroup) -> list[Marks]:
-        """The marks of frames: with the opaque target, and under LEDs; the cycle and the checks begin."""
+        """Start the cycle of the glasses and the checks; return their marks of frames."""
         all_marks: list[Marks] = []
         if self._switches is not None:
             cycle = glass_cycle(self._switches, self.config, fps_of(self.config), self.clock)
@@ -263,7 +263,7 @@ class Daemon:
             all_marks.append(cycle.marks)
         if self.checks is None:
             return all_marks
-        assert self.lamps is not None  # noqa: S101  asked before
+        assert self.lamps is not None  # noqa: S101  required by ``_self_checks``
         leds = self.checks.leds
         marks = MarkedFrames(leds, self._cameras)
         exposures, fps = self.config.self_check.exposures, fps_of(self.config)
@@ -272,7 +272,7 @@ class Daemon:
         return [*all_marks, marks]
 
     async def _lights(self) -> None:
-        """Keep lamps, glasses and indicators, until cancelled."""
+        """Control lamps, glasses and indicators until cancelled."""
         lamps = self.config.lamps
         switching = lamps.cameras if isinstance(lamps, CameraLampsSettings) else ()
         async with asyncio.TaskGroup() as tasks:
@@ -294,7 +294,7 @@ class Daemon:
 
 
 def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
-    """The daemon that a config file describes; raises BadInputError that names the file and the place."""
+    """Return the daemon described by a config file; raises BadInputError that names file and key."""
     if missing := missing_files(config):
         raise BadInputError(place, *map(str, missing))
     cameras = cameras_of(config, place)
@@ -323,7 +323,7 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
 
 
 def _end_of(pairs: FramePairs, camera: str, _: object) -> None:
-    """No more frames come from a camera."""
+    """Note that a camera delivers no more frames."""
     pairs.end(camera)
 
 

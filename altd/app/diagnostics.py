@@ -1,9 +1,9 @@
-"""The parts of a unit's diagnostics that an interface cannot see: its settings, and what it runs on.
+"""Parts of a unit's diagnostics that an interface cannot provide: its settings and its software versions.
 
-``diagnose`` makes the archive without an interface, of a daemon that runs or of the files of a stopped one.
+``diagnose`` makes the archive without an interface, from a running daemon or from the files of a stopped one.
 
-The settings are those that were read, not the file: its comments stay on the unit. The
-settings themselves hold no secret, only the paths of files that do (``tests/unit/app/test_diagnostics.py``).
+The settings are included as read, not as the file, so its comments stay on the unit. The settings contain
+no secrets, only the paths of files that do (``tests/unit/app/test_diagnostics.py``).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MAX_ARCHIVE_BYTES = 1 << 27
 
 
 def diagnostic_parts(config: Config) -> tuple[DiagnosticPart, ...]:
-    """Additions of the daemon of this config to its diagnostics."""
+    """Return the parts that the daemon with this config adds to its diagnostics."""
     return (
         DiagnosticPart(
             "settings.json", "the settings as they were read, with their defaults", partial(_settings, config)
@@ -45,9 +45,9 @@ def diagnostic_parts(config: Config) -> tuple[DiagnosticPart, ...]:
 
 
 def diagnose(place: Path | None) -> tuple[str, bytes, str]:
-    """Name and content of the archive of the unit with the settings at ``place``, and why no daemon made it.
+    """Return name and content of the archive for the settings at ``place``, and why no daemon made it.
 
-    The archive reports settings that cannot be used: it may be wanted for that.
+    Unusable settings are reported in the archive: they may be the reason for requesting it.
     """
     config, why = None, ""
     socket, history = SERVICE_SOCKET, Path("/var/lib/altd", FILE_NAME)

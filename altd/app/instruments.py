@@ -1,4 +1,4 @@
-"""The instruments as the daemon runs them: all that differs between one kind of unit and another."""
+"""The instruments of the daemon: all differences between kinds of units."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from altd.status.services import TargetView
 from altd.status.target_area import TargetArea
 
 STALE_AFTER_ROUNDS = 2.5
-"""The measurement of a round comes a round later, and is shown until the next."""
+"""Age of a stale row measurement, in rounds: it is published one round late and shown until the next."""
 _PLATE = "plate"
-"""The name of a plate's picture, and of its camera where the caller of the daemon chose it."""
+"""Name of a plate's picture, and of its camera if the caller of the daemon chose the camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +50,11 @@ class LiveInstrument:
 
 
 def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrument:
-    """The instrument of a config, whose calibration was checked against it."""
+    """Return the instrument of a config; the calibration was checked against the config."""
     if isinstance(calibration, PlanarCalibration):
         return _planar(config, calibration)
     for target in calibration.targets:
-        _ = target.inverse  # made now, for the first measurement would hold the loop with it
+        _ = target.inverse  # computed now: in the first measurement it would block the loop
     by_name = {target.name: target for target in calibration.targets}
     is_row = config.unit.instrument == "chain"
     quantities, chain, stale_after_s = (_row if is_row else _beam)(config, calibration)
@@ -62,7 +62,7 @@ def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrume
         calibration, [target.name for target in config.targets], config.unit.calibration.name
     )
     if is_row:
-        summary["expected_sigma"] = {}  # it is that of a beam through all targets
+        summary["expected_sigma"] = {}  # it applies only to a beam through all targets
     return LiveInstrument(
         quantities,
         chain,
@@ -74,7 +74,7 @@ def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrume
 
 
 _Parts = tuple[Quantities, Callable[[Provenance], Chain], float]
-"""Quantities, the chain, and when a measurement is stale."""
+"""Quantities, chain factory, and the age at which a measurement is stale, s."""
 
 
 def _beam(config: Config, calibration: Calibration) -> _Parts:
@@ -93,7 +93,7 @@ def _beam(config: Config, calibration: Calibration) -> _Parts:
 
 
 def _row(config: Config, calibration: Calibration) -> _Parts:
-    """Of a row; raises BadInputError for a stored baseline that does not fit."""
+    """Return the parts for a row; raises BadInputError for a stored baseline that does not match."""
     settings = config.chain or ChainSettings()
     file = baseline_file(config, calibration)
     means = None if file is None else file.load()
@@ -110,7 +110,7 @@ def _row(config: Config, calibration: Calibration) -> _Parts:
 
 
 def views_of(config: Config) -> list[View]:
-    """The targets of a beam with their cameras."""
+    """Return the targets of a config with their cameras."""
     return [View(of.name, of.camera, _expected(config.cameras.get(of.camera))) for of in config.targets]
 
 
@@ -132,5 +132,5 @@ def _planar(config: Config, calibration: PlanarCalibration) -> LiveInstrument:
 
 
 def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:
-    """The camera's own settings in the config; None: none."""
+    """Return the identity that the config expects of a live camera; None: none."""
     return CameraIdentity(serial=camera.serial) if isinstance(camera, LiveCameraSettings) else None

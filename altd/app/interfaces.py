@@ -1,4 +1,4 @@
-"""The interfaces that a config asks for, and those that run; each is imported only when wanted."""
+"""The configured and the running interfaces; each is imported only if used."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from altd.tcp_port import listen
 _FIRST_TRY_TIMEOUT_S = 1.0
 
 _Settings = ModbusTcpSettings | HttpSettings | MqttSettings | OpcUaSettings | Path | AnySerialPortSettings
-"""The table of an interface; a path is that of the local socket."""
+"""Settings table of an interface; a path is that of the local socket."""
 
 
 def interfaces_of(config: Config) -> dict[str, _Settings]:
-    """The interfaces of a config: each table by its place, which names its component."""
+    """Return the tables of a config's interfaces by their places, which name their components."""
     tables: dict[str, _Settings] = {}
     if (modbus := config.modbus_tcp) is not None:
         tables[f"modbus_tcp {modbus.host}:{modbus.port_or_default}"] = modbus
@@ -55,7 +55,7 @@ def interfaces_of(config: Config) -> dict[str, _Settings]:
 
 
 def _address_of(settings: _Settings) -> tuple[str, int] | None:
-    """Host and port at which an interface listens; None: at none."""
+    """Return host and port at which an interface listens; None: it does not listen on TCP."""
     if isinstance(settings, ModbusTcpSettings):
         return settings.host, settings.port_or_default
     return (settings.host, settings.port) if isinstance(settings, HttpSettings | OpcUaSettings) else None
@@ -70,7 +70,7 @@ class _Interface:
 
 @dataclass(slots=True)
 class Interfaces:
-    """The interfaces of a unit, each in one of ``tasks`` under supervision; ``calibrated`` is a date."""
+    """The interfaces of a unit, each supervised in one of ``tasks``; ``calibrated``: calibration date."""
 
     board: Board
     health: Health
@@ -82,17 +82,17 @@ class Interfaces:
     _running: dict[str, _Interface] = field(default_factory=dict)
 
     async def start(self, config: Config) -> None:
-        """Start all; raises BadInputError for a file or an address that cannot be used.
+        """Start all interfaces; raises BadInputError for an unusable file or address.
 
-        Every interface tries to start before the first frame comes: a mistake in the config comes first.
+        Every interface tries to start before the first frame, so that a mistake in the config is found first.
         """
         self._running = await self._made(interfaces_of(config))
         await self._begin(self._running)
 
     async def change_to(self, config: Config) -> None:
-        """Stop and start the interfaces whose tables differ, and no other.
+        """Restart only the interfaces whose tables differ.
 
-        Raises BadInputError for a file or an address that cannot be used: all interfaces are then as before.
+        Raises BadInputError for an unusable file or address; all interfaces are then as before.
         """
         wanted, running = interfaces_of(config), self._running
         kept = {place: each for place, each in running.items() if wanted.get(place) == each.settings}
@@ -113,7 +113,7 @@ class Interfaces:
                 self.health.remove(place)
 
     async def _made(self, tables: Mapping[str, _Settings]) -> dict[str, _Interface]:
-        """Made in a thread: to import an interface takes up to half a second."""
+        """Create the interfaces in a thread: importing one takes up to half a second."""
         components = {place: self.health.component(place) for place in tables}
 
         def made() -> dict[str, _Interface]:
@@ -125,7 +125,7 @@ class Interfaces:
         return await call_in_thread(made, "interfaces")
 
     def _check_addresses(self, new: Mapping[str, _Interface]) -> None:
-        """Raise BadInputError for an address that cannot be had, while the old interfaces still serve."""
+        """Raise BadInputError for an unavailable address while the old interfaces still serve."""
         held = {address[1] for each in self._running.values() if (address := _address_of(each.settings))}
         for place, interface in new.items():
             if (address := _address_of(interface.settings)) is None:
@@ -137,9 +137,9 @@ class Interfaces:
                     raise BadInputError(place, error.strerror or str(error)) from error
 
     async def _begin(self, interfaces: Mapping[str, _Interface], *, is_new: bool = True) -> None:
-        """Start them and wait until each was tried; one that takes long does not hold the others up.
+        """Start interfaces and wait for the first attempt of each, up to ``_FIRST_TRY_TIMEOUT_S``.
 
-        Raises BadInputError for an address of new ones that is taken or forbidden.
+        Raises BadInputError for an address of a new interface that is in use or forbidden.
         """
         tried: list[asyncio.Future[None]] = []
         for place, interface in interfaces.items():
@@ -166,11 +166,11 @@ class Interfaces:
         except BadInputError as error:
             if not first_try.done():
                 first_try.set_exception(error)
-            else:  # too late to refuse it
+            else:  # too late to refuse the config
                 await keep_running(place, publisher, component, clock, is_new=False)
 
     def _publisher(self, settings: _Settings, component: Component) -> Publisher:
-        """The publisher of a table; raises BadInputError for a file of it that cannot be used."""
+        """Return the publisher of a table; raises BadInputError for an unusable file in it."""
         board, health, past = self.board, self.health, self.past
         if isinstance(settings, ModbusTcpSettings):
             from altd.publish.modbus.tcp import ModbusTcpPublisher
@@ -181,7 +181,7 @@ class Interfaces:
 
             return HttpPublisher(settings, board, health, component, past.history, past.events)
         if isinstance(settings, MqttSettings):
-            spread = random.Random()  # noqa: S311  of reconnections
+            spread = random.Random()  # noqa: S311  spreads reconnections
             if settings.sparkplug is None:
                 from altd.publish.mqtt.publisher import MqttPublisher
 
@@ -215,7 +215,7 @@ class Interfaces:
 
 
 async def _end(interfaces: Mapping[str, _Interface]) -> None:
-    """Stop them and wait until their addresses are free."""
+    """Stop interfaces and wait until their addresses are free."""
     tasks = [interface.task for interface in interfaces.values() if interface.task is not None]
     for task in tasks:
         task.cancel()

@@ -1,4 +1,4 @@
-"""The history of a daemon and the frames of its last seconds, put together as its config says."""
+"""Composition of a daemon's history and of the recordings of its last frames, according to its config."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ from altd.status.services import KeptRecording
 from altd.status.state import StateEvents, UnitState
 
 RECORDINGS = "recordings"
-"""In the service's own folder."""
+"""Name of the recordings' folder in the service's folder."""
 
 _MARGIN_NS = 10**9
-"""A recording is begun a little after its last frame."""
+"""Additional length of the ring: a recording starts shortly after its last frame."""
 
 
 def folder_of_recordings(config: Config, state_folder: Path | None) -> Path | None:
-    """The folder of recordings; None: none."""
+    """Return the folder of recordings; None: there is none."""
     if config.kept_frames.folder is not None or state_folder is None:
         return config.kept_frames.folder
     return state_folder / RECORDINGS
@@ -61,7 +61,7 @@ def frame_keeper(
     health: Health,
     note: Callable[[str, KeptRecording | None], None],
 ) -> FrameKeeper:
-    """Keeps and writes what a config asks for; the service in ``health`` is open from now on."""
+    """Return the keeper of frames for a config, and open the recordings service in ``health``."""
     settings = config.kept_frames
     length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
     ring = FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
@@ -85,12 +85,12 @@ def frame_keeper(
 log = logging.getLogger("altd")
 
 LOOK_INTERVAL_S = 5.0
-"""Longer than the history takes to write that the clock was set."""
+"""Interval of checks of the clock, longer than the history takes to write that the clock was set."""
 CLOCK_STEP_US = 500_000
 
 
 class PastAvailability:
-    """Reads it at the start and whenever the time of day was set: by it the past is put in its place."""
+    """Reads the past availability at the start and after each setting of the clock, which dates the past."""
 
     def __init__(self, history: History, availability: Availability, clock: Clock) -> None:
         self._history = history
@@ -98,7 +98,7 @@ class PastAvailability:
         self._clock = clock
 
     async def run(self) -> None:
-        """Read until cancelled. While the history cannot be read, what was read last is kept."""
+        """Read until cancelled. While the history cannot be read, keep the last result."""
         read_us: int | None = None
         seen_us = self._start_us()
         while True:
@@ -107,16 +107,16 @@ class PastAvailability:
                 try:
                     self._availability.before = await self._history.ask(partial(_before, start_us))
                     read_us = start_us
-                except NoHistoryError:  # its component says why; it is asked again
+                except NoHistoryError:  # its component reports the reason; reading is retried
                     log.debug("availability: the history before this start cannot be read now")
-                except Exception:  # a defect of it must not end the measurement
+                except Exception:  # a defect in the history must not end the measurement
                     log.exception("availability: a defect")
                     return
             seen_us = start_us
             await self._clock.sleep(LOOK_INTERVAL_S)
 
     def _start_us(self) -> int | None:
-        """UTC of this start by the clock as it is now, µs; None: the clock is not known."""
+        """Return the UTC of this start by the current clock, µs; None: UTC is not known."""
         now_ns = self._clock.monotonic_ns()
         utc = self._clock.utc(now_ns)
         if utc is None:
@@ -139,7 +139,7 @@ _NOT_KEPT_SEVERITY = 2
 
 
 def history_place(config: Config) -> tuple[Path | None, str]:
-    """The file of a config's history; None: there is none, and why."""
+    """Return the file of a config's history and empty text, or None and the reason."""
     if not config.history.enabled:
         return None, "off: disabled in [history]"
     if config.history.file is not None:
@@ -151,12 +151,12 @@ def history_place(config: Config) -> tuple[Path | None, str]:
 
 
 def history_to_read(config: Config, place: Path) -> Path:
-    """The history of the daemon that runs with this config, as a service or by hand."""
+    """Return the history file of a daemon with this config, run as a service or by hand."""
     return config.history.file or service_folder(place) / FILE_NAME
 
 
 def history_about(config: Config, calibration: AnyCalibration, quantities: Quantities) -> About:
-    """The unit and calibration of a history."""
+    """Return the columns of a history and facts about its unit and calibration."""
     return About(
         columns_of(quantities, [target.name for target in config.targets]),
         {
@@ -175,12 +175,12 @@ def history_about(config: Config, calibration: AnyCalibration, quantities: Quant
 
 
 class DaemonHistory:
-    """One daemon's events and, where ``keep_in`` was called, its file."""
+    """One daemon's events and, if ``keep_in`` was called, its history file."""
 
     def __init__(self, board: Board, health: Health, state: UnitState, clock: Clock) -> None:
         self.events = health.events
         self.history = History(None, "this daemon keeps no history")
-        """For interfaces."""
+        """The history for interfaces."""
         self.outbox: Outbox | None = None
         self._board = board
         self._health = health
@@ -190,7 +190,7 @@ class DaemonHistory:
         self._recorder: HistoryRecorder | None = None
 
     def keep_as(self, config: Config, calibration: AnyCalibration) -> None:
-        """Keep the history that a config asks for, or say why there is none. Before ``recorded``."""
+        """Keep a history according to the config, or report why there is none. Call before ``recorded``."""
         path, why = history_place(config)
         if path is None:
             self.leave_out(why)
@@ -199,7 +199,7 @@ class DaemonHistory:
             self.keep_in(path, config.history.max_mb * 10**6, about, config.has_outbox)
 
     def keep_in(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
-        """Keep the history in this file. Before ``recorded``."""
+        """Keep the history in this file. Call before ``recorded``."""
         component = self._health.component(COMPONENT)
         store = Store(path, max_bytes, about, has_outbox)
         self.history = History(path, serial=about.facts.get("serial"))
@@ -209,28 +209,28 @@ class DaemonHistory:
         )
 
     def record(self, measurement: Measurement) -> None:
-        """Take what is published; without a history nothing is kept of it."""
+        """Record a published measurement; without a history, do nothing."""
         if self._recorder is not None:
             self._recorder.take(measurement)
 
     def note_recording(self, text: str, kept: KeptRecording | None) -> None:
-        """Frames were kept as a recording, or could not be."""
+        """Note the event that frames were kept as a recording, or could not be (``kept`` None)."""
         severity = _NOT_KEPT_SEVERITY if kept is None else EventKind.RECORDING.severity
         detail = {} if kept is None else {"recording": kept.name}
         self.events.note(EventKind.RECORDING, text, None, severity, detail)
 
     def for_console(self) -> Past:
-        """Its description on a console."""
+        """Return the past for a console."""
         return Past(self.events, self.history, lambda: self._clock.utc(self._clock.monotonic_ns()))
 
     def leave_out(self, why: str) -> None:
-        """Keep none, and report that."""
+        """Keep no history, and report the reason."""
         self._health.component(COMPONENT).set_state(State.OK, why)
         self.history = History(None, f"the history is {why}")
 
     @asynccontextmanager
     async def recorded(self) -> AsyncIterator[None]:
-        """Within, events are noted and all is recorded; the end is noted with what caused it."""
+        """Record events and measurements during the context; note its end with the cause."""
         tasks = [asyncio.create_task(self._observer.run(), name="state events")]
         if self._recorder is not None:
             tasks.append(asyncio.create_task(self._recorder.run(), name=COMPONENT))

@@ -1,4 +1,4 @@
-"""The lamps without the daemon: for a technician who tries them, and for systemd once the daemon ended."""
+"""Switching of lamps without the daemon: for a technician's tests, and for systemd after the daemon ended."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from altd.ports import Indicator, Indicators, Lamps, LampsError
 
 LIT_INTERVAL_S = 1.0
-"""Duration of each lamp of the test."""
+"""Duration for which each lamp is lit in the test."""
 
 
 class LampsByHand:
     """The lamps of one config; None: it has none of that kind. ``fitted``: the indicators that have a line.
 
-    Every method raises LampsError; what is lit then is dark again.
+    Every method may raise LampsError; ``light_in_turn`` and ``light_until`` darken all lamps at the end.
     """
 
     def __init__(
@@ -31,9 +31,9 @@ class LampsByHand:
         self._report = report
 
     def leave_lit(self, lit: frozenset[Indicator]) -> None:
-        """Only these lit, left so when the process ends, as far as the chip keeps it; the frame LEDs dark.
+        """Light only these indicators, and leave them lit at exit if the chip can; darken the frame LEDs.
 
-        What cannot be had does not keep the rest from it.
+        A failure of one kind of lamps does not prevent the switching of the other.
         """
         complaints = []
         try:
@@ -52,7 +52,7 @@ class LampsByHand:
             raise LampsError("; ".join(complaints))
 
     def light_in_turn(self) -> None:
-        """Each lamp for a second, with its name; then all dark."""
+        """Light each lamp for ``LIT_INTERVAL_S`` and report its name; then darken all."""
         with self._opened():
             if self._indicators is not None:
                 for indicator in self._fitted:
@@ -66,7 +66,7 @@ class LampsByHand:
                 time.sleep(LIT_INTERVAL_S)
 
     def light_until(self, interrupted: Callable[[], object]) -> None:
-        """All lit; dark again once ``interrupted`` returns, or a signal is raised."""
+        """Light all lamps; darken them when ``interrupted`` returns or raises."""
         with self._opened():
             if self._indicators is not None:
                 self._indicators.show(frozenset(Indicator))

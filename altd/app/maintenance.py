@@ -1,4 +1,4 @@
-"""Watches of the daemon that request maintenance before a failure."""
+"""Monitors of the daemon that request maintenance before a failure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from altd.status.state import Watch
 
 
 class MaintenanceWatches:
-    """The watches of one unit's state, and what feeds them."""
+    """The watches of one unit's state, and their data sources."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The parts that a config asks for, each behind its port; a driver is imported only when it is wanted."""
+"""The parts required by a config, each behind its port; a driver is imported only if used."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ AnyCalibration = Calibration | PlanarCalibration
 
 @dataclass(frozen=True, slots=True)
 class MissingFile:
-    """A file or folder that a config names and that is not there, and the command that makes it."""
+    """A missing file or folder that a config names, and the command that makes it."""
 
     keys: str
     path: Path
@@ -49,7 +49,7 @@ class MissingFile:
 
 
 def missing_files(config: Config) -> list[MissingFile]:
-    """Files that `altd run` will not find."""
+    """Return the files that `altd run` would not find."""
     played: dict[Path, list[str]] = {}
     for name, camera in config.cameras.items():
         if isinstance(camera, RecordingCameraSettings):
@@ -60,7 +60,7 @@ def missing_files(config: Config) -> list[MissingFile]:
 
 
 def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputError]]:
-    """The calibration, and what is wrong with those files of a config that are there."""
+    """Return the calibration (None: unusable or missing) and the errors of the existing files of a config."""
     missing = {file.path for file in missing_files(config)}
     cameras: dict[str, Camera] = {}
     errors: dict[str, BadInputError] = {}
@@ -88,7 +88,7 @@ def check_files(config: Config) -> tuple[AnyCalibration | None, list[BadInputErr
 
 
 def interface_checks(config: Config) -> Iterator[Callable[[], object]]:
-    """Readers of the interfaces' files, the same as the interfaces use; each raises BadInputError."""
+    """Yield the interfaces' own readers of their files; each raises BadInputError."""
     from altd.credentials.certificates import client_context, server_context
     from altd.credentials.file import load_credentials, load_login
 
@@ -110,7 +110,7 @@ def interface_checks(config: Config) -> Iterator[Callable[[], object]]:
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
-    """The cameras that a config asks for; raises BadInputError that names ``place`` or the recording."""
+    """Return the cameras of a config; raises BadInputError that names ``place`` or the recording."""
     if not config.cameras:
         raise BadInputError(place, "cameras: no [cameras.…] table")
     playbacks = _Playbacks()
@@ -125,13 +125,13 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
 
 
 class _Playbacks:
-    """Recordings that are played, one for all cameras of it."""
+    """Playbacks of recordings; all cameras of a recording share one."""
 
     def __init__(self) -> None:
         self._playbacks: dict[Path, Playback] = {}
 
     def camera(self, name: str, settings: RecordingCameraSettings) -> PlaybackCamera:
-        """A camera of a recording; raises BadInputError that names the recording."""
+        """Return a camera of a recording; raises BadInputError that names the recording."""
         playback = self._playbacks.get(settings.path)
         if playback is None:
             recording = open_recording(settings.path)
@@ -141,7 +141,7 @@ class _Playbacks:
 
 
 def live_camera(name: str, settings: V4l2CameraSettings | AravisCameraSettings) -> Camera:
-    """The driver behind a camera's table. Imported only when wanted."""
+    """Return the driver for a camera's table, imported only if used; BadInputError if the import fails."""
     if isinstance(settings, V4l2CameraSettings):
         from altd.devices.v4l2.camera import V4l2Camera
 
@@ -154,7 +154,7 @@ def live_camera(name: str, settings: V4l2CameraSettings | AravisCameraSettings) 
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
-    """The config's calibration, checked against its unit, targets and cameras; raises BadInputError."""
+    """Load the config's calibration and check its unit, targets and cameras; raises BadInputError."""
     path = config.unit.calibration
     calibration = load_calibration(path, config.unit.serial)
     for target in config.targets:
@@ -170,7 +170,7 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
 
 
 def calibration_of_instrument(config: Config, cameras: Mapping[str, Camera]) -> AnyCalibration:
-    """The config's calibration, checked against its unit and cameras; raises BadInputError."""
+    """Load the calibration of the config's instrument and check unit and cameras; raises BadInputError."""
     if config.unit.instrument != "planar":
         return calibration_of(config, cameras)
     path = config.unit.calibration
@@ -186,13 +186,13 @@ def calibration_of_instrument(config: Config, cameras: Mapping[str, Camera]) -> 
 
 
 def led_plate_of(config: Config) -> LedPlateHeader | None:
-    """The plate of a config in the header of a recording; None: the config has none."""
+    """Return the plate of a config for the header of a recording; None: the config has none."""
     of = config.plate
     return None if of is None else LedPlateHeader(leds_mm=of.leds_mm, disc_mm=of.disc_mm)
 
 
 def exposure_controls_of(config: Config) -> dict[str, ExposureControl]:
-    """For a recording or a scan: each live camera gets its exposure from the config once, and keeps it."""
+    """Return controls for a recording or scan: each live camera gets the config's exposure and keeps it."""
     return {
         name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
         for name, settings in config.cameras.items()
@@ -201,9 +201,9 @@ def exposure_controls_of(config: Config) -> dict[str, ExposureControl]:
 
 
 def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps | None:
-    """The frame LEDs that a config asks for, on lines or on ``cameras``; None when it has none.
+    """Return the frame LEDs of a config, on GPIO lines or on ``cameras``; None: it has none.
 
-    ``alone``: no daemon takes frames of these cameras. Raises BadInputError that names ``place``.
+    ``alone``: no daemon acquires frames of these cameras. Raises BadInputError that names ``place``.
     """
     if config.lamps is None:
         return None
@@ -218,7 +218,7 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
 
 
 def switches_of(config: Config, cameras: Mapping[str, Camera], place: Path) -> Switches | None:
-    """The switches of the glasses; None: there are none. Raises BadInputError that names ``place``."""
+    """Return the switches of the glasses; None: there are none. Raises BadInputError that names ``place``."""
     if config.switches is None:
         return None
     if not isinstance(config.switches, CameraSwitchesSettings):
@@ -240,7 +240,7 @@ def _switching(cameras: Mapping[str, Camera], name: str, place: Path, table: str
 
 
 def indicators_of(config: Config) -> Indicators | None:
-    """The lamps on the housing that a config asks for; None when it has none."""
+    """Return the indicator lamps of a config; None: it has none."""
     if config.indicators is None:
         return None
     from altd.devices.gpio.lamps import GpioIndicators
@@ -249,7 +249,7 @@ def indicators_of(config: Config) -> Indicators | None:
 
 
 def inclinometer_of(config: Config) -> tuple[Inclinometer, InclinometerSettings] | None:
-    """The inclinometer that a config asks for, with its settings; None when it has none."""
+    """Return the inclinometer of a config with its settings; None: it has none."""
     if config.inclinometer is None:
         return None
     from altd.devices.inclinometer.driver import ModbusInclinometer
@@ -258,7 +258,7 @@ def inclinometer_of(config: Config) -> tuple[Inclinometer, InclinometerSettings]
 
 
 def stage_of(config: Config, place: Path) -> Stage:
-    """The stage that a config asks for; raises BadInputError that names ``place``."""
+    """Return the stage of a config; raises BadInputError that names ``place``."""
     if config.stage is None:
         raise BadInputError(place, "stage: no [stage] table")
     from altd.devices.grbl.driver import GrblStage

@@ -1,4 +1,4 @@
-"""A recording of kind ``planar``, measured."""
+"""Replay of a recording of kind ``planar``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from altd.status.measurement_json import as_object
 
 @dataclass(frozen=True, slots=True)
 class PlanarReplay:
-    """A recording and the calibration that it is measured with; like ``app.replay.Replay``."""
+    """A recording and its calibration; like ``app.replay.Replay``."""
 
     recording: Recording
     calibration: PlanarCalibration
@@ -32,19 +32,19 @@ class PlanarReplay:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether any frame that the measurements rest on was simulated."""
+        """Whether the calibration or any camera of the recording is simulated."""
         cameras = self.recording.header.cameras.values()
         return self.calibration.simulated or any(camera.origin is Origin.SIMULATED for camera in cameras)
 
     @property
     def window_text(self) -> str:
-        """The window of the averages."""
+        """Averaging window as text."""
         return f"means of up to {counted(self.window, 'exposure')} of one pose, every {self.every}"
 
     def measurements(
         self, progress: Callable[[int, int], None] = lambda done, total: None
     ) -> Iterator[Measurement]:
-        """One measurement after the other; a frame that cannot be decoded raises BadInputError."""
+        """Yield one measurement after the other; a frame that cannot be decoded raises BadInputError."""
         header, stay = self.recording.header, 0
         (camera,) = header.cameras
         measuring = Measuring(window=self.window, every=self.every)
@@ -69,14 +69,14 @@ class PlanarReplay:
             progress(done, total)
 
     def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
-        """A measurement as plain JSON types."""
+        """Return a measurement as plain JSON types."""
         return as_object(measurement)
 
 
 def planar_replay_of(
     recording: Recording, calibration_path: Path, window: int | None, every: int | None
 ) -> PlanarReplay:
-    """Check that calibration and recording belong together; raises BadInputError where they do not."""
+    """Return the replay of a recording; raises BadInputError if the calibration does not belong to it."""
     calibration = load_planar_calibration(calibration_path, recording.header.unit.serial)
     check_planar_recording(calibration, calibration_path, recording.header)
     return PlanarReplay(recording, calibration, window or Measuring().window, every or 1)

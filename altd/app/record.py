@@ -1,4 +1,4 @@
-"""``altd record`` and ``altd scan``: the cameras of a config, and its stage, composed for a recording."""
+"""``altd record`` and ``altd scan``: composition of a config's cameras and stage for a recording."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
 KnownPose = tuple[float, float, float]
-"""Of a plate: a mm, b mm, φ °."""
+"""Known pose of a plate: a mm, b mm, φ °."""
 
 
 async def record_of(
@@ -47,12 +47,12 @@ async def record_of(
     shows: Kind | PlateHeader | KnownPose,
     progress: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
-    """Record from the config's cameras into ``folder``; returns the number of exposures.
+    """Record from the config's cameras into ``folder``; return the number of exposures.
 
-    ``progress`` receives after each of them the count and the total. For a self-check the frame LEDs
-    are switched off and on in turn; BadInputError where live cameras have none. Raises LampsError and
-    CameraError when they fail meanwhile. ``shows`` is the kind, of a plate the plate itself, of the config's
-    plate with LEDs its known pose.
+    ``progress`` receives the count and the total after each exposure. For a self-check the frame LEDs are
+    switched off and on in turn; raises BadInputError if live cameras have none. Raises LampsError and
+    CameraError on a failure while recording. ``shows`` is the kind; or the plate for kind ``plate``; or the
+    known pose of the config's plate with LEDs.
     """
     refuse_used_folder(folder)
     plate, kind, pose = _shown(config, place, shows)
@@ -89,7 +89,7 @@ async def record_of(
 def _shown(
     config: Config, place: Path, shows: Kind | PlateHeader | KnownPose
 ) -> tuple[PlateHeader | LedPlateHeader | None, Kind, KnownPose | None]:
-    """The plate, the kind of the recording, and the known pose."""
+    """Return the plate, the kind of the recording, and the known pose."""
     if config.unit.instrument != "planar":
         if isinstance(shows, tuple):
             raise BadInputError(place, '--pose goes with instrument = "planar"')
@@ -110,7 +110,7 @@ def scanner_of(  # noqa: PLR0913  the parts of a scan
     lamps: Lamps | None = None,
     switches: Switches | None = None,
 ) -> Scanner:
-    """The scan into ``folder`` that a config describes; raises BadInputError.
+    """Return the scan of a config into ``folder``; raises BadInputError.
 
     ``cameras``, ``lamps`` and ``switches`` replace those of the config.
     """
@@ -125,7 +125,7 @@ def scanner_of(  # noqa: PLR0913  the parts of a scan
 
 
 def known_unit_of(config: Config, cameras: Mapping[str, Camera]) -> KnownUnit | str:
-    """The unit as the config's calibration knows it, for a unit with frame LEDs; or why it is not known."""
+    """Return the calibrated unit, the reference for a scan's LED pairs, or the reason why there is none."""
     if not os.path.lexists(config.unit.calibration):
         return "there is no calibration yet; the LED pairs of this scan will be its references"
     try:

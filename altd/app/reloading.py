@@ -1,4 +1,4 @@
-"""Reads the settings again while the unit measures: all that changed is applied, or nothing is."""
+"""Reloads the settings while the unit measures: applies all changes or none."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from altd.status.event_log import EventKind
 from altd.status.health import Health, State
 
 RELOADED = ("modbus_tcp", "http", "mqtt", "opcua", "local", "serial", "stage", "scan")
-"""The tables that may change: those of the interfaces, and those that only other commands read."""
+"""Tables that may change: the interfaces' tables, and tables that only other commands read."""
 
 _SETTLE_S = 0.2
-"""A file that is still being written differs after this time."""
+"""Time between two reads of the file; a file that is still being written differs after it."""
 
 _READ_TIMEOUT_S = 20.0
 _FIXED = "cannot change while the unit measures: restart altd"
@@ -36,7 +36,7 @@ log = logging.getLogger("altd")
 
 
 class Reloading:
-    """The settings of one daemon, read from the file ``place`` as ``config``; ``calibration`` is loaded."""
+    """Reloads one daemon's settings from ``place``; ``config`` and ``calibration`` are in use."""
 
     def __init__(self, place: Path, config: Config, calibration: AnyCalibration, health: Health) -> None:
         self._place = place
@@ -45,7 +45,7 @@ class Reloading:
         self._health = health
 
     async def run(self, requested: asyncio.Event, interfaces: Interfaces, manager: ServiceManager) -> None:
-        """Reload each time it is requested, until cancelled; requests meanwhile are one."""
+        """Reload at each request, until cancelled; requests during a reload count as one."""
         while True:
             await requested.wait()
             requested.clear()
@@ -53,7 +53,7 @@ class Reloading:
                 await self._reload(interfaces)
 
     async def _reload(self, interfaces: Interfaces) -> None:
-        """Apply the file's settings, or report why they are refused."""
+        """Apply the settings in the file, or report why they are refused."""
         try:
             config, digest, changed = await self._read()
             await interfaces.change_to(config)
@@ -71,9 +71,9 @@ class Reloading:
             self._report(State.OK, f"settings reloaded: {', '.join(changed) or 'nothing changed'}")
 
     async def _read(self) -> tuple[Config, str, list[str]]:
-        """The settings, checked as at the start, the SHA-256 of their file, and the keys that changed.
+        """Return the settings, checked as at the start, the SHA-256 of their file, and the changed keys.
 
-        Raises BadInputError.
+        Raises BadInputError, and TimeoutError if the disk hangs.
         """
         async with asyncio.timeout(_READ_TIMEOUT_S):
             content = await call_in_thread(partial(read_config, self._place), "settings")
@@ -106,13 +106,13 @@ class Reloading:
         self._report(State.DEGRADED, f"settings refused, the old ones stay: {first}{rest}")
 
     def _report(self, state: State, text: str) -> None:
-        log.info("%s", text)  # a warning that is like the last one is held back
+        log.info("%s", text)  # not a warning: a repeated warning is suppressed
         self._health.events.note(EventKind.CONFIG, text)
         self._health.component("settings").set_state(state, text)
 
 
 def changed_keys(old: object, new: object, place: str = "") -> Iterator[str]:
-    """The keys of two settings as plain JSON types that differ; a list is one key."""
+    """Yield the keys that differ between two settings in plain JSON types; a list counts as one key."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for name in {**old, **new}:
             yield from changed_keys(old.get(name), new.get(name), f"{place}.{name}" if place else name)

@@ -1,4 +1,4 @@
-"""A recording through the very chain that the daemon uses, with the recording's clock."""
+"""Replay of a recording through the same chain as the daemon's, with the recording's clock."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from altd.records import Measurement, Origin, Quantities, counted, origin_faults
 from altd.status.measurement_json import as_object, as_scan_object
 
 MAX_WINDOW = 1000
-"""Exposures; a node that has more is measured by its last ones."""
+"""Maximum window, in exposures; a node with more is measured from its last ones."""
 _MAX_REMEMBERED = 4 * MAX_WINDOW
-"""Exposures that a measurement may still speak of."""
+"""Maximum number of remembered exposures, to which a measurement may refer."""
 _MAX_BEHIND = MAX_WINDOW
-"""Rows of one camera that may follow the other's latest: then that one is not forgotten while it waits."""
+"""Maximum number of rows of one camera after the latest of another, which is then still remembered."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Exposure:
-    """At which stay of the stage, counted from 0, and where that put the beam."""
+    """Number of the stage's stay, counted from 0, the beam's position in it, and the exposure's first row."""
 
     stay: int
     position_mm: tuple[float, float]
@@ -41,14 +41,14 @@ class _Exposure:
 
 
 class _Stays:
-    """Counts the stays of the stage at its nodes, row by row. Remembers the last exposures."""
+    """Counts the stays of the stage at its nodes, row by row, and remembers the last exposures."""
 
     def __init__(self) -> None:
         self.exposures: dict[int, _Exposure] = {}
         self._last: _Exposure | None = None
 
     def see(self, row: Row) -> _Exposure | None:
-        """Take a row; None for what is no exposure at a node, as those of the LED reference pairs."""
+        """Take a row and return its exposure; None: not at a node, such as an LED reference pair."""
         if row.position_mm is None or row.leds_on:
             return None
         if (known := self.exposures.get(row.sequence)) is not None:
@@ -63,12 +63,12 @@ class _Stays:
 
 
 class ScanPositions:
-    """The positions of the exposures of a scan, or of known beams, while they are measured.
+    """Positions of the exposures of a scan, or of known beams, during their measurement.
 
-    Nodes are distinguished as ``altd calibrate`` does. ``cameras`` are those that are measured. ``window`` is
-    how many exposures are averaged; None: all of a stay at a node, which gives one measurement each. Raises
-    BadInputError where two rows of one exposure contradict each other, where rows are far out of order, and
-    when no row has a position.
+    Nodes are distinguished as by ``altd calibrate``. ``cameras`` are the measured cameras. ``window`` is the
+    number of averaged exposures; None: all of a stay at a node, with one measurement per stay. Raises
+    BadInputError if two rows of one exposure contradict each other, if rows are far out of order, or if no
+    row has a position.
     """
 
     def __init__(self, recording: Recording, cameras: Collection[str], window: int | None) -> None:
@@ -79,15 +79,15 @@ class ScanPositions:
 
     @property
     def is_by_node(self) -> bool:
-        """Whether a stay is averaged as a whole."""
+        """Whether all exposures of a stay are averaged."""
         return self._window is None
 
     def see(self, row: Row) -> bool:
-        """Take a row; whether it is to be measured."""
+        """Take a row; return whether it is to be measured."""
         return self._stays.see(row) is not None
 
     def place(self, sequence: int) -> Place | None:
-        """The place of an exposure whose row was read."""
+        """Return the place of an exposure whose row was read; None: it has none."""
         exposure = self._stays.exposures.get(sequence)
         if exposure is None:
             return None
@@ -95,7 +95,7 @@ class ScanPositions:
         return Place(exposure.stay, of_all)
 
     def known_mm(self, sequence: int) -> tuple[float, float]:
-        """The mean of the positions (x, y) that a window up to this exposure can reach."""
+        """Return the mean of the positions (x, y) within a window that ends at this exposure, mm."""
         exposures = self._stays.exposures
         reach = range(sequence, sequence - (self._window or MAX_WINDOW), -1)
         stay = exposures[sequence].stay
@@ -104,7 +104,7 @@ class ScanPositions:
         return sum(x_mm for x_mm, _ in reached) / count, sum(y_mm for _, y_mm in reached) / count
 
     def by_node(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-        """The last measurement of each stay, where a stay is averaged as a whole; else all of them."""
+        """Yield the last measurement of each stay if whole stays are averaged; else all measurements."""
         if not self.is_by_node:
             yield from measurements
             return
@@ -120,7 +120,7 @@ class ScanPositions:
 
 
 def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
-    """The number of exposures at each stay of the stage."""
+    """Return the number of exposures in each stay of the stage; raises BadInputError."""
     stays, lengths = _Stays(), list[int]()
     place = recording.path / FRAMES_FILE
     latest: Row | None = None
@@ -157,17 +157,17 @@ def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
 SILENT_AFTER_FRAME_SETS = 8
 
 Progress = Callable[[int, int], None]
-"""Told after each row how many of how many are done."""
+"""Callback after each row with the number of processed rows and the total."""
 
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A recording and the calibration that it is measured with; they belong together.
+    """A recording and the calibration that belongs to it.
 
-    ``views`` are the calibration's targets, each with the recording's camera that looks at it. ``measuring``
-    holds ``window`` and ``every`` as they are, ``positions`` where the stage put the beam, in a scan and in a
-    measurement whose rows have positions. Without a window these give one measurement a node, of all its
-    exposures.
+    ``views`` are the calibration's targets, each with the camera in the recording that views it.
+    ``measuring`` has the effective ``window`` and ``every``. ``positions`` are the beam's positions by the
+    stage, for a scan and for a measurement whose rows have positions; without a window they give one
+    measurement per node, from all its exposures.
     """
 
     recording: Recording
@@ -183,19 +183,19 @@ class Replay:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether any frame that the measurements rest on was simulated."""
+        """Whether the calibration or any measured camera is simulated."""
         cameras = self.recording.header.cameras
         of_frames = (cameras[view.camera].origin for view in self.views)
         return self.calibration.simulated or Origin.SIMULATED in of_frames
 
     @property
     def knows_places(self) -> bool:
-        """Whether the positions are in the unit's frame: those of a turned unit are not."""
+        """Whether positions are known in the unit's frame; those of a turned unit are not."""
         return self.positions is not None and self.recording.header.turned_deg == 0.0
 
     @property
     def window_text(self) -> str:
-        """The window of the averages."""
+        """Averaging window as text."""
         if self.positions is not None and self.positions.is_by_node:
             return "all exposures of a node"
         window, every = self.measuring.window, self.measuring.every
@@ -204,13 +204,13 @@ class Replay:
         return f"means of {counted(window, 'exposure')}, every {every}"
 
     def measurements(self, progress: Progress = lambda done, total: None) -> Iterator[Measurement]:
-        """One measurement after the other; a frame that cannot be decoded raises BadInputError."""
+        """Yield one measurement after the other; a frame that cannot be decoded raises BadInputError."""
         if self.positions is None:
             return self._measured(progress)
         return self.positions.by_node(self._measured(progress))
 
     def as_object(self, measurement: Measurement) -> Mapping[str, Any]:
-        """A measurement as plain JSON types, that of a scan with what is known of it."""
+        """Return a measurement as plain JSON types, with the known position of the beam if there is one."""
         if self.positions is None or not self.knows_places:
             return as_object(measurement)
         return as_scan_object(measurement, self.positions.known_mm(measurement.sequence))
@@ -221,7 +221,7 @@ class Replay:
 
     def _measured(self, progress: Progress) -> Iterator[Measurement]:
         header, positions = self.recording.header, self.positions
-        cameras = {view.camera for view in self.views}  # a recording may have more of them
+        cameras = {view.camera for view in self.views}  # a recording may have further cameras
         origins = {view.target: header.cameras[view.camera].origin for view in self.views}
         names, measuring = tuple(view.target for view in self.views), self.measuring
         chain = MeasuringChain(
@@ -247,9 +247,9 @@ class Replay:
 def open_replay(
     recording_path: Path, calibration_path: Path, window: int | None = None, every: int | None = None
 ) -> Replay:
-    """Open both and check all that can be checked before a frame is decoded.
+    """Open recording and calibration and check all that does not need a decoded frame.
 
-    Raises BadInputError when recording and calibration cannot be read or do not belong together.
+    Raises BadInputError if recording or calibration cannot be read or they do not belong together.
     """
     return replay_of(open_recording(recording_path), calibration_path, window, every)
 
@@ -257,7 +257,7 @@ def open_replay(
 def replay_of(
     recording: Recording, calibration_path: Path, window: int | None = None, every: int | None = None
 ) -> Replay:
-    """The same of a recording that is open."""
+    """Like ``open_replay``, for an open recording."""
     recording_path, header = recording.path, recording.header
     calibration = load_calibration(calibration_path, header.unit.serial)
     if len(calibration.targets) < BeamInstrument.min_targets:
@@ -285,5 +285,5 @@ def replay_of(
 
 
 def utc_of(start: datetime | None, t_ns: int) -> datetime | None:
-    """UTC of an instant of a recording that starts at ``start``; None: not known."""
+    """Return the UTC of an instant in a recording that starts at ``start``; None: not known."""
     return None if start is None else start + timedelta(microseconds=t_ns / 1000)

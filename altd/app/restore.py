@@ -1,4 +1,4 @@
-"""``altd restore``: the files of a backup in their places, once all of them are known to be good."""
+"""``altd restore``: puts the files of a backup in their places after checking all of them."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from altd.history.schema import UnusableFileError
 BEFORE_RESTORE = ".before-restore"
 _MAX_INDEX_BYTES = 1 << 20
 _MAX_HEADER_BYTES = 1 << 16
-"""From one file of an archive to the next: a header may announce any length."""
+"""Maximum number of bytes from one file of an archive to the next: a header may declare any length."""
 _PIECE_BYTES = 1 << 20
 
 
 def restore(source: Path, settings: Path) -> str:
-    """Put the files of an archive in their places, ``settings`` for the settings; returns the unit's serial.
+    """Restore the files of an archive, the settings to ``settings``; return the unit's serial.
 
-    All of it is read and checked beside those places first: an archive that is refused changes nothing. What
-    is replaced is kept as ``….before-restore``. The settings come last. Raises BadInputError.
+    All files are first read and checked in temporary folders: a refused archive changes nothing. A replaced
+    file is kept as ``….before-restore``. The settings are replaced last. Raises BadInputError.
     """
     places = Places(settings)
     with ExitStack() as stack:
@@ -61,7 +61,7 @@ def restore(source: Path, settings: Path) -> str:
         os.sync()
         for member in members:
             target = places.path(member)
-            for ending in ("-wal", "-shm", ""):  # a log that stayed would be written into another history
+            for ending in ("-wal", "-shm", ""):  # an old log would be written into the restored history
                 with suppress(FileNotFoundError):
                     old = target.with_name(target.name + ending)
                     old.replace(target.with_name(target.name + BEFORE_RESTORE + ending))
@@ -71,15 +71,15 @@ def restore(source: Path, settings: Path) -> str:
 
 
 def _check_stopped(places: Places, stack: ExitStack) -> None:
-    """Refuse while a daemon runs: it has these files open; keep it from writing the history."""
+    """Raise BadInputError if a daemon runs, which has these files open; lock the history against it."""
     try:
         config = load_settings(places.settings)
         place, history = socket_to_ask(config, places.settings), history_to_read(config, places.settings)
-    except BadInputError:  # none, or what the archive shall replace
+    except BadInputError:  # the settings are missing, or unusable and to be replaced
         place = Path("/run", service_name(places.settings), SERVICE_SOCKET.name)
         history = places.folders["data"] / FILE_NAME
     with socket.socket(socket.AF_UNIX) as trial, suppress(FileNotFoundError, ConnectionRefusedError):
-        trial.setblocking(False)  # one that hangs lets its queue fill up
+        trial.setblocking(False)  # the queue of a hanging daemon may be full
         with suppress(BlockingIOError):
             trial.connect(str(place))
         raise BadInputError(place, "a daemon runs: stop it first (systemctl stop altd)")
@@ -100,7 +100,7 @@ def _make_folder(folder: Path) -> None:
 
 
 class _Limited(io.RawIOBase):
-    """A stream of which ``left`` more bytes may be read."""
+    """Stream from which at most ``left`` more bytes may be read."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -114,7 +114,7 @@ class _Limited(io.RawIOBase):
 
 
 def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Index:
-    """Write all files of an archive to their staged places; raises BadInputError, OSError."""
+    """Write all files of an archive to the staging folders; raises BadInputError, OSError."""
     try:
         with gzip.open(source) as unpacked:
             stream = _Limited(cast("BinaryIO", unpacked))
@@ -138,7 +138,7 @@ def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Ind
                     if entry is None or entry.size != size:
                         raise ValueError(f"{name} is not the file of its index")
                     _stage(staged.path(name), content, entry)
-            if len(unpacked.read(_MAX_HEADER_BYTES)) == _MAX_HEADER_BYTES:  # its end has a sum of all
+            if len(unpacked.read(_MAX_HEADER_BYTES)) == _MAX_HEADER_BYTES:  # gzip checks its sum at the end
                 raise ValueError("it does not end")
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError, OverflowError) as error:
         raise BadInputError(source, f"is damaged or no backup of altd: {error}") from error
@@ -148,7 +148,7 @@ def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Ind
 
 
 def _regular(archive: tarfile.TarFile, stream: _Limited) -> Iterator[tuple[str, int, BinaryIO]]:
-    """Name, size and content of each member, which must be a regular file."""
+    """Yield name, size and content of each member; raises ValueError if it is not a regular file."""
     while (member := archive.next()) is not None:
         content = archive.extractfile(member) if member.isreg() and not member.issparse() else None
         if content is None:
@@ -172,7 +172,7 @@ def _stage(path: Path, content: BinaryIO, entry: Entry) -> None:
 
 
 def _check_serial(serial: str, settings: Path) -> None:
-    """Refuse to make one unit of another."""
+    """Raise BadInputError if the existing settings are of another unit, or their unit cannot be read."""
     if not os.path.lexists(settings):
         return
     try:
@@ -189,7 +189,7 @@ def _check_serial(serial: str, settings: Path) -> None:
 
 
 def _check_content(index: Index, staged: Places, places: Places, source: Path) -> None:
-    """Refuse settings, a calibration or credentials that the daemon could not use."""
+    """Raise BadInputError for settings, a calibration or credentials that the daemon could not use."""
     text = staged.path(index.settings).read_bytes()
     trial = staged.path(index.settings).with_name(".trial.toml")
     for name, folder in places.folders.items():

@@ -1,4 +1,4 @@
-"""The self-check that a config, a calibration and the lamps allow."""
+"""Composition of the self-check from a config, a calibration and the lamps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _USUAL_FPS = 20.0
 
 
 def why_unchecked(calibration: Calibration, cameras: Mapping[str, Camera], has_lamps: bool) -> str:
-    """Why a unit cannot check itself, in words; empty: it can."""
+    """Return why a unit cannot check itself, as text; empty: it can."""
     if not has_lamps:
         return "the settings have no [lamps]: there are no frame LEDs to be switched"
     if any(camera.playback for camera in cameras.values()):
@@ -32,7 +32,7 @@ def why_unchecked(calibration: Calibration, cameras: Mapping[str, Camera], has_l
 
 
 def fps_of(config: Config) -> float:
-    """Exposures a second; all live cameras have one rate."""
+    """Return the exposures per second; all live cameras have the same rate."""
     rates = [camera.fps for camera in config.cameras.values() if isinstance(camera, LiveCameraSettings)]
     return min(rates, default=_USUAL_FPS)
 
@@ -40,7 +40,7 @@ def fps_of(config: Config) -> float:
 def check_parts_of(
     config: Config, calibration: Calibration, views: Sequence[View], chain: MeasuringChain, clock: Clock
 ) -> CheckParts:
-    """The parts for the checks of a config."""
+    """Return the parts for the checks of a config."""
     settings, limits = config.self_check, limits_of(config.self_check)
     period_ns = round(1e9 / fps_of(config))
     return CheckParts(

@@ -1,4 +1,4 @@
-"""``altd.toml`` as the daemon reads it, and where its local socket is."""
+"""Reads ``altd.toml`` for the daemon, and determines the daemon's local socket and folders."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from altd.runtime.service_manager import runtime_folder, state_folder
 from altd.serial_port.port import seconds_on_line
 
 SERVICE_CONFIG = Path("/etc/altd/altd.toml")
-"""The settings file of the service (docs/install.md)."""
+"""Settings file of the service (docs/install.md)."""
 
 SERVICE_SOCKET = LocalSettings().socket
-"""Its place for the service (docs/install.md)."""
+"""Local socket of the service (docs/install.md)."""
 
 
 def local_socket_of(config: Config) -> Path | None:
-    """The socket on which a daemon with this config serves its own computer; None: none.
+    """Return the socket on which a daemon with this config serves its own computer; None: none.
 
-    Without ``[local]`` only in the folder that the service manager made: who tries a config by hand need not
-    be able to write /run.
+    Without ``[local]`` there is a socket only in the folder created by the service manager: a user who tests
+    a config by hand needs no write access to /run.
     """
     if config.local is not None:
         return config.local.socket
@@ -37,9 +37,10 @@ def local_socket_of(config: Config) -> Path | None:
 
 
 def service_name(place: Path) -> str:
-    """The folder in /run and /var/lib of the service with the settings at ``place``.
+    """Return the name of the service's folder in /run and /var/lib, for the settings at ``place``.
 
-    ``altd``, or ``altd-NAME`` for /etc/altd/NAME.toml: that of the service altd@NAME (``altd@.service``).
+    ``altd``, or ``altd-NAME`` for /etc/altd/NAME.toml, the settings of the service altd@NAME
+    (``altd@.service``).
     """
     place = place.absolute()
     is_instance = place.parent == SERVICE_CONFIG.parent and place.name != SERVICE_CONFIG.name
@@ -47,29 +48,29 @@ def service_name(place: Path) -> str:
 
 
 def service_folder(place: Path) -> Path:
-    """The folder of the service's data (``StateDirectory=``); of this process where it is that service."""
+    """Return the service's data folder (``StateDirectory=``): of this process if it is a service."""
     return state_folder() or Path("/var/lib", service_name(place))
 
 
 def socket_to_ask(config: Config, place: Path) -> Path:
-    """The socket of the daemon that runs with this config, as a service or by hand."""
+    """Return the socket of a daemon with this config, run as a service or by hand."""
     if config.local is not None:
         return config.local.socket
     return Path("/run", service_name(place), SERVICE_SOCKET.name)
 
 
 def load_settings(path: Path) -> Config:
-    """Read and check a config file; raises BadInputError that names the file and each fault's place."""
+    """Read and check a config file; raises BadInputError that names the file and the key of each fault."""
     return settings_of(read_config(path), path)
 
 
 def settings_of(content: bytes, path: Path) -> Config:
-    """The settings in the content of a config file; raises BadInputError as ``load_settings`` does."""
+    """Return the settings in the content of a config file; raises BadInputError like ``load_settings``."""
     return config_of(content, path, (telegrams_fit_their_lines, targets_can_be_told))
 
 
 def load_beam_settings(path: Path) -> Config:
-    """The same for a command that only a unit with targets has."""
+    """Like ``load_settings``, for commands that need targets; raises BadInputError if there are none."""
     config = load_settings(path)
     if not config.targets:
         raise BadInputError(path, f'unit.instrument: "{config.unit.instrument}" has no targets')
@@ -77,14 +78,14 @@ def load_beam_settings(path: Path) -> Config:
 
 
 def targets_can_be_told(draft: Draft) -> Iterator[Fault]:
-    """No target has the name of another key of the same output."""
+    """Yield a fault for each target whose name collides with another key of the same output."""
     for number, target in enumerate(draft.targets):
         if target is not None and (why := why_unusable(target.name)):
             yield Fault(("targets", number, "name"), f"{shown(target.name)} {why}; possible: another name")
 
 
 def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
-    """The longest telegram is through before the next one is due."""
+    """Yield a fault for each port whose longest telegram takes longer than the interval of telegrams."""
     for number, port in enumerate(draft.serial):
         if not isinstance(port, TelegramPortSettings):
             continue
@@ -97,7 +98,7 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
 
 
 def telegram_s(port: TelegramPortSettings) -> float:
-    """Duration of a port's longest telegram on its line; a shorter interval is refused."""
+    """Return the duration of a port's longest telegram on its line, s; a shorter interval is refused."""
     takes_s = seconds_on_line(port, longest_bytes(port))
     if port.rs485 is not None:
         takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3

@@ -1,4 +1,4 @@
-"""``altd baseline``: a baseline from a recording, or room for that of the daemon's next rounds."""
+"""``altd baseline``: stores a baseline from a recording, or lets the daemon's next rounds make a new one."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def store_baseline(
     replace: bool,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[str]:
-    """Store the baseline that a recording's first rounds make; returns what was done, in lines.
+    """Store the baseline from a recording's first rounds; return a report of what was done, in lines.
 
-    Without a recording, and where live cameras are set, the daemon makes it: what is stored is renamed only.
-    Raises BadInputError, also for a baseline that is there already, unless ``replace``.
+    Without a recording and with live cameras, the daemon makes it: only the stored baseline is renamed.
+    Raises BadInputError, also for an existing baseline, unless ``replace``.
     """
     if config.unit.instrument != "chain":
         raise BadInputError(place, f'unit.instrument: "{config.unit.instrument}" has no baseline')
@@ -57,13 +57,13 @@ def store_baseline(
 
 
 def _played(config: Config) -> Path | None:
-    """The recording that the settings play; None: their cameras are live."""
+    """Return the recording played by the settings; None: the cameras are live."""
     played = {of.path for of in config.cameras.values() if isinstance(of, RecordingCameraSettings)}
     return min(played, default=None)
 
 
 def _renamed(path: Path) -> Path | None:
-    """The new name of a file that is there; None: none is."""
+    """Rename an existing file and return its new path; None: there is no file. Raises BadInputError."""
     if not os.path.lexists(path):
         return None
     old = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%SZ}")

@@ -1,1 +1,1 @@
-"""From a recording to the calibration file, and back."""
+"""Calibration of a unit from recordings, and the calibration file."""

@@ -1,4 +1,4 @@
-"""Recordings become a calibration: each target from the scans, or the plate, that show it."""
+"""Calibrate a unit from recordings: each target from its scans or its plate."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def calibrate(
     flat: Recording | None = None,
     progress: Progress = lambda done, total: None,
 ) -> CalibrationResult:
-    """Fit the maps of every target that the recordings show; ``flat`` is one of kind ``flat``.
+    """Fit the maps of every target in the recordings; ``flat`` is a recording of kind ``flat``.
 
-    Raises BadInputError when the recordings do not go together or one of them is no good, see
+    Raises BadInputError when the recordings are incompatible or one of them is unusable, see
     ``target_frames``, ``calibrate_scans``, ``calibrate_plates`` and ``flats_of``.
     """
     targets = target_frames(recordings)
@@ -70,7 +70,7 @@ def calibrate(
 
 
 def _by_turn(scanned: Sequence[TargetFrames]) -> tuple[list[TargetFrames], list[TargetFrames]]:
-    """The scans of the unit as it is, which define its frame, and those of the turned unit."""
+    """Separate the scans of the unturned unit, which define its frame, from those of the turned unit."""
     as_it_is, turned = [], []
     for frames in scanned:
         upright, of_turned_unit = frames.of_turned_unit(False), frames.of_turned_unit(True)
@@ -84,14 +84,14 @@ def _by_turn(scanned: Sequence[TargetFrames]) -> tuple[list[TargetFrames], list[
 
 
 def _limits(scans: Sequence[Recording]) -> Limits:
-    """The limits that the scans state; where two state the same one, the larger counts."""
+    """Limits that the scans state; the larger value if several state the same one."""
     stated = [scan.header.limits for scan in scans if scan.header.limits is not None]
     of_all = {key: [sigma for of in stated if (sigma := getattr(of, key)) is not None] for key in LIMIT_KEYS}
     return Limits(**{key: max(sigmas) for key, sigmas in of_all.items() if sigmas})
 
 
 def _zero_doubts(targets: Sequence[TargetFrames]) -> tuple[str, ...]:
-    """Whether the targets' zeros are one: a beam's direction is the difference between their points."""
+    """Return a doubt if the targets' zeros may differ; a beam's direction is the difference of points."""
     first, *others = [{part.recording.path for part in frames.parts} for frames in targets]
     if not any(first.isdisjoint(other) for other in others):
         return ()
@@ -102,7 +102,7 @@ def _zero_doubts(targets: Sequence[TargetFrames]) -> tuple[str, ...]:
 
 
 def sha256_of_all(hashes: Sequence[str]) -> str:
-    """The hash of one recording; for several, the hash over their hashes, one per line, in their order."""
+    """Hash of one recording; for several, the SHA-256 over their hashes, one per line, in their order."""
     if len(hashes) == 1:
         return hashes[0]
     return hashlib.sha256("".join(f"{of}\n" for of in hashes).encode()).hexdigest()
@@ -110,12 +110,12 @@ def sha256_of_all(hashes: Sequence[str]) -> str:
 
 _MIN_NODES = 6
 _MAX_RATIO = 3.0
-"""Nodes that scatter by more times what print, speckle and map explain are not of the unit turned by 180°."""
+"""Maximum ratio of the nodes' scatter to that of print, speckle and map, if the unit was turned by 180°."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamTilt:
-    """The calibrating beam's slopes (2,) against the normal of the targets, each with ``sigma``."""
+    """Slopes (2,) of the calibrating beam against the normal of the targets, each with ``sigma``."""
 
     slopes: FloatArray
     sigma: float
@@ -126,7 +126,7 @@ class BeamTilt:
         return f"tilt of the calibrating beam x {x:+.3f}, y {y:+.3f} mm/m, {sigma}"
 
     def removed_from(self, target: TargetCalibration) -> TargetCalibration:
-        """The target whose map puts the beam where it met the target."""
+        """Return the target with its maps shifted to where the beam met it."""
         shift_mm = self.slopes * target.z_mm
         check = replace(target.cross_check, map=_shifted(target.cross_check.map, shift_mm))
         return replace(target, map=_shifted(target.map, shift_mm), cross_check=check)
@@ -142,7 +142,7 @@ def _shifted(fitted: TensorMap, shift_mm: FloatArray) -> TensorMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reading:
-    """The mean (2,) of reading plus stage position over a target's nodes, and its variance per axis."""
+    """Mean (2,) of reading plus stage position over a target's nodes, and its variance per axis."""
 
     z_mm: float
     sum_mm: FloatArray
@@ -152,14 +152,14 @@ class _Reading:
 def beam_tilt(
     targets: Sequence[TargetCalibration], turned: Sequence[TargetFrames], progress: Progress
 ) -> BeamTilt:
-    """The tilt that scans of the unit turned by half a turn about its own z axis show.
+    """Estimate the beam's tilt from scans of the unit turned by half a turn about its own z axis.
 
-    Stage and beam do not move while the unit is turned. The map of a target at z, fitted to the scan of the
-    unit as it is, puts the beam at stage (X, Y) although it meets the target at (X, Y) + t · z, t the beam's
-    tilt. The turned unit sees the same beam at c − (X, Y) − t · z, so the map reads c − (X, Y) − 2 t · z: the
-    mean of reading and stage position is c at z = 0 and moves by −2 t for each mm along the beam.
+    Stage and beam do not move while the unit is turned. With stage (X, Y) and tilt t, the beam meets a target
+    at z in (X, Y) + t · z, but the map, fitted to the scan of the unturned unit, reads (X, Y). It meets the
+    turned unit in c − (X, Y) − t · z, so the map reads c − (X, Y) − 2 t · z. The mean of reading plus stage
+    position is therefore c at z = 0 and changes by −2 t for each mm along the beam.
 
-    Raises BadInputError where they show fewer than two targets, too few nodes of one, or another motion than
+    Raises BadInputError for fewer than two targets, for too few nodes of one, and for a motion other than
     half a turn about z.
     """
     known = {target.name: target for target in targets}
@@ -176,7 +176,7 @@ def beam_tilt(
 
 
 def without_tilt(scans: TargetsResult, tilt: BeamTilt) -> TargetsResult:
-    """The targets of scans, their nodes and remarks, with the beam where it met each target."""
+    """Return the scans' targets and nodes corrected for the beam's tilt, with a remark on it."""
     z_mm = {target.name: target.z_mm for target in scans.targets}
     evidence = (
         replace(seen, nodes_mm=seen.nodes_mm + tilt.slopes * z_mm[seen.name]) for seen in scans.evidence
@@ -195,7 +195,7 @@ def _reading(target: TargetCalibration, frames: TargetFrames, progress: Progress
     if len(stage_mm) < _MIN_NODES:
         why = f"{len(stage_mm)} of {len(nodes)} nodes of the turned unit lie in the calibrated area"
         raise BadInputError(frames.place, f"{frames.name}: {why}, {_MIN_NODES} are needed")
-    # p + P = sum + turn × P: the unit was turned by half a turn and a little more
+    # p + P = sum + turn × P: the turn differs slightly from half a turn
     design = np.zeros((2 * len(stage_mm), 3))
     design[0::2, 0] = design[1::2, 1] = 1.0
     design[0::2, 2], design[1::2, 2] = -stage_mm[:, 1], stage_mm[:, 0]
@@ -210,12 +210,12 @@ def _reading(target: TargetCalibration, frames: TargetFrames, progress: Progress
             f"{frames.name}: the nodes scatter {ratio:.0f} times as much as print, speckle and map explain: "
             "was the unit turned by 180° about z, and nothing else moved?",
         )
-    # the map's own error is common to all nodes: as much again as the scatter of as many nodes of its own
+    # factor 2: the map's error is common to all nodes and has the variance of a mean of as many nodes
     return _Reading(target.z_mm, solution[:2], 2 * max(scatter_mm2, variance_mm2) / len(stage_mm))
 
 
 def _read(target: TargetCalibration, nodes: Sequence[Node]) -> tuple[FloatArray, FloatArray, float]:
-    """Stage positions and readings (n, 2) mm of the nodes in the area, and the variance of a reading."""
+    """Return stage positions and readings (n, 2) mm of nodes in the area, and the variance of a reading."""
     stage_mm = np.array([node.position_mm for node in nodes]).reshape(-1, 2)
     spots_px = np.array([node.spot_px for node in nodes]).reshape(-1, 2)
     read_mm, _, covariance_mm2 = target.inverse.to_mm(spots_px)

@@ -1,4 +1,4 @@
-"""The fingerprint of a unit's cameras, from the frames that its calibration is made of."""
+"""Fingerprints of a unit's cameras, from the frames of its calibration."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from altd.vision.settings import SpotSettings
 from altd.vision.texture import Sample, Texture, sample_of
 
 _MAX_SIGMA = 0.05
-"""Relative noise up to which a pixel's texture is known: that of a plain plate's grain."""
+"""Maximum relative noise of a pixel whose texture is known: that of a plain plate's grain."""
 _DOUBLED_QUANTILE = 0.95
 _MIN_VERIFIED_SHARE = 0.9
-"""Of a scan's own nodes, by the texture of its flat; else the flat is not what the laser shows."""
+"""Minimum share of a scan's nodes that its flat verifies; below, the flat is not what the laser shows."""
 
 
 def fingerprint_of(
     frames: Iterable[FrameRow], settings: SpotSettings, flat: Flat | None, plain: bool
 ) -> tuple[Fingerprint, str | None]:
-    """The fingerprint of one camera from its ``frames`` of a scan, and a doubt, None when all is well.
+    """Compute one camera's fingerprint from its ``frames`` of a scan, and a doubt, None without one.
 
-    Through the target's ``flat`` where there is one and the scan's own spots agree with it; else from the
-    spots of a ``plain`` target. A print without a model lends itself to neither.
+    The texture is that of the target's ``flat`` if the scan's own spots agree with it. Without a flat, it is
+    computed from the spots of a ``plain`` target. A print without a model has no usable texture.
     """
     hot = HotPixelCount()
     ground = _Ground()
@@ -63,7 +63,7 @@ def fingerprint_of(
 
 
 def hot_pixels_of(frames: Iterable[FrameRow]) -> Fingerprint:
-    """The fingerprint of a camera that has seen no laser spot: its hot pixels."""
+    """Compute the fingerprint of a camera without laser spots in its frames: its hot pixels."""
     hot = HotPixelCount()
     for frame_row in frames:
         hot.add(frame_row.frame().pixels)
@@ -71,14 +71,14 @@ def hot_pixels_of(frames: Iterable[FrameRow]) -> Fingerprint:
 
 
 class _Ground:
-    """The look of a plain target from samples: their mean, weighted by their noise."""
+    """Texture of a plain target: mean of samples, weighted by the inverse of their variance."""
 
     def __init__(self) -> None:
         self._total: FloatArray = np.empty((0, 0))
         self._weight: FloatArray = np.empty((0, 0))
 
     def add(self, sample: Sample, shape: tuple[int, ...]) -> None:
-        """Take in a sample of a picture of this shape."""
+        """Add a sample of a frame of this shape."""
         if not self._total.size:
             self._total, self._weight = np.zeros(shape), np.zeros(shape)
         rows, columns = sample.relative.shape
@@ -87,7 +87,7 @@ class _Ground:
         self._weight[window] += 1 / sample.variance
 
     def texture(self) -> Texture | None:
-        """The mean, drawn to 0 where it is not known well; None of no sample."""
+        """Return the mean, shrunk towards 0 where it is uncertain; None without samples."""
         if not self._total.size:
             return None
         known = self._weight > _MAX_SIGMA**-2

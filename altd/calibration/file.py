@@ -82,7 +82,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
 
 
 def _glass_document(glass: Glass | None) -> dict[str, float]:
-    """Without glass the keys are left out: releases that do not know them read the file too."""
+    """Return the keys of the glass; none without glass, so that releases without them can read the file."""
     return {} if glass is None else {"glass_mm": glass.thickness_mm, "glass_index": glass.index}
 
 
@@ -112,7 +112,7 @@ def _map_document(fitted: TensorMap) -> dict[str, Any]:
 
 
 def calibration_of(content: CalibrationTable) -> Calibration:
-    """The calibration of a content; raises ValueError that names the key of what is none."""
+    """Build the calibration from a file's content; raises ValueError with the key of an invalid value."""
     return Calibration(
         unit_serial=content.unit.serial,
         created=content.created,
@@ -185,7 +185,7 @@ def _from_map(place: str, content: MapTable) -> TensorMap:
 
 
 def array_of(place: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
-    """Numbers of this shape; raises ValueError that names the place of what is none."""
+    """Return the numbers as an array; raises ValueError with ``place`` if they do not have this shape."""
     try:
         array = np.array(values, dtype=np.float64)
     except ValueError:
@@ -196,7 +196,7 @@ def array_of(place: str, values: list[Any], shape: tuple[int, ...]) -> FloatArra
 
 
 MAX_BYTES = 1 << 26
-"""Two flats of 20 megapixels that no compression makes smaller."""
+"""Maximum size of a file, bytes: that of two incompressible flats of 20 megapixels."""
 
 _Z_TOLERANCE_MM = 1e-3
 
@@ -209,13 +209,13 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
 
 def file_of(calibration: Calibration) -> CalibrationFile:
-    """The hashes of the file that ``save_calibration`` writes."""
+    """Hashes of the file that ``save_calibration`` writes."""
     content, checksum = content_of(document_of(calibration))
     return CalibrationFile(sha256(content).hexdigest(), checksum)
 
 
 def content_of(document: Mapping[str, Any]) -> tuple[bytes, str]:
-    """The bytes of the file of a document, and the checksum in it."""
+    """Content of the file of a document, and the checksum in it."""
     checksum = checksum_of(document)
     return (json.dumps({**document, "checksum": checksum}, indent=1) + "\n").encode(), checksum
 
@@ -235,10 +235,10 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
 
 
 def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tuple[Parsed, CalibrationFile]:
-    """The result of ``parse`` for the document in a file, and the hashes of the file.
+    """Return the result of ``parse`` for the document in a file, and the hashes of the file.
 
-    ``parse`` gets the document without its checksum. Raises BadInputError when format, checksum or content is
-    wrong.
+    ``parse`` receives the document without its checksum. Raises BadInputError when format, checksum or
+    content is wrong.
     """
     content = read_file(path, MAX_BYTES)
     try:
@@ -264,7 +264,7 @@ def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tupl
 
 
 def check_recording(calibration: Calibration, path: Path, header: RecordingHeader) -> None:
-    """Refuse a recording of a target, an image size, a camera or a place that is not the calibration's."""
+    """Refuse a recording whose targets, image size, camera or places differ from the calibration's."""
     for target in header.shown_targets:
         size = header.cameras[target.camera]
         check_image_size(calibration, path, target.name, size.width, size.height)
@@ -274,7 +274,7 @@ def check_recording(calibration: Calibration, path: Path, header: RecordingHeade
 
 
 def target_of(calibration: Calibration, path: Path, name: str) -> TargetCalibration:
-    """The calibration of a target; refuses a name that is none of the calibration's."""
+    """Return the calibration of a target; refuse a name that the calibration does not contain."""
     known = calibration.target(name)
     if known is None:
         names = ", ".join(repr(target.name) for target in calibration.targets)
@@ -283,7 +283,7 @@ def target_of(calibration: Calibration, path: Path, name: str) -> TargetCalibrat
 
 
 def check_image_size(calibration: Calibration, path: Path, target: str, width: int, height: int) -> None:
-    """Refuse frames of another size than the calibration was made with, or of a target it does not know."""
+    """Refuse frames whose size differs from the calibration's, and targets that it does not contain."""
     known = target_of(calibration, path, target)
     if (known.width, known.height) != (width, height):
         swapped = ": width and height are swapped" if (known.height, known.width) == (width, height) else ""
@@ -297,9 +297,9 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
 def check_place(
     calibration: Calibration, path: Path, target: str, z_mm: float, glass: Glass | None = None
 ) -> None:
-    """Refuse a target whose place on the beam, or glass, is not that of its calibration.
+    """Refuse a target whose place on the beam, or glass, differs from the calibration's.
 
-    ``glass`` None: not stated, the calibration's counts.
+    ``glass`` None: not stated; the calibration's glass applies.
     """
     known = calibration.target(target)
     if known is None:
@@ -314,7 +314,7 @@ def check_place(
 
 
 def check_camera(calibration: Calibration, path: Path, target: str, camera: CameraIdentity) -> None:
-    """Refuse a recording of another camera than the one that the target was calibrated with."""
+    """Refuse a camera that differs from the one with which the target was calibrated."""
     known = calibration.target(target)
     if known is not None and (difference := camera.difference_from(known.camera)):
         difference += calibration.other_place_of(camera, target)

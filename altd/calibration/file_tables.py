@@ -33,19 +33,19 @@ from altd.vision.texture import Texture
 
 _ZERO_LEVEL = 128
 _LEVELS_PER_UNIT = 200.0
-"""Relative brightness − 1 from −0.64 to 0.63 in steps of 0.005: a plain plate's grain has
-a few hundredths."""
+"""Grey levels per unit of relative brightness − 1: a range of −0.64 to 0.63 in steps of 0.005. The grain of
+a plain plate is a few hundredths."""
 
 _Pixel = tuple[Annotated[int, Field(ge=0, le=20_000)], Annotated[int, Field(ge=0, le=20_000)]]
 _Pixels = Annotated[list[_Pixel], Field(max_length=MAX_PIXELS)]
 
 
 class FingerprintTable(BaseModel):
-    """``fingerprint``: hot pixels as (u, v), and where the texture comes from.
+    """``fingerprint``: hot pixels as (u, v), and the source of the texture.
 
-    ``texture`` ``flat``: from the target's flat in the same file; ``scan``: as the grey picture ``png``,
-    base64, whose level 128 means even ground and 200 levels above it twice its brightness. ``doubled_px``:
-    what good spots show of a doubled picture.
+    ``texture`` ``flat``: the target's flat in the same file; ``scan``: the grey picture ``png``, base64, in
+    which level 128 is even ground and 200 levels above it twice its brightness. ``doubled_px``: effect of a
+    doubled picture on good spots, px; 95 % of them show less.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -58,7 +58,7 @@ class FingerprintTable(BaseModel):
 
 
 def fingerprint_document(fingerprint: Fingerprint | None) -> dict[str, Any] | None:
-    """The table; None where nothing is known."""
+    """Return the table of a fingerprint; None without one."""
     if fingerprint is None:
         return None
     png = None
@@ -77,7 +77,7 @@ def fingerprint_document(fingerprint: Fingerprint | None) -> dict[str, Any] | No
 def fingerprint_of(
     place: str, table: FingerprintTable | None, width: int, height: int, flat: Flat | None
 ) -> Fingerprint | None:
-    """The fingerprint of a table; raises ValueError that names the ``place`` of what does not fit."""
+    """Build the fingerprint from a table; raises ValueError with the ``place`` of an inconsistent value."""
     if table is None:
         return None
     if (table.texture == "scan") != (table.png is not None):
@@ -103,7 +103,7 @@ def png_text(levels: npt.NDArray[np.uint8]) -> str:
 
 
 def png_levels(place: str, text: str, width: int, height: int) -> npt.NDArray[np.uint8]:
-    """The grey picture of a text of ``png_text``; raises ValueError that names the ``place``."""
+    """Decode the grey picture in a text of ``png_text``; raises ValueError with the ``place``."""
     try:
         png = base64.b64decode(text, validate=True)
         return np.asarray(decode_png(png, width, height, bits=8), dtype=np.uint8)
@@ -114,28 +114,28 @@ def png_levels(place: str, text: str, width: int, height: int) -> npt.NDArray[np
 FORMAT = "altd-calibration/1"
 
 _MIN_SHAPE_DETERMINANT = 0.01
-"""A spot of 20 times its width has less."""
+"""Minimum determinant of a noise shape of trace 2; a spot 20 times as long as wide has less."""
 
 Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
-"""A place in or about a picture of at most 20 000 px."""
+"""Coordinate in or near a picture of at most 20 000 px."""
 PositivePixels = Annotated[float, Field(gt=0, le=1000)]
-"""A misfit, a noise, a limit."""
+"""Misfit, noise or limit, px."""
 Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
-"""A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
+"""Position in px times the root of the grid's number of nodes: the Gram polynomials are orthonormal."""
 Side = Annotated[int, Field(ge=16, le=20_000)]
 
 
 class Table(BaseModel):
-    """Its keys alone, and finite numbers."""
+    """Table that permits only its own keys and finite numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
-    """Reads a dataclass from a table that has all of its fields and no other.
+    """Read a dataclass from a table that has exactly its fields.
 
-    ``narrower`` are the types of those fields whose values have limits in a file.
+    ``narrower`` contains the types of the fields whose values are limited in a file.
     """
     types = get_type_hints(record) | narrower
     fields: dict[str, Any] = {name: (type_, ...) for name, type_ in types.items()}
@@ -211,7 +211,7 @@ def _checked_shape(shape: tuple[float, float, float]) -> tuple[float, float, flo
 
 
 class MapTable(Table):
-    """A map, or the one that checks it."""
+    """Map of a target, or the second map that checks it."""
 
     basis: Literal["gram"]
     model: Model
@@ -249,7 +249,7 @@ class _Flat(Table):
 
 
 class TargetTable(Table):
-    """One of ``targets``."""
+    """Entry of ``targets``."""
 
     name: str
     z_mm: Millimetres
@@ -278,20 +278,20 @@ _Limits = Annotated[Limits, _table_of(Limits, **dict.fromkeys(LIMIT_KEYS, _Limit
 
 
 class UnitTable(Table):
-    """``unit``."""
+    """Table ``unit``."""
 
     serial: str
 
 
 class RecordingTable(Table):
-    """``recording``: what the calibration was made from."""
+    """Table ``recording``: the source of the calibration."""
 
     note: str
     sha256: str
 
 
 class CalibrationTable(Table):
-    """The whole of the file but for its checksum."""
+    """The whole file except its checksum."""
 
     format: Literal["altd-calibration/1"]
     unit: UnitTable

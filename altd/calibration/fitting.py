@@ -1,8 +1,8 @@
-"""From nodes to a target's maps: which model, what checks it, which nodes do not lie where they should.
+"""Fit a target's maps to its nodes: choice of the model, cross-check and outliers.
 
-A map's covariance carries the nodes' noise outside the hull; that the model itself goes wrong there, it
-cannot know. So each outer row of nodes is left out in turn, the others are fitted again, and the row is
-predicted: residuals beyond what the covariance expects are what the model is off, one pitch outside.
+Outside the hull, a map's covariance contains the nodes' noise, but not the error of the model itself. So
+each outer row of nodes is left out in turn, the others are fitted again, and the row is predicted. Residuals
+that exceed the covariance are the error of the model one pitch outside.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from altd.measuring.cross_check import CrossCheck
 from altd.records import FloatArray
 
 _MARGIN_PITCHES = 0.5
-"""The margin in pitches: half of what was tried."""
+"""The margin in pitches: half the distance that was tested."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OuterRow:
-    """The nodes at one end of a grid, by their rows in the arrays, and how far off the next ones lie."""
+    """The nodes at one end of a grid, as rows of the arrays, and the distance to the next ones."""
 
     rows: npt.NDArray[np.intp]
     pitch_mm: float
 
 
 def outer_rows(nodes_mm: FloatArray) -> list[OuterRow]:
-    """The outer columns and rows of a grid (n, 2); raises ValueError when it is none."""
+    """Return the outer columns and rows of a grid (n, 2); raises ValueError if the nodes form no grid."""
     outer: list[OuterRow] = []
     for along in nodes_mm.T:
         pitch_mm = Axis.through(along).step_mm
@@ -54,9 +54,9 @@ def with_margin(
     rows: Sequence[OuterRow],
     fits_without: Sequence[Fit],
 ) -> Fit:
-    """The fit of nodes (n, 2) mm at (n, 2) px with the margin of its map.
+    """Return the fit of nodes (n, 2) mm at (n, 2) px with the margin of its map.
 
-    ``fits_without`` are those of the nodes without each of the outer ``rows``.
+    ``fits_without`` are the fits of the nodes without each of the outer ``rows``.
     """
     excess = []
     for outer, without in zip(rows, fits_without, strict=True):
@@ -71,7 +71,7 @@ def with_margin(
 def _excess_px2(
     without: TensorMap, nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray
 ) -> FloatArray:
-    """By how much the squared misses (n, 2) of nodes exceed what the map's covariance expects."""
+    """Squared residuals (n, 2) of nodes, minus their expectation by the map's covariance."""
     residuals = nodes_px - without.to_px(nodes_mm)
     expected = (without.noise_px * relative_sigma[:, None]) ** 2 + without.variance_px2(nodes_mm)
     excess: FloatArray = np.square(residuals) - expected
@@ -80,18 +80,18 @@ def _excess_px2(
 
 _OUTLIER_SIGMAS = 6.0
 _RAYLEIGH_MEDIAN = 1.1774
-"""Median length of a vector whose two components scatter by 1."""
+"""Median length of a vector whose two components have a standard deviation of 1."""
 _MAX_RATIO_OF_FAR, _MAX_RATIO_OF_ANY = 0.8, 0.5
-"""A node is dropped when the map then misses the others by less than this share of what it did. One that
-lies at a corner bends the map after itself and need not look far off: without it the map is far better."""
+"""A node is dropped if the leave-one-out rms then falls below this share: of a node far from the map, of any.
+One at a corner bends the map towards itself and may be close to it; without it, the map is far better."""
 _BEND_PENALTY = 0.8
-"""A polynomial on top of a lens must miss a left-out node by less than this share of what others do: it has
-twice a lens's parameters, and the smallest of many like figures is often small by chance."""
+"""Share of the other models' leave-one-out rms that a polynomial on top of a lens must stay below. It has
+twice a lens's parameters, and the smallest of many similar figures is often small by chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetFit:
-    """The fit that is the map, the map that checks it, all that were tried, the rows that were dropped."""
+    """The chosen fit, the map that checks it, all models tried, and the dropped rows."""
 
     fit: Fit
     cross_check: CrossCheck
@@ -116,23 +116,23 @@ class _Families:
 
     @property
     def best(self) -> Fit:
-        """Whichever misses a node less that it was not shown."""
+        """The fit with the smaller penalised leave-one-out rms."""
         return min(self.tensor, self.lens, key=_penalised_score_px)
 
     @property
     def other(self) -> Fit:
-        """The best of the family that did not win."""
+        """The best fit of the family that was not chosen."""
         return self.lens if self.best is self.tensor else self.tensor
 
 
 def fit_nodes(
     nodes: Nodes, image_size: tuple[int, int], max_dropped: int, fiducials: Fiducials | None = None
 ) -> TargetFit:
-    """Fit nodes by every model; the best is the map, the other family's checks it.
+    """Fit nodes by every model; the best fit is the map, the best of the other family checks it.
 
-    A node without which the map of the others is clearly better, such as one at which the stage was bumped,
-    is dropped; one after the other, at most ``max_dropped``. ``fiducials`` of a print guide the lens models.
-    Raises ValueError when the nodes are no grid or too few.
+    A node is dropped if the map without it is clearly better, as after a bump of the stage: one node at a
+    time, at most ``max_dropped``. ``fiducials`` of a print guide the lens models. Raises ValueError when the
+    nodes are no grid or too few.
     """
 
     def fit(rows: npt.NDArray[np.intp]) -> _Families:
@@ -162,7 +162,7 @@ def fit_nodes(
         lenses = [_lens_again(lens, others, image_size, fiducials) for others in inner]
         tensor = with_margin(tensor, used.mm, used.px, outer, tensors)
         lens = with_margin(lens, used.mm, used.px, outer, lenses)
-    except ValueError:  # too few nodes to leave any out: known between them, and no further
+    except ValueError:  # too few nodes to leave any out: the maps get no margin
         pass
     best, other = (tensor, lens) if families.best is families.tensor else (lens, tensor)
     return TargetFit(
@@ -174,9 +174,10 @@ def fit_nodes(
 
 
 def _suspects(families: _Families) -> dict[int, float]:
-    """The rows that lie farthest off either family's map, and what share of the misses may stay without them.
+    """Find the row farthest from each family's map, and the share of the error that may remain without it.
 
-    Both are asked: at a corner, or beside missing nodes, the tensor polynomial follows a displaced node.
+    Both maps are checked: at a corner or next to missing nodes, the tensor polynomial follows a displaced
+    node.
     """
     suspects: dict[int, float] = {}
     for fit in (families.tensor, families.lens):
@@ -195,12 +196,12 @@ def _fit_families(nodes: Nodes, image_size: tuple[int, int], fiducials: Fiducial
 
 
 def _tensor_again(nodes: Nodes) -> Fit:
-    """The tensor polynomial through other nodes; its degree is chosen again."""
+    """Fit the tensor polynomial to other nodes; its degree is chosen again."""
     return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), None, nodes.relative_sigma)
 
 
 def _lens_again(fit: Fit, nodes: Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> Fit:
-    """The same lens model through other nodes."""
+    """Fit the same lens model to other nodes."""
     optics: Optics = "fisheye" if fit.map.model.startswith("fisheye") else "brown"
     return fit_lens_map(
         nodes,

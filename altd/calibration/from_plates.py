@@ -1,7 +1,7 @@
-"""Recordings of an LED plate become calibrated targets (thesis 3.3.2, 3.3.4): discs, grid, maps.
+"""Calibrate targets from recordings of an LED plate (thesis 3.3.2, 3.3.4): discs, grid, maps.
 
-The plate gives the places of the LEDs; no stage, no beam. docs/calibration.md describes what they cannot
-show of a laser spot; ``LASER_SPOT_SIGMA_MM`` accounts for it.
+The plate gives the places of the LEDs, without stage and beam. docs/calibration.md describes the effects of
+a laser spot that LEDs cannot show; ``LASER_SPOT_SIGMA_MM`` accounts for them.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from altd.vision.led_grid import match_grid
 from altd.vision.settings import SpotSettings
 
 LASER_SPOT_SIGMA_MM = 0.015
-"""Scatter of a laser spot about a map that LEDs made, per axis: 0.009 mm by print and speckle, as the
-nodes of scans do (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-off of the lens, which
-draws the centre of light of a 12 mm spot towards the middle."""
+"""Scatter of a laser spot about a map from LEDs, per axis: 0.009 mm by print and speckle, as at the nodes
+of scans (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-off of the lens, which draws
+the centre of light of a 12 mm spot towards the middle."""
 
 _MAX_MISSING_SHARE = 0.2
 _AREA_RATIO_LIMITS = 0.5, 2.0
 _DIAMETER_RATIO_LIMITS = 0.75, 1.35
 _MAX_DARK_RATIO = 0.98
-"""The LEDs are small: in the light of a room they add little to the mean of a picture."""
+"""Maximum mean of a dark frame over a lit one: in a lit room, the small LEDs add little to the mean."""
 _ITERATIONS = 3
 _LOCALISER = SpotSettings(method="moment")
-"""Its shift on a bent map is known."""
+"""Localiser of laser spots on these targets: the shift of the moment on a bent map is known."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Leds:
-    """The LEDs of one target that were found, in the order of the grid, and what is wrong with the others."""
+    """The LEDs found on one target, in grid order, the faults of the others, and lights that are no LED."""
 
     cells: tuple[tuple[int, int], ...]
     discs: tuple[Disc, ...]
@@ -53,9 +53,9 @@ class _Leds:
 
 
 def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> TargetsResult:
-    """Fit the maps of targets from the plates at their places.
+    """Fit the maps of targets from plates at the targets' places.
 
-    Raises BadInputError when too few LEDs shine, or when they cannot be identified.
+    Raises BadInputError when too few LEDs shine or the LEDs cannot be identified.
     """
     if not targets:
         return TargetsResult()
@@ -81,7 +81,7 @@ def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> Tar
 def _target(
     seen: TargetFrames, rows: LitRows, frame: Callable[[FrameRow], Frame]
 ) -> tuple[TargetCalibration, TargetEvidence, tuple[str, ...]]:
-    """One target's map, what it rests on, and the lights that are no LED."""
+    """Fit one target's map; return it with its evidence and the lights that are no LED."""
     plate, name = seen.plate, seen.name
     width, height = seen.image_size
 
@@ -154,7 +154,7 @@ def _target(
 
 
 def _mean(frames: Iterable[Frame]) -> Image | None:
-    """The frames' mean, counts; None of no frame."""
+    """Mean of the frames, counts; None without frames."""
     total, number = np.zeros(()), 0
     for frame in frames:
         total, number = total + frame.pixels, number + 1
@@ -162,7 +162,7 @@ def _mean(frames: Iterable[Frame]) -> Image | None:
 
 
 def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
-    """The plate's LEDs in a picture of them; raises ValueError when they cannot be identified."""
+    """Find the plate's LEDs in a picture, lit minus dark; raises ValueError if they cannot be identified."""
     seen = find_discs(difference)
     if not seen.found:
         detail = f": {seen.rejected[0]}" if seen.rejected else ""
@@ -193,10 +193,10 @@ def _fit(
     image_size: tuple[int, int],
     max_dropped: int,
 ) -> tuple[TargetFit, list[int], dict[int, str]]:
-    """The map of where a laser spot's centre of light lands; the LEDs used, what is wrong with the others.
+    """Fit the map of a laser spot's centre of light; return it, the rows used, and the faults of others.
 
-    A disc's centre of area is not the picture of its middle, and a wider laser spot's centre of light still
-    less. Both shifts follow from the map, so it is fitted again with what it says.
+    A disc's centre of area differs from the picture of its middle; the centre of light of a wider laser spot
+    differs more. Both shifts follow from the map, so the fit is repeated with them.
     """
     spot_moment = spot_moment_mm2(plate.beam_mm, _LOCALISER.threshold, _LOCALISER.power)
     kept = list(range(len(nodes_mm)))
@@ -230,7 +230,7 @@ def _fit(
 
 
 def _disc_mm(plate: PlateHeader, area_mm2: float) -> float:
-    """The LEDs' diameter as the plate's table has it, else as the pictures show it."""
+    """Diameter of the LEDs, mm: from the header, else from the pictures; ValueError if they contradict."""
     seen_mm = float(np.sqrt(4 * area_mm2 / np.pi))
     if plate.disc_mm is None:
         return seen_mm
@@ -245,10 +245,10 @@ def _disc_mm(plate: PlateHeader, area_mm2: float) -> float:
 def _scatter_px(
     lit: Iterable[Frame], dark: Image, discs: tuple[Disc, ...]
 ) -> tuple[FloatArray, tuple[int, ...]]:
-    """Standard deviation (n, 2) of each LED's centre in single exposures, and in how many it was found."""
+    """Standard deviation (n, 2) of each LED's centre in single exposures, and the exposures that show it."""
     exposures = np.zeros((len(discs), 1), np.int64)
     total, squares = np.zeros((2, len(discs), 2))
-    middle = np.array([(disc.u_px, disc.v_px) for disc in discs])  # close by: small numbers keep their digits
+    middle = np.array([(disc.u_px, disc.v_px) for disc in discs])  # as origin: small numbers keep digits
     for frame in lit:
         off_px = disc_centres_px(frame.pixels.astype(np.float32) - dark, discs) - middle
         found = np.isfinite(off_px[:, :1])
@@ -262,13 +262,13 @@ def _scatter_px(
 
 
 def _pooled(scatter_px: FloatArray) -> FloatArray:
-    """Root mean square over the LEDs, u and v; 0 where there was but one exposure."""
+    """Root mean square over the LEDs, u and v; 0 if there was only one exposure."""
     known = scatter_px[np.isfinite(scatter_px[:, 0])]
     return np.asarray(np.sqrt(np.mean(np.square(known), axis=0))) if len(known) else np.zeros(2)
 
 
 def _at(plate: PlateHeader, cell: tuple[int, int]) -> tuple[float, float]:
-    """The place of an LED (column, row), mm."""
+    """Place of the LED at a cell (column, row), mm."""
     x, y = (origin + plate.pitch_mm * at for origin, at in zip(plate.origin_mm, cell, strict=True))
     return x, y
 

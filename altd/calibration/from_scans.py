@@ -1,4 +1,4 @@
-"""Scans become calibrated targets: localise every node, fit every target's map (thesis 3.5.7)."""
+"""Calibrate targets from scans: localise every node, fit every target's map (thesis 3.5.7)."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _MIN_CORRELATION = 0.5
-"""0.8 to 1 for the right flat; moved by a pixel it is below 0.5, moved by more about 0."""
+"""Minimum correlation with a flat: the right one has 0.8 to 1, below 0.5 shifted by 1 px, about 0 by more."""
 _MAX_FIDUCIAL_COST = 1.2
-"""The fiducials of a print guide the map unless its leave-one-out rms is then larger by this factor."""
+"""Maximum ratio of the leave-one-out rms with a print's fiducials to that without; above it, not used."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A target's calibration so far, what it rests on, its nodes' scatter, what it shows of its surface."""
+    """Intermediate result of a target: calibration, evidence, the nodes' scatter, and findings."""
 
     target: TargetCalibration
     evidence: TargetEvidence
@@ -51,7 +51,7 @@ class _Made:
     remark: str = ""
     doubts: tuple[str, ...] = ()
     must_agree: bool = False
-    """Whether no print excuses the two localisers."""
+    """Whether the two localisers must agree, because no print explains a difference."""
 
 
 def calibrate_scans(
@@ -59,9 +59,9 @@ def calibrate_scans(
 ) -> TargetsResult:
     """Fit the maps of targets from their scans.
 
-    Spots are localised through the target's flat; where ``flats`` has none, the scan is searched for a
-    regular print, of which a model is made. Raises BadInputError when too few nodes have a spot, or when the
-    nodes are no grid.
+    Spots are localised through the target's flat. If ``flats`` has none, the scan is searched for a regular
+    print, and the print is modelled. Raises BadInputError when too few nodes have a spot or the nodes are no
+    grid.
     """
     jobs = [Job(frames, _PROFILE, flats.get(frames.name)) for frames in targets]
     made = [_calibrate_target(job, progress) for job in jobs]
@@ -95,7 +95,7 @@ def calibrate_scans(
 def _with_pattern(
     job: Job, target: TargetCalibration, scatter: NodeScatter, pattern_px: float
 ) -> TargetCalibration:
-    """The target with what print and speckle do to a spot, and what its spots are like."""
+    """Return the target with the noise of print and speckle, and the reference of its good spots."""
     first = first_of_nodes(job)
     reference = spot_reference(
         lambda node: first[node].frame(), len(first), target.localiser, target.flat, target.map, pattern_px
@@ -106,7 +106,7 @@ def _with_pattern(
 
 
 def _calibrate_target(job: Job, progress: Progress) -> _Made:
-    """One target: through its recorded flat, else through the model of its print, else as it is."""
+    """Calibrate one target through its recorded flat, else the model of its print, else neither."""
     if job.flat is not None:
         made = _fit_target(job, locate_nodes(job, progress), None)
         by_laser = job.flat.source == "laser"
@@ -140,7 +140,7 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
 
 
 def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str | None]:
-    """The target with its camera's identity, origin and fingerprint, and what is doubtful about that."""
+    """Return the target with its camera's identity, origin and fingerprint, and a doubt about the latter."""
     target = made.target
     fingerprint, doubt = fingerprint_of(
         job.frames, target.localiser, target.flat, made.must_agree and target.flat is None
@@ -150,7 +150,7 @@ def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str | None]:
 
 
 def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
-    """On the two localisers; a recorded flat leaves no pattern to excuse them."""
+    """Compare the two localisers; through a recorded flat, no pattern explains a difference."""
     target = made.target
     agreement = localiser_agreement(first_frames(job), target.localiser, target.flat)
     pattern_limit_px = 0.0 if job.flat is not None else pattern_px
@@ -160,7 +160,7 @@ def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
 
 
 def _flat_doubts(correlation: float, name: str) -> tuple[str, ...]:
-    if not correlation < _MIN_CORRELATION:  # a flat that is too even to tell is no worse than none
+    if not correlation < _MIN_CORRELATION:  # also for NaN: a flat too even to tell is no worse than none
         return ()
     return (
         f"{name}: the flat is not what the spots show (likeness {correlation:.2f} of 1): "
@@ -169,7 +169,7 @@ def _flat_doubts(correlation: float, name: str) -> tuple[str, ...]:
 
 
 def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
-    """A target through the model of its print; the print also guides the map unless it is bent itself."""
+    """Calibrate a target through the model of its print, which also guides the map unless it is bent."""
     flat = replace(found.flat, origin=job.frames.origin)
     job = replace(job, localiser=_PROFILE, flat=flat)
     scanned = locate_nodes(job, progress)
@@ -181,7 +181,7 @@ def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
 
 
 def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -> _Made:
-    """The maps through the nodes that can be used; raises BadInputError where they are too few."""
+    """Fit the maps to the usable nodes; raises BadInputError if they are too few."""
     place, nodes, refused = job.frames.place, scanned.usable, scanned.refused
     if not scanned.nodes:
         raise BadInputError(place, f"{job.name}: 0 of 0 nodes have no spot: no row has a position")
@@ -219,7 +219,7 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
 
 
 def _unequal_nodes(evidence: TargetEvidence) -> list[str]:
-    """Which nodes count less than the others, in words."""
+    """Describe the nodes that have a lower weight than the others."""
     return [
         f"{evidence.name} node x {x:g} y {y:g} mm counts by 1/{sigma**2:.1f}: its spot is known worse"
         for (x, y), sigma in zip(evidence.nodes_mm.tolist(), evidence.relative_sigma.tolist(), strict=True)
@@ -274,7 +274,7 @@ def _evidence(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetEvid
 
 
 def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
-    """The deviations of the used nodes from the map, in mm, for comparison with the other targets'."""
+    """Deviations of the used nodes from the map, in mm, for comparison with the other targets'."""
     nodes_px = fitted.fit.map.to_px(_positions_mm(used))
     _, jacobian, _ = InverseMap(fitted.fit.map).to_mm(nodes_px)
     residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
@@ -293,9 +293,9 @@ def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
 
 
 def _repeatability_px(nodes: Sequence[Node]) -> FloatArray:
-    """Pooled standard deviation of single exposures at the same node, u and v; 0 when each has but one.
+    """Pooled standard deviation of single exposures at the same node, u and v; 0 if each has only one.
 
-    About the mean of the recording that they are in: a stage does not come back to quite the same place.
+    Deviations are from the mean of each recording: a stage does not return exactly to the same place.
     """
     deviations = [visit.deviations_px for node in nodes for visit in node.good]
     freedom = sum(len(of_visit) - 1 for of_visit in deviations)
@@ -306,7 +306,7 @@ def _repeatability_px(nodes: Sequence[Node]) -> FloatArray:
 
 
 def _scatter_px(node: Node) -> FloatArray:
-    """Standard deviation (2,) of the exposures at one node; NaN where each recording has but one."""
+    """Standard deviation (2,) of the exposures at one node; NaN if each recording has only one."""
     if all(len(visit.spots_px) < 2 for visit in node.good):
         return np.full(2, np.nan)
     return _repeatability_px([node])

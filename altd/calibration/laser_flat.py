@@ -1,16 +1,16 @@
-"""A flat made with the laser itself: its spot is carried over a target in steps smaller than itself.
+"""A flat made with the laser itself: its spot is moved over a target in steps smaller than the spot.
 
-In exposure k a pixel shows A_k · F · S(x − p_k) over its dark level. F is its response, which is wanted; S
-is the irradiance of the spot on the target, the same in all exposures; x is the place that the pixel shows,
+In exposure k, a pixel reads A_k · F · S(x − p_k) above its dark level. F is its response, to be estimated. S
+is the irradiance of the spot on the target, the same in all exposures. x is the place that the pixel shows,
 by a first map of the scan; p_k is the stage's position, and A_k the laser's power. S is the mean of all
-exposures about p_k, in which print and texture average out: a table, so it may have any shape. F and A_k are
-found in turn by least squares, as the gain of a detector is from dithered exposures (D. J. Fixsen,
+exposures about p_k, which averages out print and texture: a table, so it may have any shape. F and A_k are
+estimated in turn by least squares, like the gain of a detector from dithered exposures (D. J. Fixsen,
 S. H. Moseley, R. G. Arendt, "Calibrating array detectors", ApJS 128, 2000).
 
-A factor exp(a · x) in F and its inverse in S and A_k leave all exposures as they are: they do not tell a
-slope of F from an asymmetry of S. The first solution takes all A_k as 1 and so decides for constant power;
-then A_k is what an exposure differs by from its neighbours (``true_excess``). A slope that is wrong displaces
-all spots of one size alike, those of the scan included, and does not reach a measurement.
+A factor exp(a · x) in F and its inverse in S and A_k leave all exposures unchanged, so a slope of F cannot be
+separated from an asymmetry of S. The first solution sets all A_k to 1, in favour of constant power. After
+that, A_k is the deviation of an exposure from its neighbours (``true_excess``). A wrong slope displaces all
+spots of one size equally, including those of the scan, and so does not affect a measurement.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from altd.vision.settings import SpotSettings
 
 _DIAMETERS_OF_NODES = 50
 _PASSES = 4
-"""Dark level and spot; a response; the power in each exposure; the response."""
+"""Number of passes: dark level and spot, a response, the power in each exposure, the final response."""
 _NOISE_SHARE = 0.1
-"""At this share of the spot's peak, read noise is about as large as shot noise."""
+"""Share of the spot's peak at which read noise is about as large as shot noise."""
 _POWER_PRIOR = 0.05
-"""Weight of a power of 1, in exposures: it decides where the target is dark, such as beyond its print."""
+"""Weight of a power of 1, in exposures; decisive where the target is dark, such as beyond its print."""
 _MIN_POWER, _MAX_POWER = 0.5, 2.0
 _MAX_LOST_SHARE = 0.2
 _MIN_LIGHT = 0.1
-"""Exposures, counted as if by the middle of the spot, that a pixel of the flat needs."""
+"""Minimum light on a pixel of the flat, in exposures by the middle of the spot."""
 _MIN_LEVEL = 0.02
 _MAX_CLIPPED_SHARE = 0.01
 _MIN_HOT_SHARE = 0.1
@@ -58,18 +58,17 @@ _MIN_HOT_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """The response in counts at the spot's peak, and the light that a pixel has seen, in exposures at it."""
+    """Response in counts at the spot's peak, and the light on each pixel, in exposures at the peak."""
 
     response: Image
     light: FloatArray
 
 
 def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: Progress) -> Flat:
-    """The flat of a target from a recording with the stage's positions; ``scan`` gives the first map.
+    """Compute a target's flat from a recording with the stage's positions; ``scan`` gives the first map.
 
-    Pixels get 0 that are hot or clipped, or that the spot has hardly lit. Raises ValueError when the
-    exposures leave out a part of the scan's area, are too dark or too bright, or have no spot where the stage
-    put it.
+    Pixels that are hot, clipped or hardly lit by the spot are 0. Raises ValueError when the exposures omit a
+    part of the scan's area, are too dark or too bright, or have no spot at the stage's position.
     """
     first_map, diameter_mm = _first_map(scan, progress)
     raster = Raster(recording, camera, first_map, diameter_mm)
@@ -92,7 +91,7 @@ def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: 
         raise ValueError(f"too bright to be a flat: {share:.0%} of the pixels are saturated")
     first = _solved(raster, exposures(), dark, spot)
     powers = _powers(raster, exposures(), dark, spot, first)
-    if not powers.all():  # the first response counted exposures without light
+    if not powers.all():  # the first response included exposures without light
         passes += 2
         first = _solved(raster, exposures(), dark, spot, (powers > 0).astype(np.float64))
         powers = _powers(raster, exposures(), dark, spot, first)
@@ -109,7 +108,7 @@ def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: 
 
 
 def _first_map(scan: TargetFrames, progress: Progress) -> tuple[TensorMap, float]:
-    """A map of the scan without a flat, good to a hundredth of a spot, and the spot's 1/e² diameter, mm."""
+    """Fit a map to the scan without a flat, good to 1 % of a spot; return it and the 1/e² diameter, mm."""
     job = Job(scan, SpotSettings(), None)
     nodes = locate_nodes(job, progress).usable
     first = first_of_nodes(job)
@@ -136,10 +135,11 @@ def _first_map(scan: TargetFrames, progress: Progress) -> tuple[TensorMap, float
 def _survey(
     raster: Raster, exposures: Iterator[tuple[Image, Shot | None]]
 ) -> tuple[Image, npt.NDArray[np.bool_], Image]:
-    """Dark level, clipped pixels and a first spot.
+    """Return the dark level, the clipped pixels and a first spot.
 
-    A pixel's dark level is its mean over all exposures whose spot is elsewhere; the spot is the mean light at
-    each distance from the stage's position, over which print and texture average. Raises ValueError.
+    A pixel's dark level is its mean over all exposures with the spot elsewhere. The spot is the mean light at
+    each offset from the stage's position, which averages out print and texture. Raises ValueError if the spot
+    does not move, is beside the scan, or is too dark.
     """
     total, count = np.zeros(raster.shape), np.zeros(raster.shape)
     clipped = np.zeros(raster.shape, bool)
@@ -169,7 +169,7 @@ def _solved(
     spot: Image,
     powers: FloatArray | None = None,
 ) -> _Solution:
-    """The response by weighted least squares; ``powers`` (n,) of the exposures, None: all 1."""
+    """Solve for the response by weighted least squares; ``powers`` (n,) of the exposures, None: all 1."""
     light, weight = np.zeros(raster.shape), np.zeros(raster.shape)
     for number, shot in enumerate(shot for _, shot in exposures if shot is not None):
         expected = shot.irradiance(spot)
@@ -186,9 +186,9 @@ def _solved(
 def _powers(
     raster: Raster, exposures: Iterator[tuple[Image, Shot | None]], dark: Image, spot: Image, first: _Solution
 ) -> FloatArray:
-    """The laser's power in each exposure, (n,), 1 as usual, 0 for one that shows no spot.
+    """Estimate the laser's power in each exposure, (n,): usually 1, 0 for one without a spot.
 
-    Raises ValueError where too many exposures have no spot where the stage put it.
+    Raises ValueError if too many exposures have no spot at the stage's position.
     """
     positions, seen, noise, is_whole = array("d"), array("d"), array("d"), array("b")
     level = float(first.response[first.light >= _MIN_LIGHT].mean())
@@ -224,6 +224,6 @@ def _powers(
 
 
 def _weights(expected: Image) -> Image:
-    """The weights of pixels: read noise is constant, shot noise grows with the light."""
+    """Weights of pixels: read noise is constant, shot noise grows with the light."""
     weights: Image = np.float32(1) / (expected + np.float32(_NOISE_SHARE))
     return weights

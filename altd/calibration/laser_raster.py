@@ -1,4 +1,4 @@
-"""The exposures of a flat made with the laser: the pixels that each lights, and the laser's power in each."""
+"""Exposures of a flat made with the laser: the lit pixels and the laser's power in each exposure."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from altd.records import FloatArray
 from altd.vision.image import Image
 
 _BINS = 49
-"""Of the table of the spot along each axis, over two of its 1/e² diameters."""
+"""Number of bins of the spot's table along each axis, over two of its 1/e² diameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """The part of an exposure that the spot reaches; where its pixels are in the table of the spot."""
+    """The part of an exposure that the spot reaches, and its pixels' places in the spot's table."""
 
     position_mm: tuple[float, float]
     pixels: Image
@@ -32,19 +32,19 @@ class Shot:
     along_y: Image
 
     def irradiance(self, spot: Image) -> Image:
-        """The irradiance of a spot at the pixels; 0 outside of its table."""
+        """Irradiance of a spot at the pixels; 0 outside its table."""
         return np.asarray(cv2.remap(spot, self.along_x, self.along_y, cv2.INTER_LINEAR))
 
 
 @dataclass(slots=True, eq=False)
 class SpotSums:
-    """Light and number of the pixels in the bins of the spot's table."""
+    """Summed light and number of pixels in each bin of the spot's table."""
 
     light: FloatArray = field(default_factory=lambda: np.zeros(_BINS * _BINS))
     pixels: FloatArray = field(default_factory=lambda: np.zeros(_BINS * _BINS))
 
     def add(self, shot: Shot) -> None:
-        """Take in the pixels of an exposure."""
+        """Add the pixels of an exposure."""
         inside = (np.minimum(shot.along_x, shot.along_y) > -0.5) & (
             np.maximum(shot.along_x, shot.along_y) < _BINS - 0.5
         )
@@ -63,7 +63,7 @@ class SpotSums:
 
 
 class Raster:
-    """The exposures of one camera; they are read again in each pass, and none is kept."""
+    """The exposures of one camera; each pass reads them again, and none is kept."""
 
     def __init__(self, recording: Recording, camera: str, first_map: TensorMap, diameter_mm: float) -> None:
         header = recording.header.cameras[camera]
@@ -80,7 +80,7 @@ class Raster:
         self._bins_per_mm = np.float32((_BINS - 1) / 2 / diameter_mm)
 
     def __iter__(self) -> Iterator[tuple[Image, Shot | None]]:
-        """Each picture, and the part that the spot reaches; None: the laser is off or shines beside it."""
+        """Yield each picture and the part that the spot reaches; None if the laser is off or beside it."""
         for row in self._recording.rows.of(self._camera):
             if not row.leds_on:
                 pixels = self._recording.frame(row).pixels.astype(np.float32)
@@ -109,14 +109,14 @@ class Raster:
 _CELLS_PER_DIAMETER = 12
 _MIN_WEIGHT = 1e-3
 _MIN_PRIOR = 0.02
-"""Of the variance that a has by its prior: errors of r of second order, such as those of the first map."""
+"""Minimum error variance of r over the prior variance of a: second-order errors, as of the first map."""
 _MAX_STEPS = 300
 _CONVERGED = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
-    """Positions on a grid of square cells, between whose middles a value is shared."""
+    """Positions on a grid of square cells; the four nearest cell centres share a value."""
 
     shape: tuple[int, int]
     corners: npt.NDArray[np.intp]
@@ -124,7 +124,7 @@ class _Cells:
 
     @classmethod
     def of(cls, positions_mm: FloatArray, cell_mm: float, rim: int) -> _Cells:
-        """Of positions (n, 2), with ``rim`` cells around."""
+        """Build the cells of positions (n, 2), with ``rim`` cells around."""
         places = (positions_mm - positions_mm.min(axis=0)) / cell_mm + rim
         columns, rows = (places.max(axis=0).astype(int) + rim + 2).tolist()
         first = np.floor(places).astype(np.intp)
@@ -137,13 +137,13 @@ class _Cells:
         )
 
     def spread(self, values: FloatArray) -> FloatArray:
-        """Values (n,) at the positions, on the grid."""
+        """Distribute values (n,) at the positions over the grid."""
         cells = math.prod(self.shape)
         sums = np.bincount(self.corners.ravel(), (self.shares * values).ravel(), cells)
         return sums.reshape(self.shape).astype(np.float64)
 
     def gathered(self, field: FloatArray) -> FloatArray:
-        """A field of the grid at the positions, (n,)."""
+        """Interpolate a field of the grid at the positions, (n,)."""
         values: FloatArray = (field.ravel()[self.corners] * self.shares).sum(axis=0)
         return values
 
@@ -151,14 +151,14 @@ class _Cells:
 def true_excess(
     positions_mm: FloatArray, seen: FloatArray, noise: FloatArray, weights: Image, diameter_mm: float
 ) -> FloatArray:
-    """The excess power a (n,) of exposures at positions (n, 2), from the ``seen`` one r.
+    """Estimate the excess power a (n,) of exposures at positions (n, 2) from the ``seen`` excess r.
 
-    That is seen through a response that took the power as constant. Where spots overlap, part of what an
-    exposure has more than usual went into the response, so it seems to have less: with a_k the true excess of
-    exposure k, the seen one is r = a − G a. G is a mean over neighbours: the excess is spread with the
-    weights of the spot about each p_k, divided by their sum, and gathered with them. That follows from the
-    positions alone, so a = (1 − G)⁻¹ r takes no further pass over the frames. What is smooth over the raster
-    is hardly seen; there the prior decides, and so for constant power.
+    The seen excess results from a response that assumed constant power. Where spots overlap, the response
+    contains part of an exposure's excess, so the excess seems smaller: r = a − G a, with a_k the true excess
+    of exposure k. G is a mean over neighbours: the excess is spread about each p_k with the weights of the
+    spot, divided by their sum, and gathered with the same weights. G follows from the positions alone, so
+    a = (1 − G)⁻¹ r takes no further pass over the frames. Excess that is smooth over the raster hardly
+    appears in r; there the prior decides, in favour of constant power.
 
     ``noise`` (n,) is the standard deviation of r by the noise of the pixels; ``weights`` are those of the
     light about a position, a square table over two diameters. Solved by conjugate gradients.

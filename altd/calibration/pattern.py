@@ -1,8 +1,8 @@
-"""The target's own pattern in the nodes' scatter about a map, and the part that a measurement will not see.
+"""The target's own pattern in the nodes' scatter about a map, without errors that measurements do not have.
 
-A node lies off its map for three reasons: print and speckle shift the spot, the beam was not where the stage
-said, and read and shot noise are left in the mean of its exposures. Only the first is there again when the
-unit measures. The stage's error is what the targets' nodes have in common, since one beam lights them all.
+A node deviates from its map for three reasons: print and speckle shift the spot, the stage's position has an
+error, and read and shot noise remain in the mean of its exposures. Only the first recurs when the unit
+measures. The stage's error is common to the targets' nodes, since one beam lights them all.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from altd.records import FloatArray
 from altd.vision.settings import ShapeReference
 
 Key = tuple[int, int]
-"""A node of the scan."""
+"""Key of a node of the scan, as by ``node_key``."""
 
 ExposureKey = tuple[Key, int, int]
-"""An exposure: its node, the number of its recording, its sequence there."""
+"""Key of an exposure: its node, the number of its recording, its sequence number there."""
 
 _MIN_SHARE = 0.3
-"""A part below this share is not known well enough to be reduced further."""
+"""Minimum pattern as a share of the nodes' noise; the estimate is too uncertain to reduce it further."""
 
 _NODES_OF_SPOT = 25.0
-"""The spots' shape predicts the ratio of the axes to 20 %, as so many nodes do."""
+"""Weight of the spots' shape, as a number of nodes: either predicts the ratio of the axes to 20 %."""
 
 _MIN_SIGNIFICANCE_SIGMAS = 2.5
-"""Coarse patterns at 30 nodes share by chance as much as a good stage's error. Only what is that far beyond
-chance is taken for the stage's: a sigma that is too small is worse than one that is too large."""
+"""Minimum excess of common variance over chance, in sigmas, to be taken for the stage's error. At 30 nodes,
+coarse patterns share by chance as much as a good stage's error; too small a sigma is worse than too large."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodeScatter:
-    """One target's nodes.
+    """Scatter of one target's nodes.
 
     ``noise_px`` is their standard deviation about the map, which has ``parameters`` for both coordinates.
     ``residuals_mm`` (2,) are measured minus mapped, ``exposures_mm`` (2,) an exposure's distance from the
@@ -51,7 +51,7 @@ class NodeScatter:
 
     @property
     def exposures_per_node(self) -> float:
-        """Their harmonic mean: a node's mean scatters by 1/n."""
+        """Harmonic mean of the exposures per node: the variance of a node's mean falls as 1/n."""
         counts: dict[Key, int] = {}
         for node, _, _ in self.exposures_mm:
             counts[node] = counts.get(node, 0) + 1
@@ -59,7 +59,7 @@ class NodeScatter:
 
 
 def pattern_noise_px(targets: Sequence[NodeScatter]) -> list[float]:
-    """The standard deviation of each target's pattern, px per axis."""
+    """Estimate the standard deviation of each target's pattern, px per axis."""
     pairs = list(combinations(targets, 2))
     stage_mm2 = _mean([_common_mm2(a, b) for a, b in pairs])
     vibration_mm2 = _mean([_vibration_mm2(a, b) for a, b in pairs])
@@ -67,11 +67,11 @@ def pattern_noise_px(targets: Sequence[NodeScatter]) -> list[float]:
 
 
 def pattern_shape(residuals_mm: FloatArray, spot: ShapeReference | None) -> FloatArray:
-    """The shape of a pattern's covariance in mm, (2, 2) of trace 2, from nodes (n, 2) and their spots.
+    """Shape of a pattern's covariance in mm, (2, 2) of trace 2, from residuals of nodes (n, 2) and spots.
 
-    Texture finer than a spot displaces its centre along an axis in proportion to its width there. That is
-    what the spots say; the nodes say it themselves, but 30 of them know the ratio of both axes to 20 %. Both
-    count, the spots as much as ``_NODES_OF_SPOT``.
+    Texture finer than a spot displaces its centre along an axis in proportion to its width there, so the
+    spots predict the shape. The nodes show it directly, but 30 of them determine the ratio of both axes only
+    to 20 %. Both count, the spots as much as ``_NODES_OF_SPOT`` nodes.
     """
     expected = np.eye(2)
     if spot is not None:
@@ -87,7 +87,7 @@ def pattern_shape(residuals_mm: FloatArray, spot: ShapeReference | None) -> Floa
 
 
 def _pattern_px(target: NodeScatter, stage_mm2: float, vibration_mm2: float) -> float:
-    """Without the stage, and without each exposure's own noise; vibration is in both, subtracted once."""
+    """Pattern without the stage and each exposure's own noise; vibration, in both, is subtracted once."""
     per_node = target.exposures_per_node
     own_mm2 = max(_vibration_mm2(target, target) - vibration_mm2, 0.0) / per_node
     other_px2 = (max(stage_mm2, vibration_mm2 / per_node) + own_mm2) / target.mm_per_px**2
@@ -95,7 +95,7 @@ def _pattern_px(target: NodeScatter, stage_mm2: float, vibration_mm2: float) -> 
 
 
 def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
-    """Variance per axis that the nodes of two targets share, less what chance may make; 0 when unsure."""
+    """Variance per axis that the nodes of two targets share, less the share of chance; 0 if insignificant."""
     shared = [key for key in a.residuals_mm if key in b.residuals_mm]
     if not shared:
         return 0.0
@@ -107,7 +107,7 @@ def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
 
 
 def _vibration_mm2(a: NodeScatter, b: NodeScatter) -> float:
-    """Variance per axis of single exposures that two targets share; of a target with itself, all of it."""
+    """Variance per axis of single exposures that two targets share; for a target with itself, all of it."""
     shared = [key for key in a.exposures_mm if key in b.exposures_mm]
     degrees_of_freedom = 2 * (len(shared) - len({(node, recording) for node, recording, _ in shared}))
     if degrees_of_freedom <= 0:

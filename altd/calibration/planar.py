@@ -1,4 +1,4 @@
-"""A recording of kind ``planar`` with known poses becomes the calibration of the instrument ``planar``."""
+"""Calibrate the instrument ``planar`` from recordings of kind ``planar`` with known poses."""
 
 from __future__ import annotations
 
@@ -44,50 +44,50 @@ from altd.records import FloatArray, Frame, counted
 from altd.vision.led_discs import Disc, disc_centres_px
 
 _MAX_FRAMES = 100
-"""Of one pose; more are not needed."""
+"""Maximum number of frames of one pose; more are not needed."""
 _MAX_TRIED = 5
-"""Poses that may define the first homography."""
+"""Maximum number of poses tried for the first homography."""
 _NEAR_SHARE = 0.25
-"""An LED is sought within this share of the layout's least distance from where the known pose puts it."""
+"""Search radius about an LED's place by the known pose, as a share of the layout's minimum distance."""
 _DIAMETER_RATIO_LIMITS = 0.75, 1.33
 _OUTLIER_SIGMAS, _MIN_OUTLIER_PX = 8.0, 0.3
 _MEDIAN_OF_RAYLEIGH = 1.1774
 """Median length of an error whose components have a standard deviation of 1."""
 _MIN_LASTING_SHARE = 0.3
 _UNSEEN_FACTOR = 3.0
-"""Of sigma where too few poses show what a lens does outside of them."""
+"""Factor on sigma if the poses are too few to show the effect of the lens beyond them."""
 _MIN_WRONG_MM, _WRONG_SIGMAS = 0.5, 10.0
-"""A known pose is wrong if it is so far from what the others say, which agree so much better."""
+"""A known pose is wrong if it deviates from the others' estimate by more than both limits, mm and sigmas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stay:
-    """The plate at one known pose, first seen at ``place``: the discs of its mean frame, and their rims."""
+    """The plate at one known pose, from row ``place`` on: the discs of its mean frame, and their rims."""
 
     place: str
     pose: Pose
     discs: tuple[Disc, ...]
     rims_px: tuple[FloatArray, ...]
     variance_px2: float
-    """Of a centre in one frame; NaN where there was but one."""
+    """Variance of a centre in one frame, px²; NaN if there was only one frame."""
     frames: int
 
     @property
     def centres_px(self) -> FloatArray:
-        """Of the discs, (n, 2)."""
+        """Centres of the discs, (n, 2)."""
         return np.array([(disc.u_px, disc.v_px) for disc in self.discs]).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarResult:
-    """A calibration, what was left out of it, and what it cannot know."""
+    """A calibration, the parts of the recording that were left out, and its doubts."""
 
     calibration: PlanarCalibration
     refused: tuple[str, ...]
     doubts: tuple[str, ...]
 
     def lines(self) -> tuple[str, ...]:
-        """The calibration for people."""
+        """Return the lines of a summary of the calibration."""
         of = self.calibration
         simulated = ("made from SIMULATED frames: every measurement with it says `simulated`",) * of.simulated
         errors = (
@@ -107,11 +107,11 @@ class PlanarResult:
 def calibrate_planar(
     recordings: Sequence[Recording], progress: Progress = lambda done, total: None
 ) -> PlanarResult:
-    """Fit the models to the known poses and keep the one that measures a pose best that it was not shown.
+    """Fit the models to the known poses and keep the one with the smallest leave-one-out errors.
 
-    Rows without a pose are left out. Raises BadInputError when no row has one, when the LEDs cannot be found
-    or do not fit the layout, where a known pose contradicts the others, and for recordings of several plates
-    or cameras.
+    Rows without a pose are left out. Raises BadInputError when no row has a pose, when the LEDs cannot be
+    found or do not fit the layout, when a known pose contradicts the others, and for recordings of several
+    plates or cameras.
     """
     plate = _plate_of_all(recordings)
     recording = recordings[0]
@@ -182,7 +182,7 @@ def _doubts(poses: int, has_scatter: bool) -> tuple[str, ...]:
 
 
 def _noise_px(stays: Sequence[_Stay], of_fit_px: float) -> tuple[float, float]:
-    """The noise of a centre in one frame, and what of the fit's noise no averaging reduces."""
+    """Noise of a centre in one frame, and the part of the fit's noise that averaging does not reduce."""
     variances = [stay.variance_px2 for stay in stays if math.isfinite(stay.variance_px2)]
     if not variances:
         return of_fit_px, _MIN_LASTING_SHARE * of_fit_px
@@ -193,7 +193,7 @@ def _noise_px(stays: Sequence[_Stay], of_fit_px: float) -> tuple[float, float]:
 
 
 def _plate_of_all(recordings: Sequence[Recording]) -> LedPlateHeader:
-    """The plate that all recordings show, with one camera of one unit."""
+    """Return the plate of all recordings; raises BadInputError if plates, cameras or units differ."""
     first = recordings[0].header
     for recording in recordings:
         header = recording.header
@@ -203,12 +203,12 @@ def _plate_of_all(recordings: Sequence[Recording]) -> LedPlateHeader:
             if getattr(header, key) != getattr(first, key):
                 said = f"{key}: is not that of {recordings[0].path}"
                 raise BadInputError(recording.path / HEADER_FILE, said)
-    assert isinstance(first.plate, LedPlateHeader)  # noqa: S101  of the first, too
+    assert isinstance(first.plate, LedPlateHeader)  # noqa: S101  checked in the loop
     return first.plate
 
 
 def _stays(recordings: Sequence[Recording], progress: Progress) -> list[_Stay]:
-    """The known poses in the order of the rows; each is seen in frames that follow one another."""
+    """Return the known poses in the order of the rows; each pose is that of consecutive frames."""
     of_all = [[row for row in recording.rows if row.pose is not None] for recording in recordings]
     total = sum(map(len, of_all))
     if not total:
@@ -241,7 +241,7 @@ def _stay(place: str, pose: Pose, frames: Sequence[Frame]) -> _Stay:
 
 
 def _first_homography(path: Path, stays: Sequence[_Stay], leds_mm: FloatArray) -> FloatArray:
-    """Takes px to mm of the fixed frame, by the known pose that agrees with most others of those tried."""
+    """Return the homography from px to mm of the fixed frame, by the tried pose that fits most others."""
     why, best, most = "", None, -1
     in_order = sorted(stays, key=lambda stay: abs(len(stay.discs) - len(leds_mm)))
     for stay in in_order[:_MAX_TRIED]:
@@ -261,7 +261,7 @@ def _first_homography(path: Path, stays: Sequence[_Stay], leds_mm: FloatArray) -
 
 
 def _matched(stay: _Stay, leds_mm: FloatArray, homography: FloatArray) -> Pairs:
-    """The lights that are where the known pose puts the LEDs."""
+    """Assign to the LEDs the lights near their places by the known pose."""
     if not stay.discs:
         return ()
     lights_mm = apply_homography(homography, stay.centres_px)
@@ -276,7 +276,7 @@ def _sighting(stay: _Stay, pairs: Pairs) -> Sighting:
 
 
 def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
-    """The LEDs' diameter as the header has it, else as the pictures show it."""
+    """Diameter of the LEDs, mm: from the header, else from the pictures; BadInputError if they contradict."""
     seen_mm = math.sqrt(4 * area_mm2 / math.pi)
     if plate.disc_mm is None:
         return seen_mm
@@ -291,10 +291,10 @@ def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
 def _without_outliers(
     sightings: Sequence[Sighting], leds_mm: FloatArray, disc_mm: float, size: tuple[int, int]
 ) -> tuple[list[tuple[int, Sighting]], list[tuple[int, str]]]:
-    """The sightings without LEDs that are not where all others put them, and those LEDs.
+    """Remove LEDs that contradict the others; return the remaining sightings and a reason for each removal.
 
-    Each comes with the index of its pose. The limit rests on the median, so that one pose whose lights are no
-    LEDs does not hide itself by the noise that it adds to the fit.
+    Each has the index of its pose. The limit is based on the median: otherwise a pose whose lights are no
+    LEDs could mask itself by the noise that it adds to the fit.
     """
     kept = list(enumerate(sightings))
     outliers: list[tuple[int, str]] = []
@@ -321,7 +321,7 @@ def _without_outliers(
 
 
 def _off_px(fit: PlaneFit, seen: Sighting, disc_mm: float) -> FloatArray:
-    """Distance (n,) px of each LED of a pose from where the pose that fits them best puts it."""
+    """Distance (n,) px of each LED of a pose from its place by the best-fitting pose."""
     noise = np.full(len(seen.leds), fit.noise_px)
     pose = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, noise).pose
     placed = fit.camera.to_px(placed_mm(fit.leds_mm[seen.leds], pose))
@@ -335,7 +335,7 @@ def _chosen(
     leds_mm: FloatArray,
     disc_mm: float,
 ) -> tuple[Model, Mapping[Model, tuple[float, float]], float]:
-    """The model with the least leave-one-out errors, the errors of each, and their ratio to sigma."""
+    """Return the model with the least leave-one-out errors, the errors of each, and its ratio to sigma."""
     if len(sightings) < MIN_POSES_FOR_SPREAD:
         return "homography", {}, _UNSEEN_FACTOR
     rms: dict[Model, tuple[float, float]] = {}

@@ -1,4 +1,4 @@
-"""The calibration file of the instrument ``planar``: one JSON document, checked by its own checksum."""
+"""The calibration file of the instrument ``planar``: one JSON document with its own checksum."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def load_planar_calibration(path: Path, unit_serial: str | None = None) -> Plana
 
 
 def check_planar_recording(calibration: PlanarCalibration, path: Path, header: RecordingHeader) -> None:
-    """Refuse a recording of another image size, camera or plate than the calibration's."""
+    """Refuse a recording whose image size or camera differs from the calibration's."""
     ((name, camera),) = header.cameras.items()
     check_planar_camera(calibration, path, name, (camera.width, camera.height), camera.identity)
 
@@ -110,7 +110,7 @@ def check_planar_recording(calibration: PlanarCalibration, path: Path, header: R
 def check_planar_camera(
     calibration: PlanarCalibration, path: Path, name: str, size: tuple[int, int], camera: CameraIdentity
 ) -> None:
-    """Refuse a camera of another image size or identity than the calibrated one."""
+    """Refuse a camera whose image size or identity differs from the calibrated one's."""
     known = calibration.fit.camera
     if (known.width, known.height) != size:
         sizes = f"{known.width} × {known.height}, not {size[0]} × {size[1]}"

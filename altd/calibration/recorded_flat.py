@@ -1,4 +1,4 @@
-"""A recording of the evenly lit targets, or of the laser's spot carried over them, becomes their flats."""
+"""Flats of targets, from a recording of the evenly lit targets or of the laser's spot moved over them."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 
 _MIN_LEVEL = 0.05
-"""A black level and stray light make less."""
+"""Minimum mean light, as a share of full scale; a black level and stray light are below it."""
 _MAX_CLIPPED_SHARE = 0.01
 _MIN_HOT_SHARE = 0.1
 _MAX_DARK_RATIO = 0.5
 _MIN_CONTRAST = 0.02
 _MIN_GROUND_SHARE = 0.5
-"""Of a flat made with the laser; speckle that moves with the beam is in none, so it does not count."""
+"""Minimum share of a laser-made flat in the spots; speckle that moves with the beam does not affect it."""
 _TILES = 16, 10
 _MIN_UNIFORMITY = 0.2
-"""The dimmer half of the picture gets at least this share of what its brightest part gets: the fall-off of
-a lens leaves far more, a laser spot far less."""
+"""Minimum ratio of the median light to that of the picture's brightest part: the fall-off of a lens leaves
+far more, a laser spot far less."""
 
 
 @dataclass(slots=True)
 class _Mean:
-    """The mean of frames, and the pixels that were clipped in any of them."""
+    """Mean of frames, and the pixels clipped in any of them."""
 
     total: FloatArray
     clipped: npt.NDArray[np.bool_]
@@ -49,22 +49,22 @@ class _Mean:
 
     @property
     def counts(self) -> FloatArray:
-        """Grey values, (rows, columns)."""
+        """Mean grey values, (rows, columns)."""
         return self.total / self.frames
 
 
 def flats_of(
     recording: Recording, targets: Sequence[TargetFrames], progress: Progress = lambda done, total: None
 ) -> dict[str, Flat]:
-    """The flats of the targets of scans from a recording of kind ``flat``, by the targets' names.
+    """Compute the flats of the targets of scans from a recording of kind ``flat``, by the targets' names.
 
-    A target that the flat does not show, or without frames, gets none. Rows whose ``leds`` are ``on`` show
-    the targets in even light, those ``off`` in the dark, which is taken off. Where all rows are alike, their
-    light decides: when it was switched off during the recording the dim ones are the dark, else all are lit.
-    Where rows have the stage's position, the laser's spot is carried over the targets: ``laser_flat``.
-    Hot and clipped pixels get 0: they do not count. Raises BadInputError when the recording is no flat, is
-    of another unit, camera or size than the scan, or is too dark, too bright or too uneven; one made with the
-    laser also when it leaves out a part of the scan or is not of the ground that the scan's spots show.
+    A target that is not in the recording, or has no frames there, gets no flat. Rows with ``leds`` ``on``
+    show the targets in even light; the dark, rows with ``off``, is subtracted. If all rows are alike, their
+    light decides: if it was switched off during the recording, the dim rows are dark; else all rows are lit.
+    Rows with the stage's position show the laser's spot moved over the targets: ``laser_flat``. Hot and
+    clipped pixels are 0: they do not count. Raises BadInputError when the recording is no flat, when its
+    unit, camera or size differs from the scan's, and when it is too dark, too bright or too uneven. A flat
+    made with the laser must also cover the scan and match the ground that the scan's spots show.
     """
     path = recording.path
     if recording.header.kind != "flat":
@@ -103,7 +103,7 @@ def flats_of(
 
 
 def _check_ground(scan: TargetFrames, flat: Flat) -> None:
-    """Raise ValueError where the spots of a scan do not show what a flat made with the laser says."""
+    """Raise ValueError if the spots of a scan do not show the ground of a flat made with the laser."""
     share = _ground(first_frames(Job(scan, SpotSettings(), None)), flat).share
     if share < _MIN_GROUND_SHARE:
         raise ValueError(
@@ -113,7 +113,7 @@ def _check_ground(scan: TargetFrames, flat: Flat) -> None:
 
 
 def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
-    """Raises ValueError when the pictures are no good."""
+    """Compute a flat from evenly lit pictures; raises ValueError when they are unsuitable."""
     header = recording.header.cameras[camera]
     full_scale = (1 << header.bits) - 1
     rows = lit_rows(recording, camera, _MAX_DARK_RATIO, progress)
@@ -139,7 +139,7 @@ def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
 
 
 def _mean(recording: Recording, camera: str, taken: Sequence[bool], progress: Progress) -> _Mean:
-    """Of those of the camera's rows that are taken."""
+    """Mean of the camera's rows that are ``taken``."""
     header = recording.header.cameras[camera]
     shape = header.height, header.width
     full_scale = (1 << header.bits) - 1
@@ -155,16 +155,16 @@ def _mean(recording: Recording, camera: str, taken: Sequence[bool], progress: Pr
 
 
 def _uniformity(light: FloatArray) -> float:
-    """The median over the brightest of the picture's pieces, in which dots are averaged away."""
+    """Median over maximum light of the picture's tiles, which average out printed dots."""
     pieces = np.asarray(cv2.resize(light, _TILES, interpolation=cv2.INTER_AREA))
     return float(np.median(pieces) / pieces.max())
 
 
 def flat_correlation(frames: Iterable[Frame], flat: Flat) -> float:
-    """Correlation of what the spots of frames show of their ground with what the flat says; 1 at best.
+    """Correlation between the ground under the spots of frames and the flat; 1 at best.
 
-    Near 0 the flat is not of these pixels: camera, lens or target moved since, or it is of other ones. NaN
-    where the flat is too even to tell.
+    Near 0, the flat does not belong to these pixels: camera, lens or target moved since, or are others. NaN
+    if the flat is too even to tell.
     """
     return _ground(frames, flat).value
 
@@ -188,7 +188,7 @@ def _ground(frames: Iterable[Frame], flat: Flat) -> _Correlation:
 
 @dataclass(slots=True)
 class _Correlation:
-    """Of what spots show with what is expected of it, each spot's own mean taken off."""
+    """Correlation of the ground seen under spots with the expected one, each spot's own mean subtracted."""
 
     pixels: int = 0
     seen: float = 0.0
@@ -196,7 +196,7 @@ class _Correlation:
     both: float = 0.0
 
     def add(self, seen: Image, expected: Image) -> None:
-        """The pixels (n,) of one spot."""
+        """Add the pixels (n,) of one spot."""
         a, b = (values.astype(np.float64) - values.mean() for values in (seen, expected))
         self.pixels += a.size
         self.seen += float(a @ a)
@@ -205,12 +205,12 @@ class _Correlation:
 
     @property
     def value(self) -> float:
-        """The coefficient; NaN where nothing is expected."""
+        """Correlation coefficient; NaN if no contrast is expected."""
         if self.expected < self.pixels * _MIN_CONTRAST**2 or not self.pixels:
             return float("nan")
         return self.both / math.sqrt(self.seen * self.expected)
 
     @property
     def share(self) -> float:
-        """The share of what is expected that is seen: 1 at best, NaN where nothing is expected."""
+        """Share of the expected contrast that is seen: 1 at best, NaN if no contrast is expected."""
         return float("nan") if math.isnan(self.value) else self.both / self.expected

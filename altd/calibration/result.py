@@ -19,11 +19,11 @@ from altd.records import FloatArray
 class Candidate:
     """One model that was tried on a target's nodes.
 
-    ``model`` is its name as in the calibration file (``tensor``, ``lens`` …), ``degree`` along x and y of a
-    tensor polynomial, ``parameters`` how many numbers per target were fitted. ``gcv_px`` is the root of the
-    generalised cross-validation score, ``leave_one_out_px`` the rms of the leave-one-out residuals,
-    ``map_sigma_px`` the rms over the hull of what the nodes' noise leaves in the map: it grows with the
-    degree while the misfit falls (thesis 3.5.6).
+    ``model`` is its name as in the calibration file (``tensor``, ``lens`` …), ``degree`` that of a tensor
+    polynomial along x and y, ``parameters`` the number of fitted parameters per target. ``gcv_px`` is the
+    root of the generalised cross-validation score, ``leave_one_out_px`` the rms of the leave-one-out
+    residuals. ``map_sigma_px`` is the rms error of the map over the hull by the nodes' noise: it grows with
+    the degree while the misfit falls (thesis 3.5.6).
     """
 
     model: str
@@ -41,10 +41,9 @@ class TargetEvidence:
     ``nodes_mm`` (n, 2) and ``nodes_px`` (n, 2) are the nodes that were used, ``residuals_px`` (n, 2) measured
     minus mapped, ``leave_one_out_residuals_px`` (n, 2) measured minus mapped without the node,
     ``scatter_px`` (n, 2) the standard deviation of single exposures at the node (NaN where it has one),
-    ``exposures`` (n,) their number. ``relative_sigma`` (n,) is 1 for a node whose spot is known as well as
-    most, more for one that is known worse and counts less. ``excluded`` holds the nodes (x, y) mm that were
-    not used, each with the reason, ``leds_dropped`` in words the frame LEDs that shine and could not be
-    located.
+    ``exposures`` (n,) their number. ``relative_sigma`` (n,) is 1 for an ordinary node, more for one whose
+    spot is less certain and has a lower weight. ``excluded`` lists the unused nodes (x, y) mm with the
+    reasons, ``leds_dropped`` describes the frame LEDs that shine but could not be located.
     """
 
     name: str
@@ -61,23 +60,23 @@ class TargetEvidence:
 
 
 _MAX_NODES = 256
-"""Along an axis; a plate of LEDs has up to 100."""
+"""Maximum number of nodes along an axis; a plate of LEDs has up to 100."""
 _MAX_DEGREE = 15
-"""Above, powers lose digits (``gram_powers``)."""
+"""Maximum degree of a map; above it, powers lose digits (``gram_powers``)."""
 _MAX_FACTOR_COLUMNS = 2 * (_MAX_DEGREE + 1) ** 2
-"""Two for each coefficient: what ``fit_tensor_map`` makes."""
+"""Maximum number of columns of a covariance factor: two per coefficient, as ``fit_tensor_map`` makes."""
 _MAX_CORNERS = 4 * _MAX_NODES
 _MAX_OUTSIDE_SHARE = 0.25
-"""By how much of its size a picture may be missed by a corner of the hull, which was seen in it."""
+"""Maximum distance of hull corners outside the picture, as a share of its size; corners were seen in it."""
 _MIN_EDGE_MM = 1e-3
 _MAX_BEND_SINE = 1e-4
-"""Sine of the largest bend inwards at a corner, by rounding."""
+"""Maximum sine of an inward bend at a corner, caused by rounding."""
 
 
 def check_calibration(calibration: Calibration) -> None:
-    """Raise ValueError that names the target and the map when a calibration cannot be measured with.
+    """Raise ValueError with the target and the map if a calibration cannot be used for measurements.
 
-    Beyond the types of fields; the file's checksum shows that it is unchanged, not that it is right.
+    The checks go beyond field types; the file's checksum shows that it is unchanged, not that it is right.
     """
     names = calibration.target_names
     if len(set(names)) < len(names):
@@ -111,7 +110,7 @@ def _check_grid(place: str, fitted: TensorMap) -> None:
 
 
 def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> None:
-    """Convex, counter-clockwise, run round once, and not beyond the grid by more than a step."""
+    """Raise ValueError unless a hull is convex, counter-clockwise, simple and at most a step off the grid."""
     if len(hull_mm) > _MAX_CORNERS:
         raise ValueError(f"{place}: has {len(hull_mm)} corners, more than {_MAX_CORNERS}")
     first = np.array([axis.first_mm - axis.step_mm for axis in (x_axis, y_axis)])
@@ -131,7 +130,7 @@ def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> 
 
 
 def _check_map(place: str, target: TargetCalibration) -> None:
-    """The hull lies in the picture, the map is one to one in it, and its inverse finds the middle again."""
+    """Raise ValueError unless the hull is in the picture, the map one to one, and its inverse right."""
     fitted = target.map
     hull_px = fitted.to_px(fitted.hull_mm)
     size = np.array([target.width, target.height], dtype=np.float64)
@@ -148,15 +147,15 @@ def _check_map(place: str, target: TargetCalibration) -> None:
 
 
 Progress = Callable[[int, int], None]
-"""Told how many of how many frames are done."""
+"""Callback with the number of processed frames and their total."""
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """A calibration, what it rests on, and in words what a person should know.
+    """A calibration, its evidence, and messages to the user.
 
-    ``refused`` are the nodes that it was made without, ``doubts`` what may be wrong with it, ``remarks`` what
-    was found out on the way. ``evidence`` is in the order of the targets.
+    ``refused`` lists nodes and lights that were not used, ``doubts`` possible errors of the calibration,
+    ``remarks`` findings. ``evidence`` is in the order of the targets.
     """
 
     calibration: Calibration
@@ -168,7 +167,7 @@ class CalibrationResult:
 
 @dataclass(frozen=True, slots=True)
 class TargetsResult:
-    """The part of a ``CalibrationResult`` that the scans, or the plates, among the recordings gave."""
+    """The part of a ``CalibrationResult`` from the scans, or from the plates, among the recordings."""
 
     targets: tuple[TargetCalibration, ...] = ()
     refused: tuple[str, ...] = ()
@@ -178,7 +177,7 @@ class TargetsResult:
 
 
 def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
-    """Eq. 3.1 for the nodes (n, 2) themselves: how far from its known place the map puts each one, (n,)."""
+    """Distance (n,) of each node (n, 2) from its known place by the map: Eq. 3.1 for the nodes themselves."""
     nodes_px = fit.map.to_px(nodes_mm) + fit.residuals_px
     _, jacobian, _ = InverseMap(fit.map).to_mm(nodes_px)
     offsets: FloatArray = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, fit.residuals_px), axis=1)
@@ -186,7 +185,7 @@ def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
 
 
 def cross_check_doubts(targets: Sequence[TargetCalibration]) -> tuple[str, ...]:
-    """The places at which the two maps of a target lie farther apart than measurements may."""
+    """Describe the targets whose two maps differ by more than the limit for measurements."""
     return tuple(
         f"{target.name}: the {target.map.model} and the {target.cross_check.map.model} map lie up to "
         f"{target.cross_check.max_difference_px:.2f} px apart; where it is more than "

@@ -1,4 +1,4 @@
-"""Whether the nodes of a scan make a sufficient grid, how much each counts, and where the surface ends."""
+"""Check the grid of a scan's nodes, weight the nodes, and detect the end of the surface."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from altd.vision.localise import locate_in
 from altd.vision.settings import SpotSettings
 
 _MAX_SIGMA_RATIO = 1.5
-"""Up to so many times the median sigma spots are alike: print and speckle move a dim one no more."""
+"""Maximum sigma of an ordinary spot over the median: print and speckle do not move a dim spot more."""
 _ITERATIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
 class ScanGrid:
-    """The grid of a scan: its axes, the block that can be used, and the rows and columns that cannot."""
+    """The grid of a scan: its axes, its usable block, and the positions (n, 2) of the usable nodes."""
 
     axes: tuple[Axis, Axis]
     block: Block
     usable_mm: FloatArray
 
     def missing_ends(self, margin_mm: float) -> list[str]:
-        """In words: each end of the grid at which no node can be used, and where what is measured ends."""
+        """Describe each end of the grid without usable nodes, and where the measurable area ends there."""
         words = []
         for axis, along, name in zip(self.axes, self.usable_mm.T, "xy", strict=True):
             for end, last, outward in (
@@ -50,7 +50,7 @@ class ScanGrid:
 
 
 def scan_grid(scanned: ScannedTarget) -> ScanGrid:
-    """The grid of the nodes of one target; raises ValueError when they are none."""
+    """Return the grid of one target's nodes; raises ValueError if they form none."""
     nodes = list(scanned.nodes.values())
     positions_mm = np.array([node.position_mm for node in nodes])
     axes = Axis.through(positions_mm[:, 0]), Axis.through(positions_mm[:, 1])
@@ -62,10 +62,10 @@ def scan_grid(scanned: ScannedTarget) -> ScanGrid:
 
 
 def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> FloatArray:
-    """By how much each node (n,) scatters more than an ordinary one, by what its spots are known to.
+    """Scatter of each node (n,) relative to an ordinary one, from the sigmas of its spots.
 
-    An ordinary node scatters by what print and speckle do to its spot, which is seen about a first map; one
-    that the border of the picture cuts by more, which its own sigmas say. Raises ValueError when the nodes
+    An ordinary node scatters by the effect of print and speckle on its spot, estimated about a first map. A
+    spot cut by the border of the picture scatters more, by its own sigmas. Raises ValueError when the nodes
     are too few for a map.
     """
     sigmas_px = np.array([node.sigma_px for node in nodes])
@@ -87,12 +87,12 @@ def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> Float
 
 
 def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[str, ...]:
-    """Which scans of a target lie off its first one by more than its nodes scatter, in words.
+    """Describe the scans of a target that deviate from its first one by more than its nodes scatter.
 
     A stage's zero, a camera or a target may have moved between them.
 
-    By the mean over the nodes that both have: print and speckle are the same in both, and what single
-    exposures scatter averages out.
+    The deviation is a mean over the nodes of both: print and speckle are the same in both, and the scatter
+    of single exposures averages out.
     """
     first, *others = job.frames.parts
     doubts = []
@@ -119,25 +119,25 @@ def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[s
 
 _MOMENT = SpotSettings(method="moment")
 _CORE = 0.3
-"""Relative light from which a smoothed pixel belongs to the core."""
+"""Minimum relative light of a smoothed pixel in the core."""
 _MIN_CORE_PIXELS = 20
 _REACH_MM = 10.0
-"""Nodes closer to the outermost ones may be cut themselves and are no reference."""
+"""Minimum distance of reference nodes from the outermost ones; closer spots may be cut themselves."""
 _MIN_INNER_NODES = 4
 _MIN_TREND_NODES = 9
 _MAX_INNER_NODES = 100
-"""More would only take time."""
+"""Maximum number of inner nodes used; more would only take time."""
 _MIN_CUT_MM = 0.04
 _MIN_CUT_SIGMAS = 5.0
 _MIN_CUT_SHARE = 1 / 3
-"""Of the nodes of a side, and at least two: dirt displaces single spots."""
+"""Minimum share of a side's nodes that are cut, and at least two nodes: dirt displaces single spots."""
 _SAME_LINE_MM = 1.0
 
 
 def cut_sides(
     frame_of: Callable[[int], Frame], nodes_mm: FloatArray, first_map: TensorMap
 ) -> tuple[str, ...]:
-    """The outer columns and rows of nodes whose spots the end of the surface cuts, such as ``x 70``.
+    """Return the outer columns and rows of nodes with spots cut by the end of the surface, such as ``x 70``.
 
     The cut displaces the centroid of a spot inwards. A Gaussian through the bright core of the smoothed spot
     is displaced less. The difference between the two shows the cut before the size of the core changes.
@@ -179,7 +179,7 @@ def cut_sides(
 
 
 def _displacement_mm(frame: Frame, jacobian: FloatArray) -> FloatArray:
-    """Centroid minus centre of the core (2,) mm; NaN without one of them.
+    """Centroid minus centre of the core (2,) mm; NaN if either is missing.
 
     ``jacobian`` (2, 2) is d(px)/d(mm).
     """

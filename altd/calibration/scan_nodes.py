@@ -1,4 +1,4 @@
-"""The cameras' pictures during a scan: the spots at its nodes, the frame LEDs, and print or none."""
+"""Spots at the nodes of a scan, frame LEDs, and whether there is print, from the cameras' frames."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from altd.vision.settings import SpotSettings
 Item = TypeVar("Item")
 
 MAX_KEPT_BYTES = 96 << 20
-"""The size of 2,000 ordinary nodes, 45 kB each. Of more nodes, or larger spots, the rest is made again at
-each request, from its frame: that takes time, not memory."""
+"""Maximum size of cached items: 2,000 ordinary nodes, 45 kB each. Items beyond it are made again from their
+frame at each request, which takes time instead of memory."""
 
 
 class NodeCache(Generic[Item]):
-    """An item a node, where a node yields one; ``nodes`` are the numbers of those that do."""
+    """One item per node that yields one; ``nodes`` are the numbers of these nodes."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class NodeCache(Generic[Item]):
         bytes_of: Callable[[Item], int],
         kept_bytes: int = MAX_KEPT_BYTES,
     ) -> None:
-        """``make`` gives the item of a node by its number, the same each time it is called."""
+        """``make`` returns the item of a node by its number, the same at each call."""
         self.nodes: list[int] = []
         self._make = make
         self._kept: dict[int, Item] = {}
@@ -75,7 +75,7 @@ _NODE_TOLERANCE_MM = 0.5
 class Visit:
     """One recording's exposures at a node.
 
-    Stage positions mm, spots and their sigmas px with the frames they are in, and why others have no spot.
+    Stage positions in mm, spots and their sigmas in px with their frames, and complaints on other frames.
     """
 
     positions_mm: list[tuple[float, float]] = field(default_factory=list)
@@ -91,7 +91,7 @@ class Visit:
 
     @property
     def spot_px(self) -> FloatArray:
-        """The mean (2,) of its spots."""
+        """Mean (2,) of its spots."""
         mean: FloatArray = np.mean(self.spots_px, axis=0)
         return mean
 
@@ -108,31 +108,31 @@ class Node:
 
     visits: dict[int, Visit] = field(default_factory=dict)
     refusal: str | None = None
-    """Why it is out of use although it has spots; None: it is not."""
+    """Reason why the node is not used although it has spots; None: not refused."""
 
     @property
     def good_visits(self) -> dict[int, Visit]:
-        """The visits that can be used, by the number of the recording."""
+        """The usable visits, by the number of the recording."""
         return {} if self.refusal else {n: visit for n, visit in self.visits.items() if visit.is_usable}
 
     @property
     def good(self) -> list[Visit]:
-        """The same alone."""
+        """The usable visits."""
         return list(self.good_visits.values())
 
     @property
     def is_usable(self) -> bool:
-        """Whether it has any."""
+        """Whether the node has usable visits."""
         return bool(self.good)
 
     @property
     def key(self) -> tuple[int, int]:
-        """Which node it is."""
+        """Key of the node by its first stage position, see ``node_key``."""
         return node_key(next(iter(self.visits.values())).positions_mm[0])
 
     @property
     def position_mm(self) -> tuple[float, float]:
-        """The mean of the stage's positions, of the visits that can be used where there are such."""
+        """Mean stage position over the usable visits; over all visits if none is usable."""
         visits = self.good or self.visits.values()
         positions_mm = [position_mm for visit in visits for position_mm in visit.positions_mm]
         x_mm, y_mm = np.mean(positions_mm, axis=0).tolist()
@@ -140,39 +140,39 @@ class Node:
 
     @property
     def exposures(self) -> int:
-        """The number of spots that can be used."""
+        """Number of usable spots."""
         return sum(len(visit.spots_px) for visit in self.good)
 
     @property
     def spot_px(self) -> FloatArray:
-        """The mean (2,) of its spots."""
+        """Mean (2,) of its usable spots."""
         mean: FloatArray = np.mean([spot for visit in self.good for spot in visit.spots_px], axis=0)
         return mean
 
     @property
     def sigma_px(self) -> float:
-        """To what a spot of it is known, by its own noise and light: the root mean square."""
+        """Root mean square sigma of its spots, by their own noise and light."""
         sigmas_px = [sigma for visit in self.good for sigma in visit.sigmas_px]
         return float(np.sqrt(np.mean(np.square(sigmas_px))))
 
     @property
     def complaint(self) -> str:
-        """Why it cannot be used."""
+        """Reason why the node cannot be used."""
         return self.refusal or next(why for visit in self.visits.values() for why in visit.complaints)
 
 
 @dataclass(slots=True)
 class ScannedTarget:
-    """The scans of a target: spots at nodes, and frame LEDs."""
+    """Spots at nodes, and frame LEDs, from the scans of a target."""
 
     nodes: dict[tuple[int, int], Node] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)
     leds_dropped: tuple[str, ...] = ()
-    """The frame LEDs of the last pair that shine and could not be located, in words."""
+    """Descriptions of the frame LEDs of the last pair that shine but could not be located."""
 
     @property
     def usable(self) -> list[Node]:
-        """The nodes that can be used."""
+        """The usable nodes."""
         return [node for node in self.nodes.values() if node.is_usable]
 
     @property
@@ -200,7 +200,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """The target's."""
+        """Name of the target."""
         return self.frames.name
 
 
@@ -239,19 +239,19 @@ def first_frames(job: Job) -> Iterator[Frame]:
 
 
 def printed_nodes(job: Job) -> tuple[int, int]:
-    """At how many of how many nodes the first exposure shows a spot on print."""
+    """Number of nodes whose first exposure shows a spot on print, and number of all nodes."""
     shown = [is_patterned_spot(frame, job.localiser) for frame in first_frames(job)]
     return sum(shown), len(shown)
 
 
 def node_key(position_mm: tuple[float, float]) -> tuple[int, int]:
-    """Which node a stage's position belongs to."""
+    """Key of the node that a stage's position belongs to."""
     x_mm, y_mm = position_mm
     return round(x_mm / _NODE_TOLERANCE_MM), round(y_mm / _NODE_TOLERANCE_MM)
 
 
 def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot | NoSpot:
-    """The spot at a node. One that the border of the picture cuts has a profile where it has no moment."""
+    """Locate the spot at a node; a spot cut by the picture's border has no moment, but may have a profile."""
     spot = locate(frame, localiser, flat)
     if isinstance(spot, NoSpot) and spot.reason is Reason.CUT_BY_EDGE and localiser.method != "profile":
         return locate(frame, replace(localiser, method="profile"), flat)

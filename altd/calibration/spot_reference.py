@@ -1,4 +1,4 @@
-"""Properties of a scan's good spots, and the difference of the two localisers over them (App. A.4)."""
+"""Properties of a scan's good spots, and the difference between the two localisers on them (App. A.4)."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from altd.vision.settings import ShapeReference, ShapeVector, SpotReference, Spo
 _MIN_NODES = 6
 _LIMIT_SIGMAS = 3.0
 _LIMIT_PATTERNS = 4.0
-"""Speckle moves the ellipse farther than the profile: on the grainy plates of five simulated units and of
-unit-a the two scatter 1.6 to 2.5 times the profile's pattern about each other."""
+"""Limit of the difference in units of the pattern. Speckle moves the ellipse more than the profile: on grainy
+plates of five simulated units and of unit-a, they scatter 1.6 to 2.5 times the profile's pattern."""
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """The distances between a target's main localiser and the ellipse, px, root mean square over ``nodes``.
+    """Differences between a target's main localiser and the ellipse, px, root mean square over ``nodes``.
 
-    ``difference_px`` is all of it. ``scatter_px`` is left when what is the same everywhere or changes evenly
-    over the target is taken off: perspective draws the foot of a spot further than its half height, and the
-    map of either localiser takes that in. ``sigma_px`` is what read and shot noise make of the distance if
-    they disturb both independently.
+    ``difference_px`` is the whole difference. ``scatter_px`` is without the part that is constant or linear
+    over the target: perspective shifts the foot of a spot more than its half height, and the map of either
+    localiser contains that. ``sigma_px`` is the difference caused by read and shot noise if they disturb both
+    independently.
     """
 
     nodes: int
@@ -43,16 +43,16 @@ class Agreement:
     sigma_px: float
 
     def limit_px(self, pattern_px: float) -> float:
-        """The scatter up to which noise and a pattern excuse them.
+        """Maximum scatter that noise and a pattern explain.
 
-        ``pattern_px`` is that of the main localiser an axis, as the nodes show it about the map.
+        ``pattern_px`` is the pattern of the main localiser per axis, as the nodes show it about the map.
         """
         return math.hypot(_LIMIT_SIGMAS * self.sigma_px, _LIMIT_PATTERNS * math.sqrt(2) * pattern_px)
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Remarks on the two localisers of a target, and doubts about them."""
+    """Remark on the two localisers of a target, and a doubt about them."""
 
     remark: str
     doubt: str | None = None
@@ -61,7 +61,7 @@ class Verdict:
 def localiser_agreement(
     frames: Iterable[Frame], localiser: SpotSettings, flat: Flat | None
 ) -> Agreement | None:
-    """Locate the spot of each node's frame twice; None when both find it on fewer than six nodes."""
+    """Locate each frame's spot by both localisers; None if both find it at fewer than six nodes."""
     both = []
     for frame in frames:
         spot, second = locate(frame, localiser, flat), locate_ellipse(frame, localiser, flat)
@@ -82,7 +82,7 @@ def localiser_agreement(
 
 
 def verdict(name: str, method: str, both: Agreement | None, pattern_px: float | None) -> Verdict:
-    """Words on a target's localisers; they may differ by a pattern of ``pattern_px``, None: by anything."""
+    """Compare a target's localisers; they may differ by a pattern of ``pattern_px``, None: by any amount."""
     if both is None:
         return Verdict(f"{name}: the ellipse found too few spots to be held against the {method}")
     remark = (
@@ -103,7 +103,7 @@ def verdict(name: str, method: str, both: Agreement | None, pattern_px: float | 
 
 
 _MIN_SPOTS = 8
-"""Fewer say too little of what is usual."""
+"""Minimum number of spots; fewer are not representative."""
 
 
 def spot_reference(
@@ -114,10 +114,10 @@ def spot_reference(
     fitted: TensorMap,
     noise_px: float,
 ) -> SpotReference | None:
-    """The reference of a target from a frame of each of its nodes; None where too few show a whole spot.
+    """Compute the reference of a target from one frame per node; None if too few show a whole spot.
 
-    ``frame_of`` gives the frame of a node by its number. ``noise_px`` is what print and speckle do to a
-    centre about the map ``fitted``. Medians over the nodes: single bad spots do not count.
+    ``frame_of`` returns the frame of a node by its number. ``noise_px`` is the scatter of a centre about the
+    map ``fitted`` by print and speckle. Values are medians over the nodes: single bad spots do not count.
     """
     profiles = NodeCache(
         nodes,
@@ -138,7 +138,7 @@ def spot_reference(
     degrees_of_freedom = np.array([misfit.degrees_of_freedom for misfit in misfits])
     medians = (
         degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
-    )  # of chi-square, by Wilson and Hilferty
+    )  # medians of chi-square, by Wilson and Hilferty
     return SpotReference(
         grain=grain,
         misfit_ratio=max(float(np.median(chi2 / medians)), 1.0),
@@ -149,7 +149,7 @@ def spot_reference(
 
 
 def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | None:
-    """Median shape in the unit frame, and the standard deviation by the median absolute deviation.
+    """Median shape in the unit frame, and its MAD-based standard deviation.
 
     ``spots`` (n, 6): centre (u, v) px, form a, b, c and order of each.
     """

@@ -26,14 +26,14 @@ _Z_TOLERANCE_MM = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class FrameRow:
-    """One frame of a target, not read yet: its row, and which of the recordings it is in, counted from 0."""
+    """One frame of a target, not yet read: its row, its recording, and the recording's number from 0."""
 
     recording: Recording
     number: int
     row: Row
 
     def frame(self) -> Frame:
-        """Decode it; raises BadInputError that names the file and the row."""
+        """Decode the frame; raises BadInputError with the file and the row."""
         return self.recording.frame(self.row)
 
 
@@ -47,7 +47,7 @@ class RecordedTarget:
 
     @property
     def header_file(self) -> Path:
-        """The file with the recording's header, for an error message."""
+        """File with the recording's header, for error messages."""
         return self.recording.path / HEADER_FILE
 
     @property
@@ -58,12 +58,12 @@ class RecordedTarget:
 
     @property
     def identity(self) -> CameraIdentity:
-        """The camera that looks at it, as far as the recording knows."""
+        """Identity of the target's camera, as far as it is recorded."""
         return self.recording.header.cameras[self.target.camera].identity
 
     @property
     def kind(self) -> CalibrationKind:
-        """The kind of recording."""
+        """Kind of the recording."""
         return "plate" if self.recording.header.kind == "plate" else "scan"
 
 
@@ -75,37 +75,37 @@ class TargetFrames:
 
     @property
     def name(self) -> str:
-        """The target's."""
+        """Name of the target."""
         return self.parts[0].target.name
 
     @property
     def z_mm(self) -> float:
-        """Its place on the beam."""
+        """Place of the target on the beam, mm."""
         return self.parts[0].target.z_mm
 
     @property
     def glass(self) -> Glass | None:
-        """The glass behind it, of the first recording that states it."""
+        """Glass behind the target, from the first recording that states it."""
         return next((part.target.glass for part in self.parts if part.target.glass), None)
 
     @property
     def kind(self) -> CalibrationKind:
-        """The kind of the recordings."""
+        """Kind of the recordings."""
         return self.parts[0].kind
 
     def of_turned_unit(self, is_turned: bool) -> TargetFrames | None:
-        """Only the recordings of the unit as it is, or only those of the turned unit; None: there is none."""
+        """Select the recordings of the turned unit, or of the unturned one; None if there are none."""
         parts = tuple(p for p in self.parts if (p.recording.header.turned_deg != 0.0) is is_turned)
         return replace(self, parts=parts) if parts else None
 
     @property
     def unit_serial(self) -> str:
-        """The unit that it belongs to."""
+        """Serial number of the target's unit."""
         return self.parts[0].recording.header.unit.serial
 
     @property
     def place(self) -> str:
-        """The recordings, for a complaint."""
+        """Paths of the recordings, for error messages."""
         return ", ".join(str(part.recording.path) for part in self.parts)
 
     @property
@@ -115,19 +115,19 @@ class TargetFrames:
 
     @property
     def camera(self) -> CameraIdentity:
-        """The camera that looks at it, as the first recording that knows anything of it tells."""
+        """Identity of the target's camera, from the first recording that states any of it."""
         nobody = CameraIdentity()
         return next((part.identity for part in self.parts if part.identity != nobody), nobody)
 
     @property
     def origin(self) -> Origin:
-        """Simulated as soon as a recording is."""
+        """Origin of the frames: simulated if those of any recording are."""
         of_parts = {part.recording.header.cameras[part.target.camera].origin for part in self.parts}
         return Origin.SIMULATED if Origin.SIMULATED in of_parts else Origin.CAMERA
 
     @property
     def plate(self) -> PlateHeader:
-        """The plate at its place; raises BadInputError where the recording does not give it."""
+        """The plate at the target's place; raises BadInputError if the recording does not describe it."""
         part = self.parts[0]
         plate = part.recording.header.plate
         if not isinstance(plate, PlateHeader):
@@ -136,29 +136,29 @@ class TargetFrames:
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether its camera sees it mirrored."""
+        """Whether the camera's picture of the target is mirrored."""
         part = self.parts[0]
         return part.recording.header.is_mirrored(part.target)
 
     def file_of(self, frame: FrameRow) -> str:
-        """A frame's file for people: as its recording calls it, of several recordings with its folder."""
+        """File of a frame for messages: its name in the recording, with the folder if there are several."""
         return frame.row.file if len(self.parts) == 1 else str(frame.recording.path / frame.row.file)
 
     def __len__(self) -> int:
         return sum(part.recording.rows.count.get(part.target.camera, 0) for part in self.parts)
 
     def __iter__(self) -> Iterator[FrameRow]:
-        """Its frames in the order of time, one recording after another."""
+        """Yield the frames in the order of time, one recording after another."""
         for part in self.parts:
             for row in part.recording.rows.of(part.target.camera):
                 yield FrameRow(part.recording, part.number, row)
 
 
 def target_frames(recordings: Sequence[Recording]) -> tuple[TargetFrames, ...]:
-    """The material for the calibration of each target that any of the recordings shows, in beam order.
+    """Collect the frames of each target in the recordings, in beam order.
 
-    Raises BadInputError that names the recording which is no scan and no plate, which does not go with
-    another one, or which is given twice.
+    Raises BadInputError with the recording that is neither scan nor plate, is incompatible with another one,
+    or is given twice.
     """
     _check_unit(recordings)
     targets: dict[str, TargetFrames] = {}
@@ -183,7 +183,7 @@ def target_frames(recordings: Sequence[Recording]) -> tuple[TargetFrames, ...]:
 
 
 def _check_unit(recordings: Sequence[Recording]) -> None:
-    """Each is a scan or a plate, shows a target, is of the first one's unit, and is given once."""
+    """Check that each is a scan or a plate, shows a target, is of the first one's unit, and is given once."""
     first = recordings[0]
     for number, recording in enumerate(recordings):
         path, header = recording.path, recording.header
@@ -205,7 +205,7 @@ def _check_unit(recordings: Sequence[Recording]) -> None:
 
 
 def _check_same_target(known: TargetFrames, part: RecordedTarget) -> None:
-    """Raise BadInputError where another recording of a target contradicts those before it."""
+    """Raise BadInputError if another recording of a target contradicts the previous ones."""
     first, target = known.parts[0], part.target
 
     def refusal(why: str) -> BadInputError:
@@ -233,7 +233,7 @@ _MAX_STEADY_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class LitRows:
-    """Which of a camera's rows are lit and which are dark, in the order of the rows; some may be neither."""
+    """Flags of the lit and of the dark rows of a camera, in the order of the rows; some may be neither."""
 
     lit: tuple[bool, ...]
     dark: tuple[bool, ...]
@@ -242,11 +242,11 @@ class LitRows:
 def lit_rows(
     recording: Recording, camera: str, max_dark_ratio: float, progress: Progress = lambda done, total: None
 ) -> LitRows:
-    """The lit and the dark rows of a camera.
+    """Determine the lit and the dark rows of a camera.
 
-    By ``leds`` where the rows differ in it. Otherwise by the mean of each frame: those within a tenth of the
-    brightest are lit, those within a tenth of the dimmest are dark. All are lit where the dimmest has more
-    than ``max_dark_ratio`` of the light of the brightest.
+    ``leds`` decides if the rows differ in it. Otherwise the mean of each frame decides: frames within a tenth
+    of the range of means from the brightest are lit, from the dimmest dark. All are lit if the dimmest has
+    more than ``max_dark_ratio`` of the light of the brightest.
     """
     flags = array("b", (row.leds_on for row in recording.rows.of(camera)))
     if not flags or min(flags) < max(flags):

@@ -1,6 +1,6 @@
-"""``altd.toml`` as pydantic models, the tables of one room in one file; reading it, wording its faults.
+"""``altd.toml`` as pydantic models, related tables in one file; reading it and wording its faults.
 
-A model that a driver or an interface is made of is called ``…Settings``; the driver or interface has the name
+The model of a driver's or interface's settings is called ``…Settings``; the driver or interface has the name
 without it.
 """
 

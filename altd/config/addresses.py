@@ -1,4 +1,4 @@
-"""IP addresses: which of them no computer has, and which two cannot both be listened on."""
+"""IP addresses: which ones no computer can have, and which pairs cannot share a listening port."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ _FIRST_RESERVED = ipaddress.IPv4Address("240.0.0.0")
 
 
 def is_unassignable(address: ipaddress.IPv4Address) -> bool:
-    """Whether no computer can have the address (RFC 1122, 3.2.1.3); 0.0.0.0, which means all, aside."""
+    """Whether no computer can have the address (RFC 1122, 3.2.1.3), except 0.0.0.0, which means all."""
     return address >= _FIRST_RESERVED or 0 < int(address) < int(_FIRST_HOST)
 
 
 def overlap(one: str, other: str) -> bool:
     """Whether two listeners on these hosts cannot have the same port.
 
-    0.0.0.0 is every IPv4 address and :: every IPv6 one, each without the other kind: so altd opens sockets.
+    0.0.0.0 is every IPv4 address and :: every IPv6 address, each without the other kind, as altd opens its
+    sockets.
     """
     hosts = ("127.0.0.1" if host == "localhost" else host for host in (one, other))
     first, second = map(ipaddress.ip_address, hosts)

@@ -14,7 +14,7 @@ from altd.config.table import Celsius, ControlValue, Device, Table, complaint, s
 
 
 def _camera_name(name: str) -> str:
-    """A GigE Vision camera by whatever it is called; what looks like an IP address must be one."""
+    """Accept any name of a GigE Vision camera; if it has the form of an IP address, it must be valid."""
     if re.fullmatch(r"[0-9]+(\.[0-9]+){3}", name):
         try:
             address = ipaddress.IPv4Address(name)
@@ -30,7 +30,7 @@ class RecordingCameraSettings(Table):
 
     driver: Literal["recording"]
     path: Path
-    """The recording's folder."""
+    """Folder of the recording."""
     pace: Literal["realtime", "fast"] = "realtime"
     """``realtime`` keeps the recording's times, ``fast`` does not wait."""
     repeat: bool = False
@@ -44,15 +44,17 @@ class ExposureSettings(Table):
     """``auto`` controls the spot's peak; ``fixed`` sets ``exposure_ms`` and ``gain_db``; ``camera`` sets
     nothing."""
     exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
-    """Initial value of ``auto``, or the ``fixed`` one. `altd record` and `altd scan` use it in both cases."""
+    """Exposure time, ms: initial value of ``auto``, or ``fixed`` value. `altd record` and `altd scan` use it
+    for both."""
     gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
-    """The same for the gain."""
+    """Initial gain of ``auto``, or the ``fixed`` one, dB."""
     shortest_ms: Annotated[float, Field(gt=0, le=1000)] = 0.02
-    """Lower limit of ``auto``."""
+    """Lower limit of the exposure time of ``auto``, ms."""
     longest_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
-    """Upper limit of ``auto``, also 90 % of the frame interval. A long exposure smears vibration."""
+    """Upper limit of the exposure time of ``auto``, ms, also 90 % of the frame interval. Long exposures smear
+    vibration."""
     largest_gain_db: Annotated[float, Field(ge=0, le=48)] = 12.0
-    """Upper limit of ``auto``, which adds gain only at ``longest_ms``."""
+    """Upper limit of the gain of ``auto``, dB; ``auto`` adds gain only at ``longest_ms``."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -73,10 +75,10 @@ class ExposureSettings(Table):
 
 
 class LiveCameraSettings(Table):
-    """The keys of all live cameras."""
+    """Keys of all live cameras."""
 
     device: Path | str
-    """Which camera it is, in the words of its driver."""
+    """Camera to open; its form depends on the driver."""
     width: Annotated[int, Field(ge=64, le=16384)] = 752
     """Columns of a frame, as in the calibration."""
     height: Annotated[int, Field(ge=64, le=16384)] = 480
@@ -84,7 +86,7 @@ class LiveCameraSettings(Table):
     fps: Annotated[float, Field(ge=1, le=1000)] = 20.0
     """Frames per second."""
     exposure: ExposureSettings = ExposureSettings()
-    """Table of its own, below."""
+    """Exposure and gain, a separate table (below)."""
     serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     """The camera's serial number (`altd devices`). Another camera is ``wrong_camera``."""
 
@@ -94,11 +96,11 @@ class V4l2CameraSettings(LiveCameraSettings):
 
     driver: Literal["v4l2"]
     device: Device
-    """The device, best by a stable name such as /dev/v4l/by-path/… (`altd devices`)."""
+    """Device path, preferably a stable one such as /dev/v4l/by-path/… (`altd devices`)."""
     pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
     """8, 10, 12 or 16 bits of grey."""
     controls: dict[str, ControlValue] = Field(default={})
-    """Controls to set when the camera is opened, by the names of `altd devices`, such as a trigger input."""
+    """Controls to set when the camera is opened, by the names in `altd devices`, such as a trigger input."""
 
 
 class AravisCameraSettings(LiveCameraSettings):
@@ -118,15 +120,15 @@ class AravisCameraSettings(LiveCameraSettings):
     trigger_line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
     """The camera's name of its trigger input."""
     packet_bytes: Annotated[int, Field(ge=0, le=16384)] = 0
-    """Size of a network packet; 0 finds the largest."""
+    """Size of a network packet, bytes; 0 uses the largest possible."""
     resend: bool = True
     """Request lost packets again."""
     features: dict[str, bool | ControlValue | float | str] = Field(default={})
     """GenICam features to set when the camera is opened, in this order."""
     min_celsius: Celsius = -10.0
-    """Temperature inside the camera below which the unit is out of specification."""
+    """Temperature inside the camera below which the unit is out of specification, °C."""
     max_celsius: Celsius = 60.0
-    """The same, above."""
+    """Temperature inside the camera above which the unit is out of specification, °C."""
 
 
 AnyCameraSettings = Annotated[

@@ -1,4 +1,4 @@
-"""A config that is only partly good: what of it can be judged all the same."""
+"""A partly valid config: the parts of it that can still be checked."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TABLES = (
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """The tables of a config that rules look at. None: not there, or faulty."""
+    """Tables of a config that rules check. None: missing, or faulty."""
 
     unit: Unit | None
     chain: ChainSettings | None
@@ -63,7 +63,7 @@ class Draft:
 
     @property
     def is_planar(self) -> bool:
-        """Whether one camera looks at a plate, and there are no targets."""
+        """Whether the unit has one camera with a plate, and no targets."""
         return self.unit is not None and self.unit.instrument == "planar"
 
     @property
@@ -73,11 +73,11 @@ class Draft:
 
     @property
     def switched(self) -> tuple[Target, ...]:
-        """The targets with a switched glass, as far as they are good."""
+        """Valid targets with a switched glass."""
         return tuple(target for target in self.targets if target and (target.switched or self.is_chain))
 
     def live(self) -> dict[str, LiveCameraSettings]:
-        """The cameras that are no recordings and that are opened."""
+        """Return the live cameras that are opened, by name."""
         named = {target.camera for target in self.targets if target is not None}
         named |= set(self.cameras) if self.is_planar else set()
         cameras = self.cameras.items()
@@ -89,12 +89,12 @@ class Draft:
 
 
 def draft_of(config: Config) -> Draft:
-    """A config that is good as far as its models see."""
+    """Return the draft of a config that its models accept."""
     return Draft(**{name: getattr(config, name) for name in Draft.__dataclass_fields__})
 
 
 def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
-    """A document without its faulty keys."""
+    """Return the draft of a document without its faulty keys."""
     document = copy.deepcopy(document)
     for keys in sorted(faulty, key=len, reverse=True):
         _remove(document, keys)
@@ -120,7 +120,7 @@ def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
 
 
 _adapter = functools.cache(TypeAdapter[Any])
-"""To make one takes ten times as long as to use it."""
+"""Type adapters are cached: creating one takes ten times as long as using it."""
 
 
 def _validated(kind: Any, value: Any, otherwise: Any = None) -> Any:
@@ -131,7 +131,7 @@ def _validated(kind: Any, value: Any, otherwise: Any = None) -> Any:
 
 
 def _remove(document: Any, keys: Keys) -> None:
-    """Take a key out; an element of a list leaves its place, so that those behind it keep their numbers."""
+    """Remove a key; a list element becomes None, so that the elements after it keep their numbers."""
     *above, last = keys or (None,)
     for key in above:
         try:

@@ -1,4 +1,4 @@
-"""The values that a key of ``altd.toml`` accepts, from the models: for the settings page and for errors."""
+"""Values that a key of ``altd.toml`` accepts, from the models: for the settings page and for errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TYPE_NAMES = {bool: "true or false", int: "whole number", float: "number", str:
 
 
 def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], str]) -> str:
-    """A type in TOML's words, with its limits; ``quoted`` is how a value of a choice is written."""
+    """Return a type in TOML's terms, with its limits; ``quoted`` formats a value of a choice."""
     annotation, metadata = _plain(annotation, metadata)
     if get_origin(annotation) is Literal:
         return " or ".join(quoted(value) for value in get_args(annotation))
@@ -38,7 +38,7 @@ def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], st
 
 
 def field_at(keys: Keys, document: Any, annotation: Any) -> tuple[Any, list[Any]] | None:
-    """The type and the limits of a key of a document that is of type ``annotation``; None: no such key."""
+    """Return type and limits of a key of a document that has type ``annotation``; None: no such key."""
     metadata: list[Any] = []
     for key in keys:
         step = _step(annotation, key, document)
@@ -53,7 +53,7 @@ def field_at(keys: Keys, document: Any, annotation: Any) -> tuple[Any, list[Any]
 
 
 def tables_at(annotation: Any, table: Any) -> list[type[Table]]:
-    """The models that a table may be of: where the value of its tag is known, the one of that value."""
+    """Return a table's possible models: if the value of its tag is known, the model of that value."""
     models = [option for option, _ in _options(annotation) if _is_table(option)]
     tag = tag_at(annotation)
     value = table.get(tag) if isinstance(table, dict) else None
@@ -62,7 +62,7 @@ def tables_at(annotation: Any, table: Any) -> list[type[Table]]:
 
 
 def tag_at(annotation: Any) -> str:
-    """The key by which a table's model is chosen, such as ``driver``; empty: there is no choice."""
+    """Return the key that selects a table's model, such as ``driver``; empty: there is no choice."""
     for _, metadata in _options(annotation):
         for part in metadata:
             if isinstance(part, FieldInfo) and isinstance(part.discriminator, str):
@@ -71,7 +71,7 @@ def tag_at(annotation: Any) -> str:
 
 
 def tags_of(model: type[Table], tag: str) -> tuple[str, ...]:
-    """The values of a tag that choose a model."""
+    """Return the values of a tag that select a model."""
     field = model.model_fields.get(tag)
     return () if field is None else get_args(field.annotation)
 
@@ -90,7 +90,7 @@ def _step(annotation: Any, key: str | int, node: Any) -> tuple[Any, list[Any]] |
 
 
 def _options(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[Any, tuple[Any, ...]]]:
-    """The types behind ``Annotated`` and unions, without None."""
+    """Yield the types inside ``Annotated`` and unions, without None."""
     if get_origin(annotation) is Annotated:
         inner, *more = get_args(annotation)
         yield from _options(inner, (*metadata, *more))
@@ -102,7 +102,7 @@ def _options(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[
 
 
 def _plain(annotation: Any, metadata: list[Any]) -> tuple[Any, list[Any]]:
-    """The one type behind ``Annotated`` and ``| None``; of several the union."""
+    """Return the only type inside ``Annotated`` and ``| None``; if there are several, the union."""
     options = list(_options(annotation))
     if len(options) == 1 or (options and all(_is_table(option) for option, _ in options)):
         return options[0][0], [*metadata, *options[0][1]]
@@ -114,7 +114,7 @@ def _is_table(option: Any) -> bool:
 
 
 def _parts(limit: Any) -> list[Any]:
-    """The limit that ``Field(…)`` inside of ``Annotated`` holds, or the limit itself."""
+    """Return the limits in a ``Field(…)`` inside ``Annotated``, or the limit itself."""
     return limit.metadata if isinstance(limit, FieldInfo) else [limit]
 
 

@@ -19,7 +19,7 @@ _KIND: Keys = ("unit", "instrument")
 
 
 def beam(draft: Draft) -> Iterator[Fault]:
-    """A switched target of a beam has one behind it, and a switch."""
+    """Check that each switched target of a beam has a target behind it, and a switch."""
     if draft.unit is None or draft.unit.instrument != "beam":
         return
     if draft.switched:
@@ -33,7 +33,7 @@ def beam(draft: Draft) -> Iterator[Fault]:
 
 
 def chain(draft: Draft) -> Iterator[Fault]:
-    """A row has up to sixteen targets, its stable ones among them, and a switch for each glass."""
+    """Check that a row has at most 16 targets, only existing stable ones, and a switch for each glass."""
     if not draft.is_chain:
         if draft.unit is not None and draft.chain is not None:
             text = 'is for instrument = "chain"; possible: with it, or no table'
@@ -61,7 +61,7 @@ def chain(draft: Draft) -> Iterator[Fault]:
 
 
 def _switches(draft: Draft) -> Iterator[Fault]:
-    """Live cameras see glasses that the unit switches; those of a recording were switched then."""
+    """Check that live cameras have switches for the glasses and that a recording has none."""
     switches, switched = draft.switches, draft.switched
     if switches is None:
         if draft.live():
@@ -81,7 +81,7 @@ def _switches(draft: Draft) -> Iterator[Fault]:
 
 
 def _outputs(draft: Draft, line: str, names: Set[str]) -> Iterator[Fault]:
-    """The cameras of switched targets have an output, which nothing else uses."""
+    """Check that the cameras of switched targets have an output that is not used otherwise."""
     place: Keys = ("switches", "line")
     for name in sorted(names & draft.cameras.keys()):
         camera, table = draft.cameras[name], ("cameras", name)
@@ -101,7 +101,7 @@ def _outputs(draft: Draft, line: str, names: Set[str]) -> Iterator[Fault]:
 
 
 def planar(draft: Draft) -> Iterator[Fault]:
-    """A plate has one camera of fixed exposure, no targets, and no part of a beam."""
+    """Check that a plate has one camera of fixed exposure, no targets, and no part of a beam."""
     if not draft.is_planar:
         if draft.plate is not None and draft.unit is not None:
             text = 'is for instrument = "planar"; possible: with it, or no table'
@@ -117,7 +117,7 @@ def planar(draft: Draft) -> Iterator[Fault]:
 
 
 def _no_part_of_a_beam(draft: Draft, tables: tuple[str, ...]) -> Iterator[Fault]:
-    """No exposure that follows a spot, no motion within a window, and none of these tables."""
+    """Check for no automatic exposure, no output "now", no telegram, and none of these tables."""
     faults: list[tuple[Keys, str]] = [
         (("cameras", name, "exposure", "control"), '"auto" follows a spot; possible: "fixed", "camera"')
         for name, camera in draft.live().items()

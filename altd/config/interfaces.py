@@ -1,4 +1,4 @@
-"""The interfaces: Modbus, HTTP, MQTT, OPC UA, serial ports, and the local socket of the unit."""
+"""Interfaces: Modbus, HTTP, MQTT, OPC UA, serial ports, and the local socket of the unit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from altd.config.table import Device, Table, TcpPort, complaint, shown
 
 
 def _address(host: str) -> str:
-    """An address to listen on. No other name: to look it up could hold the unit up for seconds."""
+    """Check an address to listen on. Other names are refused: a lookup could block the unit for seconds."""
     if host == "localhost":
         return host
     possible = (
@@ -30,7 +30,7 @@ def _address(host: str) -> str:
 
 
 def _refusal(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
-    """Why no computer can listen on an address; empty: one may."""
+    """Return the reason why no computer can listen on an address; empty: listening is possible."""
     if address.is_multicast:
         return "is an address of groups, which no client can connect to"
     if isinstance(address, ipaddress.IPv6Address):
@@ -47,7 +47,7 @@ UnitId = Annotated[int, Field(ge=1, le=247)]
 
 
 def _network(text: str) -> str:
-    """A network, as its address and the length of its prefix."""
+    """Return a network as its address and prefix length."""
     possible = "possible: 10.0.0.0/8, 192.168.1.0/24, fd00::/8, a single address"
     try:
         network = ipaddress.ip_network(text)
@@ -68,7 +68,7 @@ Network = Annotated[str, AfterValidator(_network)]
 Role = Annotated[str, Field(min_length=1, max_length=64)]
 
 WordOrder = Literal["ABCD", "CDAB", "BADC", "DCBA"]
-"""The order of the four bytes of a 32-bit value in its two registers, A the highest."""
+"""Order of the four bytes of a 32-bit value in its two registers, A the highest."""
 
 
 class ModbusTcpSettings(Table):
@@ -77,9 +77,9 @@ class ModbusTcpSettings(Table):
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
     """IP address to listen on, or localhost; `0.0.0.0`: every address, `::`: every IPv6 one."""
     port: TcpPort | None = None
-    """Default 502, with `certificate` 802. The service may use ports from 502 up (`install.md`)."""
+    """TCP port; default 502, with `certificate` 802. The service may use ports from 502 up (`install.md`)."""
     unit_id: UnitId = 1
-    """Modbus unit identifier; 0 and 255 are answered too."""
+    """Modbus unit identifier; requests to 0 and 255 are answered too."""
     word_order: WordOrder = "ABCD"
     """Byte order of 32-bit values, A the highest byte."""
     allow_self_check: bool = False
@@ -89,9 +89,9 @@ class ModbusTcpSettings(Table):
     reserved: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
     """Addresses or networks of controllers, `["192.168.1.10"]`: they always get a connection."""
     certificate: Path | None = None
-    """The unit's certificate chain, PEM: TLS only. With `key` and `client_ca`."""
+    """The unit's certificate chain, PEM; with it, only TLS is served. Needs `key` and `client_ca`."""
     key: Path | None = None
-    """Its private key, PEM, without a passphrase."""
+    """Private key of the certificate, PEM, without a passphrase."""
     client_ca: Path | None = None
     """Authorities of clients' certificates, PEM."""
     roles: Annotated[tuple[Role, ...], Field(max_length=16)] = ()
@@ -99,7 +99,7 @@ class ModbusTcpSettings(Table):
 
     @property
     def port_or_default(self) -> int:
-        """The port that is served."""
+        """Port of the server."""
         if self.port is not None:
             return self.port
         return 502 if self.certificate is None else 802
@@ -107,7 +107,7 @@ class ModbusTcpSettings(Table):
 
 _LABEL = r"[0-9a-z_]([0-9a-z_-]{0,61}[0-9a-z_])?"
 _HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE | re.ASCII)
-"""RFC 1123, 2.1, and the underscore that plants have in such names."""
+"""Host name by RFC 1123, 2.1, plus the underscore, which plants use in such names."""
 
 
 def _host_name(text: str) -> str:
@@ -124,7 +124,7 @@ class HttpSettings(Table):
     """HTTP server: the unit's page, its API and a stream."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """As in `[modbus_tcp]`."""
+    """IP address to listen on, or localhost, as in `[modbus_tcp]`."""
     port: TcpPort = 8080
     """TCP port."""
     allow: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
@@ -133,12 +133,12 @@ class HttpSettings(Table):
     """Names of the unit in URLs, `["alt-0007.plant.example"]`, besides its addresses, `localhost` and the
     computer's name."""
     credentials: Path | None = None
-    """File of users and tokens (`altd password`, `altd token`). Without it only the unit's own computer may
-    act."""
+    """File of users and tokens (`altd password`, `altd token`). Without it, only the unit's own computer may
+    send commands."""
     certificate: Path | None = None
-    """The certificate chain, PEM: TLS only. With `key`."""
+    """The certificate chain, PEM; with it, only TLS is served. Needs `key`."""
     key: Path | None = None
-    """Its private key, PEM, without a passphrase."""
+    """Private key of the certificate, PEM, without a passphrase."""
 
 
 def _broker(host: str) -> str:
@@ -180,32 +180,32 @@ class SparkplugSettings(Table):
     """The unit as an edge node of Sparkplug B 3.0, instead of JSON."""
 
     group: SparkplugIdentifier
-    """The group identifier."""
+    """Group identifier."""
     node: SparkplugIdentifier | None = None
-    """The edge node identifier; default: the serial number."""
+    """Edge node identifier; default: the serial number."""
 
 
 class BrokerSettings(Table):
-    """The keys of a connection to an MQTT 5 broker."""
+    """Keys of a connection to an MQTT 5 broker."""
 
     host: BrokerHost
-    """The broker's name or IP address, as in its certificate."""
+    """Name or IP address of the broker, as in its certificate."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    """Default 1883, with `ca` 8883."""
+    """TCP port; default 1883, with `ca` 8883."""
     topic: Topic = "altd"
     """First part of the topics: `altd/ALT-0007/summary`."""
     ca: Path | None = None
-    """Authorities of the broker's certificate, PEM: TLS only."""
+    """Authorities of the broker's certificate, PEM; with it, only TLS is used."""
     certificate: Path | None = None
-    """The client's own certificate chain, PEM, if the broker asks for one. With `key` and `ca`."""
+    """The client's certificate chain, PEM, if the broker requires one. Needs `key` and `ca`."""
     key: Path | None = None
-    """Its private key, PEM, without a passphrase."""
+    """Private key of the certificate, PEM, without a passphrase."""
     credentials: Path | None = None
     """File with the user name in line 1 and the password in line 2, readable by its owner and group only."""
 
     @property
     def port_or_default(self) -> int:
-        """The port that is connected to."""
+        """Port to connect to."""
         return self.port or (1883 if self.ca is None else 8883)
 
 
@@ -219,22 +219,22 @@ class MqttSettings(BrokerSettings):
     home_assistant: Topic | None = None
     """Discovery prefix of Home Assistant, usually `homeassistant`; announces the unit."""
     sparkplug: SparkplugSettings | None = None
-    """Table of its own, below."""
+    """Sparkplug B, a separate table (below)."""
 
 
 class OpcUaSettings(Table):
     """OPC UA server. Needs the extra `altd[opcua]`."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its plant's network
-    """As in `[modbus_tcp]`."""
+    """IP address to listen on, or localhost, as in `[modbus_tcp]`."""
     port: TcpPort = 4840
     """TCP port."""
     certificate: Path | None = None
-    """The unit's certificate, PEM: clients must sign, or sign and encrypt. With `key`."""
+    """The unit's certificate, PEM; with it, clients must sign, or sign and encrypt. Needs `key`."""
     key: Path | None = None
-    """Its private RSA key, PEM, without a passphrase."""
+    """Private RSA key of the certificate, PEM, without a passphrase."""
     credentials: Path | None = None
-    """File as in `[http]`: clients log in. Needs `certificate`."""
+    """File of users as in `[http]`; with it, clients must log in. Needs `certificate`."""
     allow_self_check: bool = False
     """Clients may call the method `SelfCheck`; without `credentials` any client."""
 
@@ -248,22 +248,22 @@ class Rs485Settings(Table):
     rts_while_sending: Literal["high", "low"] = "high"
     """Level of RTS while sending."""
     delay_before_ms: Annotated[int, Field(ge=0, le=100)] = 0
-    """From switching to the first bit."""
+    """Time from switching to the first bit, ms."""
     delay_after_ms: Annotated[int, Field(ge=0, le=100)] = 0
-    """From the last bit to switching back."""
+    """Time from the last bit to switching back, ms."""
 
 
 class SerialPortSettings(Table):
-    """The keys of all serial ports."""
+    """Keys of all serial ports."""
 
     device: Device
-    """The port, best by a stable name such as /dev/serial/by-id/…."""
+    """Device path, preferably a stable one such as /dev/serial/by-id/…."""
     baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     rs485: Rs485Settings | None = None
-    """Table of its own, below; without it RS232."""
+    """RS485 mode, a separate table (below); without it RS232."""
 
 
 class TelegramPortSettings(SerialPortSettings):
@@ -271,13 +271,13 @@ class TelegramPortSettings(SerialPortSettings):
 
     speaks: Literal["telegram"]
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
-    """Time between telegrams; with ``on_request`` the shortest."""
+    """Time between telegrams, s; with ``on_request`` the shortest."""
     on_request: bool = False
     """Send only when the line `?` is received."""
     checked: bool = False
     """Send a third sentence for checks (`proof.md`)."""
     identify_every_s: Annotated[float, Field(ge=1, le=86400)] | None = None
-    """Interval of `$PALTI`: serial number, versions and date."""
+    """Interval of `$PALTI`, s: serial number, versions and date."""
 
 
 class ConsolePortSettings(SerialPortSettings):
@@ -293,11 +293,11 @@ class ModbusRtuPortSettings(SerialPortSettings):
     unit_id: UnitId = 1
     """Modbus unit identifier."""
     word_order: WordOrder = "ABCD"
-    """As in `[modbus_tcp]`."""
+    """Byte order of 32-bit values, as in `[modbus_tcp]`."""
     allow_self_check: bool = False
-    """As in `[modbus_tcp]`."""
+    """Clients may request a self-check by a write, as in `[modbus_tcp]`."""
     allow_zero: bool = False
-    """As in `[modbus_tcp]`."""
+    """Clients may set the zero of the relative values by a write, as in `[modbus_tcp]`."""
 
 
 AnySerialPortSettings = Annotated[
@@ -306,7 +306,7 @@ AnySerialPortSettings = Annotated[
 
 
 MAX_SOCKET_BYTES = 107
-"""Of a socket's path: 108 with the byte that ends it (unix(7))."""
+"""Maximum length of a socket's path: 108 bytes minus the terminating one (unix(7))."""
 
 
 def _socket(path: Path) -> Path:
@@ -323,4 +323,4 @@ class LocalSettings(Table):
     """The socket of `altd status`, `altd watch` and `altd selfcheck`."""
 
     socket: Annotated[Path, AfterValidator(_socket)] = Path("/run/altd/altd.sock")
-    """Its path; the folder must be there."""
+    """Path of the socket; its folder must exist."""

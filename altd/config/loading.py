@@ -28,19 +28,19 @@ _MAX_FAULTS = 100
 def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
     """Read and check a config file; paths in it become relative to its folder.
 
-    ``further`` are rules beside those of the settings alone. Raises BadInputError that names the file and,
-    fault by fault, line, column and key.
+    ``further`` are rules beyond those of the settings alone. Raises BadInputError with the file and, for each
+    fault, line, column and key.
     """
     return config_of(read_config(path), path, further)
 
 
 def read_config(path: Path) -> bytes:
-    """The bytes of a config file; raises BadInputError that names it."""
+    """Return the bytes of a config file; raises BadInputError with its name."""
     return read_file(path, _MAX_BYTES)
 
 
 def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Config:
-    """The config that a file of this content and path is; raises BadInputError as ``load_config`` does."""
+    """Return the config of a file with this content and path; raises BadInputError as ``load_config``."""
     try:
         document = parse_toml(content)
     except TomlError as error:
@@ -69,7 +69,7 @@ def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Confi
 
 
 def _refusal(path: Path, faults: Iterable[Fault], content: bytes) -> BadInputError:
-    """The faults in the order of the file; those that have no place come first."""
+    """Return the faults in the order of the file; those without a place first."""
     text = content.decode()
     places = Places(text, tomllib.loads(text))
     placed = [(fault.place(places), ".".join(map(str, fault.keys)), fault.text) for fault in faults]
@@ -81,7 +81,7 @@ def _refusal(path: Path, faults: Iterable[Fault], content: bytes) -> BadInputErr
 
 
 def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The document with the paths of its files relative to ``folder``; wrong types are left to the models."""
+    """Return the document with its file paths relative to ``folder``; the models check the types."""
     document = copy.deepcopy(document)
     tables: list[tuple[Any, str]] = [
         (document.get("unit"), "calibration"),
@@ -102,7 +102,7 @@ def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _pair_live_cameras_by_time(document: dict[str, Any]) -> None:
-    """Fill in the default of ``measuring.pair_by``, which depends on the cameras."""
+    """Set the default of ``measuring.pair_by``, which depends on the cameras."""
     cameras, measuring = document.get("cameras"), document.setdefault("measuring", {})
     drivers = {
         camera.get("driver")

@@ -13,37 +13,39 @@ class Measuring(Table):
     """Averaging of exposures into measurements."""
 
     window: Annotated[int, Field(ge=1, le=1000)] = 20
-    """Exposures that are averaged."""
+    """Number of averaged exposures."""
     every: Annotated[int, Field(ge=1, le=1000)] = 1
-    """A measurement after this many exposures; 1: sliding mean."""
+    """Exposures from one measurement to the next; 1: sliding mean."""
     output: Literal["mean", "now"] = "mean"
     """`mean`: mean of the window, about 0.5 s old; `now`: value at the newest exposure, no lag, more noise
     (`accuracy.md`)."""
     pair_by: Literal["sequence", "time"] = "sequence"
     """Pair frames by number (``sequence``: recordings) or by time (``time``: live cameras, their default)."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    """Largest time difference between paired frames, after a steady lag is subtracted (`time`)."""
+    """Largest time difference between paired frames, ms, after a steady lag is subtracted (`time`)."""
     max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 30.0
-    """Largest steady lag of one camera; free-running cameras: up to half a period."""
+    """Largest steady lag of one camera, ms; free-running cameras: up to half a period."""
 
     @property
     def max_skew_ns(self) -> int:
-        """``max_skew_ms`` in the unit of the frames' times."""
+        """``max_skew_ms`` in ns, the unit of the frames' times."""
         return round(self.max_skew_ms * 1e6)
 
     @property
     def max_lag_ns(self) -> int:
-        """``max_lag_ms`` in the unit of the frames' times."""
+        """``max_lag_ms`` in ns, the unit of the frames' times."""
         return round(self.max_lag_ms * 1e6)
 
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
-    """A displacement that scatters more (`sigma_random`) is ``unsteady``, or ``distorted`` by its light."""
+    """Limit of a displacement's scatter (`sigma_random`), mm; above it: ``unsteady``, or ``distorted`` by its
+    light."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
-    """The same for yaw and pitch."""
+    """Limit of the scatter of yaw and pitch, mm/m, as for ``max_sigma_mm``."""
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
-    """A camera without frames for this time is silent."""
+    """Time without frames after which a camera is silent, s."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
-    """A value is withdrawn when its last exposure is older. Longer than ``every`` exposures take."""
+    """Age of its last exposure, s, above which a value is withdrawn. Must exceed the time of ``every``
+    exposures."""
 
 
 LimitMillimetres = Annotated[float, Field(gt=0, le=10)]
@@ -56,18 +58,18 @@ class SelfCheckSettings(Table):
     enabled: bool = True
     """Check at the start, on a schedule and after a shock; false: on request only."""
     interval_s: Annotated[float, Field(ge=10, le=86_400)] = 600.0
-    """Time between checks."""
+    """Time between checks, s."""
     exposures: Annotated[int, Field(ge=2, le=20)] = 4
-    """Exposures with the LEDs on, and as many off before and after; those on, and one or two while switching,
-    are not measured."""
+    """Exposures with the LEDs on, and as many off before and after. Exposures with LEDs on, and one or two
+    while switching, are not measured."""
     suspect_mm: LimitMillimetres = 0.03
-    """A drift that moves a point on a target by more is a warning."""
+    """Drift of a point on a target, mm, above which there is a warning."""
     suspect_deg: LimitDegrees = 0.01
-    """The same for yaw and pitch."""
+    """Drift of yaw or pitch, degrees, above which there is a warning."""
     bad_mm: LimitMillimetres = 0.1
-    """A drift that moves a point on a target by more is bad."""
+    """Drift of a point on a target, mm, above which the verdict is bad."""
     bad_deg: LimitDegrees = 0.03
-    """The same for yaw and pitch."""
+    """Drift of yaw or pitch, degrees, above which the verdict is bad."""
     when_bad: Literal["invalid", "warning"] = "invalid"
     """Effect of a bad verdict on measurements."""
     when_unknown: Literal["invalid", "warning"] = "warning"
@@ -76,7 +78,7 @@ class SelfCheckSettings(Table):
     """Correct the measurement by a proven drift, with a warning. Ends after three ``interval_s`` without a
     verdict."""
     compensate_mm: LimitMillimetres = 0.5
-    """Largest correction; a larger drift is not corrected."""
+    """Largest correction, mm; a larger drift is not corrected."""
 
     @model_validator(mode="after")
     def _suspect_before_bad(self) -> Self:
@@ -88,16 +90,16 @@ class SelfCheckSettings(Table):
 
 
 class Maintenance(Table):
-    """When the unit asks for maintenance."""
+    """Limits above or below which the unit requires maintenance."""
 
     calibration_due_days: Annotated[float, Field(gt=0, le=36500)] = 365.0
-    """Age at which a calibration is due."""
+    """Age at which a calibration is due, days."""
     min_light_share: Annotated[float, Field(ge=0, lt=1)] = 0.5
-    """Limit of a spot's light as a share of the first half hour since the start; 0: off."""
+    """Lower limit of a spot's light as a share of the first half hour since the start; 0: off."""
     max_dust_share: Annotated[float, Field(gt=0, le=1)] = 0.0005
-    """Limit of the area under a spot that new dust may cover."""
+    """Upper limit of the share of the area under a spot that new dust covers."""
     max_residual_share: Annotated[float, Field(gt=0, le=1)] = 0.5
-    """Limit of the residuals, as a share of what makes a spot `distorted`."""
+    """Upper limit of the residuals as a share of those that make a spot `distorted`."""
 
 
 class HwmonThermometerSettings(Table):
@@ -109,8 +111,8 @@ class HwmonThermometerSettings(Table):
     chip: Annotated[str, Field(min_length=1, max_length=64)]
     """Content of the chip's file `name`, as in `/sys/class/hwmon/hwmon0/name`."""
     channel: Annotated[int, Field(ge=1, le=99)] = 1
-    """The number in `temp1_input`."""
+    """Number of the channel, as in `temp1_input`."""
     min_celsius: Celsius = -10.0
-    """Below this the unit is out of specification."""
+    """Temperature below which the unit is out of specification, °C."""
     max_celsius: Celsius = 60.0
-    """The same, above. A processor may be allowed more."""
+    """Temperature above which the unit is out of specification, °C. A processor may be allowed more."""

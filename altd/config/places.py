@@ -1,8 +1,8 @@
-"""The place of each key and value in a file of TOML.
+"""The place of each key and value in a TOML file.
 
-``tomllib`` reads the file and says nothing of places; this finds them in a text that ``tomllib`` has taken
-already. What is found is held against what ``tomllib`` made of the file: where the two disagree in one key
-or one value there are no places at all, for a wrong line is worse than none.
+``tomllib`` reads the file without places; this module finds them in a text that ``tomllib`` has accepted. The
+result is compared with that of ``tomllib``. If the two differ in one key or one value, there are no places at
+all, because a wrong line is worse than none.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 Keys = tuple[str | int, ...]
-"""The way to a value: keys of tables, and numbers from 0 of elements of lists."""
+"""Path to a value: keys of tables, and indices from 0 of list elements."""
 
 _BLANK = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
 _DOT = re.compile(r"[ \t]*\.[ \t]*")
@@ -39,7 +39,7 @@ class Place:
 
 
 class Places:
-    """The places of a document's keys and values; none of them where the scan and ``tomllib`` disagree."""
+    """Places of a document's keys and values; empty if the scan and ``tomllib`` disagree."""
 
     def __init__(self, text: str, document: dict[str, Any]) -> None:
         self._lines = [0, *(match.end() for match in re.finditer("\n", text))]
@@ -53,22 +53,22 @@ class Places:
             self._scan = _Scan("")
 
     def key(self, keys: Keys) -> Place | None:
-        """The place of a key, or the header of a table, or an element of a list."""
+        """Return the place of a key, or the header of a table, or an element of a list."""
         return self._place(self._scan.keys.get(keys))
 
     def value(self, keys: Keys) -> Place | None:
-        """The place of a key's value; of a table, its header."""
+        """Return the place of a key's value; of a table, its header."""
         return self._place(self._scan.values.get(keys, self._scan.keys.get(keys)))
 
     def nearest(self, keys: Keys) -> Place | None:
-        """The place of the innermost table on the way to a key that is missing."""
+        """Return the place of the innermost existing table on the path to a missing key."""
         for length in range(len(keys) - 1, 0, -1):
             if (place := self.key(keys[:length])) is not None:
                 return place
         return None
 
     def at(self, offset: int) -> Place:
-        """The place of a character by its number from 0."""
+        """Return the place of the character at an offset from 0."""
         line = bisect_right(self._lines, offset)
         return Place(line, offset - self._lines[line - 1] + 1)
 
@@ -77,7 +77,7 @@ class Places:
 
 
 def _same(one: Any, other: Any) -> bool:
-    return type(one) is type(other) and (one == other or (one != one and other != other))  # nan is not nan
+    return type(one) is type(other) and (one == other or (one != one and other != other))  # nan != nan
 
 
 class _UnexpectedTextError(Exception):
@@ -85,7 +85,7 @@ class _UnexpectedTextError(Exception):
 
 
 class _Scan:
-    """One way through a text; ``keys`` and ``values`` are offsets."""
+    """One pass over a text; ``keys`` and ``values`` are offsets."""
 
     def __init__(self, text: str) -> None:
         self.keys: dict[Keys, int] = {}
@@ -93,12 +93,12 @@ class _Scan:
         self._text = text
         self._at = 0
         self._tables: dict[Keys, int] = {}
-        """The number of tables of ``[[…]]`` so far."""
+        """Number of ``[[…]]`` tables so far, by key."""
         self._scalars: dict[Keys, str] = {}
         self._containers: set[Keys] = {()}
 
     def run(self) -> None:
-        """Note every key, header, element and value; raises _UnexpectedTextError."""
+        """Record every key, header, element and value; raises _UnexpectedTextError."""
         table: Keys = ()
         self._take(_BLANK)
         while self._at < len(self._text):
@@ -114,7 +114,7 @@ class _Scan:
             self._take(_BLANK)
 
     def agrees_with(self, document: dict[str, Any]) -> bool:
-        """Whether the same keys were found, and at each place of a value that value."""
+        """Whether the scan found the same keys as the document, and the same value at each place."""
         nodes: list[tuple[Keys, Any]] = [((), document)]
         scalars: dict[Keys, Any] = {}
         containers: set[Keys] = set()
@@ -132,7 +132,7 @@ class _Scan:
         return all(map(_same, again["values"], scalars.values()))
 
     def _open(self, parts: list[str], begin: int, *, element: bool) -> Keys:
-        """The table that a header opens."""
+        """Return the keys of the table that a header opens."""
         keys: Keys = ()
         for part in parts[:-1] if element else parts:
             keys = (*keys, part)
@@ -194,7 +194,7 @@ class _Scan:
             self._take(_BLANK)
 
     def _key(self) -> list[str]:
-        """The parts of a key with dots, and the blanks around it."""
+        """Read a dotted key and the blanks around it; returns its parts."""
         parts: list[str] = []
         while True:
             self._take(_BLANK)

@@ -1,7 +1,7 @@
 """Rules between the tables of a config: each yields the conflicts.
 
-These are faults that are in the file, whatever computer it is on: what the daemon would refuse at its start,
-retry indefinitely, or do without any effect. What only the computer can tell is for ``altd.doctor``.
+These are faults of the file itself, independent of the computer: what the daemon would refuse at its start,
+retry indefinitely, or do without any effect. ``altd.doctor`` checks what depends on the computer.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from altd.records import counted
 
 _MIN_TARGETS = 2
 _MIN_READINGS = 3
-"""Readings of the inclinometer in the time for which a value is shown, and before it is called frozen."""
+"""Minimum readings of the inclinometer while a value is valid, and before it counts as frozen."""
 _ROUNDING_S = 1e-9
 
 Rule = Callable[[Draft], Iterator[Fault]]
 
 
 def _targets(draft: Draft) -> Iterator[Fault]:
-    """A beam has two targets or more, each with its own name, camera and place, in beam order."""
+    """Check that a beam has at least two targets in beam order, each with its own name, camera, place."""
     if len(draft.targets) < _MIN_TARGETS and not draft.is_planar:
         text = f"{counted(len(draft.targets), 'table')} [[targets]]; possible: {_MIN_TARGETS} or more"
         yield Fault(("targets",), text, "table")
@@ -56,7 +56,7 @@ def _targets(draft: Draft) -> Iterator[Fault]:
 
 
 def _cameras(draft: Draft) -> Iterator[Fault]:
-    """Each target's camera has a table, and each table a target."""
+    """Check that each target's camera has a table, and each table a target."""
     if not draft.cameras:
         yield Fault(
             ("cameras",), "there is no table [cameras.NAME]; possible: one for each target's camera", "table"
@@ -76,7 +76,7 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
 
 
 def _cameras_of_one_kind(draft: Draft) -> Iterator[Fault]:
-    """Either all play one recording in step, or all are live and paired by time."""
+    """Check that all cameras play one recording in step, or that all are live and paired by time."""
     live = draft.live()
     measuring = draft.measuring
     playing = [
@@ -102,7 +102,7 @@ def _cameras_of_one_kind(draft: Draft) -> Iterator[Fault]:
 
 
 def _rates(draft: Draft) -> Iterator[Fault]:
-    """All live cameras have one rate, which leaves time to expose, and is known for silence and age."""
+    """Check that all live cameras have one rate, which fits exposure, silence and stale time."""
     live = draft.live()
     if not live:
         return
@@ -139,11 +139,12 @@ def _rates(draft: Draft) -> Iterator[Fault]:
 
 
 MIN_WINDOW_OF_NOW = 8
-"""Half a window is enough for a measurement (``averaging``), and steady motion is known of four exposures."""
+"""Minimum window: half of it suffices for a measurement (``averaging``), and steady motion needs four
+exposures."""
 
 
 def _output(draft: Draft) -> Iterator[Fault]:
-    """The output `now` needs a window that shows how the beam moves."""
+    """Check that the output `now` has a window long enough to determine the beam's motion."""
     measuring = draft.measuring
     if measuring is not None and measuring.output == "now" and measuring.window < MIN_WINDOW_OF_NOW:
         text = (
@@ -153,7 +154,7 @@ def _output(draft: Draft) -> Iterator[Fault]:
 
 
 def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
-    """No two tables are of one camera."""
+    """Check that no two tables use the same camera."""
     first: dict[tuple[str, str], str] = {}
     for name, camera in draft.live().items():
         device = os.path.normpath(camera.device) if isinstance(camera.device, Path) else camera.device
@@ -164,7 +165,7 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
 
 
 def _listeners(draft: Draft) -> Iterator[Fault]:
-    """No two interfaces listen on one port of one address; port 0 is any that is free."""
+    """Check that no two interfaces listen on one port of one address; port 0 is any free one."""
     listeners = [
         (name, table, getattr(table, "port_or_default", table.port))
         for name, table in (("modbus_tcp", draft.modbus_tcp), ("http", draft.http), ("opcua", draft.opcua))
@@ -178,7 +179,7 @@ def _listeners(draft: Draft) -> Iterator[Fault]:
 
 
 def _certificates(draft: Draft) -> Iterator[Fault]:
-    """A certificate has its key and the authority that its interface needs; over TLS a command has a role."""
+    """Check that certificates have the key and authority they need, and commands over TLS a role."""
     pairs = [("certificate", "key"), ("key", "certificate")]
     of_modbus = [("certificate", "client_ca"), ("client_ca", "certificate"), ("certificate", "roles")]
     for name, table, more in (
@@ -198,7 +199,7 @@ def _certificates(draft: Draft) -> Iterator[Fault]:
 
 
 def _sparkplug(draft: Draft) -> Iterator[Fault]:
-    """Home Assistant and the ingest read topics in JSON, which Sparkplug takes the place of."""
+    """Check that Sparkplug is not combined with Home Assistant or the ingest, which read JSON topics."""
     if draft.mqtt is None or draft.mqtt.sparkplug is None:
         return
     for key in ("home_assistant", "store_and_forward"):
@@ -208,7 +209,7 @@ def _sparkplug(draft: Draft) -> Iterator[Fault]:
 
 
 def _outbox(draft: Draft) -> Iterator[Fault]:
-    """The outbox is a table of the history's file."""
+    """Check that the history is enabled if there is an outbox, which is a table of its file."""
     is_kept = draft.history is None or draft.history.enabled
     if draft.mqtt is not None and draft.mqtt.store_and_forward and not is_kept:
         text = "needs the history; possible: enabled = true in [history]"
@@ -216,7 +217,7 @@ def _outbox(draft: Draft) -> Iterator[Fault]:
 
 
 def _serial_ports(draft: Draft) -> Iterator[Fault]:
-    """A serial port is given out once."""
+    """Check that each serial port is used only once."""
     first: dict[str, Keys] = {}
     places: list[tuple[Keys, str]] = [
         (("serial", number, "device"), os.path.normpath(port.device))
@@ -235,7 +236,7 @@ def _serial_ports(draft: Draft) -> Iterator[Fault]:
 
 
 def _inclinometer(draft: Draft) -> Iterator[Fault]:
-    """Roll outlives an answer that is lost, and what is called frozen was the same in several."""
+    """Check that a roll value outlasts lost responses, and that frozen means several equal readings."""
     table = draft.inclinometer
     if table is None:
         return
@@ -248,7 +249,7 @@ def _inclinometer(draft: Draft) -> Iterator[Fault]:
 
 
 def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
-    """Lamps hang on outputs of GigE Vision cameras that measure."""
+    """Check that lamps are on outputs of GigE Vision cameras that measure."""
     if not isinstance(draft.lamps, CameraLampsSettings):
         return
     named = {target.camera for target in draft.targets if target is not None}
@@ -277,7 +278,7 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
 
 
 def _gpio_lines(draft: Draft) -> Iterator[Fault]:
-    """A GPIO line has one lamp or glass."""
+    """Check that each GPIO line has only one lamp or glass."""
     places: list[tuple[Keys, str, str]] = []
     if isinstance(draft.lamps, GpiodLampsSettings):
         places += [
@@ -299,7 +300,7 @@ def _gpio_lines(draft: Draft) -> Iterator[Fault]:
 
 
 def _thermometers(draft: Draft) -> Iterator[Fault]:
-    """Each thermometer has its own name; its limits, and a camera's, leave a temperature between them."""
+    """Check that thermometers have unique names, and that the upper limits exceed the lower ones."""
     first: dict[str, int] = {}
     for number, settings in enumerate(draft.thermometers):
         if settings is None:

@@ -12,18 +12,18 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 FAULTS = "faults"
-"""The type of pydantic's error with which our own models complain: ``ctx["faults"]`` has keys and why."""
+"""Type of our own models' pydantic errors; ``ctx["faults"]`` contains keys and reason of each fault."""
 
 _MAX_SHOWN_LETTERS = 60
 
 
 def complaint(*faults: tuple[Sequence[str | int], str]) -> PydanticCustomError:
-    """A conflict between keys of a model: each key, from the model on, and why it does not."""
+    """Return the error of a conflict between keys: each key, relative to the model, and the reason."""
     return PydanticCustomError(FAULTS, "{text}", {"faults": faults, "text": "; ".join(f[1] for f in faults)})
 
 
 def shown(value: object) -> str:
-    """A value as it is written in the file, or nearly."""
+    """Return a value approximately as written in the file."""
     if isinstance(value, dict | list):
         return "a table" if isinstance(value, dict) else "a list"
     if isinstance(value, date | time):
@@ -40,13 +40,13 @@ Name = Annotated[str, Field(pattern=NAME_PATTERN, min_length=1, max_length=32)]
 GpioLineName = Annotated[str, Field(min_length=1, max_length=64)]
 TcpPort = Annotated[int, Field(ge=0, le=65535)]
 Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
-"""A place or an offset: 100 m reach from a unit to the head of its machine, and fit the registers."""
+"""Position or offset, mm: 100 m reach from a unit to the head of its machine, and fit the registers."""
 StageMillimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
 OffsetDegrees = Annotated[float, Field(ge=-45, le=45)]
-"""With the beam's own 14° it stays well below 90°, where mm/m has no end."""
+"""Offset of an angle: with the beam's own 14° it stays well below 90°, where mm/m is infinite."""
 Celsius = Annotated[float, Field(ge=-100, le=200)]
 ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
-"""The value of the kernel's largest control."""
+"""Value of a 64-bit control, the kernel's largest."""
 
 
 def _device(path: Path) -> Path:
@@ -58,10 +58,10 @@ def _device(path: Path) -> Path:
 
 
 Device = Annotated[Path, AfterValidator(_device)]
-"""A device of the computer. A path that does not begin with / would count from wherever altd was started."""
+"""Absolute path of a device; a relative path would depend on the folder in which altd was started."""
 
 
 class Table(BaseModel):
-    """A table of the file: its keys are all known, its values do not change."""
+    """Base of the file's tables: unknown keys are refused, and values are immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)

@@ -1,4 +1,4 @@
-"""Which unit this is, what its beam meets, and how its controller wants the numbers."""
+"""Identity of the unit, its targets, and the controller's signs and offsets."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def _printable(serial: str) -> str:
 
 
 class Unit(Table):
-    """Which unit this is."""
+    """Identity of the unit."""
 
     serial: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
-    """Serial number, printable; the calibration has the same."""
+    """Serial number, printable; must be that of the calibration."""
     calibration: Path
-    """The calibration file."""
+    """Path of the calibration file."""
     instrument: Literal["beam", "chain", "planar"] = "beam"
     """`beam`: the Active Laser Target; `chain`: a row of switched glass targets (`chain.md`); `planar`: one
     camera before a plate with LEDs (`planar.md`)."""
@@ -34,27 +34,27 @@ class ChainSettings(Table):
     """A row of switched glass targets on one beam, with `instrument = "chain"`."""
 
     stable: Annotated[tuple[Name, ...], Field(max_length=16)] = ()
-    """Targets whose place does not move: they show the movement of the beam. Two or more, far apart."""
+    """Targets that do not move: they show the movement of the beam. Use at least two, far apart."""
     baseline_rounds: Annotated[int, Field(ge=1, le=1000)] = 5
-    """Rounds that make the baseline."""
+    """Number of rounds in the baseline."""
     exposures: Annotated[int, Field(ge=1, le=100)] = 4
     """Exposures of each target in a round."""
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.5
-    """From switching until the glasses have settled. Before each switching, up to half of it is added by
-    chance."""
+    """Settling time of the glasses after switching, s. Before each switching, a random time of up to half of
+    it is added."""
     baseline: Path | None = None
     """File of the baseline (`altd baseline`). The daemon makes it if it is missing. Default: in the service's
     own folder."""
     alarm_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Displacement from which on a place has an alarm; none: no alarm."""
+    """Displacement from which a place has an alarm, mm; none: no alarm."""
     alarm_mm_per_day: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """The same for the speed of the last day."""
+    """Speed of the last day from which a place has an alarm, mm/day; none: no alarm."""
     transmission: Annotated[float, Field(gt=0, le=1)] = 0.73
-    """Share of the beam behind a clear glass."""
+    """Share of the beam's power behind a clear glass."""
     laser_mw: Annotated[float, Field(gt=0, le=1000)] = 1.0
-    """Power of the laser on the first target."""
+    """Power of the laser on the first target, mW."""
     min_mw: Annotated[float, Field(gt=0, le=1000)] = 0.02
-    """Power that a target needs."""
+    """Power that a target needs, mW."""
 
 
 _OnPlate = Annotated[float, Field(ge=-10_000, le=10_000)]
@@ -64,9 +64,9 @@ class Plate(Table):
     """The plate before the camera, for `altd record`."""
 
     leds_mm: Annotated[tuple[tuple[_OnPlate, _OnPlate], ...], Field(min_length=5, max_length=64)]
-    """Places of its LEDs in its own frame, x to the right and y up as the camera sees it."""
+    """Positions of the LEDs in the plate's frame, mm; in the camera's view, x is to the right and y up."""
     disc_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
-    """Diameter of an LED; none: the pictures show it."""
+    """Diameter of an LED, mm; none: measured in the pictures."""
 
     @model_validator(mode="after")
     def _check_leds(self) -> Self:
@@ -78,18 +78,19 @@ class Plate(Table):
 
 
 class Target(Table):
-    """One target that the beam meets, in beam order."""
+    """One target on the beam, in beam order."""
 
     name: Name
     """Name in the calibration and in all outputs; not a key of the measurement object."""
     z_mm: Millimetres
-    """Distance from the front target's printed surface, along the beam."""
+    """Distance from the front target's printed surface, along the beam, mm."""
     camera: Name
-    """Its camera: a name under ``[cameras]``."""
+    """Name of its camera under ``[cameras]``."""
     glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
-    """Thickness of the glass behind its printed surface; none: as calibrated. It displaces a slanted beam."""
+    """Thickness of the glass behind the printed surface, mm; none: as calibrated. Glass displaces a slanted
+    beam."""
     glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
-    """Refractive index of that glass at the laser's wavelength; 1.52 where only its thickness is given."""
+    """Refractive index of that glass at the laser's wavelength; 1.52 if only the thickness is given."""
     switched: bool = False
     """With `instrument = "beam"`: an electro-active glass, opaque for its own spot, clear for those behind
     (`chain.md`). All targets of a row are switched."""
@@ -104,7 +105,7 @@ class Target(Table):
 
     @property
     def glass(self) -> Glass | None:
-        """The glass behind it; None: not stated."""
+        """Glass behind the printed surface; None: not stated."""
         return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
 
 
@@ -112,21 +113,21 @@ class Installation(Table):
     """Sign and zero for the controller: sign first, then offset."""
 
     reference_plane_mm: Millimetres = 0.0
-    """The plane z of the displacement."""
+    """Plane z of the displacement, mm."""
     sign_x: Literal[-1, 1] = 1
     """-1 reverses the axis."""
     sign_y: Literal[-1, 1] = 1
     sign_yaw: Literal[-1, 1] = 1
     sign_pitch: Literal[-1, 1] = 1
     offset_x_mm: Millimetres = 0.0
-    """Added after the sign."""
+    """Offset, added after the sign."""
     offset_y_mm: Millimetres = 0.0
     offset_yaw_deg: OffsetDegrees = 0.0
     offset_pitch_deg: OffsetDegrees = 0.0
 
     @property
     def signs(self) -> dict[str, Literal[-1, 1]]:
-        """The sign of each quantity of the beam, by its key."""
+        """Sign of each quantity of the beam, by its key."""
         return {
             "x_mm": self.sign_x,
             "y_mm": self.sign_y,

@@ -1,4 +1,4 @@
-"""The whole of ``altd.toml``; what must fit between its tables: ``rules.py``."""
+"""The complete ``altd.toml``; ``rules.py`` contains the rules between its tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
 
 
 class Config(Table):
-    """The whole of ``altd.toml``."""
+    """The complete ``altd.toml``."""
 
     unit: Unit
     targets: tuple[Target, ...] = ()
@@ -57,7 +57,7 @@ class Config(Table):
 
     @property
     def switched_targets(self) -> tuple[Target, ...]:
-        """The targets with a glass that is switched, in beam order."""
+        """Targets with a switched glass, in beam order."""
         is_row = self.unit.instrument == "chain"
         return tuple(target for target in self.targets if is_row or target.switched)
 
@@ -68,5 +68,5 @@ class Config(Table):
 
     @property
     def measuring_cameras(self) -> tuple[str, ...]:
-        """The cameras of the targets, in beam order; without targets the one of the plate."""
+        """Cameras of the targets, in beam order; without targets, the plate's camera."""
         return tuple(target.camera for target in self.targets) or tuple(self.cameras)

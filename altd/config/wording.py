@@ -18,21 +18,21 @@ from altd.errors import did_you_mean
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: the key that it is about, and what is wrong and possible.
+    """One fault of a config: its key, what is wrong and what is possible.
 
-    ``about`` are other keys that it rests on: where one of these is wrong itself, the fault may be none.
+    ``about`` are other keys that it depends on: if one of these is faulty itself, the fault may not exist.
     """
 
     keys: Keys
     text: str
     at: Literal["value", "key", "table"] = "value"
-    """The part of the key at the place: its value, the key, or, where it is missing, its table."""
+    """Part of the key to locate: its value, the key, or, if it is missing, its table."""
     about: tuple[Keys, ...] = ()
     replaces: tuple[Keys, ...] = ()
-    """The keys that an unknown name was probably meant for: a fault of one of these follows from this one."""
+    """Keys that an unknown name was probably meant for: a fault of one of them follows from this fault."""
 
     def place(self, places: Places) -> Place | None:
-        """Its place in the file."""
+        """Return the place of the fault in the file."""
         match self.at:
             case "value":
                 others = (places.key(keys) or places.nearest(keys) for keys in self.about)
@@ -43,7 +43,7 @@ class Fault:
                 return places.nearest(self.keys)
 
     def rests_on(self, faulty: Iterable[Keys]) -> bool:
-        """Whether one of these keys, or a table that it lies in, is among those that it is about."""
+        """Whether its key or one in ``about``, or a table above them, is among these keys."""
         mine = (self.keys, *self.about)
         return any(keys[: len(other)] == other for keys in mine for other in faulty)
 
@@ -78,14 +78,14 @@ WHY = {
     "path_from_text": "is no path",
     "union_tag_invalid": "is not possible",
 }
-"""The sentence about a value, by the type of pydantic's error."""
+"""Sentence about a value, by the type of pydantic's error."""
 
 UNUSABLE = "cannot be used"
 _SECRETS = ("login", "password", "token", "user", "username")
 
 
 def converted_values(document: dict[str, Any]) -> Iterator[Fault]:
-    """Values of another type that pydantic would convert: ``true`` to 1, ``"4"`` to 4, 1 to true."""
+    """Yield values that pydantic would convert to another type: ``true`` to 1, ``"4"`` to 4, 1 to true."""
     nodes: list[tuple[Keys, Any]] = [((), document)]
     while nodes:
         keys, node = nodes.pop()
@@ -108,7 +108,7 @@ def converted_values(document: dict[str, Any]) -> Iterator[Fault]:
 
 
 def _is_unquoted(text: str, is_boolean: bool) -> bool:
-    """Whether the text without its quotes would be such a value."""
+    """Whether the text without its quotes would be a number or boolean."""
     if is_boolean:
         return text in ("true", "false")
     try:
@@ -119,14 +119,14 @@ def _is_unquoted(text: str, is_boolean: bool) -> bool:
 
 
 def faults_of(error: ValidationError, document: dict[str, Any]) -> list[Fault]:
-    """The errors of pydantic, one fault per key."""
+    """Return pydantic's errors, one fault per key."""
     found: dict[tuple[Keys, str], Fault] = {}
     for detail in error.errors(include_url=False):
         counted = detail.get("ctx", {}).get("min_length", 0)
         if detail["type"] == "too_short" and len(detail["input"]) >= counted:
-            continue  # pydantic counts only the elements that are good
+            continue  # pydantic counts only the valid elements
         for fault in _worded(detail, document):
-            text = "" if detail["type"] == FAULTS else "one"  # of a union each member complains
+            text = "" if detail["type"] == FAULTS else "one"  # each member of a union reports an error
             found.setdefault((fault.keys, text or fault.text), fault)
     return list(found.values())
 
@@ -156,10 +156,10 @@ def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
 
 
 def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "key", "member"]]:
-    """The keys in the file, and what of the last is wrong: its value, also for one of a union, or itself.
+    """Return the keys in the file, and the faulty part: value, key itself, or a union's member.
 
-    pydantic puts in more: between a table and its key the value of its tag, behind a key which member of a
-    union complains, or ``[key]``.
+    pydantic inserts more: between a table and its key the value of its tag, after a key the member of a union
+    that failed, or ``[key]``.
     """
     keys: list[str | int] = []
     table, last = document, len(detail["loc"]) - 1
@@ -181,7 +181,7 @@ def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "
 
 
 def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
-    """A table whose model is not known: its tag, such as ``driver``, is missing or has no such value."""
+    """Return the fault of a table whose tag, such as ``driver``, is missing or has no possible value."""
     annotation = _type_at(keys, document)
     tag = tag_at(annotation)
     values = [value for model in tables_at(annotation, None) for value in tags_of(model, tag)]
@@ -194,7 +194,7 @@ def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
 
 
 def _unknown_key(keys: Keys, document: dict[str, Any]) -> Fault:
-    """A key that no model has: what there is instead, and which it may have been meant to be."""
+    """Return the fault of an unknown key: the possible keys, and the probable intended one."""
     above, name = keys[:-1], keys[-1]
     table: Any = document
     for key in above:
@@ -217,7 +217,7 @@ def _unknown_key(keys: Keys, document: dict[str, Any]) -> Fault:
 
 
 def _tables_with(name: str | int) -> dict[str, str]:
-    """The tables that have such a key, each as it is written, and with which tag."""
+    """Return the tables that have such a key, each as written in the file and with its tag."""
     homes = {}
     for table, field in Config.model_fields.items():
         inner, home = field.annotation, f"[{table}]"
@@ -244,7 +244,7 @@ def _suggestion(kind: str, value: object, context: dict[str, Any]) -> str:
 
 
 def _possible_values(keys: Keys, document: dict[str, Any]) -> str:
-    """The values that the key accepts, as the end of a sentence."""
+    """Return the values that a key accepts, as the end of a sentence."""
     found = field_at(keys, document, Config)
     return "" if found is None else f"; possible: {expected(*found, shown)}"
 
@@ -255,6 +255,6 @@ def _type_at(keys: Keys, document: dict[str, Any]) -> Any:
 
 
 def _key_type(keys: Keys) -> tuple[Any, list[Any]]:
-    """The type of the keys of a table whose keys are free."""
+    """Return the key type of a table with free keys."""
     found = field_at(keys[:-1], {}, Config)
     return (str, []) if found is None else (get_args(found[0])[0], [])

@@ -1,1 +1,1 @@
-"""Drivers behind the ports."""
+"""Device drivers that implement the ports."""

@@ -1,4 +1,4 @@
-"""Frame LEDs, and glasses of a row, on the output lines of cameras."""
+"""Frame LEDs, and glasses of a row, on output lines of cameras."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from altd.ports import CameraError, LampsError, SwitchingCamera
 class CameraLamps:
     """See ``altd.ports.Lamps``: one output line of each camera, all switched together.
 
-    The code that takes the cameras' frames opens and closes them; with ``alone`` this driver does. A camera
-    that is not open, or was lost, is a LampsError that names it.
+    The code that reads the cameras' frames opens and closes the cameras; with ``alone``, this driver does. A
+    camera that is not open or was lost raises a LampsError that names it.
     """
 
     def __init__(self, cameras: Mapping[str, SwitchingCamera], line: str, alone: bool = False) -> None:
@@ -21,17 +21,17 @@ class CameraLamps:
         self._alone = alone
 
     def open(self) -> None:
-        """Darken the LEDs, whatever they were before; raises LampsError."""
+        """Switch the LEDs off, whatever their state was; raises LampsError."""
         if self._alone:
             self._each(lambda camera: camera.open())
         self.switch(False)
 
     def switch(self, on: bool) -> None:
-        """Light or darken all LEDs; raises LampsError."""
+        """Switch all LEDs on or off; raises LampsError."""
         self._each(lambda camera: camera.switch_output(self._line, on))
 
     def close(self) -> None:
-        """Darken the LEDs of the cameras that are still there."""
+        """Switch off the LEDs of the cameras that still respond."""
         with contextlib.suppress(LampsError):
             self.switch(False)
         if self._alone:
@@ -43,9 +43,10 @@ class CameraLamps:
 
 
 class CameraSwitches:
-    """See ``altd.ports.Switches``: the output line of each target's camera, on: its glass has voltage.
+    """See ``altd.ports.Switches``: output line of each target's camera; on means voltage on its glass.
 
-    The code that takes the cameras' frames opens and closes them. ``camera_of`` names that of each target.
+    The code that reads the cameras' frames opens and closes the cameras. ``camera_of`` maps targets to
+    cameras.
     """
 
     def __init__(
@@ -56,11 +57,11 @@ class CameraSwitches:
         self._line = line
 
     def open(self) -> None:
-        """Take the voltage off all glasses; raises LampsError."""
+        """Switch off the voltage of all glasses; raises LampsError."""
         self.show("")
 
     def show(self, opaque: str) -> None:
-        """Voltage on all glasses but this one; empty: on none. Raises LampsError."""
+        """Apply voltage to all glasses but this one; empty: to none. Raises LampsError."""
         without = self._camera_of.get(opaque)
         _act_on_each(
             self._cameras,
@@ -69,7 +70,7 @@ class CameraSwitches:
         )
 
     def close(self) -> None:
-        """Take the voltage off the glasses of the cameras that are still there."""
+        """Switch off the voltage of the glasses whose cameras still respond."""
         with contextlib.suppress(LampsError):
             self.show("")
 
@@ -77,7 +78,7 @@ class CameraSwitches:
 def _act_on_each(
     cameras: Mapping[str, SwitchingCamera], line: str, act: Callable[[str, SwitchingCamera], None]
 ) -> None:
-    """Act on every camera, on those too that come after one that fails."""
+    """Act on every camera, even after one has failed."""
     complaints = []
     for name, camera in cameras.items():
         try:

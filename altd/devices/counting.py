@@ -1,15 +1,16 @@
-"""From the numbers that cameras give their frames to numbers that only grow."""
+"""Conversion of the cameras' frame numbers to numbers that only increase."""
 
 from __future__ import annotations
 
 
 class FrameCounter:
-    """Counts a camera's exposures, those too that were lost, over wraps and re-openings.
+    """Counts a camera's exposures, including lost ones, across wraps and re-openings.
 
-    A camera's own numbers run from ``first`` to ``last`` and then begin with ``first`` again: 0 to 2³² − 1
-    in Video4Linux, 1 to 65535 in GigE Vision, where 0 means that a frame has no number. A number that is not
-    ahead of the last one by less than half of that range was counted from zero again, or not at all: then the
-    frame takes the next number. It does so after a re-opening too: how many were lost meanwhile is unknown.
+    A camera's own numbers run from ``first`` to ``last`` and then restart at ``first``: 0 to 2³² − 1 in
+    Video4Linux, 1 to 65535 in GigE Vision, where 0 means that a frame has no number. A number that is not
+    ahead of the last one by less than half of that range is from a restarted counter, or is no count: the
+    frame then takes the next number. So does the first frame after a re-opening, because the number of lost
+    frames is unknown.
     """
 
     def __init__(self, first: int, last: int) -> None:
@@ -18,11 +19,11 @@ class FrameCounter:
         self._last = -1
 
     def reopened(self) -> None:
-        """The camera's numbers start again; ours continue."""
+        """Note that the camera's numbers restart; the counter's own numbers continue."""
         self._last_raw = None
 
     def number(self, raw: int) -> int:
-        """Our number of the frame that the camera calls ``raw``; the first one is 0."""
+        """Return the counter's number for the camera's frame number ``raw``; the first one is 0."""
         ahead = 1
         if self._last_raw is not None and raw in self._numbers:
             distance = (raw - self._last_raw) % len(self._numbers)

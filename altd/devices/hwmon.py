@@ -9,11 +9,11 @@ from altd.ports import ThermometerError
 
 _ROOT = Path("/sys/class/hwmon")
 _MAX_BYTES = 64
-"""The form of such a file's content: a short name or a number."""
+"""Maximum number of bytes read from a file: its content is a short name or a number."""
 
 
 class HwmonThermometer:
-    """One temperature. Its chip is found by name at each reading: the chips' numbers may change."""
+    """One temperature. Its chip is found by name at each reading, because the chips' numbers may change."""
 
     def __init__(self, settings: HwmonThermometerSettings, root: Path = _ROOT) -> None:
         self.name = settings.name
@@ -21,7 +21,7 @@ class HwmonThermometer:
         self._root = root
 
     def celsius(self) -> float:
-        """The temperature now, °C; blocks. Raises ThermometerError."""
+        """Return the current temperature, °C; blocks. Raises ThermometerError."""
         chip, channel = self._settings.chip, self._settings.channel
         found = [folder for folder in self._folders() if _read(folder / "name") == chip]
         if not found:
@@ -46,7 +46,7 @@ class HwmonThermometer:
 
 
 def _read(path: Path) -> str | None:
-    """The content of a file; None when it is missing or cannot be read."""
+    """Content of a file; None when it is missing or cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(_MAX_BYTES).decode("ascii", "replace").strip()

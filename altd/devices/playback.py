@@ -1,4 +1,4 @@
-"""A recording behind the camera port, in real time or as fast as its frames are taken."""
+"""Playback of a recording through the camera port, in real time or as fast as its frames are fetched."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from altd.recording.reader import Recording
 from altd.records import Frame
 
 _MAX_OVERDUE_S = 0.5
-"""In real time a frame that was not fetched for so long is dropped, as a camera would have lost it."""
+"""In real time, a frame that is not fetched for this long is dropped, as a camera would lose it."""
 
 
 class Playback:
-    """State shared by the cameras of one recording: their frames' times on today's clock, and the pace.
+    """State shared by the cameras of one recording: their frames' times on the current clock, and the pace.
 
-    In real time the first camera that asks starts the clock for all. At the fast pace no camera runs ahead
-    of another by more than an exposure, however fast its frames are taken.
+    In real time, the first request of any camera starts the clock for all. At the fast pace, no camera runs
+    ahead of another by more than an exposure, however fast its frames are fetched.
     """
 
     def __init__(self, recording: Recording, clock: Clock, realtime: bool, repeat: bool) -> None:
@@ -37,20 +37,20 @@ class Playback:
         self._changed = threading.Condition()
 
     def t_ns(self, row: Row, playthrough: int) -> int:
-        """When a row's frame is exposed, on the monotonic clock, in a playthrough of the recording."""
+        """Exposure time of a row's frame, on the monotonic clock, in a playthrough of the recording, ns."""
         with self._changed:
             if self._started_ns is None:
                 self._started_ns = self.clock.monotonic_ns()
             return self._started_ns + round(self._due_s(row, playthrough) * 1e9)
 
     def set_next(self, camera: str, row: Row | None, playthrough: int) -> None:
-        """Note which frame a camera delivers next; None: it is at its end."""
+        """Record which frame a camera delivers next; None: it has reached its end."""
         with self._changed:
             self._next_s[camera] = float("inf") if row is None else self._due_s(row, playthrough)
             self._changed.notify_all()
 
     def await_others(self, camera: str, timeout_s: float) -> bool:
-        """Wait until no other camera is an exposure behind; False when that takes too long."""
+        """Wait until no other camera is an exposure behind; return False on timeout."""
 
         def is_abreast() -> bool:
             return self._next_s[camera] <= min(self._next_s.values()) + self._exposure_s / 2
@@ -85,11 +85,11 @@ class PlaybackCamera:
         playback.set_next(name, self._next, 0)
 
     def open(self) -> None:
-        """The recording itself was checked when it was opened."""
+        """Open the camera; the recording itself was checked when it was opened."""
         self._closed.clear()
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next frame, at its time when the pace is real time; what is overdue then is left out."""
+        """Return the next frame, in real time at its due time; overdue frames are then dropped."""
         playback = self._playback
         playthrough, row, t_ns = self._due()
         if playback.realtime:
@@ -112,17 +112,17 @@ class PlaybackCamera:
         return replace(frame, t_ns=t_ns, sequence=sequence, playthrough=playthrough)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Always refused: the frames were exposed when they were recorded."""
+        """Raise CameraRefusedError: the frames were exposed when they were recorded."""
         raise CameraRefusedError(
             f"a recording cannot be exposed again, with {exposure_ms:g} ms, {gain_db:g} dB"
         )
 
     def close(self) -> None:
-        """A frame that is not due yet is waited for no longer."""
+        """Stop waiting for a frame that is not due yet."""
         self._closed.set()
 
     def _due(self) -> tuple[int, Row, int]:
-        """The next frame's playthrough and row, and when it is exposed."""
+        """Playthrough and row of the next frame, and when it is exposed."""
         if self._failure is not None:
             raise CameraError(self._failure)
         if self._next is None:
@@ -130,9 +130,9 @@ class PlaybackCamera:
         return self._playthrough, self._next, self._playback.t_ns(self._next, self._playthrough)
 
     def _advance(self) -> None:
-        """To the next row, from the last one to the first where the recording is repeated.
+        """Advance to the next row, from the last one to the first where the recording is repeated.
 
-        A table that has changed since it was checked ends the playback: its frames are unknown.
+        A table that has changed since its check ends the playback, because its frames are unknown.
         """
         try:
             self._next = next(self._rows, None)

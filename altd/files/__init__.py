@@ -1,1 +1,1 @@
-"""Files as they come from outside, bounded before they are read, and written whole or not at all."""
+"""External files: limited before they are read, and written completely or not at all."""

@@ -1,4 +1,4 @@
-"""Text formats that nest, read strictly: what two readers could understand differently is refused."""
+"""Nested text formats, read strictly: content that two readers could interpret differently is refused."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from collections.abc import Mapping
 from typing import Any
 
 _MAX_DOTS = 64
-"""In a line of TOML. A key takes tomllib 9 s with 30,000 parts: it grows with the square."""
+"""Maximum number of dots in a TOML line. tomllib takes 9 s for a key of 30,000 parts, quadratic in their
+number."""
 _MAX_DIGITS = 40
 _DOTTED = re.compile(rf"^(?![ \t]*#)[^.\n]*(?:\.[^.\n]*){{{_MAX_DOTS + 1}}}", re.MULTILINE)
 
 
 def parse_json(content: bytes) -> Any:
-    """A JSON document (RFC 8259); raises ValueError that says what is wrong with it.
+    """Parse a JSON document (RFC 8259); raises ValueError that states the fault.
 
-    Refused beside what is no JSON: a key that occurs twice in an object, whole numbers of more than 40
-    digits, and nesting too deep for this computer. NaN and infinity, which Python reads, are left to the
-    document's model, which can name their key.
+    Also refused: a key that occurs twice in an object, whole numbers of more than 40 digits, and nesting too
+    deep for this computer. NaN and infinity, which Python accepts, are left to the document's model, which
+    can name their key.
     """
     try:
         return json.loads(
@@ -36,20 +37,20 @@ def parse_json(content: bytes) -> Any:
 
 
 def line_of(document: Mapping[str, object]) -> str:
-    """Plain JSON types as one line of JSON, without the line end; NaN is refused, not written."""
+    """Return plain JSON types as one line of JSON, without the line end; NaN raises ValueError."""
     return json.dumps(document, allow_nan=False)
 
 
 def checksum_of(document: Mapping[str, object]) -> str:
-    """SHA-256 over a document of plain JSON types, keys sorted, no spaces."""
+    """Return SHA-256 over a document of plain JSON types, keys sorted, no spaces."""
     canonical = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
 
 
 class TomlError(ValueError):
-    """A text that is no TOML, or that TOML itself forbids.
+    """The text is not TOML, or TOML itself forbids it.
 
-    ``line`` and ``column`` count from 1; None: it has no place, or ``keys`` are the way to it.
+    ``line`` and ``column`` count from 1; None: it has no place, or ``keys`` are the path to it.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class TomlError(ValueError):
 
 
 def parse_toml(content: bytes) -> dict[str, Any]:
-    """A TOML document; raises TomlError that says what is wrong with it."""
+    """Parse a TOML document; raises TomlError that states the fault."""
     for mark, encoding in _BYTE_ORDER_MARKS.items():
         if content.startswith(mark):
             raise TomlError(f"is {encoding}: save the file as UTF-8", 1, 1)
@@ -83,7 +84,7 @@ def parse_toml(content: bytes) -> dict[str, Any]:
         document = tomllib.loads(text)
     except RecursionError as error:
         raise TomlError("is nested too deeply") from error
-    except ValueError as error:  # also of numbers with more digits than Python reads
+    except ValueError as error:  # also for numbers with more digits than Python reads
         raise _syntax_error(text, str(error)) from error
     _check_values(document)
     return document
@@ -136,11 +137,11 @@ _AT_PLACE = (
         "[ ] further up makes one table, [[ ]] here a list of tables: write both alike",
     ),
 )
-"""First words of a message of tomllib, the text before and behind its place in the line, and our message."""
+"""First words of a message of tomllib, the text before and after its place in the line, and our message."""
 
 
 def _syntax_error(text: str, said: str) -> TomlError:
-    """The message of tomllib, in plain words and with its place."""
+    """Return the message of tomllib in plain words, with its place."""
     where = _WHERE.fullmatch(said)
     message = said if where is None else where[1]
     words = next((words for begin, words in _WORDS if message.startswith(begin)), message)
@@ -148,7 +149,7 @@ def _syntax_error(text: str, said: str) -> TomlError:
         return TomlError(f"not TOML: {words}")
     lines = text.replace("\r\n", "\n").split("\n")
     line, column = (int(where[2]), int(where[3])) if where[2] else (len(lines), len(lines[-1]) + 1)
-    if words.endswith(_TWICE):  # tomllib has read on to the end of the value
+    if words.endswith(_TWICE):  # tomllib has read to the end of the value
         column = len(lines[line - 1]) - len(lines[line - 1].lstrip(" \t")) + 1
     before, behind = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
     for begin, ending, start, special in _AT_PLACE:
@@ -158,7 +159,7 @@ def _syntax_error(text: str, said: str) -> TomlError:
 
 
 def _check_values(document: dict[str, Any]) -> None:
-    """No text has a NUL, which no name and no path has, and whole numbers have 64 bits (TOML 1.0)."""
+    """Raise for a text with NUL, invalid in names and paths, or a number over 64 bits (TOML 1.0)."""
     nodes: list[tuple[tuple[str | int, ...], Any]] = [((key,), node) for key, node in document.items()]
     while nodes:
         keys, node = nodes.pop()

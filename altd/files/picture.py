@@ -1,4 +1,4 @@
-"""Pictures: their size is known before they are decoded, for a file of a few bytes may claim any."""
+"""Pictures: their size is checked before they are decoded, because a small file may claim any size."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from altd.files.reading import read_file
 from altd.records import PixelArray
 
 MAX_PICTURE_PX = 1 << 28
-"""16384 × 16384, more than any camera has."""
+"""Maximum number of pixels: 16384 × 16384, more than any camera has."""
 PNG_HEAD_BYTES = 26
 
 _MAX_BYTES = 1 << 30
@@ -31,10 +31,10 @@ _CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
 
 
 def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
-    """Signature, size, depth and colour from the first 26 bytes (PNG specification, 11.2.2).
+    """Check signature, size, depth and colour in the first 26 bytes (PNG specification, 11.2.2).
 
-    ``bits`` is the camera's depth: 8 needs a PNG of 8 bits, 9 to 16 one of 16. Raises ValueError that says
-    what does not fit.
+    ``bits`` is the camera's depth: 8 needs a PNG of 8 bits, 9 to 16 one of 16. Raises ValueError that states
+    the mismatch.
     """
     if len(head) < PNG_HEAD_BYTES or not head.startswith(_PNG_SIGNATURE):
         raise ValueError("is not a PNG")
@@ -46,7 +46,7 @@ def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
 
 
 def decode_png(data: bytes, width: int, height: int, bits: int) -> PixelArray:
-    """The pixels (rows, columns) of a grey PNG of this size; raises ValueError."""
+    """Return the pixels (rows, columns) of a grey PNG of this size; raises ValueError."""
     check_png_head(data, width, height, bits)
     try:
         pixels = _decode(_critical(data))
@@ -58,14 +58,14 @@ def decode_png(data: bytes, width: int, height: int, bits: int) -> PixelArray:
 
 
 def png_bytes(width: int, height: int, bits: int) -> int:
-    """The largest size of a PNG: its pixels uncompressed, and as much again for the rest."""
+    """Return the largest size of a PNG: twice its uncompressed pixels, plus 1 MiB."""
     return 2 * width * height * (1 if bits == 8 else 2) + (1 << 20)
 
 
 def read_picture(path: Path) -> PixelArray:
-    """An 8- or 16-bit grey picture in any format that OpenCV reads; raises BadInputError.
+    """Read an 8- or 16-bit grey picture in any format of OpenCV; raises BadInputError.
 
-    For a command, which has one thread: what a decoder says on stderr is caught, and refuses it.
+    For single-threaded commands: output of a decoder on stderr is caught, and the picture is then refused.
     """
     data = read_file(path, _MAX_BYTES)
     try:
@@ -86,7 +86,7 @@ def read_picture(path: Path) -> PixelArray:
 
 @contextmanager
 def _stderr_caught() -> Iterator[list[str]]:
-    """The lines that go to the process' stderr meanwhile, also those of libraries in C."""
+    """Collect the lines written to the process' stderr meanwhile, also by C libraries."""
     lines: list[str] = []
     with os.fdopen(os.memfd_create("stderr"), "rb") as caught:
         stderr = os.dup(2)
@@ -101,9 +101,9 @@ def _stderr_caught() -> Iterator[list[str]]:
 
 
 def _critical(data: bytes) -> bytes:
-    """A PNG without its ancillary chunks; raises ValueError when a chunk is torn, damaged or out of place.
+    """Return a PNG without ancillary chunks; raises ValueError if a chunk is torn, damaged or misplaced.
 
-    Of what it finds itself, libpng tells stderr on its own, and the rest of a frame is none of its business.
+    libpng reports what it finds itself to stderr, and the other chunks are irrelevant for a frame.
     """
     parts, at = [_PNG_SIGNATURE], len(_PNG_SIGNATURE)
     while len(data) >= at + 12:
@@ -123,7 +123,7 @@ def _critical(data: bytes) -> bytes:
 
 
 def _check_header(data: bytes) -> None:
-    """PNG specification, 11.2.2."""
+    """Check the header by the PNG specification, 11.2.2."""
     width, height, depth, colour, compression, filtering, interlace = struct.unpack_from(">IIBBBBB", data, 16)
     if width * height > MAX_PICTURE_PX:
         raise ValueError(f"it is {width} × {height}, more than {MAX_PICTURE_PX} pixels")
@@ -137,7 +137,7 @@ def _check_header(data: bytes) -> None:
 
 
 def _decode(data: bytes) -> npt.NDArray[Any] | None:
-    """None for what is none, or claims more pixels than ``OPENCV_IO_MAX_IMAGE_PIXELS``: see ``cli``."""
+    """Decode; None: not a picture, or more pixels than ``OPENCV_IO_MAX_IMAGE_PIXELS`` (see ``cli``)."""
     try:
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:

@@ -1,6 +1,6 @@
-"""Reading what a path names, whatever that is: regular files only, no larger than agreed, never waiting.
+"""Reading any path safely: regular files only, up to a size limit, never waiting.
 
-``UnchangedFile`` is read several times without being held in memory, and is the same file each time.
+``UnchangedFile`` is read several times without being kept in memory, and is the same file each time.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _KINDS = {
 
 
 def read_file(path: Path, largest_bytes: int, folder: int | None = None) -> bytes:
-    """The content of a regular file, not more than ``largest_bytes``.
+    """Return the content of a regular file of at most ``largest_bytes``.
 
-    With ``folder``, the descriptor of an open one, ``path`` is a name in it, and a link is no file. Raises
-    BadInputError, also when the file changed while it was read: then it is neither the old one nor the new
-    one.
+    With ``folder``, the descriptor of an open folder, ``path`` is a name in it, and links are refused. Raises
+    BadInputError, also when the file changed while it was read: the content is then neither the old nor the
+    new one.
     """
     return b"".join(read_pieces(path, largest_bytes, folder))
 
 
 def read_pieces(path: Path, largest_bytes: int, folder: int | None = None) -> Iterator[bytes]:
-    """The same piece by piece; that the file changed meanwhile is said after the last one."""
+    """Yield the content piece by piece; a change meanwhile raises only after the last piece."""
     with _opened(path, folder) as descriptor:
         before = os.fstat(descriptor)
         if before.st_size > largest_bytes:
@@ -55,12 +55,12 @@ def read_pieces(path: Path, largest_bytes: int, folder: int | None = None) -> It
         after = os.fstat(descriptor)
         if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
             raise BadInputError(path, "was changed while it was read")
-        if length > largest_bytes:  # of a file of /proc, which has no size
+        if length > largest_bytes:  # a file of /proc, which reports no size
             raise BadInputError(path, f"is more than {largest_bytes} bytes long")
 
 
 def read_first(path: Path, length_bytes: int) -> Iterator[bytes]:
-    """The first bytes of a regular file in pieces that are cut as those of ``read_pieces``."""
+    """Yield the first bytes of a regular file, in pieces of the same sizes as ``read_pieces``."""
     with _opened(path) as descriptor:
         left = length_bytes
         while piece := _read(descriptor, min(_PIECE_BYTES, left)):
@@ -69,25 +69,25 @@ def read_first(path: Path, length_bytes: int) -> Iterator[bytes]:
 
 
 def read_head(path: Path, head_bytes: int) -> bytes:
-    """The first bytes of a regular file of any size; raises BadInputError."""
+    """Return the first bytes of a regular file of any size; raises BadInputError."""
     with _opened(path) as descriptor:
         return _read(descriptor, head_bytes)
 
 
 def kind_of(mode: int) -> str:
-    """The type of a file that is not regular, in a person's words, from its ``st_mode``."""
+    """Return the type of a non-regular file in plain words, from its ``st_mode``."""
     return _KINDS.get(stat.S_IFMT(mode), "no regular file")
 
 
 def os_reason(error: OSError, path: Path | None) -> str:
-    """The system's sentence; for a missing permission also the owner of the path and the remedy."""
+    """Return the system's message; for a missing permission also the path's owner and the remedy."""
     text = error.strerror or "cannot be read"
     return text if path is None or not isinstance(error, PermissionError) else f"{text}{refusing(path)}"
 
 
 def refusing(path: Path) -> str:
-    """The file or the folder that refuses this user, with owner, group and mode, and the remedy."""
-    for place in (path, *path.absolute().parents):  # a folder without the right to search hides what is in it
+    """Return the file or folder that refuses this user, with owner, group and mode, and the remedy."""
+    for place in (path, *path.absolute().parents):  # a folder without search permission hides its files
         try:
             status = place.stat()
         except OSError:
@@ -102,13 +102,13 @@ def refusing(path: Path) -> str:
 def _user_name(number: int) -> str:
     try:
         return pwd.getpwuid(number).pw_name
-    except KeyError:  # of a container, or a user of a service that ran before
+    except KeyError:  # in a container, or a service's former user
         return str(number)
 
 
 @contextmanager
 def _opened(path: Path, folder: int | None = None) -> Iterator[int]:
-    """A descriptor of a regular file. Anything else is not even opened: a device may act on it."""
+    """Open a regular file. Anything else is not even opened, because a device may react to it."""
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     try:
         _check_regular(path, os.stat(path, dir_fd=folder, follow_symlinks=folder is None).st_mode)
@@ -120,7 +120,7 @@ def _opened(path: Path, folder: int | None = None) -> Iterator[int]:
             os.close(descriptor)
     except OSError as error:
         raise BadInputError(path, os_reason(error, path if folder is None else None)) from error
-    except ValueError as error:  # a NUL, or letters that the file system does not have
+    except ValueError as error:  # a NUL, or characters that the file system does not support
         raise BadInputError(path, "is no path") from error
 
 
@@ -143,14 +143,14 @@ _MAX_LINE_LENGTH = 1 << 22
 
 
 class UnchangedFile:
-    """A regular file as it was when it was first read, here: of it only its length and a digest a piece stay.
+    """A regular file as of its first read, in ``__init__``; only its length and a digest per piece are kept.
 
-    What is appended later is not seen. A piece that is read again and is another one raises BadInputError
-    before any of it is handed on; so only checked content is used.
+    Bytes appended later are not read. A piece that differs when it is read again raises BadInputError before
+    any of it is returned, so only checked content is used.
     """
 
     def __init__(self, path: Path, largest_bytes: int) -> None:
-        """Raises BadInputError; also when the file is changed meanwhile."""
+        """Read the file once; raises BadInputError, also if the file changes meanwhile."""
         self.path = path
         self._bytes = 0
         self._digests: list[bytes] = []
@@ -159,7 +159,7 @@ class UnchangedFile:
             self._digests.append(_digest(piece))
 
     def pieces(self) -> Iterator[bytes]:
-        """The content, piece by piece; raises BadInputError."""
+        """Yield the content, piece by piece; raises BadInputError."""
         again = read_first(self.path, self._bytes)
         for digest in self._digests:
             piece = next(again, b"")
@@ -168,9 +168,9 @@ class UnchangedFile:
             yield piece
 
     def lines(self) -> Iterator[str]:
-        """The content as lines of UTF-8 with their ends, a byte order mark left out.
+        """Yield the content as lines of UTF-8 with their ends, without a byte order mark.
 
-        Raises BadInputError, UnicodeDecodeError where it is no UTF-8.
+        Raises BadInputError, and UnicodeDecodeError if it is not UTF-8.
         """
         text = io.TextIOWrapper(io.BufferedReader(_Pieces(self.pieces())), newline="", encoding="utf-8-sig")
         for number, line in enumerate(iter(lambda: text.readline(_MAX_LINE_LENGTH + 1), ""), start=1):
@@ -182,7 +182,7 @@ class UnchangedFile:
 
 
 class _Pieces(io.RawIOBase):
-    """Pieces as a stream of bytes."""
+    """Pieces as a byte stream."""
 
     def __init__(self, pieces: Iterator[bytes]) -> None:
         self._pieces = pieces

@@ -1,7 +1,7 @@
-"""Writing a file whole or not at all: beside its place, and then under its name.
+"""Writing a file completely or not at all: first to a temporary file next to it, then renamed.
 
-Only a regular file is replaced. A device, a pipe or a folder would be lost, and behind a symbolic link may be
-anything: it is named to the person, who can name that file.
+Only a regular file is replaced. A device, a pipe or a folder would be lost. A symbolic link may point to
+anything: the error names its target, so that the user can name that file instead.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from altd.files.reading import kind_of, refusing
 
 
 def check_replaceable(path: Path) -> None:
-    """Say before any work is done what would stop ``write_file``; raises BadInputError."""
+    """Check before any work is done whether ``write_file`` is possible; raises BadInputError."""
     try:
         _check_is_replaceable(path)
         if not path.parent.is_dir():
@@ -28,27 +28,27 @@ def check_replaceable(path: Path) -> None:
             raise BadInputError(path, f"its folder cannot be written{refusing(path.parent)}")
     except OSError as error:
         raise BadInputError(path, error.strerror or "cannot be written") from error
-    except ValueError as error:  # a NUL, or letters that the file system does not have
+    except ValueError as error:  # a NUL, or characters that the file system does not support
         raise BadInputError(path, "is no path") from error
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Make or replace a regular file; raises BadInputError, and then the old one is as it was."""
+    """Create or replace a regular file; raises BadInputError and then leaves the old one unchanged."""
     with replacing(path) as file:
         file.write(content)
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """The same, with OSError when the disk refuses."""
+    """Create or replace a regular file; raises OSError when the disk refuses."""
     with _replaced(path) as file:
         file.write(content)
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write into, beside its place; it gets there when the block ends normally.
+    """Open a temporary file next to ``path``; it replaces ``path`` when the block ends normally.
 
-    Else nothing is left of it, and an older one is as it was. Raises BadInputError for what cannot be
+    Otherwise it is deleted, and an older file is unchanged. Raises BadInputError for a path that cannot be
     replaced, and in place of an OSError.
     """
     try:
@@ -59,9 +59,9 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
-    """Make or replace regular files, all or none.
+    """Create or replace regular files, all or none.
 
-    Raises OSError, and BadInputError for what cannot be replaced; then all are as they were.
+    Raises OSError, and BadInputError for a path that cannot be replaced; all files are then as before.
     """
     written: dict[Path, Path] = {}
     older: dict[Path, bytes | None] = {}
@@ -84,7 +84,7 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
 
 def _write_beside(path: Path, content: bytes) -> Path:
-    """A new file in the same folder, on the disk; nothing is left of it when that fails."""
+    """Write a new file in the same folder, on the disk; it is deleted on failure."""
     with _opened_beside(path) as (file, temporary):
         file.write(content)
     return temporary
@@ -92,7 +92,7 @@ def _write_beside(path: Path, content: bytes) -> Path:
 
 @contextmanager
 def _replaced(path: Path) -> Iterator[BinaryIO]:
-    """A file to write into that gets to its place when the block ends normally; else nothing is left."""
+    """Open a temporary file; it replaces ``path`` if the block ends normally, else it is deleted."""
     with _opened_beside(path) as (file, temporary):
         yield file
     try:
@@ -104,10 +104,10 @@ def _replaced(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
-    """A new file in the same folder, and its name; on the disk when the block ends, gone when it fails.
+    """Open a new file in the same folder; on the disk when the block ends, deleted when it fails.
 
-    With the mode and the owner that ``path`` shall have: those of the file that it will replace, or what the
-    umask leaves of 0666.
+    It has the mode and the owner that ``path`` shall have: those of the replaced file, or 0666 reduced by the
+    umask.
     """
     old = _check_is_replaceable(path)
     temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}")
@@ -116,7 +116,7 @@ def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
     try:
         with os.fdopen(descriptor, "wb") as file:
             if old is not None:
-                with suppress(PermissionError):  # of another owner; only root may give files away
+                with suppress(PermissionError):  # another owner's file; only root may change owners
                     os.fchown(descriptor, old.st_uid, old.st_gid)
                 os.fchmod(descriptor, old.st_mode & 0o777)
             yield file, temporary
@@ -128,7 +128,7 @@ def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
 
 
 def _check_is_replaceable(path: Path) -> os.stat_result | None:
-    """The file at the path now: a regular file, or none yet."""
+    """Return the status of the regular file at the path; None: there is no file yet."""
     try:
         now = path.lstat()
     except FileNotFoundError:

@@ -1,1 +1,1 @@
-"""The measurements and events of the unit, in a SQLite file that survives restarts and power cuts."""
+"""Measurements and events of the unit, in a SQLite file that survives restarts and power cuts."""

@@ -1,6 +1,6 @@
-"""The columns of the history, and how they lie in its file.
+"""Columns of the history and their storage in its file.
 
-A column is named by its quantity's number in the file, never by its key. What is not known is NULL. SQLite
+A column is named after its quantity's number in the file, never after its key. NULL means not known. SQLite
 stores a whole number in as many bytes as it needs: 110 mm in steps of 0.0001 mm takes three, a sigma one.
 """
 
@@ -23,15 +23,15 @@ from altd.history.schema import (
 from altd.records import Quantities, Quantity
 
 _MAX_UNITS = 2**53
-"""Beyond this a float is no exact whole number; no quantity of a unit comes near."""
+"""Limit of exact whole numbers in a float; no quantity of a unit comes near it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A quantity as a file has it.
+    """A quantity as stored in a file.
 
-    ``key`` is that of the unit's quantity, or ``TARGET.KEY``. ``is_summarised``: the summaries hold it too;
-    ``is_from_sensor``: it may be known while the measurement is invalid.
+    ``key`` is the key of a unit's quantity, or ``TARGET.KEY``. ``is_summarised``: the summaries contain it
+    too; ``is_from_sensor``: it may be known while the measurement is invalid.
     """
 
     key: str
@@ -43,25 +43,25 @@ class Column:
 
     @property
     def identity(self) -> tuple[str, str, int]:
-        """The part that may not change while its numbers keep their meaning."""
+        """Key, unit and decimals; a change of any of them changes the meaning of the stored numbers."""
         return self.key, self.unit, self.decimals
 
     def steps(self, value: float | None) -> int | None:
-        """A value as a whole number of steps of its last decimal; None: not known, or no number."""
+        """Return a value as a whole number of steps of its last decimal; None: not known or not finite."""
         if value is None or not math.isfinite(value):
             return None
         steps = round(value * 10**self.decimals)
         return steps if abs(steps) < _MAX_UNITS else None
 
     def value(self, steps: float | None) -> float | None:
-        """The value of a number of steps; a mean may have parts of a step."""
+        """Return the value of a number of steps; a mean may contain fractions of a step."""
         return None if steps is None else round(steps / 10**self.decimals, self.decimals)
 
 
 def columns_of(quantities: Quantities, targets: Iterable[str]) -> tuple[Column, ...]:
-    """The columns of a unit: all of its quantities, then those of its targets.
+    """Return the columns of a unit: all of its quantities, then those of its targets.
 
-    Summaries hold what a person is shown: neither a quantity again in another unit, nor one of a sensor that
+    Summaries contain the displayed quantities: no repetition in another unit and no quantity of a sensor that
     is not fitted.
     """
     shown = {quantity.key for quantity in quantities.shown}
@@ -88,7 +88,7 @@ _MAX_CHARACTERS = 80
 
 
 def prepare_columns(connection: sqlite3.Connection, columns: Sequence[Column]) -> list[int]:
-    """The number of each column, which the tables hold from now on; inside of a transaction.
+    """Add missing columns to the tables and return the number of each column; call within a transaction.
 
     A quantity whose unit or decimals changed gets a new number. Raises UnusableFileError when there are too
     many.
@@ -121,7 +121,7 @@ def prepare_columns(connection: sqlite3.Connection, columns: Sequence[Column]) -
 
 
 def columns_in(connection: sqlite3.Connection) -> dict[int, Column]:
-    """The quantities of a file by their numbers: of those with one key the newest."""
+    """Return the quantities of a file by number; if several share a key, only the newest."""
     return {number: column for _, (number, column) in {c.key: (n, c) for n, c in _rows(connection)}.items()}
 
 

@@ -23,7 +23,7 @@ _MAX_CHARACTERS = 60
 
 
 def check_unit(connection: sqlite3.Connection, facts: Mapping[str, str]) -> None:
-    """Raise ForeignFileError for a history of another unit: what that measured is none of this one's past."""
+    """Raise ForeignFileError for a history of another unit: its measurements are not this unit's past."""
     found = connection.execute("SELECT value FROM facts WHERE name = 'serial'").fetchone()
     serial = facts.get("serial")
     if found is not None and serial is not None and found[0] != serial:
@@ -31,7 +31,7 @@ def check_unit(connection: sqlite3.Connection, facts: Mapping[str, str]) -> None
 
 
 def changed_facts(connection: sqlite3.Connection, facts: Mapping[str, str]) -> list[Notice]:
-    """Compare with what the file holds, and put the new ones there; inside of a transaction."""
+    """Compare the facts with those in the file and store the new ones; call within a transaction."""
     before = dict(connection.execute("SELECT name, value FROM facts"))
     notices = []
     for name, value in facts.items():
@@ -43,7 +43,7 @@ def changed_facts(connection: sqlite3.Connection, facts: Mapping[str, str]) -> l
 
 
 def _difference(before: str, after: str) -> dict[str, object]:
-    """The keys of a document that changed, or the two texts."""
+    """Return the changed keys of a JSON document, or both texts if they are not JSON documents."""
     try:
         old, new = (dict(_leaves(json.loads(text), "")) for text in (before, after))
     except (ValueError, TypeError, RecursionError):
@@ -73,7 +73,7 @@ def _shown(text: str) -> str:
 
 
 class Epochs:
-    """Of one open file. ``was_interrupted``: the last one that it holds was not ended."""
+    """Epochs of one open file. ``was_interrupted``: the last epoch in the file has no end."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
@@ -83,7 +83,7 @@ class Epochs:
         self.number = 0 if last is None else int(last[0])
         self.was_interrupted = last is not None and last[1] is None
         self.last_s: int | None = None if last is None else last[2]
-        """The last second of the newest epoch."""
+        """Last second of the newest epoch."""
         self.began_ns = 0
         self._first_s: int | None = None
         self._new: Counter[str] = Counter()
@@ -94,23 +94,23 @@ class Epochs:
         self._connection.execute(
             "INSERT INTO epochs (epoch, why, began_us) VALUES (?, ?, ?)", (self.number, why, wall_us)
         )
-        self._connection.execute(  # epochs of repeated crashes are not kept once their rows are gone
+        self._connection.execute(  # epochs of repeated crashes are deleted once their rows are gone
             "DELETE FROM epochs WHERE seconds = 0 AND minutes = 0 AND hours = 0 AND epoch < ?", (self.number,)
         )
         self.began_ns, self._first_s, self.last_s = now_ns, None, None
 
     def covering(self, t_s: int) -> int:
-        """The same second, which this epoch holds from now on."""
+        """Extend the epoch to include this second and return the second."""
         self._first_s = t_s if self._first_s is None else min(self._first_s, t_s)
         self.last_s = t_s if self.last_s is None else max(self.last_s, t_s)
         return t_s
 
     def count(self, table: str, new: int) -> None:
-        """So many rows were added to a table."""
+        """Count ``new`` rows added to a table."""
         self._new[table] += new
 
     def save(self) -> None:
-        """Write what has changed, inside of a transaction."""
+        """Write the changes; call within a transaction."""
         self._connection.execute(
             "UPDATE epochs SET first_s = ?, last_s = ?, seconds = seconds + ?, minutes = minutes + ?, "
             "hours = hours + ? WHERE epoch = ?",
@@ -124,7 +124,7 @@ class Epochs:
         self._new.clear()
 
     def end(self, wall_us: int | None) -> None:
-        """The epoch is over; None: the clock was set, so its end is its last second."""
+        """End the epoch; None: the clock was set, so the epoch ends with its last second."""
         self.save()
         ended_us = (self.last_s or 0) * 10**6 if wall_us is None else wall_us
         self._connection.execute("UPDATE epochs SET ended_us = ? WHERE epoch = ?", (ended_us, self.number))
@@ -135,14 +135,14 @@ _OTHER = "other"
 
 
 class Reasons:
-    """Of one open file; a new code gets the next number."""
+    """Codes of reasons in one open file; a new code gets the next number."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
         self._numbers: dict[str, int] = dict(connection.execute("SELECT code, number FROM reasons"))
 
     def number_of(self, fault: WorstFault) -> int:
-        """The number in the file for a severity and its code; inside of a transaction."""
+        """Return the number in the file for a severity and its code; call within a transaction."""
         severity, code = fault
         return severity * SEVERITY_UNIT + (self._number(code) if code else 0)
 
@@ -157,12 +157,12 @@ class Reasons:
 
 
 def fault_in(number: object, codes: dict[int, str]) -> WorstFault:
-    """The severity and the code of a number in the file."""
+    """Return the severity and the code for a number in the file."""
     if not isinstance(number, int) or number < 0:
         return 0, ""
     return min(number // SEVERITY_UNIT, 4), codes.get(number % SEVERITY_UNIT, "")
 
 
 def codes_in(connection: sqlite3.Connection) -> dict[int, str]:
-    """The codes of a file by their numbers."""
+    """Return the codes of a file by number."""
     return {number: str(code) for number, code in connection.execute("SELECT number, code FROM reasons")}

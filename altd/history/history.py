@@ -1,4 +1,4 @@
-"""The queries of the interfaces to the history: bounded; none holds the event loop or another one up."""
+"""History queries of the interfaces: limited in time; they block neither the event loop nor each other."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from altd.runtime.threads import DeviceThread
 Result = TypeVar("Result")
 
 QUERY_TIMEOUT_S = 2.0
-"""Of one query: so long it may keep the write-ahead log from the file."""
+"""Time limit of one query; a query can delay the write-ahead log's transfer into the file for this long."""
 
 MAX_WAITING = 8
-"""More do not wait for the disk at once."""
+"""Maximum number of queries that wait for the disk at once."""
 
 
 class NoHistoryError(Exception):
-    """The history cannot be read now; the sentence says why."""
+    """The history cannot be read now; the message gives the reason."""
 
 
 class History:
-    """The history of the unit, for interfaces. ``unavailable`` says why there is none; empty: there is one.
+    """History of the unit for interfaces. ``unavailable``: why there is none; empty if there is one.
 
-    Where ``serial`` says which unit it is, a file of another one is refused: until it is moved aside, or
-    while the other's daemon writes it, it lies in the place of this unit's.
+    If ``serial`` identifies this unit, a file of another unit is refused. Such a file can be in this place
+    until it is moved aside, or while the other unit's daemon writes it.
     """
 
     def __init__(self, path: Path | None, unavailable: str = "", serial: str | None = None) -> None:
@@ -36,11 +36,11 @@ class History:
         self.serial = serial
         self.unavailable = unavailable if path is None else ""
         self.waiting = 0
-        """Queries that are not answered yet."""
+        """Number of unanswered queries."""
         self._thread: DeviceThread | None = None
 
     async def ask(self, query: Callable[[Reader], Result]) -> Result:
-        """The result of a query on an open file, in a thread; raises what it raises, and NoHistoryError."""
+        """Run a query on an open file in a thread; raises the query's errors and NoHistoryError."""
         if self.path is None:
             raise NoHistoryError(self.unavailable)
         if self.waiting >= MAX_WAITING:
@@ -66,7 +66,7 @@ class History:
             self.waiting -= 1
 
     async def end(self) -> None:
-        """No more is asked."""
+        """Stop the query thread."""
         thread, self._thread = self._thread, None
         if thread is not None:
             await thread.end(lambda: None, QUERY_TIMEOUT_S)

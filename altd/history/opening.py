@@ -1,4 +1,4 @@
-"""Opening a history file: for writing, by one daemon, for reading, and the treatment of a damaged one."""
+"""Opening a history file for writing by one daemon or for reading, and handling of damaged files."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from altd.history.schema import (
 )
 
 WAL_PAGES = 1000
-"""Of 4096 bytes: so large the write-ahead log grows before its pages are put into the file."""
+"""Size of the write-ahead log, in pages of 4096 bytes, at which its pages are transferred into the file."""
 
 MAX_FILES_ASIDE = 3
-"""More are not put beside each other: a disk that damages every file shall not be filled with them."""
+"""Maximum number of files moved aside; a disk that damages every file must not fill up with them."""
 
 DAMAGED, FOREIGN = "damaged", "of-another-unit"
-"""The suffix of a file that was moved aside."""
+"""Suffix of a file that was moved aside."""
 
 _MODE = 0o600
-"""Of the file and what SQLite keeps beside it, whatever the umask: it names who asked for what."""
+"""Permissions of the file and SQLite's files next to it, whatever the umask: it records users' requests."""
 
 _BUSY_TIMEOUT_S = 0.2
 _MAX_VALUE_BYTES = 1 << 20
@@ -45,7 +45,7 @@ _DAMAGED_CODES = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 @contextmanager
 def damage_told() -> Iterator[None]:
-    """Refuse a value that is neither text nor a number in Python: DamagedFileError."""
+    """Convert the error of a value that Python cannot read as text or number to DamagedFileError."""
     try:
         yield
     except (ValueError, TypeError, OverflowError) as error:
@@ -53,13 +53,13 @@ def damage_told() -> Iterator[None]:
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Whether SQLite says that the file itself is wrong, and not the disk or another program."""
+    """Whether SQLite reports a fault of the file itself, not of the disk or of another program."""
     code = getattr(error, "sqlite_errorcode", None)
     return code is not None and code & 0xFF in _DAMAGED_CODES
 
 
 def check_folder(path: Path) -> None:
-    """Raise UnusableFileError where nothing can be written beside a history."""
+    """Raise UnusableFileError if the folder of a history does not exist or cannot be written."""
     if not path.parent.is_dir():
         raise UnusableFileError(f"the folder {path.parent} does not exist")
     if not os.access(path.parent, os.W_OK | os.X_OK):
@@ -67,7 +67,7 @@ def check_folder(path: Path) -> None:
 
 
 def open_to_write(path: Path) -> sqlite3.Connection:
-    """A history that is there, of whichever version, brought to the newest; or a new one.
+    """Open an existing history of any version, migrated to the newest, or create a new one.
 
     Each commit is on the disk when it returns (WAL, ``synchronous = FULL``). Raises UnusableFileError,
     OSError and sqlite3.Error.
@@ -96,31 +96,31 @@ def open_to_write(path: Path) -> sqlite3.Connection:
 
 
 def is_private(path: Path) -> bool:
-    """Whether its owner alone may read and write a history."""
+    """Whether only its owner may read and write a history."""
     return not stat.S_IMODE(path.stat().st_mode) & ~_MODE
 
 
 def _make_private(path: Path) -> None:
-    """For its owner alone: what is there, and the file itself, which is made where it is not."""
+    """Restrict the history and SQLite's files to their owner; create the history if it does not exist."""
     with suppress(FileExistsError):
         os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, _MODE))
     for each in (path, *(path.with_name(path.name + ending) for ending in _BESIDE)):
         if each.exists() and not is_private(each):
-            with suppress(PermissionError):  # of another owner, or of a file system without permissions
+            with suppress(PermissionError):  # owned by another user, or a file system without permissions
                 each.chmod(_MODE)
 
 
 def check_pages(connection: sqlite3.Connection) -> None:
-    """Go through every page of the file (``quick_check``); raises DamagedFileError with what is wrong."""
+    """Check every page of the file (``quick_check``); raises DamagedFileError with the fault."""
     (said,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if said != "ok":
         raise DamagedFileError(f"is damaged: {' '.join(str(said).split())[:200]}")
 
 
 def open_to_read(path: Path) -> sqlite3.Connection:
-    """A history to read only: of a daemon that runs, of one that ended, or a copy of its file alone.
+    """Open a history read-only: of a running daemon, of one that ended, or a lone copy of its file.
 
-    Raises UnusableFileError for what is no history of this version, OSError and sqlite3.Error.
+    Raises UnusableFileError for a file that is not a history of this version, OSError and sqlite3.Error.
     """
     _check_regular(path)
     try:
@@ -132,9 +132,9 @@ def open_to_read(path: Path) -> sqlite3.Connection:
 
 
 def set_aside(path: Path, error: Exception) -> Path | None:
-    """Move a file away if ``error`` shows that it is damaged or of another unit; None: it stays.
+    """Move a file aside if ``error`` shows that it is damaged or of another unit; None: not moved.
 
-    Raises as ``move_aside`` does.
+    Raises the same errors as ``move_aside``.
     """
     if isinstance(error, ForeignFileError):
         return move_aside(path, FOREIGN)
@@ -144,9 +144,9 @@ def set_aside(path: Path, error: Exception) -> Path | None:
 
 
 def move_aside(path: Path, what: str) -> Path:
-    """Give a file that is ``DAMAGED`` or ``FOREIGN``, and what SQLite keeps beside it, another name.
+    """Rename a file that is ``DAMAGED`` or ``FOREIGN``, and SQLite's files next to it.
 
-    Returns that name. Raises UnusableFileError when there are too many already, OSError.
+    Returns the new name. Raises UnusableFileError if too many were moved aside before, and OSError.
     """
     earlier = [of.name for of in path.parent.glob(f"{glob.escape(path.name)}.{what}-*")]
     if sum(not name.endswith(_BESIDE) for name in earlier) >= MAX_FILES_ASIDE:
@@ -163,7 +163,7 @@ def move_aside(path: Path, what: str) -> Path:
 
 
 class transaction:  # noqa: N801  used as a statement
-    """``BEGIN IMMEDIATE`` to ``COMMIT``, or ``ROLLBACK`` after a failure."""
+    """Context manager from ``BEGIN IMMEDIATE`` to ``COMMIT``, or ``ROLLBACK`` after a failure."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
@@ -179,9 +179,9 @@ class transaction:  # noqa: N801  used as a statement
 
 
 def touched(path: Path) -> tuple[object, ...]:
-    """The state that changes when a file of a history is replaced, deleted or written.
+    """Return a state that changes when a history's files are replaced, deleted or written.
 
-    Readers too map the index of the log into memory: of it, only the identity of the file counts.
+    Readers also map the index of the log into memory, so only the identity of that file counts.
     """
     files = (_stat(path), _stat(path.with_name(f"{path.name}-wal")))
     index = _stat(path.with_name(f"{path.name}-shm"))
@@ -205,7 +205,7 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def _checked(connection: sqlite3.Connection) -> sqlite3.Connection:
-    """The connection of a history of this version; any other one is closed."""
+    """Return the connection if its file is a history of this version; otherwise close it and raise."""
     try:
         with damage_told():
             version = version_of(connection)
@@ -229,7 +229,7 @@ def _check_regular(path: Path) -> None:
 
 
 def _is_lone_copy(path: Path, error: sqlite3.OperationalError) -> bool:
-    """Whether SQLite lacks only a place for its files beside a copy in a folder that cannot be written."""
+    """Whether SQLite only failed to create its files next to a copy in a read-only folder."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
     is_refused = code in {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY}
     return is_refused and not any(path.with_name(path.name + ending).exists() for ending in _BESIDE)
@@ -243,13 +243,13 @@ def _stat(path: Path) -> os.stat_result | None:
 
 
 class WriteLock:
-    """The lock of the file beside a history: one daemon writes it.
+    """Lock file next to a history, so that only one daemon writes it.
 
-    Held until it is released or its process ends. Raises OSError, and UnusableFileError while another
+    Held until it is released or its process ends. Raises OSError, and UnusableFileError while another daemon
     holds it.
 
-    SQLite would let two write by turns: their measurements would be mixed, and each would take the other
-    for one that crashed.
+    SQLite itself would let two daemons write alternately: their measurements would be mixed, and each would
+    treat the other as crashed.
     """
 
     def __init__(self, history: Path) -> None:
@@ -265,5 +265,5 @@ class WriteLock:
             raise
 
     def release(self) -> None:
-        """Let others write."""
+        """Release the lock."""
         os.close(self._descriptor)

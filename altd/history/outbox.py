@@ -10,18 +10,18 @@ from altd.history.records import OutboxMark, QueuedSecond
 
 
 class Outbox:
-    """The seconds that wait in the history for an ingest. ``mark`` is None until the file is open."""
+    """Seconds in the history that wait for an ingest. ``mark`` is None until the file is open."""
 
     def __init__(self, history: History) -> None:
         self._history = history
         self.mark: OutboxMark | None = None
         self.acknowledged: tuple[str, int] | None = None
-        """Stream and sequence: so far the recorder may delete."""
+        """Stream and sequence up to which the recorder may delete."""
 
     async def after(
         self, sequence: int, limit: int
     ) -> tuple[OutboxMark, Sequence[QueuedSecond], Sequence[str]]:
-        """The complete seconds behind a sequence, oldest first, and the keys of all quantities.
+        """Return the complete seconds after a sequence, oldest first, and the keys of all quantities.
 
         Raises NoHistoryError, and ValueError while there is no mark.
         """

@@ -1,7 +1,7 @@
-"""Reads a history: rows in the order of time, points of a trend, measurements after another, events.
+"""Reading a history: rows in the order of time, points of a trend, measurements after an id, events.
 
-Every query is bounded by rows, and in time where a deadline is given. Nothing holds the file between two
-queries: the daemon's write-ahead log is never kept from the file for longer than one of them takes.
+Every query is limited in rows, and in time if a timeout is given. The file is not held between two queries:
+one query at most delays the transfer of the daemon's write-ahead log into the file.
 """
 
 from __future__ import annotations
@@ -39,23 +39,23 @@ from altd.history.schema import (
 
 MAX_POINTS = 5000
 MAX_ROWS = 5000
-"""Of one query for rows."""
+"""Maximum number of rows of one query."""
 
 _US = 10**6
 _EVENT_FIELDS = "id, epoch, t_us, severity, kind, of, text, detail, held_back"
 _STEPS_BETWEEN_LOOKS = 20_000
-"""Of SQLite's machine, some 0.2 ms, between two looks at the clock."""
+"""Steps of SQLite's virtual machine, about 0.2 ms, between two checks of the clock."""
 
 
 class HistoryTimeoutError(Exception):
-    """A query took longer than it may."""
+    """A query exceeded its time limit."""
 
 
 class Reader:
-    """An open history file. ``keys`` are those of the quantities that summaries hold."""
+    """An open history file."""
 
     def __init__(self, path: Path, timeout_s: float | None = None) -> None:
-        """Raises UnusableFileError, OSError and sqlite3.Error; each query may take ``timeout_s``."""
+        """Open; each query may take ``timeout_s``. Raises UnusableFileError, OSError and sqlite3.Error."""
         self._timeout_s = timeout_s
         self._deadline = math.inf
         self._connection = open_to_read(path)
@@ -66,7 +66,7 @@ class Reader:
             with damage_told():
                 self._columns = columns_in(self._connection)
                 self.codes = codes_in(self._connection)
-                """The codes of reasons and causes by their numbers in the file."""
+                """Codes of reasons and causes by their numbers in the file."""
         except BaseException:
             self._connection.close()
             raise
@@ -79,16 +79,16 @@ class Reader:
 
     @property
     def summarised(self) -> dict[str, Column]:
-        """The quantities that summaries hold, by their keys."""
+        """Quantities in summaries, by key."""
         return {column.key: column for column in self._columns.values() if column.is_summarised}
 
     @property
     def recorded(self) -> dict[str, Column]:
-        """The quantities that measurements hold, by their keys, those of a target as ``TARGET.KEY``."""
+        """Quantities in measurements, by key; those of a target as ``TARGET.KEY``."""
         return {column.key: column for column in self._columns.values()}
 
     def facts(self) -> dict[str, str]:
-        """The facts of the newest daemon: ``serial``, ``version``, ``config``, ``calibration``."""
+        """Return the newest daemon's facts: ``serial``, ``version``, ``config``, ``calibration``."""
         return {str(name): str(value) for name, value in self.rows("SELECT name, value FROM facts LIMIT 100")}
 
     def check_unit(self, serial: str) -> None:
@@ -96,10 +96,10 @@ class Reader:
         check_unit(self._connection, {"serial": serial})
 
     def trend(self, from_us: int, to_us: int, max_points: int, keys: Sequence[str] | None = None) -> Trend:
-        """From ``from_us`` to before ``to_us`` in at most so many points, of the quantities with these keys.
+        """Return the trend from ``from_us`` to before ``to_us`` in at most ``max_points``; None: all keys.
 
-        The coarsest table that has a row a point is read, so at most 60 rows a point. Raises ValueError for
-        a time, a count or a key that cannot be.
+        Reads the coarsest table with at least one row per point: at most 60 rows per point, of hours any
+        number. Raises ValueError for an invalid time, count or key.
         """
         if not 0 <= from_us < to_us < 2**62 or not 1 <= max_points <= MAX_POINTS:
             raise ValueError(f"a trend is of a span of time, in 1 to {MAX_POINTS} points")
@@ -121,7 +121,7 @@ class Reader:
         return Trend(table.name, width_s * _US, tuple(points))
 
     def summaries(self, table: SummaryTable, from_us: int, to_us: int) -> Iterator[SummaryPoint]:
-        """The rows of a table that begin in this time; the file is held for ``MAX_ROWS`` of them at once."""
+        """Yield a table's rows that begin in this time; one query reads at most ``MAX_ROWS`` of them."""
         columns = self._chosen(None)
         names = [column_name(part, number) for number, _ in columns for part in SUMMARY_PARTS]
         sql = (
@@ -135,9 +135,9 @@ class Reader:
             first = _further(rows[-1][0], first - 1) + 1
 
     def queued(self, stream: str, after: int, last: int, limit: int) -> list[QueuedSecond]:
-        """The summaries in the outbox with these sequences, oldest first.
+        """Return the summaries in the outbox with ``after`` < sequence ≤ ``last``, oldest first.
 
-        Raises UnusableFileError where the file in this place is of another opening than ``stream``.
+        Raises UnusableFileError if the file in this place has another stream than ``stream``.
         """
         if self.facts().get("stream") != stream:
             raise UnusableFileError("was opened again")
@@ -156,19 +156,19 @@ class Reader:
         return found
 
     def measurements_after(self, after: int, limit: int) -> list[StoredMeasurement]:
-        """The measurements with a larger id, oldest first. Raises ValueError for a limit that cannot be."""
+        """Return the measurements with a larger id, oldest first. Raises ValueError for an invalid limit."""
         if not 0 <= after < 2**62 or not 1 <= limit <= MAX_ROWS:
             raise ValueError(f"measurements are asked for after an id, 1 to {MAX_ROWS} at once")
         return self._measurements("id > ? ORDER BY id LIMIT ?", (after, limit))
 
     def id_of(self, sequence: int, t_ns: int) -> int | None:
-        """The id of the newest measurement with this sequence and monotonic time; None: there is none."""
+        """Return the id of the newest measurement with this sequence and monotonic time; None: none."""
         sql = "SELECT max(id) FROM measurements WHERE sequence = ? AND t_ns = ?"
         ((number,),) = self.rows(sql, (sequence, t_ns))
         return number if isinstance(number, int) else None
 
     def measurements(self, from_us: int, to_us: int) -> Iterator[StoredMeasurement]:
-        """The measurements of this time, in the order in which they were made."""
+        """Yield the measurements of this time in the order in which they were made."""
         after, span = 0, (max(from_us, 0), min(to_us, 2**62))
         where = "id > ? AND t_us >= ? AND t_us < ? ORDER BY id LIMIT ?"
         while rows := self._measurements(where, (after, *span, MAX_ROWS)):
@@ -183,9 +183,9 @@ class Reader:
         limit: int = MAX_ROWS,
         before: int | None = None,
     ) -> list[StoredEvent]:
-        """The newest events of this time, newest first; ``before`` an id: those older than that one.
+        """Return the newest events of this time, newest first; ``before``: only events with a smaller id.
 
-        No kinds: of all. Raises ValueError for a limit that cannot be.
+        Without kinds, events of all kinds. Raises ValueError for an invalid limit.
         """
         if not 1 <= limit <= MAX_ROWS or len(kinds) > 100:
             raise ValueError(f"1 to {MAX_ROWS} events are asked for at once")
@@ -201,7 +201,7 @@ class Reader:
     def events_after(
         self, after: int, from_us: int, to_us: int, kinds: Sequence[str] = ()
     ) -> Iterator[StoredEvent]:
-        """The events of this time with a larger id, in the order in which they came."""
+        """Yield the events of this time with a larger id, in the order in which they were recorded."""
         of_kinds = f"AND kind IN ({', '.join('?' * len(kinds))}) " if kinds else ""
         sql = (
             f"SELECT {_EVENT_FIELDS} FROM events "  # noqa: S608
@@ -277,7 +277,7 @@ class Reader:
         return list(by_key.values()) if keys is None else [by_key[key] for key in dict.fromkeys(keys)]
 
     def rows(self, sql: str, values: Sequence[object] = ()) -> list[Any]:
-        """The rows of a query, within its time; raises HistoryTimeoutError and UnusableFileError."""
+        """Return the rows of a query within its time; raises HistoryTimeoutError and UnusableFileError."""
         self._start_clock()
         try:
             with damage_told():
@@ -296,9 +296,9 @@ class Reader:
 
 
 def _grouped(number: int, column: Column) -> list[str]:
-    """The sums of a column in SQL: total, weight, variances, their weight, lowest, highest.
+    """Return a column's aggregates in SQL: total, weight, variances, their weight, lowest, highest.
 
-    What a sensor measures is known whether or not the beam is seen: all measurements count then.
+    A sensor's value is known whether or not the beam is visible, so all measurements count for it.
     """
     mean, sigma, below, above = (column_name(part, number) for part in SUMMARY_PARTS)
     weight = "n" if column.is_from_sensor else "n_valid"
@@ -313,7 +313,7 @@ def _grouped(number: int, column: Column) -> list[str]:
 
 
 def _further(last: int, before: int) -> int:
-    """The last row's number, which in a damaged file may lead back to where its reader was."""
+    """Return the last row's number; raise if it did not increase, which a damaged file can cause."""
     if last <= before:
         raise UnusableFileError("is damaged: its rows are not in their order")
     return last

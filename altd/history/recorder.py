@@ -1,4 +1,4 @@
-"""The event loop's side of the history: takes what comes, never waits, hands it on about once a second."""
+"""The event loop's side of the history: accepts items without waiting, writes about once a second."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from altd.status.health import Component, State, duration
 log = logging.getLogger("altd")
 
 WRITE_INTERVAL_S = 0.8
-"""With the time that a disk takes, what a crash or a power cut loses is less than a second."""
+"""Interval between batches; with the disk's time, a crash or a power cut loses less than a second."""
 
 MAX_WAITING_ITEMS = 4096
-"""Three minutes at 20 measurements a second; then the oldest are dropped, and counted."""
+"""Maximum number of waiting items, 3 min at 20 measurements per second; then the oldest is dropped and
+counted."""
 
 CLOCK_STEP_US = 500_000
-"""A time of day that differs by more from how the monotonic clock went was set."""
+"""Difference between the time of day and the monotonic clock, µs, above which the clock counts as set."""
 
 SLOW_S = 3.0
 _MAX_BACKOFF_S = 10.0
@@ -39,7 +40,7 @@ _NEVER_S = 1e9
 
 
 class HistoryRecorder:
-    """Records one daemon. ``read_state`` is asked once a batch what the unit shows."""
+    """Records one daemon's measurements, events and states. ``read_state`` is called once per batch."""
 
     def __init__(
         self,
@@ -70,17 +71,17 @@ class HistoryRecorder:
         component.set_state(State.STARTING, f"opens {store.path}")
 
     def take(self, measurement: Measurement) -> None:
-        """A measurement was published."""
+        """Record a measurement that was published."""
         self._add(Sample(self._wall_us(), measurement))
 
     async def run(self) -> None:
-        """Record until cancelled; then what waits is written, if the disk takes it within 2 s."""
+        """Record until cancelled; then write the waiting items if the disk accepts them within 2 s."""
         self._thread = DeviceThread("history")
         try:
             while True:
                 try:
-                    self.step()  # at once: to open a file takes time, and what is measured meanwhile waits
-                except Exception as error:  # a defect here must not end the measurement
+                    self.step()  # at once: opening a file takes time, and new measurements wait
+                except Exception as error:  # a defect here must not stop the measurement
                     log.exception("history: a defect")
                     self._tell(f"a defect: {type(error).__name__}: {error}")
                 await self._clock.sleep(WRITE_INTERVAL_S)
@@ -88,7 +89,7 @@ class HistoryRecorder:
             await self._end(self._thread)
 
     def step(self) -> None:
-        """Take the state, and hand on what has come unless the disk is busy with what came before."""
+        """Record the state, and write the waiting items unless the disk is busy with the previous batch."""
         self._add(StateSample(self._wall_us(), _worst_fault(self._read_state())))
         if self._writing is not None and not self._settle(self._writing):
             return
@@ -100,7 +101,7 @@ class HistoryRecorder:
             self._writing = asyncio.create_task(call, name="history's disk")
 
     def _settle(self, writing: asyncio.Task[Written]) -> bool:
-        """Whether the disk is done with a batch, however that went; what it did not take waits again."""
+        """Whether the disk is done with a batch, written or not; items that were not written wait again."""
         now_ns = self._clock.monotonic_ns()
         took_s = (now_ns - self._begun_ns) * 1e-9
         if not writing.done():
@@ -119,14 +120,14 @@ class HistoryRecorder:
             what = "" if isinstance(error, MovedFileError) else "not written: "
             self._tell(f"{what}{self._store.path}: {_sentence(error)}")
             return True
-        except Exception as error:  # a defect here must not end the measurement
+        except Exception as error:  # a defect here must not stop the measurement
             log.exception("history: a defect")
             self._events_written = self._events_taken
             self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
             self._tell(f"a defect: {type(error).__name__}: {error}")
             return True
         finally:
-            del writing, batch  # an error that came in it refers to this frame
+            del writing, batch  # an error raised in it refers to this frame
         self._events_written = self._events_taken
         if self._outbox is not None:
             self._outbox.mark = written.outbox
@@ -168,12 +169,12 @@ class HistoryRecorder:
             if isinstance(dropped, Sample):
                 self._component.count("measurements_lost")
             elif isinstance(dropped, ClockSet):
-                set_clock = dropped  # the items behind it have its time
+                set_clock = dropped  # the items after it use its time
         if set_clock is not None:
             self._items.appendleft(set_clock)
 
     def _wall_us(self) -> int:
-        """UTC now; where it was set since it was last asked, that is recorded first."""
+        """Return UTC now; if the clock was set since the last call, record that first."""
         now_ns = self._clock.monotonic_ns()
         utc = self._clock.utc(now_ns)
         wall_us = 0 if utc is None else round(utc.timestamp() * 1e6)
@@ -193,7 +194,7 @@ class HistoryRecorder:
         self._component.set_state(State.DEGRADED, sentence)
 
     async def _end(self, thread: DeviceThread) -> None:
-        """Write what waits; what the disk does not take within the time is lost."""
+        """Write the waiting items; what the disk does not accept in time is lost."""
         self._add(StateSample(self._wall_us(), _worst_fault(self._read_state())))
         if self._writing is not None:
             await asyncio.wait([self._writing], timeout=_END_TIMEOUT_S / 2)
@@ -209,12 +210,12 @@ class HistoryRecorder:
 def _end_store(store: Store, last: Batch | None) -> None:
     try:
         store.end(last)
-    except Exception:  # no caller is left to handle it
+    except Exception:  # there is no caller left to handle it
         log.exception("history: a defect")
 
 
 def _worst_fault(report: StateReport) -> WorstFault:
-    """The severity of what the unit shows, and the code of its worst cause."""
+    """Return the severity of the unit's signal and the code of its worst cause."""
     if not report.causes:
         return report.signal.severity, ""
     cause = report.causes[0].cause

@@ -1,4 +1,4 @@
-"""Records of a history: what it gives, and what its writer is handed; times are UTC, µs since 1970."""
+"""Records that a history returns and records that its writer receives; times are UTC, µs since 1970."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from altd.status.event_log import Event, EventKind
 
 @dataclass(frozen=True, slots=True)
 class StoredMeasurement:
-    """A measurement as it was published; what was not known is absent.
+    """A measurement as it was published; values that were not known are absent.
 
-    ``id`` grows over restarts and is never given twice in one file. ``values`` and ``sigmas`` are by the keys
-    of quantities, those of a target as ``TARGET.KEY``; ``randoms`` are the parts of ``sigmas`` that scatter.
+    ``id`` increases across restarts and is never reused in one file. ``values`` and ``sigmas`` are by the
+    keys of quantities, those of a target as ``TARGET.KEY``; ``randoms`` are the random parts of ``sigmas``.
     ``t_ns`` is the monotonic time of its daemon.
     """
 
@@ -33,14 +33,14 @@ class StoredMeasurement:
     randoms: Mapping[str, float]
 
     def known(self, key: str) -> Value | None:
-        """A quantity of the unit, or ``TARGET.KEY``; None: not known."""
+        """Return a quantity of the unit or of ``TARGET.KEY``; None: not known."""
         value = self.values.get(key)
         return None if value is None else Value(value, self.sigmas.get(key), self.randoms.get(key))
 
 
 @dataclass(frozen=True, slots=True)
 class SummaryValue:
-    """A quantity over a span: mean and lowest and highest of the valid measurements, and their sigma.
+    """A quantity over a span: mean, lowest and highest of the valid measurements, and their sigma.
 
     ``sigma`` is the standard deviation of one measurement (the root of their mean variance); None: not known.
     """
@@ -53,11 +53,11 @@ class SummaryValue:
 
 @dataclass(frozen=True, slots=True)
 class SummaryPoint:
-    """A span of time that begins at ``t_us``.
+    """Summary of a span of time that begins at ``t_us``.
 
     ``n`` measurements were made in it, ``n_valid`` of them valid. ``worst`` is the severity (0 good to 4
-    failure) of the unit's state, ``worst_code`` its cause; ``lost_to`` is the worst reason of those that were
-    not valid. Both codes are empty where there is none. A quantity that was not known is absent.
+    failure) of the unit's state, ``worst_code`` its cause; ``lost_to`` is the worst reason of the invalid
+    measurements. Both codes are empty if there is none. A quantity that was not known is absent.
     """
 
     t_us: int
@@ -72,7 +72,7 @@ class SummaryPoint:
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """Points in the order of time; spans in which no daemon ran have none. ``source`` is the table read."""
+    """Points in the order of time; none for spans without a running daemon. ``source``: the table read."""
 
     source: str
     span_us: int
@@ -81,7 +81,7 @@ class Trend:
 
 @dataclass(frozen=True, slots=True)
 class StoredEvent:
-    """An event; ``id`` grows over restarts and is never given twice in one file."""
+    """An event; ``id`` increases across restarts and is never reused in one file."""
 
     id: int
     epoch: int
@@ -96,11 +96,11 @@ class StoredEvent:
 
 @dataclass(frozen=True, slots=True)
 class OutboxMark:
-    """The outbox after a batch was written.
+    """State of the outbox after a batch was written.
 
     ``file`` identifies the file, ``stream`` one opening of it: sequences up to ``complete`` will not change.
-    ``oldest`` is the first that is still there. ``dropped`` were deleted before they were acknowledged, since
-    the file was begun.
+    ``oldest`` is the first sequence still in it. ``dropped`` counts the seconds deleted before they were
+    acknowledged, since the file was created.
     """
 
     file: str
@@ -111,13 +111,13 @@ class OutboxMark:
 
     @property
     def waiting(self) -> int:
-        """Complete seconds that are not acknowledged."""
+        """Number of complete seconds that are not acknowledged."""
         return self.complete - self.oldest + 1
 
 
 @dataclass(frozen=True, slots=True)
 class QueuedSecond:
-    """A summary of 1 s in the outbox, under its sequence."""
+    """A summary of 1 s in the outbox, with its sequence."""
 
     sequence: int
     epoch: int
@@ -126,7 +126,7 @@ class QueuedSecond:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A measurement, and the UTC at which it was published, µs."""
+    """A measurement and the UTC at which it was published, µs."""
 
     wall_us: int
     measurement: Measurement
@@ -134,7 +134,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class StateSample:
-    """The unit's state at this UTC, µs."""
+    """State of the unit at this UTC, µs."""
 
     wall_us: int
     fault: WorstFault
@@ -142,7 +142,7 @@ class StateSample:
 
 @dataclass(frozen=True, slots=True)
 class ClockSet:
-    """The time of day was set: from here on it is ``wall_us``."""
+    """The time of day was set; it is ``wall_us`` from here on."""
 
     wall_us: int
 
@@ -152,9 +152,9 @@ Item = Sample | StateSample | ClockSet
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Of about a second. ``monotonic_ns`` is when it was handed over.
+    """Items of about one second. ``monotonic_ns`` is the time at which the batch was handed over.
 
-    ``acknowledged``: a stream of the outbox, and the sequence up to which an ingest has it.
+    ``acknowledged``: a stream of the outbox, and the sequence up to which an ingest has stored it.
     """
 
     monotonic_ns: int
@@ -166,7 +166,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """The columns of a history, and facts that are compared with those of the last start.
+    """Columns of a history, and facts that are compared with those of the last start.
 
     A fact's value is text, or a JSON document whose changed keys are reported.
     """
@@ -177,7 +177,7 @@ class About:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something that the history found out, and has written as an event."""
+    """A finding of the history itself, which it has written as an event."""
 
     kind: EventKind
     text: str
@@ -186,9 +186,9 @@ class Notice:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """The result of a batch: the other events that were written, and the size of the file's used pages.
+    """The result of a batch: the history's own events and the size of the file's used pages.
 
-    ``outbox`` is None where there is none.
+    ``outbox`` is None if there is none.
     """
 
     notices: Sequence[Notice]

@@ -1,7 +1,7 @@
-"""Deletes old parts of the history: by age, by size, by count; a little with each batch, the oldest first.
+"""Deletion of old parts of the history by age, size and count: a little with each batch, the oldest first.
 
-The oldest is found by epoch, not by the clock: hours that a wrong clock has put into another year neither
-displace later measurements nor stay indefinitely.
+The oldest part is found by epoch, not by the clock: hours that a wrong clock has put into another year
+neither displace later measurements nor stay indefinitely.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from altd.status.event_log import ASKED
 
 MEASUREMENTS_S = 3600
 MAX_MEASUREMENTS = 400_000
-"""An hour of 110 a second; of more a second it is less than an hour."""
+"""Maximum number of measurements: one hour at 110 per second, less than an hour at higher rates."""
 
 MAX_EVENTS = 100_000
 MAX_ASKED_EVENTS = 10_000
-"""Of each kind that anybody on the network can bring about."""
+"""Maximum number of events of each kind that any client on the network can cause."""
 
 _ROWS_AT_ONCE = 2000
 _EVENTS_AT_ONCE = 1000
 _MIN_SECONDS = 3600
-"""So many summaries of 1 s stay while there are others to delete."""
+"""Number of summaries of 1 s that are kept as long as minutes can be deleted instead."""
 
 _PAGES_AT_ONCE = 512
 _RESERVE_BYTES = 12 << 20
-"""For the write-ahead log and what is between two batches."""
+"""Space for the write-ahead log and for growth between two batches."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deleted:
-    """The numbers of rows removed for want of room or of count; not of those that were old."""
+    """Number of rows deleted because of size or count, not because of age."""
 
     what: str
     rows: int
@@ -51,10 +51,10 @@ class Retention:
         self.events = Counter[str](
             dict(connection.execute("SELECT kind, count(*) FROM events GROUP BY kind"))
         )
-        """The numbers of events, by kind."""
+        """Number of events by kind."""
 
     def apply(self, epoch: int, epoch_age_s: float, now_us: int) -> list[Deleted]:
-        """Delete what is due, within the transaction of a batch; returns what is not of age."""
+        """Delete what is due, in a batch's transaction; returns the deletions not due to age."""
         self._delete_measurements(epoch, epoch_age_s, now_us)
         if SECONDS.max_rows is not None and self.rows[SECONDS.name] > SECONDS.max_rows:
             self._delete_oldest(SECONDS, self.rows[SECONDS.name] - SECONDS.max_rows)
@@ -72,12 +72,12 @@ class Retention:
         return deleted
 
     def give_back(self) -> None:
-        """Make the file smaller where it is larger than it may be; outside of a transaction."""
+        """Shrink the file if it exceeds its size limit; call outside a transaction."""
         if self._pragma("page_count") * self._pragma("page_size") > self._max_bytes:
             self._connection.execute(f"PRAGMA incremental_vacuum({_PAGES_AT_ONCE})").fetchall()
 
     def used_bytes(self) -> int:
-        """Of the file, without its free pages."""
+        """Return the size of the file without its free pages."""
         pages = self._pragma("page_count") - self._pragma("freelist_count")
         return pages * self._pragma("page_size")
 
@@ -105,7 +105,7 @@ class Retention:
         return []
 
     def _delete_oldest(self, table: SummaryTable, rows: int) -> int:
-        """Delete so many rows, and no more than at once, of the oldest epoch that has any."""
+        """Delete up to ``rows`` rows, at most ``_ROWS_AT_ONCE``, of the oldest epoch that has any."""
         found = self._connection.execute(
             "SELECT epoch, CAST(coalesce(first_s, 0) AS INTEGER), CAST(coalesce(last_s, 0) AS INTEGER), "  # noqa: S608
             f"CAST({table.name} AS INTEGER) FROM epochs "
@@ -120,7 +120,7 @@ class Retention:
             "WHERE key BETWEEN ? AND ? AND epoch = ? ORDER BY key LIMIT ?)",
             (first_s * ROWS_PER_SPAN, (last_s + 1) * ROWS_PER_SPAN, epoch, min(rows, _ROWS_AT_ONCE)),
         ).rowcount
-        counted = gone or there  # the epoch's own figures are wrong: it is not tried again
+        counted = gone or there  # the epoch's own count is wrong: set it to 0 so that it is not tried again
         self._connection.execute(
             f"UPDATE epochs SET {table.name} = max({table.name} - ?, 0) WHERE epoch = ?",  # noqa: S608
             (counted, epoch),
@@ -129,7 +129,7 @@ class Retention:
         return gone
 
     def _drop_from_outbox(self) -> int:
-        """Delete the oldest entries, those of summaries that are gone, and count them in the file."""
+        """Delete the oldest entries whose summaries are gone, and count them in the file."""
         dropped = self._connection.execute(
             "DELETE FROM outbox WHERE sequence < (SELECT coalesce((SELECT sequence FROM outbox CROSS JOIN "
             "seconds USING (key) ORDER BY sequence LIMIT 1), (SELECT max(sequence) + 1 FROM outbox)))"

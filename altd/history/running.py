@@ -1,9 +1,9 @@
-"""When the daemons before this one ran, and how much of that time they measured something valid.
+"""Running times of earlier daemons, and the share of that time with valid measurements.
 
-The rows of minutes give it for the last day, those of hours for the time before, each within the first and
-last second of its epoch. Where the clock was set while a daemon ran, its epochs follow each other without a
-gap, whatever their times are: each is moved so that it ends where the next one begins, and only the clock of
-a run's end is trusted.
+The minutes table covers the last day, the hours table the time before, each within the first and last second
+of its epoch. If the clock was set while a daemon ran, its epochs follow each other without a gap, whatever
+their times are. Each is moved so that it ends where the next one begins; only the clock at the end of a run
+is trusted.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from altd.reasons import Reason
 from altd.status.availability import Before, RunningSpan
 
 MAX_EPOCHS = 1000
-"""More starts and settings of the clock are not gone through; then less is known."""
+"""Maximum number of epochs (starts and clock changes) that are read; earlier time is then unknown."""
 
 _BY_MINUTES_US = 86_400 * 10**6
-"""So long before the start each minute counts."""
+"""Time before the start that is read from the minutes table."""
 
 _UNKNOWN = "unknown_reason"
 _US = 10**6
@@ -30,7 +30,7 @@ _US = 10**6
 
 @dataclass(frozen=True, slots=True)
 class _Epoch:
-    """``moved_us`` is how much later it was than its clock said."""
+    """An epoch; ``moved_us`` is the correction to add to its clock."""
 
     number: int
     first_s: int
@@ -43,13 +43,13 @@ class _Epoch:
 
 
 def before_start(reader: Reader, start_us: int, back_s: float) -> Before:
-    """The recorded state from ``back_s`` before a start to this start, in UTC of the clock now."""
+    """Return the recorded state from ``back_s`` before a start to this start, in UTC of the current clock."""
     from_us = start_us - round(back_s * _US)
     known_us = limit_us = start_us
     spans: list[RunningSpan] = []
     for epoch in _epochs(reader):
         if epoch.begin_us >= limit_us:
-            continue  # of this daemon itself, or of a clock that was wrong
+            continue  # this daemon's own epoch, or one with a wrong clock
         known_us = epoch.begin_us
         by_minutes_us = max(from_us, start_us - _BY_MINUTES_US)
         spans += _spans(reader, MINUTES, epoch, (by_minutes_us, limit_us), start_us)
@@ -61,7 +61,7 @@ def before_start(reader: Reader, start_us: int, back_s: float) -> Before:
 
 
 def _epochs(reader: Reader) -> Iterator[_Epoch]:
-    """The newest epochs that hold anything, the newest first."""
+    """Yield the newest epochs that contain anything, newest first."""
     rows = reader.rows(
         f"SELECT epoch, why, began_us, first_s, last_s FROM epochs ORDER BY epoch DESC LIMIT {MAX_EPOCHS}"  # noqa: S608
     )
@@ -83,7 +83,7 @@ def _epochs(reader: Reader) -> Iterator[_Epoch]:
 def _spans(
     reader: Reader, table: SummaryTable, epoch: _Epoch, between_us: tuple[int, int], start_us: int
 ) -> Iterator[RunningSpan]:
-    """An epoch's rows of a table between two times, newest first."""
+    """Yield an epoch's rows of a table between two times, newest first."""
     first_us = max(epoch.first_s * _US, between_us[0] - epoch.moved_us)
     end_us = min((epoch.last_s + 1) * _US, between_us[1] - epoch.moved_us)
     if first_us >= end_us:
@@ -105,7 +105,7 @@ def _spans(
 
 
 def _measured(row: Any, codes: dict[int, str]) -> tuple[float, str]:
-    """The share of a row in which something valid was measured, and the worst reason for the rest."""
+    """Return the share of a row with valid measurements, and the worst reason for the rest."""
     _, n, n_valid, worst, lost = row
     if not isinstance(n, int) or not isinstance(n_valid, int) or not 0 <= n_valid <= n:
         raise UnusableFileError("is damaged: a summary without its whole numbers")
@@ -114,6 +114,6 @@ def _measured(row: Any, codes: dict[int, str]) -> tuple[float, str]:
 
 
 def _without_target(code: str) -> str:
-    """The code of a reason without the target in front of it; any other one as it is."""
+    """Return the code of a reason without its target prefix; any other code unchanged."""
     fitting = (str(reason) for reason in Reason if code == reason or code.endswith(f"_{reason}"))
     return max(fitting, key=len, default=code)

@@ -1,9 +1,9 @@
-"""The tables of a history file, version by version, and the checks that a file must pass before it is used.
+"""Tables of a history file, version by version, and the checks that a file must pass before it is used.
 
-``seconds``, ``minutes`` and ``hours`` are alike. Their ``key`` is the UTC second at which the span begins,
-times 1000, plus a number that tells apart the rows of one span: after a restart or a clock that was set back
-there is a second one, and the first stays. ``epoch`` counts starts and settings of the clock; within one,
-time only grows. ``worst`` and ``lost`` are severity · 65536 + the number of a reason.
+``seconds``, ``minutes`` and ``hours`` have the same structure. Their ``key`` is the UTC second at which the
+span begins, times 1000, plus a number that distinguishes the rows of one span. A span gets a second row after
+a restart or after the clock was set back; the first row is kept. ``epoch`` counts starts and clock changes;
+within one epoch, time only increases. ``worst`` and ``lost`` are severity · 65536 + the number of a reason.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROWS_PER_SPAN = 1000
 
 @dataclass(frozen=True, slots=True)
 class SummaryTable:
-    """A table of summaries, the length of their spans, and how many are kept; None: as size allows."""
+    """A table of summaries, the length of their spans, and the row limit; None: limited by file size only."""
 
     name: str
     span_s: int
@@ -70,18 +70,18 @@ CREATE TABLE events (
 )
 
 _VERSION_2 = ("CREATE INDEX events_by_time ON events (t_us)",)
-"""Events of a day are found without going through those of years."""
+"""Index by time, so that the events of a day are found without reading those of years."""
 
 _VERSION_3 = ("SELECT number FROM columns",)
-"""Measurements hold the part of sigma that scatters, too: a column ``random_N`` for each quantity N."""
+"""Measurements also store the random part of sigma: a column ``random_N`` for each quantity N."""
 
 _VERSION_4 = ("CREATE TABLE outbox (sequence INTEGER PRIMARY KEY AUTOINCREMENT, key INTEGER NOT NULL)",)
-"""The summaries of 1 s that no ingest has acknowledged yet; a sequence is never given twice in one file."""
+"""Summaries of 1 s that no ingest has acknowledged yet; a sequence is never reused in one file."""
 
 MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
-"""The statements that make version n + 1 from version n; an empty file has version 0.
+"""Statements that migrate version n to version n + 1; an empty file has version 0.
 
-The numbers that a SELECT gives are those of the quantities that get a new column.
+A SELECT returns the numbers of the quantities that get a new column.
 """
 
 VERSION = len(MIGRATIONS)
@@ -97,36 +97,36 @@ SUMMARY_PARTS = ("mean", "sigma", "below", "above")
 
 
 class UnusableFileError(Exception):
-    """A file that is no history that this program reads; the sentence says what it is instead."""
+    """The file is not a history that this program reads; the message states what it is instead."""
 
 
 class DamagedFileError(UnusableFileError):
-    """A file that was a history, or may have been, and cannot be read any more."""
+    """The file was or may have been a history and can no longer be read."""
 
 
 class TouchedFileError(UnusableFileError):
-    """A history that another program replaced, deleted or wrote into while it was open."""
+    """Another program replaced, deleted or wrote the history while it was open."""
 
 
 class MovedFileError(UnusableFileError):
-    """A damaged history, or one of another unit, that was moved aside."""
+    """A history that is damaged or of another unit was moved aside."""
 
 
 class NewerFileError(UnusableFileError):
-    """A history of a newer program."""
+    """The history was written by a newer program."""
 
 
 class ForeignFileError(UnusableFileError):
-    """A history of another unit."""
+    """The history belongs to another unit."""
 
 
 def column_name(part: str, number: int) -> str:
-    """The name of a quantity's column, such as ``mean_3``."""
+    """Return the name of a quantity's column, such as ``mean_3``."""
     return f"{part}_{number}"
 
 
 def version_of(connection: sqlite3.Connection) -> int:
-    """The version of an open file, 0 of an empty one; raises UnusableFileError."""
+    """Return the version of an open file, 0 if it is empty; raises UnusableFileError."""
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (objects,) = connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
@@ -144,7 +144,7 @@ def version_of(connection: sqlite3.Connection) -> int:
 
 
 def migrate(connection: sqlite3.Connection, version: int) -> None:
-    """Bring a file of this version to the newest, each step in a transaction of its own."""
+    """Migrate a file of this version to the newest, each step in its own transaction."""
     for number, statements in enumerate(MIGRATIONS[version:], version + 1):
         connection.execute("BEGIN IMMEDIATE")
         try:
@@ -162,9 +162,9 @@ def migrate(connection: sqlite3.Connection, version: int) -> None:
 
 
 def check_tables(connection: sqlite3.Connection) -> None:
-    """Refuse a file of the newest version whose tables are not those of this page; raises DamagedFileError.
+    """Raise DamagedFileError if a file of the newest version does not have this module's tables.
 
-    A view, a virtual table or a generated column runs what the file's maker wrote while it is read.
+    Reading a view, a virtual table or a generated column would execute SQL written by the file's author.
     """
     found = dict(
         connection.execute("SELECT name, type || iif(rootpage > 0, '', ' without pages') FROM sqlite_schema")

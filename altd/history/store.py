@@ -1,4 +1,4 @@
-"""Writes the history: a batch a transaction. All of it blocks, and is called in a thread of its own."""
+"""Writing the history, one transaction per batch. All calls block and run in a dedicated thread."""
 
 from __future__ import annotations
 
@@ -49,20 +49,19 @@ from altd.records import Measurement
 from altd.status.event_log import Event, EventKind
 
 MAX_LOG_BYTES = 16 << 20
-"""So large a write-ahead log grows while another program keeps reading; then nothing is written."""
+"""Maximum size of the write-ahead log while another program keeps reading; above it, nothing is written."""
 
 _MAX_DELAY_S = 60.0
-"""A measurement's own time is not believed when it is further from the clock."""
+"""Maximum delay of a measurement's own time behind the clock; otherwise the clock's time is used."""
 
 _US = 10**6
 
 
 class Store:
-    """The history of one daemon. After a failure the next batch opens the file again.
+    """History of one daemon. After a failure the next batch opens the file again.
 
-    A file that is damaged or of another unit is moved aside, and a new one begun. Each opening begins an
-    epoch, so that nothing that was written before is touched again. ``has_outbox``: summaries of 1 s are
-    queued for an ingest.
+    A file that is damaged or of another unit is moved aside, and a new one is created. Each opening begins an
+    epoch, so that earlier rows are never changed. ``has_outbox``: summaries of 1 s are queued for an ingest.
     """
 
     def __init__(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
@@ -78,7 +77,7 @@ class Store:
         self._was_open = False
 
     def write(self, batch: Batch) -> Written:
-        """Write a batch whole or not at all; raises OSError, sqlite3.Error and UnusableFileError."""
+        """Write a batch completely or not at all; raises OSError, sqlite3.Error and UnusableFileError."""
         try:
             if self._open is None:
                 self._open = self._opened(batch)
@@ -92,10 +91,10 @@ class Store:
                 self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
                 raise MovedFileError(f"{error}: moved to {aside}, a new history is begun") from error
             if isinstance(error, TouchedFileError):
-                self._was_open = False  # its pages are looked at before it is believed again
+                self._was_open = False  # its pages are checked before it is trusted again
                 self._unwritten.append(Notice(EventKind.HISTORY, f"the history {error}"))
             raise
-        except BaseException:  # a defect: what is summed up so far is not believed either
+        except BaseException:  # a defect: the open summaries are not trusted either
             self._close_file()
             raise
         finally:
@@ -103,7 +102,7 @@ class Store:
                 self._release()
 
     def end(self, batch: Batch | None) -> None:
-        """Write the last batch, and that it was the last; failures are of no more interest."""
+        """Write the last batch and mark the epoch as ended; failures are ignored."""
         try:
             if batch is not None:
                 self.write(batch)
@@ -126,7 +125,7 @@ class Store:
                 check_unit(connection, self._about.facts)
                 opened = _OpenStore(connection, self.path, self._max_bytes, self._about, self._has_outbox)
                 if opened.epochs.was_interrupted and not self._was_open:
-                    check_pages(connection)  # by another daemon, or by a power cut
+                    check_pages(connection)  # interrupted in another daemon, or by a power cut
                 opened.begin(batch, self._session, [*self._unwritten, *_begun(self.path, is_new)])
             self._unwritten, self._untold = [], [*self._untold, *opened.take_notices()]
         except BaseException:
@@ -147,7 +146,7 @@ class Store:
 
 
 class _OpenStore:
-    """One connection, and what is known of its file."""
+    """One connection and the state of its file."""
 
     def __init__(
         self, connection: sqlite3.Connection, path: Path, max_bytes: int, about: About, has_outbox: bool
@@ -199,7 +198,7 @@ class _OpenStore:
         self._new_spans()
 
     def write(self, batch: Batch) -> int:
-        """Write a batch in one transaction; returns the bytes of the pages that are in use."""
+        """Write a batch in one transaction; returns the size of the used pages in bytes."""
         self._check_place()
         with transaction(self._connection):
             if batch.acknowledged is not None and batch.acknowledged[0] == self._stream:
@@ -221,11 +220,11 @@ class _OpenStore:
                     self._add_notice(self._notices[-1], batch.wall_us)
         self.retention.give_back()
         used_bytes = self.retention.used_bytes()
-        self._touched = touched(self._path)  # the last statement may have put the log into the file
+        self._touched = touched(self._path)  # the last statement may have checkpointed the log
         return used_bytes
 
     def outbox_mark(self) -> OutboxMark:
-        """The outbox as the last transaction left it."""
+        """Return the state of the outbox after the last transaction."""
         facts = dict(
             self._connection.execute("SELECT name, value FROM facts WHERE name IN ('file', 'dropped')")
         )
@@ -245,28 +244,28 @@ class _OpenStore:
             self.epochs.end(wall_us)
 
     def take_notices(self) -> list[Notice]:
-        """The notices since the last call."""
+        """Return the notices since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def _log_bytes(self) -> int:
-        """The length of the write-ahead log."""
+        """Return the size of the write-ahead log in bytes."""
         try:
             return self._path.with_name(f"{self._path.name}-wal").stat().st_size
         except FileNotFoundError:
             return 0
 
     def close(self) -> None:
-        """Close, whatever state the file is in."""
+        """Close the connection, whatever state the file is in."""
         try:
             self._connection.close()
         except sqlite3.Error:
             return
 
     def _check_place(self) -> None:
-        """The files are as the last batch left them, and a reader does not hold the write-ahead log."""
+        """Raise if the files changed since the last batch, or if a reader blocks the write-ahead log."""
         if touched(self._path) != self._touched:
-            with suppress(sqlite3.Error):  # a file that was moved is whole, and its log gets into no other
+            with suppress(sqlite3.Error):  # a moved file is intact, and its log is written to no other
                 self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             raise TouchedFileError("was replaced, deleted or written by another program while it was open")
         if self._log_bytes() > MAX_LOG_BYTES:
@@ -356,7 +355,7 @@ class _OpenStore:
 
 
 def _detail_text(detail: Mapping[str, object]) -> str | None:
-    """As JSON; what is no JSON costs this detail, and not the batch."""
+    """Return the detail as JSON; a detail that JSON cannot represent is dropped, not the whole batch."""
     try:
         return json.dumps(detail, allow_nan=False) if detail else None
     except (ValueError, TypeError, RecursionError):

@@ -1,6 +1,6 @@
-"""The measurements of a second, a minute or an hour as one row.
+"""Measurements of a second, a minute or an hour as one row.
 
-Those that are not over yet are written with each batch, and never merged.
+Spans that are still open are written with each batch, and never merged.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from altd.status.cause import signal_of
 from altd.status.causes import is_warning
 
 WorstFault = tuple[int, str]
-"""A severity (0 good to 4 failure) and the code that says why; the larger is the worse."""
+"""A severity (0 good to 4 failure) and the code of its reason; the larger tuple is the worse."""
 
 GOOD: WorstFault = (Signal.GOOD.severity, "")
 
 GRACE_S = 3
-"""A span accepts measurements for so long after its end, beyond their usual delay."""
+"""Time after its end during which a span still accepts measurements, beyond their usual delay, s."""
 
 FaultNumber = Callable[[WorstFault], int | None]
-"""The number in the file for a severity and its code; None: good."""
+"""Maps a severity and its code to the number in the file; None: good."""
 
 
 @dataclass(slots=True)
 class _Sums:
-    """Of one quantity, over the measurements that know it."""
+    """Sums of one quantity over the measurements that contain it."""
 
     count: int = 0
     total: float = 0.0
@@ -49,7 +49,7 @@ class _Sums:
             self.variance_total += sigma * sigma
 
     def row(self, column: Column) -> tuple[int | None, ...]:
-        """Mean, sigma, mean − lowest, highest − mean, in steps."""
+        """Return mean, sigma, mean − lowest, highest − mean, in steps."""
         low, high = column.steps(self.low), column.steps(self.high)
         if not self.count or low is None or high is None:
             return None, None, None, None
@@ -60,11 +60,11 @@ class _Sums:
 
 @dataclass(slots=True)
 class Summary:
-    """The measurements in a span of time, and the worst fault in it.
+    """Measurements in a span of time, and the worst fault in it.
 
-    The mean is that of the valid measurements, sigma the root of the mean of their variances: what one of
-    them is uncertain by, not how they scatter. ``worst`` is of the unit's state, ``lost_to`` of the
-    measurements that were not valid.
+    The mean is that of the valid measurements. Sigma is the root of the mean of their variances: the
+    uncertainty of one measurement, not their scatter. ``worst`` is the worst state of the unit, ``lost_to``
+    the worst reason of the invalid measurements.
     """
 
     columns: Sequence[Column]
@@ -78,7 +78,7 @@ class Summary:
         self._sums = [_Sums() for _ in self.columns]
 
     def add(self, measurement: Measurement) -> None:
-        """Take a measurement, valid or not."""
+        """Add a measurement, valid or not."""
         self.measurements += 1
         if measurement.valid:
             self.valid += 1
@@ -90,11 +90,11 @@ class Summary:
                 sums.add(known.value, known.sigma)
 
     def note_state(self, fault: WorstFault) -> None:
-        """Take the state that the unit showed in this time."""
+        """Add the state that the unit had in this time."""
         self.worst = max(self.worst, fault)
 
     def numbers(self) -> list[int | None]:
-        """Mean, sigma, mean − lowest and highest − mean of each column, in steps."""
+        """Return mean, sigma, mean − lowest and highest − mean of each column, in steps."""
         return [
             number
             for column, sums in zip(self.columns, self._sums, strict=True)
@@ -103,7 +103,7 @@ class Summary:
 
 
 def worst_fault_of(measurement: Measurement) -> WorstFault:
-    """The worst of the reasons for which a measurement is invalid."""
+    """Return the worst of the reasons for which a measurement is invalid."""
     reasons = [fault for fault in measurement.status if not is_warning(fault)]
     return max(
         ((signal_of(fault.reason).severity, str(fault)) for fault in reasons), default=(4, "unknown_reason")
@@ -116,13 +116,13 @@ class _OpenSpan:
     key: int | None = None
     is_changed: bool = True
     sequence: int | None = None
-    """In the outbox."""
+    """Sequence in the outbox; None: not queued."""
 
 
 class OpenSpans:
-    """The spans of one table that still take measurements. ``numbers`` are those of its columns.
+    """Spans of one table that still accept measurements. ``numbers`` are those of its columns.
 
-    ``is_queued``: its rows are put into the outbox, too.
+    ``is_queued``: its rows are also put into the outbox.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class OpenSpans:
         self._open: dict[int, _OpenSpan] = {}
 
     def at(self, t_s: int) -> Summary:
-        """The summary of the span that this second lies in; it will be written."""
+        """Return the summary of the span that contains this second, and mark it as changed."""
         begin_s = t_s - t_s % self.table.span_s
         span = self._open.get(begin_s)
         if span is None:
@@ -148,7 +148,7 @@ class OpenSpans:
         return span.summary
 
     def write(self, connection: sqlite3.Connection, epoch: int, number_of: FaultNumber) -> int:
-        """Write what has changed; returns how many rows are new."""
+        """Write the changed spans; returns the number of new rows."""
         new = 0
         for begin_s, span in self._open.items():
             if not span.is_changed:
@@ -165,17 +165,17 @@ class OpenSpans:
         return new
 
     def close(self, until_s: float) -> None:
-        """No more is expected for spans that ended before this second; what they hold is written."""
+        """Close the spans that ended before this second; call after their last ``write``."""
         for begin_s in [begin_s for begin_s in self._open if begin_s + self.table.span_s < until_s]:
             del self._open[begin_s]
 
     @property
     def first_open(self) -> int | None:
-        """The lowest sequence in the outbox whose row may still change; None: there is none."""
+        """Lowest sequence in the outbox whose row may still change; None: there is none."""
         return min((span.sequence for span in self._open.values() if span.sequence is not None), default=None)
 
     def _free_key(self, connection: sqlite3.Connection, begin_s: int) -> int | None:
-        """The first free key of a span; None: a clock has been set to it a thousand times."""
+        """Return the first free key of a span; None: all 1000 keys of the span are in use."""
         first = begin_s * ROWS_PER_SPAN
         last = first + ROWS_PER_SPAN - 1
         (largest,) = connection.execute(self._largest, (first, last)).fetchone()

@@ -1,1 +1,1 @@
-"""The kinds of unit: the quantities of each, and their solution."""
+"""Instruments: the quantities of each kind of unit, and the solver that computes them."""

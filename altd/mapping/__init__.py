@@ -1,1 +1,1 @@
-"""Pure: px ↔ mm by bivariate tensor polynomials on a Gram basis (thesis ch. 3.5) and lens models."""
+"""Pure code: px ↔ mm by bivariate tensor polynomials on a Gram basis (thesis ch. 3.5) and lens models."""

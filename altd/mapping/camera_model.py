@@ -1,6 +1,6 @@
-"""A camera that looks at a plane: pinhole with Brown's distortion, or Kannala and Brandt's fisheye.
+"""Camera that views a plane: pinhole with Brown's distortion, or Kannala and Brandt's fisheye.
 
-The shift of a patch of light: its centre in the picture against the picture of its centre.
+Also the shift of a patch of light: its centre in the picture against the picture of its centre.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ToPx = Callable[[FloatArray], FloatArray]
 
 
 def jacobian_px_per_mm(to_px: ToPx, points_mm: FloatArray, step_mm: float) -> FloatArray:
-    """d(u, v)/d(x, y) of a map at points (n, 2), as (n, 2, 2), from places ``step_mm`` to either side."""
+    """Return d(u, v)/d(x, y) of a map at points (n, 2), as (n, 2, 2), from ``step_mm`` to either side."""
     ahead_x, behind_x, ahead_y, behind_y = to_px_about(to_px, points_mm, step_mm * _SIDES)
     return np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * step_mm)
 
@@ -30,7 +30,7 @@ _SIDES = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
 
 
 def to_px_about(to_px: ToPx, points_mm: FloatArray, offsets_mm: FloatArray) -> FloatArray:
-    """The map of points (n, 2) moved by each of ``offsets_mm`` (k, 2), as (k, n, 2), in one call."""
+    """Map points (n, 2) moved by each of ``offsets_mm`` (k, 2), as (k, n, 2), in one call."""
     moved = points_mm[None] + offsets_mm[:, None]
     return to_px(moved.reshape(-1, 2)).reshape(moved.shape)
 
@@ -39,7 +39,7 @@ Optics = Literal["brown", "fisheye"]
 OPTICS: tuple[Optics, ...] = get_args(Optics)
 
 _USUAL_FOCAL_WIDTHS = 1.4
-"""Usual focal length in image widths; the nodes of one plane hardly tell it from the distance."""
+"""Usual focal length in image widths; the nodes of one plane hardly distinguish it from the distance."""
 
 _POSE_PRIOR = [np.inf] * 6 + [0.5, 0.03, 0.03]
 _POSE_DIFFERENCES = [1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-5, 1e-3, 1e-4, 1e-4]
@@ -48,9 +48,9 @@ _PRIOR = {
     "brown": np.array([*_POSE_PRIOR, 0.5, 0.2, 0.0005, 0.0005]),
     "fisheye": np.array([*_POSE_PRIOR, 0.5, 0.2]),
 }
-"""Standard deviations, in the parameters' own units, of what is known before: see ``Camera``. Wide against
-what lenses are like, and tight enough to take the guessing out of what 30 nodes can hardly tell apart: tilt,
-principal point and decentring."""
+"""Standard deviations of the parameters' priors, in their own units: see ``Camera``. Wide compared with the
+variety of lenses, and tight enough to determine what 30 nodes can hardly separate: tilt, principal point and
+decentring."""
 
 _DIFFERENCES = {
     "brown": np.array([*_POSE_DIFFERENCES, 1e-4, 1e-4, 1e-6, 1e-6]),
@@ -63,9 +63,9 @@ _BEND_PRIOR_PX = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """A tensor polynomial in mm on Gram polynomials, added to what the lens model projects.
+    """Tensor polynomial in mm on Gram polynomials, added to the projection by the lens model.
 
-    Without its constant and linear terms, which the camera's pose has already.
+    Without its constant and linear terms, which the camera's pose already includes.
     """
 
     x_axis: Axis
@@ -74,11 +74,11 @@ class Bend:
 
     @property
     def terms(self) -> int:
-        """The coefficients of one coordinate."""
+        """Number of coefficients of one coordinate."""
         return (self.degree + 1) ** 2 - 3
 
     def basis(self, points_mm: FloatArray) -> FloatArray:
-        """The terms at points (n, 2), as (n, terms)."""
+        """Return the terms at points (n, 2), as (n, terms)."""
         size = self.degree + 1
         bending = [i * size + j for i in range(size) for j in range(size) if i + j > 1]
         return tensor_basis((self.x_axis, self.y_axis), (self.degree, self.degree), points_mm)[:, bending]
@@ -86,12 +86,12 @@ class Bend:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A camera that looks at a plane.
+    """Camera that views a plane.
 
     ``parameters`` (m,): rotation vector; offset of the axis from the plane's origin (x, y) mm; log of the
     scale px/mm; log of the focal length over its usual value; principal point's offset from the image's
     middle in image widths (u, v); then the optics': Brown's k1, k2, p1, p2, or the fisheye's k1, k2 as OpenCV
-    counts them; then those of the bend, u before v, px. ``mirrored``: seen from behind.
+    numbers them; then those of the bend, u before v, px. ``mirrored``: seen from behind.
     """
 
     optics: Optics
@@ -103,12 +103,12 @@ class Camera:
 
     @staticmethod
     def optical_parameters(optics: Optics) -> int:
-        """The number of parameters of pose and optics."""
+        """Return the number of parameters of pose and optics."""
         return len(_PRIOR[optics])
 
     @property
     def prior(self) -> FloatArray:
-        """Standard deviations (m,) of what is known of the parameters before; infinite where nothing is."""
+        """Standard deviations (m,) of the parameters' priors; infinite where nothing is known."""
         if self.bend is None:
             return _PRIOR[self.optics]
         nodes = self.bend.x_axis.nodes * self.bend.y_axis.nodes
@@ -117,7 +117,7 @@ class Camera:
         )
 
     def with_bend(self, bend: Bend) -> Camera:
-        """The same camera with a bend that is still 0."""
+        """Return the same camera with a bend of 0."""
         return replace(
             self, parameters=np.concatenate([self.parameters, np.zeros(2 * bend.terms)]), bend=bend
         )
@@ -132,7 +132,7 @@ class Camera:
         return px
 
     def jacobian(self, points_mm: FloatArray) -> FloatArray:
-        """d(px)/d(parameters) as (2 n, m), by central differences; rows u, v of a point after another."""
+        """Return d(px)/d(parameters) as (2 n, m), by central differences; rows u, v point by point."""
         steps = _DIFFERENCES[self.optics]
         at = self.parameters[: len(steps)]
         shifted = np.concatenate([at + np.diag(steps), at - np.diag(steps)])
@@ -144,7 +144,7 @@ class Camera:
         return np.hstack([slopes, np.einsum("nk,cd->ncdk", basis, np.eye(2)).reshape(len(slopes), -1)])
 
     def _project(self, p: FloatArray, points_mm: FloatArray) -> FloatArray:
-        """Points (n, 2) by the lens of each of k rows of parameters, as (k, n, 2)."""
+        """Project points (n, 2) with each of k rows of parameters, as (k, n, 2)."""
         focal_px = _USUAL_FOCAL_WIDTHS * self.width * np.exp(p[:, 6])
         side = -1.0 if self.mirrored else 1.0
         turned = np.einsum("kij,nj->ikn", _rotations(p[:, :3])[:, :, :2], points_mm * (side, -1.0))
@@ -156,7 +156,7 @@ class Camera:
 
 
 def _brown(x: FloatArray, y: FloatArray, k: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slopes (k, n) bent by radial k1, k2 and decentring p1, p2."""
+    """Return slopes (k, n) bent by radial k1, k2 and decentring p1, p2."""
     k1, k2, p1, p2 = k.T[:, :, None]
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * k2)
@@ -167,7 +167,7 @@ def _brown(x: FloatArray, y: FloatArray, k: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _fisheye(x: FloatArray, y: FloatArray, k: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slopes (k, n) bent so that the distance from the middle goes by the angle, θ + k1 θ³ + k2 θ⁵."""
+    """Return slopes (k, n) bent so that the middle's distance follows the angle, θ + k1 θ³ + k2 θ⁵."""
     k1, k2 = k.T[:, :, None]
     slope = np.maximum(np.hypot(x, y), 1e-12)
     angle = np.arctan(slope)
@@ -177,7 +177,7 @@ def _fisheye(x: FloatArray, y: FloatArray, k: FloatArray) -> tuple[FloatArray, F
 
 
 def _rotations(vectors: FloatArray) -> FloatArray:
-    """Rodrigues' formula for rotation vectors (k, 3), as (k, 3, 3)."""
+    """Apply Rodrigues' formula to rotation vectors (k, 3), as (k, 3, 3)."""
     angle = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
     zero = np.zeros_like(x)
@@ -188,17 +188,17 @@ def _rotations(vectors: FloatArray) -> FloatArray:
 
 
 _DELTA_MM = 0.5
-"""The step of all derivatives: second ones need one so long, and first ones use it too."""
+"""Step of all derivatives: second ones need one this long, and first ones use it too."""
 _STEPS = np.arange(-2.0, 3.0)
 
 
 def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
-    """By how much a map enlarges areas at points (n, 2), (n,)."""
+    """Return by how much a map enlarges areas at points (n, 2), (n,)."""
     return np.asarray(np.abs(np.linalg.det(jacobian_px_per_mm(to_px, points_mm, _DELTA_MM))))
 
 
 def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float) -> FloatArray:
-    """The shift, (n, 2) px, of the centre of light of patches about points (n, 2) mm: centre − P(c).
+    """Return the shift, (n, 2) px, of the centre of light of patches about points (n, 2) mm: centre − P(c).
 
     An even disc of radius R about c is seen through a smooth map P (mm → px) with the Jacobian J. Its picture
     is evenly bright, so its centre of area is ∫ P |J| dA / ∫ |J| dA. With P(c + d) = P + J d + ½ dᵀ P″ d + …,
@@ -207,10 +207,10 @@ def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float)
 
         centre − P(c) = m (½ ∇²P + J g) + O(R⁴).
 
-    For a pinhole that is the known bias of a circle's centre under perspective (J. Heikkilä, O. Silvén, "A
+    For a pinhole this is the known bias of a circle's centre under perspective (J. Heikkilä, O. Silvén, "A
     four-step camera calibration procedure with implicit image correction", CVPR 1997); written with the map's
-    own derivatives it holds for any lens. A round laser spot is shifted alike, with the second moment of the
-    weights that its localiser uses.
+    own derivatives it holds for any lens. The shift of a round laser spot is the same, with the second moment
+    of the weights that its localiser uses.
     """
     # [i, j]: the map (n, 2) at i, j steps along x, y
     grid = np.stack(np.meshgrid(_STEPS, _STEPS, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -224,12 +224,12 @@ def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float)
 
 
 def disc_moment_mm2(diameter_mm: float) -> float:
-    """Second moment along one axis of an even disc."""
+    """Return the second moment along one axis of an even disc."""
     return diameter_mm**2 / 16
 
 
 def spot_moment_mm2(diameter_mm: float, threshold: float, power: float) -> float:
-    """Second moment along one axis of the weights (I − T)₊^p of a Gaussian spot of that 1/e² diameter.
+    """Return the second moment along one axis of weights (I − T)₊^p of a Gaussian spot of that 1/e² diameter.
 
     With s = r², I = exp(−8 s/D²), the moment is ½ ∫ s w ds / ∫ w ds, by the midpoint rule.
     """

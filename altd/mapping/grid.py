@@ -1,4 +1,4 @@
-"""The grid of known points, mm, on which a map is fitted, and the convex region inside which it is valid."""
+"""Grid of known points, mm, on which a map is fitted, and the convex region inside which it is valid."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from altd.records import FloatArray
 
 _EDGE_TOLERANCE_MM = 1e-3
 _MIN_TURN = 1e-6
-"""Sine of the angle between two edges; below it they are one edge with a node on it."""
+"""Minimum sine of the angle between two edges; below it they are one edge with a node on it."""
 
 
 def convex_hull_mm(points_mm: FloatArray) -> FloatArray:
-    """Corners (n, 2) of the convex hull of points (n, 2), counter-clockwise."""
+    """Return the corners (n, 2) of the convex hull of points (n, 2), counter-clockwise."""
     corners = cv2.convexHull(points_mm.astype(np.float32), clockwise=False)
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
 def edge_lines(hull_mm: FloatArray) -> FloatArray:
-    """The edges of a counter-clockwise hull as (n, 3): a point lies outside by n_x x + n_y y − offset, mm."""
+    """Return a counter-clockwise hull's edges (n, 3): a point is n_x x + n_y y − offset mm outside each."""
     edge = np.roll(hull_mm, -1, axis=0) - hull_mm
     outward = np.stack([edge[:, 1], -edge[:, 0]], axis=-1) / np.linalg.norm(edge, axis=1)[:, None]
     return np.column_stack([outward, np.einsum("ej,ej->e", outward, hull_mm)])
 
 
 def moved_outwards(hull_mm: FloatArray, margin_mm: float) -> FloatArray:
-    """Corners (n, 2) of a counter-clockwise hull whose edges are moved outwards by ``margin_mm``."""
+    """Return the corners (n, 2) of a counter-clockwise hull with edges moved outwards by ``margin_mm``."""
     edges = edge_lines(hull_mm)
     corners = []
     for (nx, ny, offset), (before_x, before_y, before) in zip(edges, np.roll(edges, 1, axis=0), strict=True):
@@ -45,7 +45,7 @@ def moved_outwards(hull_mm: FloatArray, margin_mm: float) -> FloatArray:
 
 
 def contains(hull_mm: FloatArray, points_mm: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which of the points (n, 2) lie inside a counter-clockwise hull or on its edge, to a micrometre."""
+    """Return which points (n, 2) are inside a counter-clockwise hull or on its edge, to a micrometre."""
     lines = edge_lines(hull_mm)
     outside: npt.NDArray[np.float64] = points_mm @ lines[:, :2].T - lines[:, 2]
     inside: npt.NDArray[np.bool_] = outside.max(axis=1) <= _EDGE_TOLERANCE_MM
@@ -55,18 +55,18 @@ def contains(hull_mm: FloatArray, points_mm: FloatArray) -> npt.NDArray[np.bool_
 _MIN_GAP_MM = 1e-3
 _MAX_STEP_DEVIATION = 0.1
 _MAX_SINGLE_STEP = 1.5
-"""Steps up to so many times the smallest one have no node between them that is missing."""
+"""Maximum ratio of a step without missing nodes to the smallest step."""
 
 MIN_LINES = 4
-"""The rows, and the columns, that a map needs."""
+"""Minimum number of rows, and of columns, for a map."""
 
 MAX_MISSING_SHARE = 0.2
-"""Of the nodes between the outermost rows and columns that are there."""
+"""Maximum share of nodes missing between the outermost rows and columns that are present."""
 
 _MIN_DROPPED_SHARE = 0.5
 
 Cell = tuple[int, int]
-"""Column and row of a node, counted from any one."""
+"""Column and row of a node, counted from any node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,25 +79,25 @@ class Axis:
 
     @property
     def last_mm(self) -> float:
-        """The largest position."""
+        """Largest position."""
         return self.first_mm + self.step_mm * (self.nodes - 1)
 
     @property
     def unit_per_mm(self) -> float:
-        """d(unit)/d(mm) of ``to_unit``."""
+        """Derivative d(unit)/d(mm) of ``to_unit``."""
         return 2 / (self.nodes * self.step_mm)
 
     def to_unit(self, mm: FloatArray) -> FloatArray:
-        """Positions in the units of the Gram basis (Eq. 3.22)."""
+        """Return positions in the units of the Gram basis (Eq. 3.22)."""
         return (mm - self.first_mm) * self.unit_per_mm - 1 + 1 / self.nodes
 
     @classmethod
     def through(cls, mm: FloatArray) -> Self:
-        """The axis through positions that lie near equidistant nodes, as a stage reports them.
+        """Return the axis through positions near equidistant nodes, as a stage reports them.
 
-        Positions closer together than a third of the widest gap count as one node; the nodes' means may
-        lie off equal steps by a tenth of a step, since the fit uses the positions themselves. A node may be
-        missing in between. Raises ValueError when there are fewer than two nodes or the steps differ by more.
+        Positions closer together than a third of the widest gap count as one node; the nodes' means may be
+        off equal steps by a tenth of a step, since the fit uses the positions themselves. Nodes may be
+        missing in between. Raises ValueError if there are fewer than two nodes or the steps differ by more.
         """
         ordered = np.sort(mm)
         gaps = np.diff(ordered)
@@ -116,39 +116,39 @@ class Axis:
         return cls(float(nodes[0]), step, int(numbers[-1]) + 1)
 
     def numbers(self, mm: FloatArray) -> npt.NDArray[np.intp]:
-        """Which node of the axis each position belongs to, counted from 0 at the first."""
+        """Return which node of the axis each position belongs to, counted from 0 at the first."""
         return np.rint((mm - self.first_mm) / self.step_mm).astype(np.intp)
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """The rest of a grid without the outer rows and columns that are missing."""
+    """Part of a grid within the rows and columns that remain when incomplete outer ones are dropped."""
 
     columns: range
     rows: range
     missing: int
-    """Nodes within it that are missing."""
+    """Number of nodes within it that are missing."""
 
     @property
     def cells(self) -> int:
-        """Nodes within it."""
+        """Number of nodes within it."""
         return len(self.columns) * len(self.rows)
 
     @property
     def most_missing(self) -> int:
-        """The number of its nodes that may be missing."""
+        """Maximum number of its nodes that may be missing."""
         return int(MAX_MISSING_SHARE * self.cells)
 
     @property
     def is_sufficient(self) -> bool:
-        """Whether a map can be made of it."""
+        """Whether it is sufficient for a map."""
         return min(len(self.columns), len(self.rows)) >= MIN_LINES and self.missing <= self.most_missing
 
     @classmethod
     def within(cls, cells: Collection[Cell], missing: Collection[Cell]) -> Self:
-        """The block of a grid of ``cells`` of which some are ``missing``.
+        """Return the block of a grid of ``cells`` of which some are ``missing``.
 
-        While too many are missing, the outer row or column that misses most goes, if that is most of it.
+        While too many are missing, the outer row or column that misses most is dropped, if over half.
         """
         gone = set(missing)
         columns, rows = (range(min(line), max(line) + 1) for line in zip(*cells, strict=True))
@@ -175,5 +175,5 @@ class Block:
 
 
 def _without(line: range, end: int) -> range:
-    """A range without its first or its last number."""
+    """Return a range without its first or its last number."""
     return line[1:] if end == line[0] else line[:-1]

@@ -1,4 +1,4 @@
-"""px → mm: Newton's method on the tensor map from a direct polynomial start."""
+"""Map px → mm by Newton's method on the tensor map from a direct polynomial start."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _MAX_ITERATIONS = 12
 _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
 _MAX_SIGMA_OUTSIDE_MM = 0.05
-"""The largest sigma outside the nodes' hull, an axis: the accuracy of Tables 3.3 and 3.4."""
+"""Maximum sigma outside the nodes' hull, per axis: the accuracy of Tables 3.3 and 3.4."""
 _MIN_DETERMINANT = 1e-12
 
 _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
 
 
 class InverseMap:
-    """The inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3."""
+    """Inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3."""
 
     def __init__(self, forward: TensorMap) -> None:
-        """The start is fitted to a dense grid over the map's own grid."""
+        """Fit the start to a dense grid over the map's own grid."""
         self.forward = forward
         x = np.linspace(forward.x_axis.first_mm, forward.x_axis.last_mm, 4 * forward.x_axis.nodes)
         y = np.linspace(forward.y_axis.first_mm, forward.y_axis.last_mm, 4 * forward.y_axis.nodes)
@@ -45,17 +45,17 @@ class InverseMap:
         self._edges = plain(edge_lines(forward.hull_mm))
         jacobian = forward.jacobian(forward.hull_mm.mean(axis=0, keepdims=True))[0]
         self._handed = float(np.sign(np.linalg.det(jacobian)))
-        """The sign that the determinant of d(u, v)/d(x, y) has where the map is not folded over."""
+        """Sign of the determinant of d(u, v)/d(x, y) where the map is not folded over."""
 
     def to_mm(self, points_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Map points (n, 2) px to (n, 2) mm.
 
-        Returns the points, d(x, y)/d(u, v) as (n, 2, 2) mm/px, and the covariance (n, 2, 2) mm² that the
-        map's own noise leaves: what a single place scatters about the map (print and speckle are fixed
-        patterns, so no averaging removes it) and what the map itself is uncertain by, outside the hull more
-        and more. A point for which Newton does not converge, that lies beyond a fold of the map, or outside
-        the hull by more than three of its sigmas and either the map's margin or what it is known to there,
-        is NaN.
+        Returns the points, d(x, y)/d(u, v) as (n, 2, 2) mm/px, and the covariance (n, 2, 2) mm² of the map's
+        own noise: the scatter of a single place about the map (print and speckle are fixed patterns, so
+        averaging does not remove it), and the uncertainty of the map itself, which increases outside the
+        hull. A point is NaN if Newton does not converge, if it is beyond a fold of the map, or if it is
+        outside the hull by more than three of its sigmas and either beyond the map's margin or too uncertain
+        there.
         """
         mm = np.empty((len(points_px), 2))
         inverse_jacobian = np.empty((len(points_px), 2, 2))
@@ -77,12 +77,12 @@ class InverseMap:
             v, vx, vy = horner_with_slopes(self._v, q, r)
             ux, vx, uy, vy = ux * per_x, vx * per_x, uy * per_y, vy * per_y
             determinant = ux * vy - uy * vx
-            if not abs(determinant) >= _MIN_DETERMINANT:  # so written, NaN is singular too
+            if not abs(determinant) >= _MIN_DETERMINANT:  # written so that NaN is singular too
                 break
             xu, xv, yu, yv = vy / determinant, -uy / determinant, -vx / determinant, ux / determinant
             miss_u, miss_v = u_px - u, v_px - v
             if abs(miss_u) < _CONVERGED_PX and abs(miss_v) < _CONVERGED_PX:
-                if determinant * self._handed < 0:  # beyond a fold, where the map shows its back
+                if determinant * self._handed < 0:  # beyond a fold, where the map is reversed
                     break
                 return self._judged(x, y, ((xu, xv), (yu, yv)))
             x += min(max(xu * miss_u + xv * miss_v, -reach_x), reach_x)
@@ -90,7 +90,7 @@ class InverseMap:
         return (math.nan, math.nan), _UNKNOWN, _UNKNOWN
 
     def _judged(self, x: float, y: float, inverse_jacobian: Rows) -> tuple[tuple[float, float], Rows, Rows]:
-        """A point found, with its covariance; NaN where the map is not known."""
+        """Return a point found, with its covariance; NaN where the map is not known."""
         (xu, xv), (yu, yv) = inverse_jacobian
         uu, uv, vv = self._variance_px2(x, y)
         outside_mm = self.outside_mm(x, y)
@@ -110,15 +110,15 @@ class InverseMap:
         return (x, y) if known else (math.nan, math.nan), inverse_jacobian, covariance
 
     def outside_mm(self, x_mm: float, y_mm: float) -> float:
-        """The distance of a place from the nodes' hull, across its farthest edge; negative inside."""
+        """Return the distance of a place from the nodes' hull, across its farthest edge; negative inside."""
         return max(nx * x_mm + ny * y_mm - offset for nx, ny, offset in self._edges)
 
     def difference_mm2(
         self, now_mm: FloatArray, before_mm: FloatArray, mm_per_px: FloatArray, changed: FloatArray
     ) -> FloatArray:
-        """Covariance (2, 2) mm² that this map leaves in the difference of two places (2,) mm near each other.
+        """Return the covariance (2, 2) mm² by this map of the difference of two near places (2,) mm.
 
-        The map's own uncertainty cancels as far as it is alike at both. ``changed`` (2, 2) is the share of
+        The map's own uncertainty cancels as far as it is equal at both. ``changed`` (2, 2) is the share of
         the map's noise by which the pattern differs between them: 0 at the same place, I far away.
         """
         of_map = self._row(*now_mm.tolist()) - self._row(*before_mm.tolist())
@@ -134,13 +134,13 @@ class InverseMap:
         return covariance
 
     def _variance_px2(self, x: float, y: float) -> tuple[float, float, float]:
-        """Variances of u and v and their covariance: the place's own pattern and the map's spread."""
+        """Return uu, uv and vv of the covariance of u and v: the place's own pattern and the map's spread."""
         of_u, of_v = self._row(x, y) @ self._spread_px
         uu, uv, vv = self._pattern_px2
         return uu + float(of_u @ of_u), uv + float(of_u @ of_v), vv + float(of_v @ of_v)
 
     def _row(self, x: float, y: float) -> FloatArray:
-        """The powers y^i x^j of a place, in the axes' units."""
+        """Return the powers y^i x^j of a place, in the axes' units."""
         x_axis, y_axis = self.forward.x_axis, self.forward.y_axis
         q = (x - (x_axis.first_mm + x_axis.last_mm) / 2) * x_axis.unit_per_mm
         r = (y - (y_axis.first_mm + y_axis.last_mm) / 2) * y_axis.unit_per_mm
@@ -150,7 +150,7 @@ class InverseMap:
 
 
 def _triangle(start: FloatArray) -> FloatArray:
-    """The start's coefficients as a matrix: row i of u^i, column j of v^j."""
+    """Return the start's coefficients as a matrix: row i of u^i, column j of v^j."""
     matrix = np.zeros((_START_DEGREE + 1, _START_DEGREE + 1))
     matrix[[i for i, _ in _EXPONENTS], [j for _, j in _EXPONENTS]] = start
     return matrix
@@ -160,5 +160,5 @@ _EXPONENTS = tuple((i, j) for i in range(_START_DEGREE + 1) for j in range(_STAR
 
 
 def _monomials(q: FloatArray) -> FloatArray:
-    """All monomials up to the start's total degree of points (n, 2)."""
+    """Return all monomials up to the start's total degree of points (n, 2)."""
     return np.stack([q[:, 0] ** i * q[:, 1] ** j for i, j in _EXPONENTS], axis=-1)

@@ -1,8 +1,7 @@
-"""A lens model as a map: fitted to the nodes with weak priors and kept as a tensor polynomial.
+"""Lens model as a map: fitted to the nodes with weak priors and stored as a tensor polynomial.
 
-A pinhole camera with Brown's distortion has 13 parameters for both coordinates where a plain tensor
-polynomial has 32 or 40, so the nodes' noise leaves less in it, as long as the lens is one that the model
-describes.
+A pinhole camera with Brown's distortion has 13 parameters for both coordinates, a plain tensor polynomial 32
+or 40. The nodes' noise therefore leaves less error in it, as long as the model describes the lens.
 """
 
 from __future__ import annotations
@@ -27,32 +26,32 @@ _CONVERGED = 1e-9
 
 _BEND_DEGREES = (2, 3)
 _MAX_FITTED_SHARE = 0.75
-"""A bend is tried when no more than this share of the nodes' coordinates is then fitted."""
+"""Maximum share of the nodes' coordinates that are fitted with a bend; otherwise none is tried."""
 
 _DENSE_NODES = 12
 _DENSE_DEGREES = range(4, 10)
 _MAX_DENSE_ERROR_PX = 5e-4
-"""Largest deviation of a lens's tensor polynomial from it: a hundredth of the nodes' noise."""
+"""Maximum deviation of a lens's tensor polynomial from it: a hundredth of the nodes' noise."""
 
 
 def _residuals(nodes: Nodes, camera: Camera) -> FloatArray:
-    """Seen less projected (2 n,), px, u and v of a node after another, each by its relative sigma."""
+    """Return seen less projected (2 n,), px, u and v node by node, divided by the relative sigma."""
     residuals: FloatArray = (nodes.px - camera.to_px(nodes.mm)).ravel() / _relative_sigmas(nodes)
     return residuals
 
 
 def _jacobian(nodes: Nodes, camera: Camera) -> FloatArray:
-    """The camera's Jacobian (2 n, m), each row by its node's relative sigma."""
+    """Return the camera's Jacobian (2 n, m), each row divided by its node's relative sigma."""
     return camera.jacobian(nodes.mm) / _relative_sigmas(nodes)[:, None]
 
 
 def _relative_sigmas(nodes: Nodes) -> FloatArray:
-    """Of all coordinates (2 n,)."""
+    """Return the relative sigmas of all coordinates (2 n,)."""
     return np.repeat(nodes.relative_sigma, 2)
 
 
 class _State(NamedTuple):
-    """A camera at its best, and what the nodes say of it; residuals by the nodes' relative sigma.
+    """Best camera, and the nodes' information on it; residuals are divided by the nodes' relative sigma.
 
     ``leverage`` (n, 2, 2) holds each node's own block of the hat matrix: all of it would grow with the square
     of the nodes.
@@ -66,7 +65,7 @@ class _State(NamedTuple):
 
     @property
     def effective_parameters(self) -> float:
-        """The number of the nodes' coordinates that the parameters use up."""
+        """Number of the nodes' coordinates that the parameters use up."""
         return float(np.trace(self.leverage, axis1=1, axis2=2).sum())
 
 
@@ -78,12 +77,12 @@ def fit_lens_map(
     bend_degree: int = 0,
     fiducials: Fiducials | None = None,
 ) -> Fit:
-    """Levenberg and Marquardt's least squares through nodes, with weak priors.
+    """Fit a lens to nodes by Levenberg and Marquardt's least squares, with weak priors.
 
-    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``fiducials``
-    of a print say how the plane is bent between the nodes too. The map is kept as a tensor polynomial through
-    the camera on a dense grid, with what the nodes' noise leaves in it. Raises ValueError when the nodes are
-    too few or lie on a line.
+    ``bend_degree`` > 1 adds a tensor polynomial of that degree for the residuals of the lens model;
+    ``fiducials`` of a print also show how the plane is bent between the nodes. The map is stored as a tensor
+    polynomial through the camera on a dense grid, with the error that the nodes' noise leaves in it. Raises
+    ValueError if the nodes are too few or on a line.
     """
     state = _fit_with_noise(_initial_camera(nodes.mm, nodes.px, image_size, optics), nodes, fiducials)
     if bend_degree > 1:
@@ -92,16 +91,16 @@ def fit_lens_map(
 
 
 def fit_camera(nodes: Nodes, image_size: tuple[int, int]) -> Camera:
-    """The camera with Brown's distortion through nodes; raises ValueError as ``fit_lens_map``."""
+    """Fit a camera with Brown's distortion to nodes; raises ValueError as ``fit_lens_map``."""
     return _fit_with_noise(_initial_camera(nodes.mm, nodes.px, image_size, "brown"), nodes, None).camera
 
 
 def fit_lens_maps(
     nodes: Nodes, hull_mm: FloatArray, image_size: tuple[int, int], fiducials: Fiducials | None = None
 ) -> list[Fit]:
-    """The fits of both optics, each plain and with a bend of degree 2 and 3 where the nodes can carry it.
+    """Return the fits of both optics, each plain and, with enough nodes, with a bend of degree 2 and 3.
 
-    A model that fails only loses; raises ValueError when all of them do.
+    A model that fails is skipped; raises ValueError if all of them fail.
     """
     fits, complaint = [], ValueError()
     for optics in OPTICS:
@@ -144,7 +143,7 @@ def _as_fit(state: _State, nodes: Nodes, hull_mm: FloatArray) -> Fit:
 
 
 def _fit_with_noise(camera: Camera, nodes: Nodes, fiducials: Fiducials | None) -> _State:
-    """Fit, estimate the noise, which says what the priors weigh, and fit again."""
+    """Fit, estimate the noise, which determines the weight of the priors, and fit again."""
     noise_px, precision = _INITIAL_NOISE_PX, np.diag(1 / camera.prior**2)
     for _ in range(_NOISE_ITERATIONS):
         camera = _least_squares(camera, precision, nodes, noise_px, fiducials)
@@ -169,7 +168,7 @@ def _fit_with_noise(camera: Camera, nodes: Nodes, fiducials: Fiducials | None) -
 def _initial_camera(
     nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], optics: Optics
 ) -> Camera:
-    """A camera square to the plane: scale, turn and side from an affine fit."""
+    """Return a camera square to the plane: scale, turn and side from an affine fit."""
     width, height = image_size
     design = np.column_stack([nodes_mm, np.ones(len(nodes_mm))])
     (a, b, origin) = np.linalg.lstsq(design, nodes_px, rcond=None)[0]
@@ -192,7 +191,7 @@ def _initial_camera(
 def _least_squares(
     camera: Camera, precision: FloatArray, nodes: Nodes, noise_px: float, fiducials: Fiducials | None
 ) -> Camera:
-    """Levenberg and Marquardt's steps from a camera to the one of the least cost."""
+    """Take Levenberg and Marquardt's steps from a camera to the one of minimum cost."""
 
     def residuals_and_cost(candidate: Camera) -> tuple[FloatArray, float]:
         residuals = _residuals(nodes, candidate) / noise_px
@@ -240,9 +239,9 @@ def _as_tensor(
     noise_px: float,
     hull_mm: FloatArray,
 ) -> TensorMap:
-    """The camera and what is uncertain of it on Gram polynomials over the nodes' rectangle.
+    """Return the camera and its uncertainty on Gram polynomials over the nodes' rectangle.
 
-    Of the lowest degree that lies off the camera by no more than a hundredth of usual noise.
+    The degree is the lowest that deviates from the camera by at most a hundredth of usual noise.
     """
     axes = []
     for column in (0, 1):
@@ -271,7 +270,7 @@ def _as_tensor(
 def _leave_one_out_and_standardised(
     residuals: FloatArray, leverage: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The leave-one-out residuals, and the residuals at equal variance.
+    """Return the leave-one-out residuals, and the residuals at equal variance.
 
     With the node's own block H of the leverage (n, 2, 2) these are (1 − H)⁻¹ r and (1 − H)^(−1/2) r.
     """

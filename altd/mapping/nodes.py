@@ -1,4 +1,4 @@
-"""The picture of a target in a camera: the nodes of a scan, and the dots of a regular print."""
+"""Picture of a target in a camera: the nodes of a scan, and the dots of a regular print."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from altd.records import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """Places (n, 2) mm, where they are seen (n, 2) px, and each one's relative sigma (n,).
+    """Places (n, 2) mm, their positions in the picture (n, 2) px, and each one's relative sigma (n,).
 
-    The relative sigma says by how much one node scatters more than an ordinary one.
+    The relative sigma is the factor by which one node scatters more than an ordinary one.
     """
 
     mm: FloatArray
@@ -25,18 +25,18 @@ class Nodes:
 
     @classmethod
     def ordinary(cls, mm: FloatArray, px: FloatArray) -> Nodes:
-        """Nodes of which none scatters more than another."""
+        """Return nodes that all scatter alike."""
         return cls(mm, px, np.ones(len(mm)))
 
     def __len__(self) -> int:
         return len(self.mm)
 
     def select(self, rows: npt.NDArray[np.intp]) -> Nodes:
-        """These alone."""
+        """Return only these nodes."""
         return Nodes(self.mm[rows], self.px[rows], self.relative_sigma[rows])
 
     def without(self, rows: npt.NDArray[np.intp]) -> Nodes:
-        """All but these."""
+        """Return all nodes except these."""
         return self.select(np.delete(np.arange(len(self)), rows))
 
 
@@ -48,8 +48,8 @@ _DIFFERENCE_MM = 0.05
 class Fiducials:
     """Places seen at ``px`` (n, 2) whose coordinates on a regular print are ``regular_mm`` (n, 2).
 
-    The regular coordinates are those of the plane but for an unknown affine map: print lies
-    anyhow on its glass. ``sigma_mm`` is the standard deviation of each coordinate.
+    The regular coordinates are those of the plane except for an unknown affine map: the position of a print
+    on its glass is arbitrary. ``sigma_mm`` is the standard deviation of each coordinate.
     """
 
     px: FloatArray
@@ -57,7 +57,7 @@ class Fiducials:
     sigma_mm: float
 
     def misfit(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
-        """The nodes' deviations from the best affine map, and their slopes by the parameters.
+        """Return the fiducials' deviations from the best affine map, and their slopes by the parameters.
 
         (2 n,) and (2 n, m), both in units of sigma; x of all, then y.
         """
@@ -73,7 +73,7 @@ class Fiducials:
         )
 
     def _without_affine(self, columns: FloatArray) -> FloatArray:
-        """Columns (n, k) without what is affine in the regular coordinates."""
+        """Return columns (n, k) without the part that is affine in the regular coordinates."""
         rest: FloatArray = columns - self._affine @ (self._affine.T @ columns)
         return rest
 
@@ -84,5 +84,5 @@ class Fiducials:
 
     @staticmethod
     def _unprojected(camera: Camera, mm: FloatArray, px: FloatArray) -> FloatArray:
-        """Small changes (n, 2, k) px at points mm, as changes in mm."""
+        """Return small changes (n, 2, k) px at points mm, as changes in mm."""
         return np.asarray(np.linalg.solve(jacobian_px_per_mm(camera.to_px, mm, _DIFFERENCE_MM), px))

@@ -1,6 +1,6 @@
 """Polynomials of the maps: Gram's orthonormal basis on equidistant nodes (thesis 3.5.2), and Horner's rule.
 
-That is what the daemon asks for, and for one point numpy's calls cost ten times the arithmetic.
+The daemon evaluates single points by Horner's rule: numpy's calls cost ten times the arithmetic for them.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from altd.records import FloatArray
 
 
 def gram_basis(x: FloatArray, nodes: int, degree: int) -> FloatArray:
-    """Unitary Gram polynomials g₀ … g_degree at ``x``.
+    """Return the unitary Gram polynomials g₀ … g_degree at ``x``.
 
-    ``x`` (n,) is in the units of Eq. 3.22, where the nodes lie at −1 + (2k − 1)/nodes; between the nodes the
-    polynomials interpolate. Returns (n, degree + 1). On the nodes the columns are orthonormal
-    (the √m scaling below Eq. 3.22). Raises ValueError for a degree that the nodes cannot carry.
+    ``x`` (n,) is in the units of Eq. 3.22, where the nodes are at −1 + (2k − 1)/nodes; between the nodes the
+    polynomials interpolate. Returns (n, degree + 1). On the nodes the columns are orthonormal (the √m scaling
+    below Eq. 3.22). Raises ValueError for a degree that the nodes cannot carry.
 
-    Eq. 3.20 is printed with n² − 1/2, with which they are not; n² − 1/4 is what R. W. Barnard et al., "Gram
-    polynomials and the Kummer function", J. Approx. Theory 94 (1998), have.
+    Eq. 3.20 is printed with n² − 1/2, with which they are not orthonormal; n² − 1/4 is in R. W. Barnard et
+    al., "Gram polynomials and the Kummer function", J. Approx. Theory 94 (1998).
     """
     if not 0 <= degree < nodes:
         raise ValueError(f"degree {degree} needs at least {degree + 1} nodes, there are {nodes}")
@@ -37,7 +37,7 @@ def gram_basis(x: FloatArray, nodes: int, degree: int) -> FloatArray:
 
 
 def gram_powers(nodes: int, degree: int) -> FloatArray:
-    """Coefficients of g₀ … g_degree, one a row, by rising powers of x: for the degrees of a map.
+    """Return the coefficients of g₀ … g_degree, one per row, by rising powers of x, for the degrees of a map.
 
     They agree with ``gram_basis`` to 1e-14 up to degree 15; far above, powers cancel and lose digits.
     """
@@ -51,26 +51,26 @@ def gram_powers(nodes: int, degree: int) -> FloatArray:
 
 
 def _alpha(n: int, nodes: int) -> float:
-    """Eq. 3.20, for n ≥ 1."""
+    """Return α of Eq. 3.20, for n ≥ 1."""
     return nodes / n * math.sqrt((n * n - 0.25) / (nodes * nodes - n * n))
 
 
 Rows = tuple[tuple[float, ...], ...]
-"""Coefficients c_ij of y^i x^j, rows by falling i and in them by falling j."""
+"""Coefficients c_ij of y^i x^j, rows by falling i and columns by falling j."""
 
 
 def rows(powers: FloatArray) -> Rows:
-    """A matrix of coefficients by rising powers, for Horner's rule."""
+    """Return a matrix of coefficients by rising powers in the form for Horner's rule."""
     return plain(powers[::-1, ::-1])
 
 
 def plain(matrix: FloatArray) -> Rows:
-    """A matrix as tuples of numbers."""
+    """Return a matrix as tuples of numbers."""
     return tuple(tuple(row) for row in matrix.tolist())
 
 
 def horner(coefficients: Rows, x: float, y: float) -> float:
-    """Σ c_ij x^j y^i."""
+    """Return Σ c_ij x^j y^i."""
     value = 0.0
     for row in coefficients:
         along_x = 0.0
@@ -81,7 +81,7 @@ def horner(coefficients: Rows, x: float, y: float) -> float:
 
 
 def horner_with_slopes(coefficients: Rows, x: float, y: float) -> tuple[float, float, float]:
-    """The same with its derivatives by x and by y."""
+    """Return Σ c_ij x^j y^i with its derivatives by x and by y."""
     value = slope_x = slope_y = 0.0
     for row in coefficients:
         along_x = slope = 0.0

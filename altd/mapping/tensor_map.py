@@ -1,4 +1,4 @@
-"""The map of one target: mm grid → px by a bivariate tensor polynomial (thesis 3.5.3–3.5.6)."""
+"""Map of one target: mm grid → px by a bivariate tensor polynomial (thesis 3.5.3–3.5.6)."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.records import FloatArray
 
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
-"""The model that was fitted: the tensor polynomial itself, or a lens that it represents."""
+"""Model that was fitted: the tensor polynomial itself, or a lens that it represents."""
 
 ROUND = 1.0, 0.0, 1.0
-"""The shape (uu, uv, vv) of noise that is alike along both axes."""
+"""Shape (uu, uv, vv) of noise that is the same along both axes."""
 _POINTS_ACROSS = 21
-"""Points along each axis for figures of the whole hull."""
+"""Number of points along each axis for figures of the whole hull."""
 
 _MAX_DEGREE = 6
 _MIN_DEGREES_OF_FREEDOM = 2
 _MIN_FREE_SHARE = 0.25
-"""Generalised cross-validation chooses among the degrees that leave free this share of what the nodes say:
+"""Minimum share of the nodes' data that a degree leaves free to be chosen by generalised cross-validation:
 with less it takes noise for a bend."""
 
 
 def tensor_basis(axes: tuple[Axis, Axis], degree: tuple[int, int], points_mm: FloatArray) -> FloatArray:
-    """Products of Gram polynomials along y and x at points (n, 2), the degree along x running fastest."""
+    """Return products of Gram polynomials along y and x at points (n, 2), with the degree along x fastest."""
     bx = gram_basis(axes[0].to_unit(points_mm[:, 0]), axes[0].nodes, degree[0])
     by = gram_basis(axes[1].to_unit(points_mm[:, 1]), axes[1].nodes, degree[1])
     basis: FloatArray = np.einsum("ni,nj->nij", by, bx)
@@ -40,17 +40,17 @@ def tensor_basis(axes: tuple[Axis, Axis], degree: tuple[int, int], points_mm: Fl
 class TensorMap:
     """A fitted map.
 
-    ``model`` is what was fitted: the tensor polynomial itself or a lens that it represents. ``spectra``
-    (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``covariance_factor_px`` (2, K, m),
-    K = (degree_x + 1)(degree_y + 1), is a factor F of the spectra's covariance F Fᵀ (Eq. 3.49–3.53), stacked
-    row by row: each of the m columns is one independent error of 1 sigma that the nodes' noise leaves.
-    ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v. No averaging of
-    exposures removes it at a new place. Its covariance is ``noise_px``² times ``noise_shape``: the elements
-    (uu, uv, vv) of a matrix of trace 2, for spots that are wider along one axis.
+    ``model`` is the fitted model: the tensor polynomial itself or a lens that it represents. ``spectra`` (2,
+    degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``covariance_factor_px`` (2, K, m), K =
+    (degree_x + 1)(degree_y + 1), is a factor F of the spectra's covariance F Fᵀ (Eq. 3.49–3.53), stacked row
+    by row: each of the m columns is one independent error of 1 sigma that the nodes' noise leaves.
+    ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v. Averaging
+    exposures does not remove it at a new place. Its covariance is ``noise_px``² times ``noise_shape``: the
+    elements (uu, uv, vv) of a matrix of trace 2, for spots that are wider along one axis.
 
-    ``hull_mm`` (n, 2) is the convex polygon that its nodes span, counter-clockwise.
-    ``margin_mm`` beyond it the map is still known, as well as its spread says and worse by
-    ``beyond_px_per_mm``: one sigma of what the model itself is off, for each mm outside.
+    ``hull_mm`` (n, 2) is the convex polygon that its nodes span, counter-clockwise. Up to ``margin_mm``
+    beyond it the map is known with its own spread and, in addition, ``beyond_px_per_mm``: one sigma of the
+    model's own error, for each mm outside.
     """
 
     model: Model
@@ -66,7 +66,7 @@ class TensorMap:
 
     @property
     def name(self) -> str:
-        """The model for people, with its degrees along x and y where they were chosen."""
+        """Model for display, with its degrees along x and y if they were chosen."""
         return f"tensor {self.degree[0]} × {self.degree[1]}" if self.model == "tensor" else self.model
 
     @property
@@ -76,9 +76,9 @@ class TensorMap:
         return self.noise_px**2 * np.array([[uu, uv], [uv, vv]])
 
     def with_noise(self, noise_px: float, shape_mm: FloatArray) -> TensorMap:
-        """The map with nodes' noise of this size and the shape (2, 2) in mm, also in its own covariance.
+        """Return the map with nodes' noise of this size and shape (2, 2) in mm, also in its covariance.
 
-        The scale of ``shape_mm`` does not count. The slopes of the map's middle make it a shape in px.
+        The scale of ``shape_mm`` does not count. The slopes of the map's middle convert it to a shape in px.
         """
         jacobian = self.jacobian(self.hull_mm.mean(axis=0, keepdims=True))[0]
         shape = jacobian @ shape_mm @ jacobian.T
@@ -91,27 +91,27 @@ class TensorMap:
 
     @property
     def sigma_px(self) -> float:
-        """Rms over the hull, and over u and v, of what the nodes' noise leaves in the map."""
+        """Rms over the hull, and over u and v, of the error that the nodes' noise leaves in the map."""
         return float(np.sqrt(self.variance_px2(self.dense_mm()).mean()))
 
     def variance_px2(self, points_mm: FloatArray) -> FloatArray:
-        """Variances (n, 2) of u and v that the nodes' noise leaves in the map at points (n, 2)."""
+        """Return the variances (n, 2) of u and v that the nodes' noise leaves in the map at points (n, 2)."""
         variances: FloatArray = np.square(self.errors_px(points_mm)).sum(axis=2)
         return variances
 
     def errors_px(self, points_mm: FloatArray) -> FloatArray:
-        """The independent errors of 1 sigma of the map at points (n, 2), as (n, 2, m)."""
+        """Return the independent errors of 1 sigma of the map at points (n, 2), as (n, 2, m)."""
         errors: FloatArray = (self._basis(points_mm) @ self.covariance_factor_px).transpose(1, 0, 2)
         return errors
 
     @property
     def folds(self) -> bool:
-        """Whether the map turns back on itself inside its hull: two places there would share one pixel."""
+        """Whether the map folds back on itself inside its hull: two places there would share one pixel."""
         determinant = np.linalg.det(self.jacobian(self.dense_mm()))
         return bool(determinant.min() <= 0 <= determinant.max())
 
     def dense_mm(self) -> FloatArray:
-        """Points (n, 2) on a fine grid over the hull, for figures of all of it."""
+        """Return points (n, 2) on a fine grid over the hull, for figures of all of it."""
         x_mm, y_mm = (
             np.linspace(low, high, _POINTS_ACROSS)
             for low, high in zip(self.hull_mm.min(axis=0), self.hull_mm.max(axis=0), strict=True)
@@ -130,11 +130,11 @@ class TensorMap:
         return px
 
     def _basis(self, points_mm: FloatArray) -> FloatArray:
-        """The polynomials at points (n, 2), as (n, K), stacked as the spectra are."""
+        """Return the polynomials at points (n, 2), as (n, K), in the order of the spectra."""
         return tensor_basis((self.x_axis, self.y_axis), self.degree, points_mm)
 
     def jacobian(self, points_mm: FloatArray) -> FloatArray:
-        """d(u, v)/d(x, y) at points (n, 2), as (n, 2, 2) px/mm."""
+        """Return d(u, v)/d(x, y) at points (n, 2), as (n, 2, 2) px/mm."""
         u, v, _ = self.powers()
         q = self.from_middle(points_mm)
         slopes = [
@@ -144,11 +144,11 @@ class TensorMap:
         return np.asarray(np.array(slopes).transpose(2, 0, 1) * per_mm, dtype=np.float64)
 
     def from_middle(self, points_mm: FloatArray) -> FloatArray:
-        """Points (n, 2) in the axes' units of Eq. 3.22, of which 0 is the middle of an axis."""
+        """Return points (n, 2) in the axes' units of Eq. 3.22, in which 0 is the middle of an axis."""
         return np.column_stack([self.x_axis.to_unit(points_mm[:, 0]), self.y_axis.to_unit(points_mm[:, 1])])
 
     def powers(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The map by powers y^i x^j in the axes' units, which for one point cost least.
+        """Return the map by powers y^i x^j in the axes' units, which cost least for one point.
 
         ũ and ṽ (degree_y + 1, degree_x + 1) by rising i and j, and the spread of their coefficients.
         """
@@ -160,15 +160,15 @@ class TensorMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A map and what was left over at the nodes, each (n, 2) px.
+    """A map and its residuals at the nodes, each (n, 2) px.
 
-    ``residuals_px`` are measured minus mapped, ``leave_one_out_residuals_px`` the same with the map that is
-    fitted without the node; ``standardised_px`` are the residuals scaled to the same variance at every node,
-    near the middle of the grid or at its corners, where the map bends after them. ``relative_sigma`` (n,) is
-    what one node scatters by relative to another, as it was given. ``degree`` is that of a tensor polynomial
-    among what was fitted, along x and y. ``parameters`` is how many numbers were fitted, for u and v
-    together, and ``effective_parameters`` how many of the 2 n coordinates they take up, which is less where
-    something was known before (the trace of the leverage).
+    ``residuals_px`` are measured minus mapped, ``leave_one_out_residuals_px`` the same with the map fitted
+    without the node; ``standardised_px`` are the residuals scaled to the same variance at every node, near
+    the middle of the grid or at its corners, where the map follows them. ``relative_sigma`` (n,) is the given
+    scatter of one node relative to another. ``degree`` is that of a tensor polynomial among what was fitted,
+    along x and y. ``parameters`` is the number of fitted parameters, for u and v together, and
+    ``effective_parameters`` how many of the 2 n coordinates they use up, which is less if priors were known
+    (the trace of the leverage).
     """
 
     map: TensorMap
@@ -182,9 +182,9 @@ class Fit:
 
     @property
     def leave_one_out_px(self) -> float:
-        """Rms of the leave-one-out residuals over u and v: what to expect at a new place, print included.
+        """Rms of the leave-one-out residuals over u and v: the error expected at a new place, print included.
 
-        A node counts by its relative sigma.
+        Each residual is divided by its node's relative sigma.
         """
         return float(
             np.sqrt(np.mean(np.square(self.leave_one_out_residuals_px / self.relative_sigma[:, None])))
@@ -204,13 +204,13 @@ def fit_tensor_map(
     degree: tuple[int, int] | None = None,
     relative_sigma: FloatArray | None = None,
 ) -> Fit:
-    """Least squares of Eq. 3.26 through nodes (n, 2) mm with measured positions (n, 2) px.
+    """Fit Eq. 3.26 by least squares to nodes (n, 2) mm with measured positions (n, 2) px.
 
-    The nodes lie on a rectangular grid, of which some may be missing; on a complete one the solution is
-    Eq. 3.35 and 3.36. Without ``degree``, along x and y, it is that of the least generalised cross-validation
-    score. ``relative_sigma`` (n,) says by how much one node scatters more than another.
+    The nodes are on a rectangular grid, of which some may be missing; on a complete one the solution is Eq.
+    3.35 and 3.36. Without ``degree``, along x and y, the one with the minimum generalised cross-validation
+    score is chosen. ``relative_sigma`` (n,) is the factor by which one node scatters more than another.
 
-    Raises ValueError when the nodes are no grid or too few for the degree.
+    Raises ValueError if the nodes are no grid or too few for the degree.
     """
     if degree is None:
         fits = fit_tensor_maps(nodes_mm, nodes_px, hull_mm, relative_sigma)
@@ -221,9 +221,9 @@ def fit_tensor_map(
 def fit_tensor_maps(
     nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray, relative_sigma: FloatArray | None = None
 ) -> list[Fit]:
-    """The fits of all degrees that the nodes carry: along an axis up to two less than its nodes, 6 at most.
+    """Return the fits of all degrees that the nodes carry: along an axis up to its nodes less two, at most 6.
 
-    Raises ValueError when the nodes are no grid or carry none.
+    Raises ValueError if the nodes are no grid or carry none.
     """
     axes = _axes(nodes_mm)
     lines = (len(np.unique(axis.numbers(along))) for axis, along in zip(axes, nodes_mm.T, strict=True))

@@ -1,1 +1,1 @@
-"""Pure: frames of one instant, windows, means, and the calibration they are measured with."""
+"""Pure code: frame sets, windows, means, and the calibration that they are measured with."""

@@ -1,4 +1,4 @@
-"""The robust mean over a window of frame sets, and when there is none."""
+"""Robust mean over a window of frame sets, and the reasons why there is none."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def spot_motion(
     noise_px: FloatArray,
     newest: tuple[FloatArray, float] | None,
 ) -> SpotMotion:
-    """The motion of n exposures without outliers.
+    """Return the motion over n frame sets without outliers.
 
-    ``deviations_px`` (n, coordinates) are from their mean, at ``since_middle_s`` (n,) from the mean of their
-    times; ``exposure_covariance_px2`` is that of one exposure about steady motion, ``noise_px`` the spots'
-    own. ``newest`` holds deviation and time of the newest exposure where that is an outlier: a beam that
-    begins to move is first seen as one, and the mean does not move meanwhile.
+    ``deviations_px`` (n, coordinates) are from their mean, at ``since_middle_s`` (n,) from the mean time;
+    ``exposure_covariance_px2`` is the covariance of one frame set about steady motion, ``noise_px`` the
+    spots' own noise. ``newest`` holds deviation and time of the newest frame set if it is an outlier: a beam
+    that starts to move first appears as one, and does not move the mean.
     """
     square_s2 = float(since_middle_s @ since_middle_s)
     rate = since_middle_s @ deviations_px / square_s2
@@ -52,13 +52,13 @@ BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 _OUTLIER_SIGMAS = 6.0
 _MIN_FRAME_SETS_FOR_OUTLIERS = 4
-"""Of three frame sets under vibration two often lie close together, and the third is no outlier."""
+"""Under vibration two of three frame sets are often close together; the third is then no outlier."""
 _MAX_OUTLIER_FRACTION = 0.3
 _MIN_GAP_SIGMAS = 10.0
 _MIN_CLUSTER_FRAME_SETS = 2
-"""A single frame set is no place: it is an outlier, or with its neighbour the scatter of a short window."""
+"""Minimum size of a cluster: a single frame set is an outlier, or two are the scatter of a short window."""
 _MAX_UNUSABLE_AT_END = 3
-"""So many unusable frame sets at the end of a window: the spot is lost, whatever came before."""
+"""Number of unusable frame sets at the end of a window that mean a lost spot, regardless of earlier ones."""
 _MIN_FRAME_SETS_FOR_MOTION = 4
 _WARMING_UP = Fault(Reason.WARMING_UP, detail="half a window of exposures is needed first")
 _PRIOR_WEIGHT = 2.0
@@ -66,26 +66,26 @@ _PRIOR_WEIGHT = 2.0
 
 
 class Window(Protocol):
-    """The last frame sets, and their mean."""
+    """Window over the last frame sets, with their mean."""
 
     def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
-        """Take a frame set; returns the mean, or why there is none, or None when it is not time yet."""
+        """Add a frame set; return the mean, the faults that prevent it, or None when no mean is due."""
 
     def pass_over(self, sequence: int) -> None:
-        """Take the number of a frame set that is not to be measured: what it lacks is no fault."""
+        """Record the number of a frame set that is not measured, so that its absence causes no fault."""
 
     def forget(self) -> None:
-        """Drop the frame sets that came before a gap; the count to the next mean continues."""
+        """Drop the frame sets before a gap; the count to the next mean continues."""
 
     def begin(self, window: int | None = None) -> None:
-        """Drop all frame sets and count to the next mean again, from now on over ``window`` frame sets."""
+        """Drop all frame sets and restart the count to the next mean; ``window`` sets a new length."""
 
 
 class FrameSetWindow:
-    """The last frame sets, and their mean after every so many: 1 is the sliding mean.
+    """Window over the last frame sets, with a mean after every ``every`` of them; 1 gives a sliding mean.
 
-    Frame sets that were lost in all cameras at once show only in the numbers, and fill places of the window
-    too: a mean never reaches farther back because of them.
+    Frame sets lost in all cameras at once appear only as gaps in the numbers. They occupy places in the
+    window too, so a mean never reaches farther back because of them.
     """
 
     def __init__(self, targets: tuple[str, ...], window: int, every: int) -> None:
@@ -94,15 +94,15 @@ class FrameSetWindow:
         self._every = every
         self._frame_sets: deque[FrameSet] = deque(maxlen=window)
         self._passed_over: deque[int] = deque(maxlen=window)
-        """Their numbers."""
+        """Numbers of the frame sets that are not measured."""
         self._since_mean = 0
 
     def pass_over(self, sequence: int) -> None:
-        """Take the number of a frame set that is not to be measured: what it lacks is no fault."""
+        """Record the number of a frame set that is not measured, so that its absence causes no fault."""
         self._passed_over.append(sequence)
 
     def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
-        """Take a frame set; returns the mean, or why there is none, or None when it is not time yet."""
+        """Add a frame set; return the mean, the faults that prevent it, or None when no mean is due."""
         while self._frame_sets and frame_set.sequence - self._frame_sets[0].sequence >= self._window:
             self._frame_sets.popleft()
         while self._passed_over and frame_set.sequence - self._passed_over[0] >= self._window:
@@ -115,12 +115,12 @@ class FrameSetWindow:
         return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._passed_over))
 
     def forget(self) -> None:
-        """Drop the frame sets that came before a gap; the count to the next mean continues."""
+        """Drop the frame sets before a gap; the count to the next mean continues."""
         self._frame_sets.clear()
         self._passed_over.clear()
 
     def begin(self, window: int | None = None) -> None:
-        """Drop all frame sets and count to the next mean again, from now on over ``window`` frame sets."""
+        """Drop all frame sets and restart the count to the next mean; ``window`` sets a new length."""
         self._window = window or self._window
         self._frame_sets = deque(maxlen=self._window)
         self._passed_over = deque(maxlen=self._window)
@@ -130,16 +130,16 @@ class FrameSetWindow:
 def mean_spots(
     frame_sets: Sequence[FrameSet], targets: tuple[str, ...], window: int, passed_over: int = 0
 ) -> MeanSpots | tuple[Fault, ...]:
-    """Mean of the usable frame sets of a window, without outliers.
+    """Return the mean of the usable frame sets of a window without outliers, or the faults that prevent it.
 
-    A frame set is usable when every target has its spot. At least half a window must be usable, and the last
-    three must not all be bad. Where those ``passed_over`` would have made the half, they are what it lacks,
-    and none of the faults: ``warming_up``. A frame set that lies six MAD-based standard deviations off the
-    median in any coordinate counts for none; when that is true of more than 30 %, or when the frame sets fall
-    into two places, the beam moved: ``unsteady``. Where one camera exposes behind another, the mean spots are
-    those of one instant all the same: steady motion between the two is taken off. What light that one spot
-    does not explain adds to a spot's sigma stays in the mean: it is the same in all frame sets.
-    Of three exposures or fewer no motion is known.
+    A frame set is usable when every target has its spot. At least half a window must be usable, and at least
+    one of the last three. If only the ``passed_over`` frame sets are missing for the half, the fault is
+    ``warming_up``. A frame set more than six MAD-based standard deviations off the median in any coordinate
+    is an outlier. With more than 30 % outliers, or two clusters of frame sets, the beam moved: ``unsteady``.
+    If one camera exposes later than another, the mean spots still refer to one instant: steady motion between
+    the two is subtracted. The excess of a spot's sigma by light that one spot does not explain is not
+    averaged down, since it is the same in all frame sets. With three frame sets or fewer the motion is
+    unknown.
     """
     usable = [frame_set for frame_set in frame_sets if not frame_set.faults()]
     is_lost = len(frame_sets) >= _MAX_UNUSABLE_AT_END and all(
@@ -185,14 +185,14 @@ def mean_spots(
 _SIGMA, _EXCESS2, _BEHIND_NS, _LIGHT, _SHAPE = 2, 3, 4, slice(5, 7), slice(7, 11)
 _LIGHT_SIGMA_DIAMETERS = 8.0
 """Relative noise of a Gaussian's volume per noise of its centre in 1/e² diameters: twice that of its peak
-(Hagen and Dereniak, Applied Optics 47, 6842, 2008), for the width is as uncertain."""
+(Hagen and Dereniak, Applied Optics 47, 6842, 2008), because the width is as uncertain."""
 _NO_SHAPE = (math.nan,) * 4
 
 
 def _numbers_of(frame_set: FrameSet, target: str) -> tuple[float, ...]:
-    """u, v, sigma, excess², time behind the frame set's, log of light, and shape of a target's spot."""
+    """Return u, v, sigma, excess², delay, log light and its sigma, and shape of a target's spot."""
     spot = frame_set.spots[target]
-    assert isinstance(spot, Spot)  # noqa: S101  a usable frame set has nothing else
+    assert isinstance(spot, Spot)  # noqa: S101  a usable frame set has only spots
     shape = spot.shape
     return (
         *(spot.u_px, spot.v_px, spot.sigma_px, spot.excess_px**2, frame_set.behind_ns.get(target, 0)),
@@ -209,7 +209,7 @@ def _motion(
     covariance_of_mean_px2: FloatArray,
     noise: FloatArray,
 ) -> SpotMotion | None:
-    """The motion of the spots, of all usable exposures (n, coordinates), among them the outliers."""
+    """Return the motion of the spots from all usable frame sets (n, coordinates), including the outliers."""
     count = int(np.count_nonzero(is_inlier))
     if count < _MIN_FRAME_SETS_FOR_MOTION:
         return None
@@ -221,7 +221,7 @@ def _motion(
 
 
 def _mean_shape(shapes: FloatArray) -> SpotShape | None:
-    """Of a target's shapes (n, 4), NaN where there was none."""
+    """Return the mean of a target's shapes (n, 4), NaN where unknown; None if all are."""
     known = shapes[~np.isnan(shapes[:, 0])]
     return SpotShape(*known.mean(axis=0).tolist()) if len(known) else None
 
@@ -231,22 +231,22 @@ def _middle_ns(times_ns: Sequence[int]) -> int:
 
 
 def _is_inlier(px: FloatArray, noise: FloatArray) -> BoolArray:
-    """Which rows of (n, coordinates) lie near the median in every coordinate."""
+    """Return which rows of (n, coordinates) are near the median in every coordinate."""
     count = len(px)
     if count < _MIN_FRAME_SETS_FOR_OUTLIERS:
         return np.ones(count, bool)
     distance = np.abs(px - median(px, axis=0))
-    # n / (n − 0.8) takes out most of the MAD's bias in small samples
+    # n / (n − 0.8) removes most of the MAD's bias in small samples
     scale = MAD_TO_SIGMA * median(distance, axis=0) * count / (count - 0.8)
     near: BoolArray = np.all(distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1)
     return near
 
 
 def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
-    """Whether (n, coordinates) fall into two places, as when the beam jumped half way through a window.
+    """Return whether (n, coordinates) form two clusters, as when the beam jumped halfway through a window.
 
-    Then the median lies between them and nothing is an outlier. The largest gap between neighbouring values
-    is far wider than what lies on either side of it; steady motion and vibration leave no such gap.
+    The median is then between them and nothing is an outlier. The largest gap between neighbouring values is
+    far wider than the scatter on either side of it; steady motion and vibration leave no such gap.
     """
     ordered = np.sort(px, axis=0)
     gaps = ordered[1:] - ordered[:-1]
@@ -264,7 +264,7 @@ def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
 
 
 def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> FloatArray:
-    """Steady motion in each coordinate of (n, coordinates); none in a window too short to tell."""
+    """Return the steady motion in each coordinate of (n, coordinates); 0 in a window that is too short."""
     if len(deviations) < _MIN_FRAME_SETS_FOR_MOTION:
         return np.zeros(deviations.shape[1])
     speed: FloatArray = since_middle_ns @ deviations / (since_middle_ns @ since_middle_ns)
@@ -274,9 +274,9 @@ def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> Flo
 def _covariance_of_mean(
     deviations: FloatArray, speed: FloatArray, since_middle_ns: FloatArray, noise: FloatArray
 ) -> FloatArray:
-    """Observed scatter of n frame sets over n, drawn towards the spots' own noise while n is small.
+    """Return the observed scatter of n frame sets over n, shrunk towards the spots' own noise for small n.
 
-    Steady motion is taken out first: it moves no mean that is given for the middle of its frame sets.
+    Steady motion is removed first: it does not displace a mean that refers to the middle of its frame sets.
     """
     count = len(deviations)
     degrees_of_freedom = count - 1.0
@@ -289,7 +289,7 @@ def _covariance_of_mean(
 
 
 def _reasons_of_unusable(frame_sets: Sequence[FrameSet]) -> tuple[Fault, ...]:
-    """The reasons of the unusable frame sets, most frequent first, each with its latest detail."""
+    """Return the reasons of the unusable frame sets, most frequent first, each with its latest detail."""
     latest = {str(fault): fault for frame_set in frame_sets for fault in frame_set.faults()}
     counts = Counter(str(fault) for frame_set in frame_sets for fault in dict.fromkeys(frame_set.faults()))
     if not counts:

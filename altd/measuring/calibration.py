@@ -1,4 +1,4 @@
-"""The data of a unit in a calibration."""
+"""Calibration data of one unit."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from altd.vision.settings import UNKNOWN_SPOT, SpotReference, SpotSettings
 
 @dataclass(frozen=True)
 class TargetCalibration:
-    """One target: how its spot is localised, the map, how well it fits, and the map that checks it.
+    """One target: settings of its localiser, its map, quality of the fit, and the map that checks it.
 
-    ``flat`` is the target's response to even light, None for a target taken as plain.
-    ``leave_one_out_px`` is the rms of the map's leave-one-out residuals; ``residual_mean_mm``,
-    ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
-    ``repeatability_px`` (2,) is the scatter of single frames at one node in u and v; ``leds_px`` (n, 2)
-    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
-    that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known. ``origin`` is that of
-    the frames it was calibrated with, a recorded flat's aside: see ``simulated``. ``glass`` is what the beam
-    passes behind its printed surface.
+    ``flat`` is the target's response to even light, None for a target treated as plain. ``leave_one_out_px``
+    is the rms of the map's leave-one-out residuals; ``residual_mean_mm``, ``residual_std_mm`` and
+    ``residual_max_mm`` describe the nodes' distances from the map; ``repeatability_px`` (2,) is the scatter
+    of single frames at one node in u and v; ``leds_px`` (n, 2) are the frame LEDs' reference positions;
+    ``spot`` holds the figures of its laser spots. ``camera`` is the calibrated camera, ``fingerprint`` the
+    fixed pattern of its images; None: not known. ``origin`` is the origin of the calibration's frames, except
+    those of a recorded flat: see ``simulated``. ``glass`` is the glass that the beam passes behind the
+    printed surface.
     """
 
     name: str
@@ -55,33 +55,33 @@ class TargetCalibration:
 
     @property
     def simulated(self) -> bool:
-        """Whether any frame that this rests on was simulated."""
+        """Whether any frame used for this calibration was simulated."""
         frames = self.origin, self.origin if self.flat is None else self.flat.origin
         return Origin.SIMULATED in frames
 
     @cached_property
     def inverse(self) -> InverseMap:
-        """The map from px to mm."""
+        """Map from px to mm."""
         return InverseMap(self.map)
 
     @property
     def valid_mm(self) -> FloatArray:
         """Corners (n, 2) of the area in which spots are valid, to 0.01 mm: the nodes' hull and its margin.
 
-        That is where ``InverseMap.outside_mm`` is the margin at most.
+        ``InverseMap.outside_mm`` is at most the margin there.
         """
         corners: FloatArray = np.round(moved_outwards(self.map.hull_mm, self.map.margin_mm), 2)
         return corners
 
     def point(self, u_px: float, v_px: float) -> TargetPoint | None:
-        """The intersection of the beam with the target; None outside the calibrated area."""
+        """Return the intersection of the beam with the target; None outside the calibrated area."""
         point, jacobian, covariance = self.inverse.to_mm(np.array([[u_px, v_px]]))
         if not np.isfinite(point).all():
             return None
         return TargetPoint(float(point[0, 0]), float(point[0, 1]), jacobian[0], covariance[0])
 
     def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str | None:
-        """Why the point that ``point`` found for (u, v) cannot be believed, in words; None when it can."""
+        """Return as text why the result of ``point`` for (u, v) is implausible; None if it is plausible."""
         difference_px = self.cross_check.difference_px(point.x_mm, point.y_mm, u_px, v_px)
         outside_mm = self.inverse.outside_mm(point.x_mm, point.y_mm)
         limit_px = self.cross_check.limit_at_px(self.map, outside_mm)
@@ -96,7 +96,7 @@ class TargetCalibration:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFile:
-    """The file that a calibration was read from: SHA-256 of its bytes, and the checksum that it carries."""
+    """File that a calibration was read from: SHA-256 of its bytes, and the checksum stored in it."""
 
     sha256: str
     checksum: str
@@ -104,10 +104,10 @@ class CalibrationFile:
 
 @dataclass(frozen=True)
 class Calibration:
-    """One unit's targets in beam order, and where the knowledge comes from.
+    """Targets of one unit in beam order, and the origin of the data.
 
-    ``limits`` are the uncertainties that its recordings do not show. ``file`` is None where it was made and
-    not read.
+    ``limits`` are the uncertainties that its recordings do not show. ``file`` is None if the calibration was
+    computed and not read from a file.
     """
 
     unit_serial: str
@@ -120,11 +120,11 @@ class Calibration:
 
     @property
     def simulated(self) -> bool:
-        """Whether any frame that this rests on was simulated."""
+        """Whether any frame used for this calibration was simulated."""
         return any(target.simulated for target in self.targets)
 
     def other_place_of(self, camera: CameraIdentity, target: str) -> str:
-        """Which target but this one the camera was calibrated at, as the end of a sentence; empty: none."""
+        """Return the other target where the camera was calibrated, as the end of a sentence; empty: none."""
         for other in self.targets:
             if other.name != target and camera.serial is not None and other.camera.serial == camera.serial:
                 return f": it is the camera of target {other.name!r}, the cameras are swapped"
@@ -132,9 +132,9 @@ class Calibration:
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """The targets' names in beam order."""
+        """Names of the targets in beam order."""
         return tuple(target.name for target in self.targets)
 
     def target(self, name: str) -> TargetCalibration | None:
-        """The target of that name, or None."""
+        """Return the target of that name, or None."""
         return next((target for target in self.targets if target.name == name), None)

@@ -1,4 +1,4 @@
-"""The measuring chain: frames in, measurements out. ``run`` and ``replay`` use this very code."""
+"""Measuring chain from frames to measurements, shared by ``run`` and ``replay``."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _MOTION_UNKNOWN = Fault(Reason.WARMING_UP, detail="how the beam moves is not kno
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A target and the camera that looks at it.
+    """A target and its camera.
 
-    ``expected`` is the camera that the name should refer to, beside the one that was calibrated; None: any.
+    ``expected`` is the identity required of the camera in addition to the calibrated one; None: any.
     """
 
     target: str
@@ -48,9 +48,9 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The place at which the beam rested, in a recording that knows it; no window mixes two places.
+    """Place at which the beam rested, in a recording that contains it; no window mixes two places.
 
-    ``window`` is how many exposures are averaged there; None: as many as the settings say.
+    ``window`` is the number of frame sets averaged there; None: the configured number.
     """
 
     number: int
@@ -59,11 +59,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Of the frames, what their pixels do not contain: their source, and when and where they were exposed.
+    """Data about frames that their pixels do not contain: source, and time and place of exposure.
 
-    ``origins`` gives the faults that every measurement must carry because of the current source, ``identity``
-    the camera that a name refers to now (None: not known), ``utc`` the time of day of a ``t_ns`` (None: not
-    known), ``place`` where the exposure of a sequence was made (None: not known).
+    ``origins`` returns the faults that every measurement must carry because of the current source,
+    ``identity`` the camera that a name refers to now (None: not known), ``utc`` the time of day of a ``t_ns``
+    (None: not known), ``place`` the place at which a sequence number was exposed (None: not known).
     """
 
     origins: Callable[[], Iterable[Fault]] = tuple
@@ -78,15 +78,15 @@ _UNKNOWN = Provenance()
 class MeasuringChain:
     """Pairs frames, locates spots, averages, maps and fits the beam; pure but for its memory of the window.
 
-    Every measurement says what ``provenance`` gives as the frames' origin, and whether the calibration is of
+    Every measurement reports the origin of the frames, from ``provenance``, and whether the calibration is of
     simulated frames.
 
-    ``switched`` is the window of a unit with a switched front target: a frame set shows the opaque target
-    alone, and one without is not measured. None: each frame set shows all targets.
+    ``switched`` is the window of a unit with a switched front target: a frame set shows only the opaque
+    target, and one without an opaque target is not measured. None: each frame set shows all targets.
 
-    ``push`` does all of it. A daemon does the three steps on threads of their own: ``pairer`` makes frame
-    sets, ``locators`` locate the spots, by camera, and ``add`` takes what they found. The steps share nothing
-    but the figures that ``pairer`` counts.
+    ``push`` runs all steps. A daemon runs the three steps on separate threads: ``pairer`` makes frame sets,
+    ``locators`` locate the spots, by camera, and ``add`` processes the results. The steps share only the
+    figures that ``pairer`` counts.
     """
 
     def __init__(
@@ -134,35 +134,35 @@ class MeasuringChain:
         self._motion_memory = MotionMemory()
         self._gate = Gate()
         self.correct: Callable[[MeanSpots], MeanSpots] | None = None
-        """The correction of the mean spots for a known drift of the cameras, before they are mapped."""
+        """Correction of the mean spots for a known drift of the cameras, applied before mapping."""
         self._breaks_in_window = dict.fromkeys(self._views, 0)
         self._last_frame_set: FrameSet | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
         self._last_skew_ns: int | None = None
-        """None: the last exposure had too few frames to tell."""
+        """Skew of the last frame set; None if it had too few frames to determine it."""
         self._now_ns = 0
         self._last_frame_ns: dict[str, int] = {}
         self.frame_sets = 0
-        """Frame sets that were paired or given up, each later than the one before."""
+        """Number of frame sets that were paired or given up, each later than the previous one."""
 
     @property
     def silent_after_s(self) -> float:
-        """A camera from which nothing came for so long is silent."""
+        """Time without a frame after which a camera is silent, s."""
         return self._measuring.silent_after_s
 
     def seen(self) -> str:
-        """The last finding of each camera, in words: for the technician who aims the beam."""
+        """Return the last finding of each camera as text, for the technician who aims the beam."""
         seen = self._last_spots
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
 
     def figures(self) -> dict[str, float | str | None]:
-        """Synchronism, spots, light and views, for health."""
+        """Return synchronism, spots, light and views, for health."""
         return self.step() | self.spots() | self.light() | self.views()
 
     def step(self) -> dict[str, float | None]:
-        """The cameras' synchronism: skew of the last exposure, and the lag that was subtracted, ms.
+        """Return the cameras' synchronism: skew of the last frame set, and the lags that were subtracted, ms.
 
-        None: not known, for a frame is missing or a camera is silent.
+        None: not known, because a frame is missing or a camera is silent.
         """
         first = next(iter(self._views))
         lags = {
@@ -173,18 +173,18 @@ class MeasuringChain:
         return {"skew_ms": None if skew_ns is None else round(skew_ns * 1e-6, 2), **lags}
 
     def spots(self) -> dict[str, float]:
-        """Diameter (1/e², px) and peak (counts) of each target's newest spot, where there is one."""
+        """Return diameter (1/e², px) and peak (counts) of each target's newest spot, if there is one."""
         known = {target: spot for target, spot in self._last_spots.items() if isinstance(spot, Spot)}
         diameters = {f"diameter_{target}_px": round(spot.diameter_px, 1) for target, spot in known.items()}
         return diameters | {f"peak_{target}": round(spot.peak, 1) for target, spot in known.items()}
 
     def light(self) -> dict[str, float]:
-        """The share by which each target's light has changed against the first one's, where it is known."""
+        """Return the share by which each target's light changed relative to the first one's, where known."""
         changed = zip(self._targets[1:], self._changed_light[1:], strict=False)
         return {f"light_changed_{target}": round(share, 3) for target, share in changed}
 
     def views(self) -> dict[str, float | str]:
-        """Whether the cameras are those that were calibrated, for health."""
+        """Return whether the cameras are the calibrated ones, for health."""
         return {
             name: figure
             for status in self._view_status.values()
@@ -192,16 +192,16 @@ class MeasuringChain:
         }
 
     def _silent(self) -> set[str]:
-        """The cameras from which nothing came for as long as makes one silent."""
+        """Return the cameras that have delivered no frame for the time after which a camera is silent."""
         oldest_ns = self._now_ns - self._silent_after_ns
         return {camera for camera in self._views if self._last_frame_ns.get(camera, oldest_ns) <= oldest_ns}
 
     def push(self, frame: Frame) -> list[Measurement]:
-        """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
+        """Process one frame; return the measurements that it completes. LED exposures are not measured."""
         return self._measured(self.pairer.add(frame.camera, frame.sequence, frame.t_ns, frame))
 
     def flush(self) -> list[Measurement]:
-        """Settle what still waits for a partner, at the end of a recording."""
+        """Settle frames that still wait for a partner, at the end of a recording; return measurements."""
         return self._measured(self.pairer.flush())
 
     def _measured(self, pairs: Sequence[Pair[Frame]]) -> list[Measurement]:
@@ -209,11 +209,11 @@ class MeasuringChain:
         return [measurement for measurement in measurements if measurement is not None]
 
     def located(self, frame: Frame) -> Located:
-        """The spot in one frame, or why there is none."""
+        """Return the spot in one frame, or why there is none."""
         return self.locators[frame.camera].locate(frame)
 
     def add(self, pair: Pair[Located]) -> Measurement | None:
-        """Take what the frames of one frame set hold; returns the measurement that it completes."""
+        """Process the located frames of one frame set; return the measurement that it completes, if any."""
         self._now_ns = max(located.t_ns for located in pair.all_items)
         for located in pair.all_items:
             self._last_frame_ns[located.camera] = located.t_ns
@@ -226,7 +226,7 @@ class MeasuringChain:
         return None if measurement is None else self._gate.admit(measurement)
 
     def silence(self, t_ns: int) -> Measurement:
-        """The measurement of a moment at which no camera delivers."""
+        """Clear the window; return the invalid measurement of an instant at which no camera delivers."""
         self._window.forget()
         self._last_skew_ns = None
         self._last_frame_ns.clear()
@@ -238,10 +238,10 @@ class MeasuringChain:
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
     def _is_passed_over(self, pair: Pair[Located]) -> bool:
-        """Whether the frame LEDs were lit, or LEDs or targets switched, in any frame of an exposure.
+        """Return whether frame LEDs were lit, or LEDs or targets switched, in any frame of a frame set.
 
-        Time continues with it, so it is no gap in which anything may have happened; it is no exposure of the
-        window, whose length counts by the exposures' numbers.
+        Such a frame set continues the time, so it leaves no gap in which anything may have happened. It is
+        not part of the window, whose length is counted by the frame sets' numbers.
         """
         opaque = {located.opaque for located in pair.all_items}
         is_settling = self._is_switched and (len(opaque) > 1 or "" in opaque)
@@ -255,9 +255,9 @@ class MeasuringChain:
         return True
 
     def _frame_set(self, pair: Pair[Located]) -> FrameSet:
-        """The spots of one instant.
+        """Return the spots of one instant.
 
-        Forgets the window when one was exposed otherwise, or at another place, than those before.
+        Clears the window at a new place and after a break in a camera's frames (``Located.breaks``).
         """
         spots: dict[str, Spot | NoSpot] = {}
         if (place := self._provenance.place(pair.sequence)) != self._last_place:
@@ -278,7 +278,7 @@ class MeasuringChain:
         return FrameSet(pair.sequence, pair.t_ns, spots, behind_ns, pair.all_items[0].opaque)
 
     def _why_missing(self, reason: Reason) -> NoSpot:
-        """The reason with what is known of the cameras' step, where it is that."""
+        """Return the reason; ``out_of_step`` gets the known figures of the cameras' synchronism as detail."""
         if reason is not Reason.OUT_OF_STEP:
             return _SILENT
         known = {name: value for name, value in self.step().items() if value is not None}
@@ -332,12 +332,12 @@ class MeasuringChain:
     def _motions(
         self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]
     ) -> Mapping[str, Motion]:
-        """The motion of the quantities, with that of the windows before."""
+        """Return the motion of the quantities, extended by that of earlier windows."""
         span_s = mean.motion.span_s if mean.motion else 0.0
         return self._motion_memory.learn(mean.t_ns, newest_ns, span_s, of_window)
 
     def _invalid(self, frame_set: FrameSet, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
-        """No numbers at all, not even of a target whose own spot is good: half a beam is no measurement."""
+        """Return a measurement without numbers, even of targets with good spots: half a beam is no result."""
         return Measurement(
             sequence=frame_set.sequence,
             t_ns=t_ns,
@@ -351,13 +351,13 @@ class MeasuringChain:
         )
 
     def _origin_faults(self) -> tuple[Fault, ...]:
-        """One fault a reason: of the frames first, else of the calibration."""
+        """Return one fault per reason; the frames' fault replaces that of the calibration."""
         faults = {fault.reason: fault for fault in (*self._calibration_origin, *self._provenance.origins())}
         return tuple(faults[reason] for reason in sorted(faults))
 
 
 def calibration_faults(is_simulated: bool) -> tuple[Fault, ...]:
-    """The faults that a calibration adds to each measurement; ``is_simulated``: of simulated frames."""
+    """Return the faults that a calibration adds to each measurement; ``is_simulated``: simulated frames."""
     if not is_simulated:
         return ()
     return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)

@@ -1,4 +1,4 @@
-"""A second, independent map of a target, against which every measured point is held (thesis A.4)."""
+"""Second, independent map of a target that checks every measured point (thesis A.4)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from altd.mapping.polynomials import Rows, horner, rows
 from altd.mapping.tensor_map import Fit, TensorMap
 
 _LIMIT_SIGMAS = 3.0
-"""On 320 simulated lenses (f = 3.6 to 12 mm, 6 × 5 and 7 × 5 nodes) the two maps lay 0.8 of what a left-out
-node leads one to expect apart where they were farthest, 1.5 in the worst case."""
+"""Limit per difference expected from leave-one-out residuals. On 320 simulated lenses (f = 3.6 to 12 mm, 6 ×
+5 and 7 × 5 nodes) the largest difference of the maps was 0.8 of the expected, 1.5 in the worst case."""
 
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """The map of the other family, and how far the two may lie apart.
+    """Map of the other model family, and the limit of its difference from the checked map.
 
     ``leave_one_out_px`` is the rms of this map's leave-one-out residuals, ``limit_px`` the distance in the
-    image from which a point counts as implausible, and ``max_difference_px`` the largest one over the hull
+    image above which a point is implausible, and ``max_difference_px`` the largest distance over the hull
     when both maps were made.
     """
 
@@ -33,11 +33,11 @@ class CrossCheck:
 
     @classmethod
     def between(cls, fit: Fit, other: Fit) -> Self:
-        """The check of one fit by another.
+        """Return the check of one fit by another.
 
-        Either misses a place that it was not shown by its leave-one-out rms, model error and noise together,
-        so two right maps lie about the root of the sum of both squares apart, at most places less: a node
-        that is left out leaves a wider gap than there is between nodes. Three times that is the limit.
+        The error of either map at a place without a node is about its leave-one-out rms, model error and
+        noise together. Two correct maps thus differ by about the root of the sum of both squares, mostly by
+        less: leaving out a node widens the gap between nodes. The limit is three times that.
         """
         dense_mm = fit.map.dense_mm()
         difference_px = np.linalg.norm(other.map.to_px(dense_mm) - fit.map.to_px(dense_mm), axis=1)
@@ -49,12 +49,12 @@ class CrossCheck:
         )
 
     def limit_at_px(self, checked: TensorMap, outside_mm: float) -> float:
-        """The limit at a place that lies so far outside the hull, where both maps are less sure."""
+        """Return the limit at a place ``outside_mm`` outside the hull, where both maps are less certain."""
         beyond_px = max(outside_mm, 0.0) * math.hypot(checked.beyond_px_per_mm, self.map.beyond_px_per_mm)
         return math.hypot(self.limit_px, _LIMIT_SIGMAS * beyond_px)
 
     def difference_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> float:
-        """The distance from (u, v) to this map's picture of the point (x, y) that the other map gives."""
+        """Return the distance of (u, v) from this map's image of (x, y), the point by the checked map, px."""
         u, v, (middle_x, middle_y), (per_x, per_y) = self._plain
         q, r = (x_mm - middle_x) * per_x, (y_mm - middle_y) * per_y
         return math.hypot(horner(u, q, r) - u_px, horner(v, q, r) - v_px)

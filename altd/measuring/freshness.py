@@ -1,4 +1,4 @@
-"""Whether a picture is new: noise is never twice the same, so what comes again was not exposed again."""
+"""Detection of repeated pictures: noise is never the same twice, so a repeat was not exposed again."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ import numpy.typing as npt
 from altd.records import Frame, PixelArray
 
 MAX_COMPARED_FRAMES = 128
-"""Frames that a new one is compared with: 6.4 s at 20 a second."""
+"""Number of earlier frames that a new one is compared with: 6.4 s at 20 per second."""
 _SAMPLED_ROWS = 60
 _ROW_STEP = 3
-"""Odd: the rows that are looked at are even and odd ones, so that a frozen field of an interlaced picture
-is among them."""
+"""Odd, so that even and odd rows are sampled and a frozen field of an interlaced picture is among them."""
 _BLOCKS_PER_ROW = 8
 _LANE_BYTES = 8
 _MIN_REPEATED_PIXELS = 400
-"""Pixels that must come again at once. A value between two counts flips with a probability of about 1.1 times
-the noise in counts. At a tenth of a count, less than any sensor has where light falls, a block of 94 pixels
-stays with a probability of 3e-5, and five of 480 at once in one of 128 frames with 1e-9."""
+"""Minimum number of pixels that repeat at once. A value between two counts flips with a probability of about
+1.1 times the noise in counts. At a noise of 0.1 counts, less than any sensor has in light, a block of 94
+pixels is unchanged with a probability of 3e-5, and five of 480 at once in one of 128 frames with 1e-9."""
 _MIN_DIFFERING_SHARE = 0.25
-"""Neighbouring pixels of a block that differ. A block at one value, black or at full scale, hides its noise
-and says nothing; a few hot pixels in it say nothing either."""
+"""Minimum share of neighbouring pixels of a block that differ. A block at one value, black or at full scale,
+hides its noise and is no evidence; a few hot pixels in it do not change that."""
 
 
 class _EarlierFrame(NamedTuple):
@@ -34,14 +33,13 @@ class _EarlierFrame(NamedTuple):
 class FreshnessCheck:
     """Compares each frame of one camera with the last ``MAX_COMPARED_FRAMES``, block by block.
 
-    60 rows of the picture, each cut into eight, make the blocks. Of each block a digest is kept: the sum of
-    its eight-byte words times random odd numbers, modulo 2⁶⁴, of that the upper half (multilinear hashing).
-    Two blocks with different noise have the same digest with a probability of 2⁻³². Blocks find a picture of
+    The blocks are 60 rows of the picture, each cut into eight. A digest of each block is kept: the upper half
+    of the sum of its eight-byte words times random odd numbers, modulo 2⁶⁴ (multilinear hashing). Two blocks
+    with different noise have the same digest with a probability of 2⁻³². Blocks also detect a picture of
     which only a part is frozen, and a frozen one into which a clock is written.
 
-    Not detected: a repeat of a picture older than that, or of one that was dropped before this check; a
-    picture that an averaging camera mixes of old and new light; frames to which noise is added; black and
-    saturated parts.
+    Not detected: a repeat of an older picture, or of one that was dropped before this check; a picture in
+    which an averaging camera mixes old and new light; frames with added noise; black and saturated parts.
     """
 
     def __init__(self) -> None:
@@ -51,7 +49,7 @@ class FreshnessCheck:
         self._next = 0
 
     def repeated(self, frame: Frame) -> str:
-        """Which earlier frame's picture, or part of it, comes again, in words; empty: all of it is new."""
+        """Return as text which earlier picture, or part of it, is repeated; empty if all of it is new."""
         shape = (*frame.pixels.shape, frame.pixels.itemsize)
         if shape != self._shape or frame.playthrough != self._playthrough:
             self._begin(frame, shape)
@@ -71,7 +69,7 @@ class FreshnessCheck:
         return f"{share:.0%} of the picture is that of exposure {earlier.sequence}, {age_s:.2f} s before"
 
     def _begin(self, frame: Frame, shape: tuple[int, ...]) -> None:
-        """Forget the earlier frames: frames of another size, or a recording that is played again."""
+        """Forget the earlier frames, because the frame size changed or a recording is played again."""
         height, width = frame.pixels.shape
         self._shape = shape
         self._playthrough = frame.playthrough
@@ -97,7 +95,7 @@ class FreshnessCheck:
         return np.ascontiguousarray(pixels[self._rows, : self._width])
 
     def _digests(self, sample: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
-        """The digest of each block, (rows, columns); that of a block at one value is any number."""
+        """Return the digest of each block, (rows, columns); a random number for a block at one value."""
         words = sample.view(np.uint64)
         sums = np.add.reduceat(words * self._factors, self._first_words, axis=1)
         is_uniform = sums == sample[:, self._first_pixels] * self._uniform_sums
@@ -106,7 +104,7 @@ class FreshnessCheck:
         return digests
 
     def _best_match(self, same: npt.NDArray[np.bool_], sample: npt.NDArray[Any]) -> tuple[int, float]:
-        """The place of the frame that has most in common with this one, and how much; −1: none has enough.
+        """Return the place of the frame with most in common with this one, and the share; −1 if too little.
 
         ``same`` is (frames, rows, columns).
         """

@@ -1,4 +1,4 @@
-"""The last check before publishing: complete, finite and ordered numbers."""
+"""Last check before publishing: complete, finite and ordered numbers."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from altd.reasons import Reason
 from altd.records import Fault, Measurement, Quantity, Value
 
 _LATE_S = 10.0
-"""An age at which all that is known of motion has its part in sigma."""
+"""Age at which every known part of the motion contributes to sigma, s."""
 
 
 class Gate:
-    """Admits measurements; one that cannot be true loses its numbers for the reason ``check_failed``.
+    """Admits measurements; removes the numbers of an impossible one, with the reason ``check_failed``.
 
     It remembers the last valid one: a later measurement has a larger sequence and a later last exposure.
-    After one that was out of order the order counts from there, or one wrong time would refuse all others.
+    After one out of order the order counts from there; otherwise one wrong time would reject all later ones.
     """
 
     def __init__(self) -> None:
         self._last: Measurement | None = None
 
     def admit(self, measurement: Measurement) -> Measurement:
-        """The measurement itself, or without its numbers and with the reason."""
+        """Return the measurement; if a check fails, without its numbers and with the reason."""
         if not measurement.valid and any(not fault.reason.is_warning for fault in measurement.status):
             return measurement
         before = self._last

@@ -1,4 +1,4 @@
-"""The protocol of an instrument, the kind of unit, for the measuring chain (docs/architecture.md)."""
+"""Protocol of an instrument, the kind of unit, for the measuring chain (docs/architecture.md)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from altd.records.spots import Motion
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """The result of an instrument for a window: values by their quantities' keys.
+    """Result of an instrument for a window: values by the keys of their quantities.
 
-    ``motions`` are those of this window alone, of the values that have a sigma; empty where the window shows
-    none.
+    ``motions`` holds the motion of the values that have a sigma, from this window alone; empty if the window
+    shows none.
     """
 
     values: Mapping[str, Value]
@@ -24,15 +24,15 @@ class Solution:
 
 
 class Instrument(Protocol):
-    """A kind of unit. It knows quantities and how they follow from mean spots, not where frames come from."""
+    """Kind of unit. It derives quantities from mean spots, independent of the source of the frames."""
 
     @property
     def quantities(self) -> Quantities:
-        """The quantities that it publishes."""
+        """Quantities that it publishes."""
 
     @property
     def min_targets(self) -> int:
-        """The number of targets with mean spots that ``solve`` needs; a window with fewer is not solved."""
+        """Number of targets with mean spots that ``solve`` needs; a window with fewer is not solved."""
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:
-        """The quantities of a window, or why there are none."""
+        """Return the quantities of a window, or the fault that prevents them."""

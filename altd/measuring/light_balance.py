@@ -1,4 +1,4 @@
-"""The light of the targets' spots against each other: one beam lights them all."""
+"""Light of the targets' spots relative to each other: one beam lights them all."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import numpy as np
 from altd.records import FloatArray, MeanSpots, SpotShape
 
 _USUAL = 0.02
-"""A change of the logarithm of the ratio that needs no cause: at rest 0.008 at most (clean, dusty and shaking
-units, simulated, and the recorded one), steps of the cameras' exposure 0.01."""
+"""Change of the logarithm of the ratio that needs no cause: at most 0.008 at rest (clean, dusty and shaking
+units, simulated, and the recorded one), 0.01 with steps of the cameras' exposure time."""
 _PER_RADIUS = 0.02
 """Change of the ratio per 1/e² radius that the spots move, by the lenses' fall-off: 0.018 at most."""
 _PER_S = 0.2 / 3600
-"""Dust and ageing are slower; after a window was cleaned it takes some time until sigma is as before."""
+"""Allowed change, 1/s. Dust and ageing are slower; after cleaning a window sigma takes time to recover."""
 _STEP_RADII = 0.5
-"""Vibration, which moves the spots by less, does not add up."""
+"""Minimum motion of the spots, in radii, that is added up; vibration moves them by less."""
 _NOISE_SIGMAS = 6.0
 _RESTART_S = 10.0
-"""Outliers may set the middle of a window back by less; another recording begins earlier by more."""
+"""Minimum step back in time of another recording, s; outliers set the middle of a window back by less."""
 
 
 class LightBalance:
     """Follows the ratio of each target's light to the first one's, and finds quick changes.
 
-    A second light that lies near the spot of one target shifts it, and hardly changes its shape: only the
-    light grows. Light on all targets alike does not show, nor does light that was there from the start.
+    A second light near the spot of one target shifts it, and hardly changes its shape: only the light
+    increases. Light on all targets alike, and light that was present from the start, cannot be detected.
     """
 
     def __init__(self) -> None:
         self._seen: _Seen | None = None
-        """The last window that was measured, with the ratios as followed up to there."""
+        """Last window that was measured, with the ratios as followed up to then."""
 
     def changed_light(self, mean: MeanSpots) -> tuple[float, ...]:
-        """The share by which the mean light of each target has changed against the first one's.
+        """Return the share by which the mean light of each target changed relative to the first one's.
 
-        0 where no exposure differs more than is usual. Empty where a spot's light or shape is not known.
+        0 if no frame set differs more than usual; empty if a spot's light or shape is not known.
         """
         lights = _known(mean)
         if not len(lights):
@@ -57,7 +57,7 @@ class LightBalance:
     def learn(self, mean: MeanSpots) -> None:
         """Follow the light of a window that gave a valid measurement.
 
-        From others the ratio would learn what it is to reveal: a lamp in place of the beam.
+        From others the ratio would adapt to what it must reveal: a lamp in place of the beam.
         """
         lights = _known(mean)
         if not len(lights):
@@ -79,7 +79,7 @@ class LightBalance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """The logarithms of the ratios (targets − 1,), and where the spots were when they were last followed."""
+    """Logarithms of the ratios (targets − 1,), and the spots' positions and radii when last followed."""
 
     t_ns: int
     ratios: FloatArray
@@ -87,22 +87,22 @@ class _Seen:
     radii_px: FloatArray
 
     def by_place(self, mean: MeanSpots) -> FloatArray:
-        """The change of the ratios that the motion since then may have made."""
+        """Return the change of the ratios that the motion since then may have caused."""
         moved_radii = np.linalg.norm(mean.px - self.px, axis=1) / self.radii_px
         changed: FloatArray = _PER_RADIUS * (moved_radii[1:] + moved_radii[0])
         return changed
 
     def by_time(self, mean: MeanSpots) -> float:
-        """The same of the time since then."""
+        """Return the change of the ratios that the time since then may have caused."""
         return _PER_S * 1e-9 * max(mean.t_ns - self.t_ns, 0)
 
     def is_of_another_run(self, mean: MeanSpots) -> bool:
-        """Whether time has begun again since then."""
+        """Return whether the time has restarted since then."""
         return mean.t_ns < self.t_ns - _RESTART_S * 1e9
 
 
 def _known(mean: MeanSpots) -> FloatArray:
-    """The lights (exposures, targets, 2) of the exposures in which all are known; none without the shapes."""
+    """Return the lights (frame sets, targets, 2) of frame sets with all known; none without shapes."""
     if mean.log_lights is None or None in mean.shapes:
         return np.empty((0, len(mean.targets), 2))
     known: FloatArray = mean.log_lights[np.isfinite(mean.log_lights).all(axis=(1, 2))]
@@ -110,5 +110,5 @@ def _known(mean: MeanSpots) -> FloatArray:
 
 
 def _radius_px(shape: SpotShape) -> float:
-    """The mean 1/e² radius."""
+    """Return the mean 1/e² radius of a shape, px."""
     return math.sqrt(2 * 2 ** (1 / shape.order) / math.sqrt(shape.a * shape.c - shape.b**2))

@@ -1,4 +1,4 @@
-"""Motion in the windows of the last seconds, to bound the motion after the newest one."""
+"""Motion in the windows of the last seconds, which limits the motion expected after the newest one."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from dataclasses import dataclass, replace
 from altd.records.spots import Motion
 
 MEMORY_S = 10.0
-"""Past motion counts less with this time constant: longer than a machine that goes step by step takes
-for a step, shorter than a person waits for a value that came to rest to be known well again."""
+"""Time constant of the memory, s: longer than one step of a machine that moves stepwise, shorter than a
+person waits for a value that has stopped moving to be accurate again."""
 MIN_LAG_S = 1.0
-"""Rates are compared over no less: as long as a value is shown before it is stale (``stale_after_s``)."""
+"""Minimum time between compared rates, s: a value is shown so long before it is stale (``stale_after_s``)."""
 _MAX_LAG_WINDOWS = 2.0
-"""If the previous window is older, the rate may have changed within so many windows."""
+"""Maximum time, in windows, within which the rate may have changed if the previous window is older."""
 _SIGNIFICANT = 2.0
-"""A single change of the rate counts by what is above so many of its standard deviations."""
+"""A single change of the rate counts by the part above this many of its standard deviations."""
 
 
 @dataclass(slots=True)
 class _Mean:
-    """A mean with weights that fall off with age."""
+    """Mean with weights that decrease with age."""
 
     sum: float = 0.0
     weight: float = 0.0
@@ -38,7 +38,7 @@ class _Mean:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """The motion of one window: its middle, its newest exposure."""
+    """Motion of one window, with the times of its middle and of its newest frame set."""
 
     t_ns: int
     newest_ns: int
@@ -47,21 +47,21 @@ class _Seen:
 
 
 class MotionMemory:
-    """Adds to a window's motion what the windows before say of it."""
+    """Adds information from earlier windows to a window's motion."""
 
     def __init__(self) -> None:
         self._seen: deque[_Seen] = deque()
-        """The windows since the newest that can be compared with the last one."""
+        """Windows from the newest one that can be compared with the last one."""
         self._rate_squares: dict[str, _Mean] = {}
         self._acceleration_squares: dict[str, _Mean] = {}
 
     def learn(
         self, t_ns: int, newest_ns: int, span_s: float, motions: Mapping[str, Motion]
     ) -> dict[str, Motion]:
-        """The motions of a window with what the memory adds.
+        """Return the motions of a window with the additions from the memory.
 
-        ``t_ns`` is the middle of its exposures, which outliers may set back, ``newest_ns`` the newest of
-        them: where that goes back, or comes after a long silence, all is forgotten.
+        ``t_ns`` is the middle of its frame sets, which outliers may set back, ``newest_ns`` the newest of
+        them. If the latter does not increase, or follows a long silence, the memory is cleared.
         """
         if not motions:
             return {}
@@ -77,7 +77,7 @@ class MotionMemory:
         return {key: self._one(key, motion, now, before, fading) for key, motion in motions.items()}
 
     def _before(self, now: _Seen) -> _Seen | None:
-        """The newest window that is long enough ago and shares no exposure with this one; older ones go."""
+        """Return the newest window old enough to share no frame set with this one; drop the older ones."""
         before = None
         while self._seen and _lag_s(self._seen[0], now) >= max(
             MIN_LAG_S, 0.5 * (self._seen[0].span_s + now.span_s)
@@ -88,7 +88,7 @@ class MotionMemory:
         return before
 
     def _one(self, key: str, motion: Motion, now: _Seen, before: _Seen | None, fading: float) -> Motion:
-        """Squares of estimates are too large by their variances; on the mean these come off."""
+        """Extend one motion; the means subtract the variances by which squares of estimates are too large."""
         rate_square = motion.rate**2 - motion.sigma_rate**2
         seen = self._rate_squares.setdefault(key, _Mean())
         seen.add(rate_square, fading)
@@ -109,7 +109,7 @@ class MotionMemory:
 
 
 def _expected_square(motion: Motion, variance: float) -> float:
-    """Mean square of a rate that was estimated, when such rates have this variance about zero."""
+    """Return the mean square of an estimated rate, if such rates have this variance about zero."""
     weight = variance / (variance + motion.sigma_rate**2) if variance else 0.0
     return (weight * motion.rate) ** 2 + weight * motion.sigma_rate**2
 

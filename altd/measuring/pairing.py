@@ -1,4 +1,4 @@
-"""Frames of several cameras, or what was found in them, become frame sets: by sequence or by time."""
+"""Pairing of the frames of several cameras, or of their results, to frame sets: by sequence or by time."""
 
 from __future__ import annotations
 
@@ -14,29 +14,28 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 _PARTNER_TIMEOUT_FRAMES = 4
-"""A frame waits for its partner until its own camera has delivered this many more. When more of a camera's
-frames than that are late in a row, it is not they who are wrong but what came before them."""
+"""Number of further frames of its own camera for which a frame waits for its partner. If more frames of a
+camera than that are late in a row, they are right and an earlier frame was wrong."""
 _MAX_LATE_ITEMS = 8
-"""Two cameras' late frames in a row. Numbers that never settle a frame set must not fill the memory: of more,
-the oldest are dropped."""
+"""Late frames of two cameras in a row. Numbers that never settle a frame set must not fill the memory: the
+oldest beyond this number are dropped."""
 _MAX_COMPARED_FRAMES = 8
-"""Frames of a camera whose times are compared: a frame may be delivered later than those that follow it."""
+"""Number of a camera's frames whose times are compared: a frame may be delivered after its successors."""
 _MAX_LAG_SAMPLES = 15
 _MAX_LAG_PERIODS = 0.55
-"""A little more than half: a lag that lies just there must not change its side with every jitter."""
+"""Slightly more than half, so that a lag of half a period does not change sides with every jitter."""
 _RESTART_GAP_NS = 500_000_000
-"""A camera from which nothing came for so long may have been restarted."""
+"""Time without a frame after which a camera may have been restarted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair(Generic[Item]):
-    """The items of one frame set. ``missing`` has the reason for each camera without an item.
+    """Items of one frame set; ``missing`` gives the reason for each camera without an item.
 
     ``t_ns`` is the mean of the items' times. ``skew_ns`` is the largest difference between them, without the
-    steady lag of one camera behind another where pairing is by time. ``behind_ns`` is how far each item lies
-    behind ``t_ns``. ``unpaired`` holds the items of cameras that are out of step, and before them those that
-    came too late for a frame set before this one. Nothing is measured with them, but they show what the
-    cameras see, and a picture that comes again is known by them.
+    steady lag of one camera behind another if pairing is by time. ``behind_ns`` is the delay of each item
+    from ``t_ns``. ``unpaired`` holds first the items that were too late for an earlier frame set, then those
+    of unsynchronised cameras. They are not measured, but show the cameras' view and reveal repeated pictures.
     """
 
     sequence: int
@@ -49,11 +48,11 @@ class Pair(Generic[Item]):
 
     @property
     def all_items(self) -> tuple[Item, ...]:
-        """The items from the cameras, paired or not, that of each camera in its order; at least one."""
+        """All items of the cameras, paired or not, in order within each camera; at least one."""
         return (*self.unpaired, *self.items.values())
 
     def of(self, make: Callable[[Item], Made]) -> Pair[Made]:
-        """The same frame set of what ``make`` makes of each item, in the order of ``all_items``."""
+        """Return the same frame set with ``make`` applied to each item, in the order of ``all_items``."""
         unpaired = tuple(make(item) for item in self.unpaired)
         items = {camera: make(item) for camera, item in self.items.items()}
         return Pair(self.sequence, self.t_ns, self.skew_ns, items, self.missing, self.behind_ns, unpaired)
@@ -65,18 +64,18 @@ class _Waiting(Generic[Item]):
     sequence: int
     t_ns: int
     aligned_ns: int
-    """The time less the camera's lag."""
+    """Time less the camera's lag."""
     delivery: int
-    """The number of frames that its camera had delivered with it."""
+    """Number of frames that its camera had delivered, including this one."""
     item: Item
 
 
 class Lags:
-    """Delay of each camera's exposures against the first camera's, estimated from their times.
+    """Delay of each camera's frames behind the first camera's, estimated from their times.
 
-    Free-running cameras keep a lag of up to half a period either way, which creeps as their crystals differ.
-    A frame is compared with the nearest of the first camera's frames, seen from the lag that is known; the
-    median over the last ones is the lag. One that has crept well past half a period is a period too many.
+    Free-running cameras keep a lag of up to half a period either way, which drifts as their crystals differ.
+    A frame is compared with the nearest of the first camera's frames after subtracting the known lag; the
+    median over the last ones is the lag. One well beyond half a period is a period too large.
     """
 
     def __init__(self, cameras: tuple[str, ...]) -> None:
@@ -89,10 +88,10 @@ class Lags:
             camera: deque(maxlen=_MAX_LAG_SAMPLES) for camera in others
         }
         self.ns = dict.fromkeys(cameras, 0)
-        """The lag of each camera; 0 for the first, and for one of which nothing is known yet."""
+        """Lag of each camera; 0 for the first, and for one whose lag is not known yet."""
 
     def add(self, camera: str, t_ns: int) -> None:
-        """Update the lags by the time of one frame."""
+        """Update the lags with the time of one frame."""
         times_ns = self._reference_ns if camera == self._reference else self._pending_ns[camera]
         if times_ns and t_ns - times_ns[-1] > _RESTART_GAP_NS:
             self._reset(camera)
@@ -103,7 +102,7 @@ class Lags:
                 self._estimate(other, period_ns)
 
     def _reset(self, camera: str) -> None:
-        """After a break the lag is unknown: the camera may have been restarted."""
+        """Discard the lag after a gap: the camera may have been restarted."""
         if camera == self._reference:
             self._reference_ns.clear()
         for other in self._pending_ns if camera == self._reference else (camera,):
@@ -118,7 +117,7 @@ class Lags:
         return median(reference_ns[n] - reference_ns[n - 1] for n in range(1, len(reference_ns)))
 
     def _estimate(self, camera: str, period_ns: float) -> None:
-        """Compare those frames around which the first camera's are all there."""
+        """Compare the frames around which the first camera's frames are complete."""
         pending_ns, samples_ns = self._pending_ns[camera], self._samples_ns[camera]
         while pending_ns and pending_ns[0] + period_ns / 2 <= self._reference_ns[-1]:
             t_ns = pending_ns.popleft()
@@ -134,15 +133,15 @@ class Lags:
 
 
 class Pairer(Generic[Item]):
-    """Pairs the items of cameras; what cannot be paired comes out too, with the reason.
+    """Pairs the items of cameras; also returns items that cannot be paired, with the reason.
 
-    By sequence: items of one frame set carry one number, and times no further apart than ``max_skew_ns``.
-    By time: items whose times, each less its camera's lag, are no further apart than that belong together
-    unless a lag is larger than ``max_lag_ns``; the numbers are those of the first camera that delivered, and
-    only grow. A camera that did not deliver at that time is silent; one that did, but nothing that fits,
-    is out of step.
+    By sequence: items of one frame set have the same number, and times that differ by ``max_skew_ns`` at
+    most. By time: items whose times, each less its camera's lag, differ by at most that belong together,
+    unless a lag is larger than ``max_lag_ns``. The numbers are those of the first camera that delivered, and
+    only increase. A camera that did not deliver at that time is silent; one that delivered only items that do
+    not match is unsynchronised (``out_of_step``).
 
-    A number or a time that jumps disturbs its own frame set and a few after it, in either direction: see
+    A jump of a number or a time, in either direction, disturbs its own frame set and a few after it: see
     ``_is_late`` and ``_expire``.
     """
 
@@ -159,28 +158,28 @@ class Pairer(Generic[Item]):
         self._max_lag_ns = max_lag_ns
         self._waiting: dict[str, list[_Waiting[Item]]] = {camera: [] for camera in cameras}
         self._delivers_ns: dict[str, tuple[int, int]] = {}
-        """By camera, the aligned times of its first and last frame without a break between them."""
+        """Aligned times of each camera's first and last frame without a gap between them."""
         self._last_out: int | None = None
         self._last_out_ns = 0
         self._delivered = dict.fromkeys(cameras, 0)
         self._late_in_a_row = dict.fromkeys(cameras, 0)
         self._ahead: dict[str, int] = {}
-        """By time: how far each camera's numbers are ahead of the frame sets', as far as it is known."""
+        """If pairing is by time: lead of each camera's numbers over the frame sets', as far as known."""
         self._last_number: int | None = None
         self._late: deque[Item] = deque(maxlen=_MAX_LATE_ITEMS)
-        """Items that came too late since the last frame set; they come out with the next."""
+        """Items that were too late since the last frame set; they are returned with the next one."""
         self.late = 0
-        """Items that came after their frame set was given up."""
+        """Number of items that arrived after their frame set was given up."""
         self.lost_pairs = 0
-        """Frame sets that lack a camera's frame or, by the gaps between the numbers, all of them."""
+        """Number of frame sets that lack a camera's frame, are out of step, or are gaps in the numbers."""
 
     @property
     def lags_ns(self) -> Mapping[str, int]:
-        """Delay of each camera's exposures against the first's; empty where pairing is by sequence."""
+        """Delay of each camera's frames behind the first one's; empty if pairing is by sequence."""
         return self._lags.ns if self._lags else {}
 
     def add(self, camera: str, sequence: int, t_ns: int, item: Item) -> list[Pair[Item]]:
-        """Take one item; returns the frame sets that are now settled, oldest first."""
+        """Add one item; return the frame sets that are now settled, oldest first."""
         if self._lags:
             self._lags.add(camera, t_ns)
         aligned_ns = t_ns - self.lags_ns.get(camera, 0)
@@ -206,7 +205,7 @@ class Pairer(Generic[Item]):
         return settled
 
     def flush(self) -> list[Pair[Item]]:
-        """Settle all that still waits, at the end of a recording."""
+        """Settle all waiting items, at the end of a recording."""
         settled = []
         while waiting := [items[0] for items in self._waiting.values() if items]:
             settled.append(self._settle(self._group_of(min(waiting, key=self._order))))
@@ -216,7 +215,7 @@ class Pairer(Generic[Item]):
         return waiting.aligned_ns if self._lags else waiting.sequence
 
     def _expire(self, new: _Waiting[Item]) -> None:
-        """Drop a camera's frames that wait for what is ahead of all that it delivered since."""
+        """Drop a camera's frames that after the timeout are still ahead of the frames that it delivers."""
         waiting = self._waiting[new.camera]
         for old in list(waiting):
             ahead = self._order(old) > self._order(new)
@@ -229,11 +228,11 @@ class Pairer(Generic[Item]):
         self._late.append(waiting.item)
 
     def _is_late(self, new: _Waiting[Item]) -> bool:
-        """Whether the frame set of a frame was given up before it came.
+        """Return whether the frame set of a frame was given up before the frame arrived.
 
-        A number that fell back although its time did not was counted from zero again. When a camera continues
-        to deliver late frames, a time of an earlier frame set was in the future: then the order starts again
-        with this frame.
+        A number that fell back although its time did not was restarted from zero. If a camera continues to
+        deliver late frames, the time of an earlier frame set was in the future: the order then restarts with
+        this frame.
         """
         if self._last_out is None or self._order(new) > self._last_out:
             self._late_in_a_row[new.camera] = 0
@@ -247,7 +246,7 @@ class Pairer(Generic[Item]):
         return False
 
     def _group_of(self, one: _Waiting[Item]) -> dict[str, _Waiting[Item]]:
-        """The waiting items of the same frame set as ``one``, by camera."""
+        """Return the waiting items of the same frame set as ``one``, by camera."""
         group = {}
         for camera in self.cameras:
             for other in self._waiting[camera]:
@@ -266,7 +265,7 @@ class Pairer(Generic[Item]):
         return near and abs(lag_ns) <= self._max_lag_ns
 
     def _settle_older(self, group: Mapping[str, _Waiting[Item]]) -> list[Pair[Item]]:
-        """Settle, incomplete as they are, the frame sets older than one that is settled."""
+        """Settle the frame sets older than one that is settled, even if incomplete."""
         first = min(self._order(waiting) for waiting in group.values())
         settled = []
         while older := [
@@ -299,7 +298,7 @@ class Pairer(Generic[Item]):
         return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns, late)
 
     def _number_of(self, group: Mapping[str, _Waiting[Item]]) -> int:
-        """The number of a frame set; by time it continues to count while cameras come and go."""
+        """Return the number of a frame set; by time the count continues while cameras drop out and return."""
         if not self._lags:
             return next(iter(group.values())).sequence
         camera = next((camera for camera in group if camera in self._ahead), next(iter(group)))
@@ -308,7 +307,7 @@ class Pairer(Generic[Item]):
         if last is not None and (number < last or camera not in self._ahead):
             number = last + 1
         self._ahead |= {of: waiting.sequence - number for of, waiting in group.items()}
-        return number + (number == last)  # a camera left out an exposure and did not count it
+        return number + (number == last)  # a camera skipped an exposure and did not count it
 
     def _why_missing(self, camera: str, t_ns: int) -> Reason:
         if camera in self._delivers_ns:

@@ -1,4 +1,4 @@
-"""A shock to the unit: the spots of all its targets jump together."""
+"""Detection of a shock to the unit: the spots of all its targets jump together."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from altd.measuring.spot_locator import Located
 from altd.records import Spot
 
 JUMP_PX = 8.0
-"""Farther than this from where steady motion would have brought it, about 2 mm, the vibration of a machine at
-work brings no spot from one frame to the next."""
+"""Maximum distance from the position predicted by steady motion, about 2 mm. Vibration of a machine at work
+moves no spot farther from one frame to the next."""
 TOGETHER_NS = 150_000_000
 _GAP_NS = 400_000_000
-"""After so long a pause the movement of the spot is unknown."""
+"""Time without a spot after which its movement is unknown."""
 
 
 @dataclass(slots=True)
 class _Track:
-    """The last two spots of a camera with their times, and when one jumped last."""
+    """Last two spots of a camera with their times, and the time of its last jump."""
 
     before: tuple[Spot, int] | None = None
     last: tuple[Spot, int] | None = None
@@ -27,13 +27,13 @@ class _Track:
 
 
 class ShockWatch:
-    """Told of every frame; a camera that was moved, a blow to the unit and one to the laser look alike."""
+    """Checks every frame. A moved camera, a blow to the unit and one to the laser cannot be distinguished."""
 
     def __init__(self, cameras: Iterable[str]) -> None:
         self._tracks = {camera: _Track() for camera in cameras}
 
     def is_shock(self, located: Located) -> bool:
-        """Whether with this frame the spots of all cameras have jumped; true once for one shock."""
+        """Return whether the spots of all cameras have jumped by this frame; true once for one shock."""
         track = self._tracks[located.camera]
         if not isinstance(located.spot, Spot):
             return False

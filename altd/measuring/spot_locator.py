@@ -1,4 +1,4 @@
-"""One camera's part of the measuring chain: a frame in, its spot or the reason why there is none out."""
+"""One camera's part of the measuring chain: from a frame to its spot or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from altd.vision.localise import locate_in
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 DUST_INTERVAL_NS = 5 * 10**9
-"""Dust settles over weeks, and a search for it takes one to three milliseconds."""
+"""Time between dust counts: dust settles over weeks, and a count takes one to three milliseconds."""
 _UNDER_LEDS = NoSpot(Reason.SPOT_MISSING, f"not looked for, {LEDS_LIT}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Appearance:
-    """The look of a target: its response to even light, and its constant features; None: not known."""
+    """Appearance of a target: its response to even light, and its constant features; None: not known."""
 
     flat: Flat | None
     fingerprint: Fingerprint | None
@@ -34,17 +34,17 @@ class Appearance:
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """The content of a frame. It is frozen: another thread reads it than the one that made it.
+    """Result for one frame. It is frozen, because one thread makes it and another reads it.
 
-    ``spot`` is what is to be measured, ``found`` what the localiser saw, whosever camera it is; None in a
-    frame that is not new. ``breaks`` counts the camera's frames, up to this one, that no window may reach
-    across, so one that gets lost is in the next one's: frames that were exposed during a change, or of
-    another view, and the second and later ones of a row that are not new: one that comes twice is lost, with
-    two in a row the camera is frozen. ``view`` is what is known of the camera, ``dust`` what covers the
-    spot, looked for now and then; None: not known.
-    ``leds_on``: the frame LEDs were lit, or being switched. Such a frame was not looked at, and its exposure
-    is not measured; it only says that its camera delivers. ``opaque`` is the frame's; with switched targets
-    ``is_shown`` tells whether that is this camera's own target, and otherwise ``found`` is None.
+    ``spot`` is the spot to measure, ``found`` what the localiser found, whichever camera delivered; None in a
+    repeated frame. ``breaks`` counts the camera's frames, up to this one, that no window may span; the count
+    of the next frame includes one that is lost. These are frames exposed during a change, located by another
+    flat or of another view, and the second and later ones of consecutive repeated frames: a single repeated
+    frame is lost, with two in a row the camera is frozen. ``view`` is the state of the camera, ``dust`` the
+    dust over the spot, counted at intervals; None: not known. ``leds_on``: the frame LEDs were lit, or being
+    switched. Such a frame is not analysed, and its exposure not measured; it only shows that its camera
+    delivers. ``opaque`` is the frame's; with switched targets ``is_shown`` is whether that is this camera's
+    own target, and otherwise ``found`` is None.
     """
 
     camera: str
@@ -61,12 +61,12 @@ class Located:
 
 
 class SpotLocator:
-    """Locates the spot in each frame of one camera, and holds the frame against those before it.
+    """Locates the spot in each frame of one camera, and compares the frame with earlier ones.
 
-    ``identity`` tells which camera delivers, ``expected`` which should, beside the one that was calibrated,
-    ``other_place_of`` at which other target a camera was calibrated (``Calibration``). ``is_switched``: only
-    frames with this target opaque show it.
-    One thread calls ``locate``, with one frame after the other.
+    ``identity`` returns the identity of the delivering camera, ``expected`` is the one required in addition
+    to the calibrated one, ``other_place_of`` returns at which other target a camera was calibrated
+    (``Calibration``). ``is_switched``: only frames with this target opaque show it. One thread calls
+    ``locate``, with one frame after the other.
     """
 
     def __init__(
@@ -82,19 +82,19 @@ class SpotLocator:
         self._is_switched = is_switched
         self._target = target
         self.appearance = Appearance(target.flat, target.fingerprint)
-        """By which spots are located and the view is checked; another thread may put another one here."""
+        """Appearance used to locate spots and to check the view; another thread may replace it."""
         self._last_appearance = self.appearance
         self._identity = identity
         self._freshness = FreshnessCheck()
         self._is_frozen = False
-        """The last frame was not new."""
+        """Whether the last frame was a repeat."""
         self._breaks = 0
         self._dust_ns: int | None = None
         cameras = (target.camera, expected or CameraIdentity())
         self._view_check = ViewCheck(target, cameras, other_place_of)
 
     def locate(self, frame: Frame) -> Located:
-        """The spot of a frame; none is looked for where the frame LEDs are lit."""
+        """Return the spot of a frame; a frame with lit frame LEDs is not searched."""
         if frame.leds_on:
             self._breaks += frame.changing
             return self._located(frame, _UNDER_LEDS, None, leds_on=True)
@@ -109,7 +109,7 @@ class SpotLocator:
         return self._located(frame, spot, found, self._dust(analysis, spot))
 
     def _takes_another_flat(self) -> bool:
-        """Look by the newest appearance from this frame on."""
+        """Use the newest appearance from this frame on; return whether its flat is another one."""
         before, self._last_appearance = self._last_appearance, self.appearance
         if self._last_appearance.fingerprint is not before.fingerprint:
             self._view_check.compare_with(self._last_appearance.fingerprint)
@@ -140,11 +140,11 @@ class SpotLocator:
 
     @property
     def view(self) -> ViewStatus:
-        """The present state of the camera."""
+        """Current state of the camera."""
         return self._view_check.status
 
     def _dust(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> DustCount | None:
-        """The cover of a spot, checked at intervals; of a refused spot it may be anything."""
+        """Return the dust over a spot, counted at intervals; a rejected spot may be covered by anything."""
         fingerprint = self._last_appearance.fingerprint
         texture = None if fingerprint is None else fingerprint.texture
         t_ns = analysis.frame.t_ns
@@ -165,10 +165,10 @@ class SpotLocator:
         return spot
 
     def _checked(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> Spot | NoSpot:
-        """The spot as far as the camera and its view are those that were calibrated."""
+        """Return the spot if the camera and its view are the calibrated ones, otherwise the objection."""
         check = self._view_check
         if (objection := check.objection(analysis, spot, self._identity())) is not None:
-            self._breaks += 1  # the frames before it are not to be believed either
+            self._breaks += 1  # the frames before it are not reliable either
             return objection
         if check.displaced_px and isinstance(spot, Spot):
             return replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))

@@ -1,4 +1,4 @@
-"""The shape of spots in the unit frame: one beam lights all targets, so their spots are alike."""
+"""Shape of spots in the unit frame: one beam lights all targets, so their spots are alike."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from altd.records import Fault, FloatArray, MeanSpots, SpotShape, TargetPoint
 from altd.vision.settings import ShapeReference
 
 _MAX_DIAMETER_MM = 17.0
-"""Spots of up to 15 mm are measured (App. A.1); a beam that comes in aslant makes a longer one."""
+"""Maximum diameter. Spots of up to 15 mm are measured (App. A.1); an oblique beam makes a longer one."""
 _MAX_ORDER_RATIO = 2.0
-"""A laser's profile is like that of the calibration's laser; a lamp's disc is far steeper."""
+"""Maximum ratio of the profile's order to that of the calibration's laser; a lamp's disc is far steeper."""
 _MAX_SIZE_RATIO = 1.25
-"""Of two targets' spots, beside the ratio that the calibration saw: a beam widens less on its way."""
+"""Maximum size ratio of two targets' spots, relative to calibration: a beam widens less on its way."""
 _STRETCH_SIGMA = 0.001
-"""Of a stretch, beside what the calibration's nodes scatter: targets that are not quite parallel."""
+"""Sigma of a stretch by targets not quite parallel, added to the scatter of the calibration's nodes."""
 _BIAS_PER_STRETCH = 2.0
-"""Radii by which light may displace a spot, one sigma, per stretch that it makes."""
+"""Displacement of a spot by additional light, one sigma in radii, per stretch caused by the light."""
 _BIAS_PER_MM2 = 7.5e-5
-"""A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
-by the square of its diameter. Millimetres per square millimetre, on simulated lenses of 5.7 and 8 mm."""
+"""Displacement per difference of squared diameters, mm/mm², on simulated lenses of 5.7 and 8 mm. A map holds
+for spots of the calibrated size: its curvature and the lens' fall-off displace others by that square."""
 _BIAS_PER_LOSS = 1 / 8
-"""Radii per share of the light that a film takes: one that is a ramp over the spot leaves its shape, and
-shifts it by at most a quarter."""
+"""Displacement in radii per share of the light that a film takes: a film that is a ramp over the spot does
+not change its shape, and shifts it by at most a quarter."""
 _EXPLAINED_SIGMAS = 3.0
 _MIN_DISTORTION_SIGMAS = 6.0
 _MIN_DISTORTION_STRETCH = 0.015
-"""A disturbance that may displace a spot by less adds to its sigma."""
+"""Minimum stretch of a distorted spot; a disturbance that displaces a spot by less adds to its sigma."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeAgreement:
     """Agreement of a target's spot in shape with the first target's.
 
-    ``sigma_mm`` is what the difference may mean for either centre, one sigma; ``distortion`` says in words
-    why they cannot be spots of one beam, None when they can.
+    ``sigma_mm`` is the uncertainty of either centre that the difference implies, one sigma; ``distortion`` is
+    a text why they cannot be spots of one beam, None if they can.
     """
 
     sigma_mm: float
@@ -47,7 +47,7 @@ class ShapeAgreement:
 
 
 def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
-    """Logarithm of the mean 1/e² radius (mm), two components of the stretch, and the order: (4,).
+    """Return the log of the mean 1/e² radius (mm), two components of the stretch, and the order: (4,).
 
     The stretch is half the difference of the logarithms of the radii along and across x, then along and
     across the diagonal. ``mm_per_px`` is d(x, y)/d(u, v), (2, 2).
@@ -61,7 +61,7 @@ def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
 
 
 def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str | None:
-    """Why a shape (4,) is not that of a spot which this unit measures, in words; None when it is."""
+    """Return as text why a shape (4,) is not that of a spot which this unit measures; None if it is."""
     diameter_mm = _diameter_mm(shape[0])
     if diameter_mm > _MAX_DIAMETER_MM:
         return f"the spot is {diameter_mm:.1f} mm wide, up to {_MAX_DIAMETER_MM:g} mm are measured"
@@ -80,12 +80,12 @@ def shape_agreement(
     second_known: ShapeReference,
     changed_light: float = 0.0,
 ) -> ShapeAgreement:
-    """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
+    """Compare two targets' shapes (4,), relative to their difference at calibration.
 
-    Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
-    it by ε d/2 of its 1/e² radius: sigma is two radii times the stretch, so that the error is below five
-    sigmas from d = 0.2 on, of equal ones 0.4. Nearer light shows only in ``changed_light``, by how much of
-    its light one spot has changed against the other: with a stretch s, ε more displaces it by √(ε s) radii.
+    Light beside one of two spots (share ε, d sigmas off the spot) stretches it by ε d²/4 and displaces it by
+    ε d/2 of its 1/e² radius. Sigma is two radii times the stretch, so that the error is below five sigmas
+    from d = 0.2 on, of equal ones 0.4. Nearer light appears only in ``changed_light``, the relative change of
+    one spot's light against the other's: with a stretch s, additional ε displaces the spot by √(ε s) radii.
     """
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
@@ -106,9 +106,9 @@ def shape_agreement(
 def shape_doubts_mm(
     mean: MeanSpots, points: Sequence[TargetPoint], known: Sequence[ShapeReference | None]
 ) -> FloatArray | Fault:
-    """The uncertainty of each target's point by the spots' shapes, one sigma in mm, (targets,).
+    """Return the uncertainty of each target's point from the spots' shapes, one sigma in mm, (targets,).
 
-    Or why a spot is not the beam's. Targets without a shape or a reference have no doubts.
+    Returns a fault if a spot is not the beam's. The value is 0 for targets without a shape or a reference.
     """
     doubts_mm = np.zeros(len(points))
     shapes = [

@@ -1,7 +1,7 @@
 """Changes of a target's spots over hours: their light and the residual of their fit; pure numbers.
 
-A laser that ages, a window that gathers dust and a target that gets dirty show here long before a spot is
-refused as too dim or ``distorted``.
+An ageing laser, a window that gathers dust and a target that gets dirty appear here long before a spot is
+rejected as too dim or ``distorted``.
 """
 
 from __future__ import annotations
@@ -18,55 +18,55 @@ from altd.vision.dust import DustCount
 from altd.vision.localise import MIN_DISTORTION_DIAMETERS
 
 BUCKET_NS = 60 * 10**9
-"""A minute's median is one point of a trend."""
+"""Duration of one point of a trend: the median of a minute."""
 
 _SAMPLE_INTERVAL_NS = 10**9
-"""Spots of one second are alike: one of them is enough."""
+"""Minimum time between samples: spots within one second are alike."""
 
 _MIN_SAMPLES = 20
-"""A minute with fewer spots than this says too little: the beam was being aimed."""
+"""Minimum number of spots in a minute; with fewer the beam was being aimed, and the minute does not count."""
 
 REFERENCE_BUCKETS = 30
 RECENT_BUCKETS = 10
-"""The reference is the median of the first so many minutes, what is now that of the last so many."""
+"""Numbers of minutes: the first ones' median is the reference, the last ones' the current value."""
 
 _DUST_COUNTS = 120
-"""Ten minutes of counts, one every five seconds."""
+"""Maximum number of counts kept: ten minutes, at one every five seconds."""
 
 
 def residual_share(spot: Spot) -> float:
-    """The residual of a spot's fit, as a share of the limit of ``distorted``.
+    """Return the residual of a spot's fit, as a share of the limit of ``distorted``.
 
-    Of ``excess_px``: what unexplained light may displace the spot by, one sigma.
+    It is based on ``excess_px``, the possible displacement of the spot by unexplained light, one sigma.
     """
     return spot.excess_px / (MIN_DISTORTION_DIAMETERS * spot.diameter_px)
 
 
 @dataclass(frozen=True, slots=True)
 class TrendFigures:
-    """A trend's reference and what it is now, in the unit of its samples; None: not known yet."""
+    """Reference and current value of a trend, in the unit of its samples; None: not known yet."""
 
     reference: float | None
     recent: float | None
 
     @property
     def share(self) -> float | None:
-        """The current value over the reference; None: not known."""
+        """Current value over the reference; None: not known."""
         if self.reference is None or self.recent is None or self.reference <= 0:
             return None
         return self.recent / self.reference
 
 
 class Trend:
-    """Medians of minutes, by the time of the frames: bounded memory, and no outlier counts.
+    """Medians of minutes, by the time of the frames: bounded memory, and outliers have no effect.
 
-    ``reference`` is kept indefinitely once it is known. A minute with too few values does not count, so a
-    beam that is switched off for the night changes nothing.
+    ``reference`` is kept indefinitely once it is known. A minute with too few values does not count, so
+    switching the beam off for the night changes nothing.
     """
 
     def __init__(self, reference: float | None = None) -> None:
         self.figures = TrendFigures(reference, None)
-        """By the completed minutes."""
+        """Figures from the completed minutes."""
         self._first: list[float] = []
         self._recent: deque[float] = deque(maxlen=RECENT_BUCKETS)
         self._samples: list[float] = []
@@ -74,7 +74,7 @@ class Trend:
         self._sampled_ns: int | None = None
 
     def add(self, t_ns: int, value: float) -> None:
-        """Take a sample of that instant; values that are not finite are none."""
+        """Add a sample taken at that time; values that are not finite are ignored."""
         if not math.isfinite(value):
             return
         if self._sampled_ns is not None and 0 <= t_ns - self._sampled_ns < _SAMPLE_INTERVAL_NS:
@@ -102,19 +102,19 @@ class Trend:
 
 
 class DustShare:
-    """The share of the area under a target's spots that is covered, over the last ten minutes with a beam.
+    """Share of the area under a target's spots that is covered, over the last ten minutes with a beam.
 
-    Of all pixels together and no median: a beam that moves meets a speck now and then, each time one of the
-    same.
+    The share is that of all pixels together and not a median: a moving beam meets a speck only now and then,
+    each time one of the same.
     """
 
     def __init__(self) -> None:
         self._counts: deque[DustCount] = deque(maxlen=_DUST_COUNTS)
         self.share: float | None = None
-        """The share; None before five minutes of counts."""
+        """Covered share; None before five minutes of counts."""
 
     def add(self, count: DustCount) -> None:
-        """Take what covers one spot."""
+        """Add the count of covered pixels under one spot."""
         self._counts.append(count)
         if len(self._counts) >= _DUST_COUNTS // 2:
             covered = sum(count.covered for count in self._counts)

@@ -1,13 +1,13 @@
-"""The lag between two targets' spots, by the first exposures of a motion that begins at rest.
+"""Lag between two targets' spots, from the first frame sets of a motion that starts at rest.
 
-A machine that sets itself in motion moves in one way at first: the displacements of both spots from rest are
-one function of time g, f(t) = a g(t) and r(t) = b g(t), whatever the pivot. If the pictures of the second
-spot are L frame sets late, r(t) = b g(t − L). For each L the displacements f(t), r(t + L), in units of their
-noise, make a matrix (m, 4) of rank one; the smaller three eigenvalues of its Gram matrix add up to the least
-χ², with 3 (m − 1) degrees of freedom (Golub and Van Loan, Matrix Computations, 6.3: total least squares).
+A machine that starts to move first moves in one way: the displacements of both spots from rest are one
+function of time g, f(t) = a g(t) and r(t) = b g(t), for any pivot. If the pictures of the second spot are L
+frame sets late, r(t) = b g(t − L). For each L the displacements f(t), r(t + L), in units of their noise, form
+a matrix (m, 4) of rank one. The smaller three eigenvalues of its Gram matrix add up to the minimum χ², with 3
+(m − 1) degrees of freedom (Golub and Van Loan, Matrix Computations, 6.3: total least squares).
 
-A yaw of its own can look like a late picture, where it leaves the first spot at rest and begins whole frame
-sets later with the same course. Therefore a lag is a finding for sigma, not a reason to refuse.
+A separate yaw motion can look like a late picture, if it leaves the first spot at rest and starts whole frame
+sets later with the same course. Therefore a lag is a finding for sigma, not a reason to reject.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from altd.statistics import MAD_TO_SIGMA, median
 
 MAX_LAG_FRAMES = 3
 _TESTED_LAG_FRAMES = 4
-"""A best lag this large is the edge of the test: another motion."""
+"""Maximum tested lag: a best lag this large is at the edge of the test and shows another motion."""
 _MIN_REST_FRAME_SETS = 16
 _MAX_REST_FRAME_SETS = 40
 _LEAD_FRAME_SETS = 8
-"""The last ones at rest may hold a slow beginning: they belong to the motion, and not to its zero."""
+"""Number of last frame sets at rest that may hold a slow start: they count as motion, not as its zero."""
 _MIN_MOVING_FRAME_SETS = 6
 _MIN_FOR_VIBRATION = 8
 _EACH_FRAME_SET_UP_TO = 40
 _LATER_INTERVAL_FRAME_SETS = 10
 _MAX_MOVING_FRAME_SETS = 180
-"""Until then vibration has shown the lag of a machine that vibrates."""
+"""Maximum length of an undecided motion; by then vibration has shown the lag of a machine that vibrates."""
 _DEPARTURE_SIGMAS = 6.0
 _MIN_CHI2_DIFFERENCE = 40.0
-"""Six standard deviations between the lag that fits and those that do not."""
+"""Six standard deviations between the lag that fits and the others."""
 _MIN_CHI2_NEIGHBOUR = 9.0
-"""A lag between whole frame sets is a motion and not a late picture."""
+"""Minimum difference to other lags: a lag between whole frame sets is a motion and not a late picture."""
 _MAX_MISFIT = 2.0
-"""χ² by its degrees of freedom: beyond it the motion is not one function of time."""
+"""Maximum χ² per degree of freedom: above it the motion is not one function of time."""
 
 
 class StartOfMotion:
@@ -51,7 +51,7 @@ class StartOfMotion:
 
     @property
     def is_open(self) -> bool:
-        """Whether the spots move, from a known rest, and their lag is not decided."""
+        """Whether the spots move from a known rest and their lag is not decided."""
         return bool(self._moving)
 
     def restart(self) -> None:
@@ -61,9 +61,9 @@ class StartOfMotion:
         self._moving.clear()
 
     def add(self, places_px: FloatArray, noise_px: FloatArray) -> int | None:
-        """Take u, v of both spots (4,) and their noise.
+        """Add u, v of both spots (4,) and their noise.
 
-        The lag of the second one in frame sets when this frame set decides it, 0: none; otherwise None.
+        Returns the second spot's lag in frame sets once this frame set decides it, 0: none; otherwise None.
         """
         if self._moving:
             self._moving.append(places_px)
@@ -111,7 +111,7 @@ class StartOfMotion:
 
 
 def _chi2_by_half_lags(first: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """χ² less its degrees of freedom, and by them, for lags of −4, −3.5 … 4 frame sets (17,)."""
+    """Return χ² less its degrees of freedom, and per degree, for lags of −4, −3.5 … 4 frame sets (17,)."""
     between = (first[1:] + first[:-1]) / 2
     excess, misfit = [], []
     for half_lags in range(-2 * _TESTED_LAG_FRAMES, 2 * _TESTED_LAG_FRAMES + 1):

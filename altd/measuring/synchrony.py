@@ -1,14 +1,14 @@
-"""Whether the targets' spots move at the same instants, or one camera's pictures are whole frames late.
+"""Check whether the targets' spots move at the same instants, or one camera is whole frames late.
 
-A picture that waited in a buffer and was stamped when it came out has a wrong time that no stamp tells. But
-the machine moves all targets at once: what is new in the motion of one spot, from one frame set to the next,
-must be new in the others in the same frame set.
+A picture that waited in a buffer and was stamped on leaving it has a wrong time that no stamp reveals. But
+the machine moves all targets at once: new motion of one spot, from one frame set to the next, must appear in
+the others in the same frame set.
 
-That is the cross-correlation of prewhitened series (Box and Jenkins, Time Series Analysis, 12.2): an
-autoregression fitted to the steps of the first spot leaves what was not to be foreseen in them; the same
-filter goes over the steps of the other spot. Then m · ‖C_L‖², C_L the 2 × 2 correlation at lag L over m
-frame sets, follows a χ² with four degrees of freedom wherever the two have nothing to do with each other at
-that lag, whatever spectrum either has. A vibration at one frequency is foreseen, so its phase says nothing.
+This is the cross-correlation of prewhitened series (Box and Jenkins, Time Series Analysis, 12.2): an
+autoregression fitted to the steps of the first spot leaves their unpredictable part; the same filter is
+applied to the steps of the other spot. Then m · ‖C_L‖², C_L the 2 × 2 correlation at lag L over m frame sets,
+follows a χ² with four degrees of freedom if the two are independent at that lag, whatever spectrum either
+has. A vibration at one frequency is predictable, so its phase has no effect.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ from altd.records import FloatArray, FrameSet, MeanSpots, Spot, counted
 from altd.statistics import MAD_TO_SIGMA, median
 
 _WINDOW_FRAME_SETS = 200
-"""10 s at 20 frame sets a second."""
+"""Number of frame sets compared: 10 s at 20 per second."""
 _MIN_FRAME_SETS = 100
 _INTERVAL_FRAME_SETS = 20
-"""From one comparison to the next."""
+"""Number of frame sets from one comparison to the next."""
 _AUTOREGRESSION_ORDER = 8
-"""Enough for four lines of vibration."""
+"""Order of the autoregression, enough for four lines of vibration."""
 _MAX_LAG_FRAMES = 4
 _MIN_CHI = 9.0
-"""The root of χ²: with four degrees of freedom a larger one has a probability of 1e-16."""
+"""Minimum root of χ²: with four degrees of freedom a larger one has a probability of 1e-16."""
 _MIN_CHI_DIFFERENCE = 6.0
 _CLIP_SIGMAS = 4.0
 _MAX_INTERVAL_DEVIATION = 0.25
 _MAX_SKEW_PERIODS = 0.1
-"""Between frames further apart than this, vibration has moved on: no lag is that of the other's motion."""
+"""Maximum skew: between frames further apart vibration changes the motion, so that no lag compares them."""
 _PATTERN_DIAMETERS = 1e-3
-"""The noise that print and surface add to a spot that moves, by its diameter: 0.01 mm of 12 mm."""
+"""Noise of a moving spot by print and surface, per its diameter: 0.01 mm for 12 mm."""
 
 
 class SynchronyCheck:
     """Compares the motion of each spot with that of the first target's.
 
-    Steady vibration shows a lag after seconds, the start of a motion from rest at once (``StartOfMotion``).
-    A lag that the start shows counts in sigma, for a yaw of its own may look like it. So does one frame set
-    while the spots move from rest and the cameras never were in step (``with_lag_in_sigma``).
+    Steady vibration reveals a lag after seconds, the start of a motion from rest at once (``StartOfMotion``).
+    A lag found at the start is included in sigma, because a separate yaw may look like it. So is one frame
+    set while the spots move from rest and the cameras never were in step (``with_lag_in_sigma``).
 
-    What cannot be detected: a machine at rest, or one that moves smoothly or in pure lines of vibration, for
-    what lags there may as well be a yaw of its own (at v mm/s the wrong displacement of the late target is v
-    times the delay); a delay of less than a frame, or of more than four; cameras that run freely, more than a
+    Not detected: a lag in a machine at rest, or one that moves smoothly or in pure lines of vibration,
+    because a lag may then as well be a separate yaw (at v mm/s the wrong displacement of the late target is v
+    times the delay); a delay of less than a frame, or of more than four; free-running cameras more than a
     tenth of a period apart.
     """
 
@@ -62,10 +62,10 @@ class SynchronyCheck:
         self._late: dict[str, int] = {}
         self._starts = {target: StartOfMotion() for target in targets[1:]}
         self._late_at_start: dict[str, int] = {}
-        """By target, 0: in step; absent: not shown yet."""
+        """Lag by target; 0: in step, absent: not determined yet."""
 
     def restart(self) -> None:
-        """The cameras were restarted: what was found before does not count."""
+        """Forget all findings: the cameras were restarted."""
         self._rows.clear()
         self._late.clear()
         self._late_at_start.clear()
@@ -76,11 +76,11 @@ class SynchronyCheck:
             start.restart()
 
     def with_lag_in_sigma(self, mean: MeanSpots) -> MeanSpots:
-        """The mean spots, with the movement within a lag that is found or possible in their covariance.
+        """Return the mean spots with the movement within a found or possible lag added to their covariance.
 
-        Possible is, while the spots start from rest and never were in step, one frame set in any of the
-        targets; its square counts in equal shares. Not in windows of three exposures or fewer, whose motion
-        is unknown.
+        While the spots start from rest and never were in step, a lag of one frame set is possible in any of
+        the targets; its square counts in equal shares. Windows of three frame sets or fewer, whose motion is
+        unknown, are not changed.
         """
         frame_sets2 = np.zeros(len(self._targets))
         for index, target in enumerate(self._targets[1:], start=1):
@@ -97,9 +97,9 @@ class SynchronyCheck:
         return replace(mean, covariance_px2=mean.covariance_px2 + blocks * np.outer(moved_px, moved_px))
 
     def inspect(self, frame_set: FrameSet) -> str:
-        """Take a frame set; in words which target's pictures do not belong to its time, empty: none known.
+        """Add a frame set; return as text which target's pictures do not belong to its time, empty if none.
 
-        What was found holds until the motion shows the contrary: a machine that stops proves nothing.
+        A finding holds until the motion shows the contrary: a machine that stops proves nothing.
         """
         spots = [frame_set.spots.get(target) for target in self._targets]
         positions_px = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
@@ -117,7 +117,7 @@ class SynchronyCheck:
         return self._complaint()
 
     def _inspect_starts(self, spots: list[Spot]) -> None:
-        """Take the newest row; one at an uneven interval begins again."""
+        """Process the newest row; an uneven interval restarts the detection."""
         if len(self._rows) < 3:
             return
         (first_ns, _, _), (before_ns, _, _), (t_ns, places_px, behind_ns) = (
@@ -173,7 +173,7 @@ class SynchronyCheck:
 
 
 def _autoregression(steps: FloatArray) -> FloatArray:
-    """The filter (order + 1,) that leaves of steps (n, 2) what those before do not predict."""
+    """Return the filter (order + 1,) that leaves the part of steps (n, 2) not predicted by earlier ones."""
     past = [steps[_AUTOREGRESSION_ORDER - lag : len(steps) - lag] for lag in range(_AUTOREGRESSION_ORDER + 1)]
     design = np.column_stack([values.ravel() for values in past[1:]])
     weights = np.linalg.lstsq(design, past[0].ravel(), rcond=1e-10)[0]
@@ -187,7 +187,7 @@ def _filtered(steps: FloatArray, coefficients: FloatArray) -> FloatArray:
 
 
 def _normalised(series: FloatArray) -> FloatArray | None:
-    """A series (m, 2), clipped, with zero mean and unit covariance; None: it does not move."""
+    """Return a series (m, 2), clipped, with zero mean and unit covariance; None if it does not move."""
     centred = series - median(series, axis=0)
     limit = _CLIP_SIGMAS * MAD_TO_SIGMA * median(np.abs(centred), axis=0)
     clipped = np.clip(centred, -limit, limit)
@@ -201,7 +201,7 @@ def _normalised(series: FloatArray) -> FloatArray | None:
 
 
 def _chi(first: FloatArray, other: FloatArray, lag: int) -> float:
-    """√m ‖C‖ for the other series ``lag`` frame sets late."""
+    """Return √m ‖C‖ for the other series ``lag`` frame sets late."""
     size = len(first) - abs(lag)
     a, b = first[max(-lag, 0) :][:size], other[max(lag, 0) :][:size]
     return math.sqrt(float(np.square(a.T @ b).sum()) / size)

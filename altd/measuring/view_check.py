@@ -1,4 +1,4 @@
-"""Whether a target's camera is the one that was calibrated, in the same place: by name and view."""
+"""Check by identity and view whether a target's camera is the calibrated one, in the same place."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.texture import Sample
 
 _EXAMINATION_INTERVAL_NS = 190_000_000
-"""Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
+"""Every fourth frame at 20 per second: a window of 20 contains at most three frames of a displaced camera."""
 _MAX_FRAME_GAP_NS = 400_000_000
-"""After a pause so long, or a step back in time, another camera may deliver: all is looked at again."""
+"""After a longer gap, or a step back in time, another camera may deliver: everything is examined again."""
 _INITIAL_EXAMINATIONS = 3
 _MAX_MOVE_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN_EXAMINATIONS = 4
 _STACKED_FRAMES = 8
-"""Dim frames that decide together: at 3 % of the light a shift was found in six of them."""
+"""Number of dim frames evaluated together: at 3 % of the light a shift was found in six of them."""
 _MAX_JUMP_PX = 0.5
 _MAX_JUMP_MEDIANS = 3.0
-"""From where steady motion would have brought it: a picture that is moved moves its spot. The larger of both
-counts, or a beam that shakes would have most frames examined. A knock that it hides is found at the next
-regular examination."""
+"""Maximum distance from the position predicted by steady motion: a shifted picture shifts its spot. The
+larger of both limits applies, or a shaking beam would have most frames examined. A knock hidden by it is
+found at the next regular examination."""
 _COMPARED_JUMPS = 12
 _ESTABLISHED_AFTER_VERDICTS = 3
 
 
 @dataclass(frozen=True, slots=True)
 class ViewStatus:
-    """The state of a target's camera after one of its frames; read by other threads than the checking one.
+    """State of a target's camera after one of its frames; read by other threads than the checking one.
 
-    ``has_fingerprint``: something is known to verify it by. ``verified_ns`` is when it was verified last,
-    ``wrong`` and ``doubt`` say what is wrong with it or not known, ``shift_px`` is by how much the picture
-    moved, ``frame_ns`` the time of the last frame that was held against the calibration; None: not known.
+    ``has_fingerprint``: the calibration has data to verify it. ``verified_ns`` is the time of the last
+    verification, ``wrong`` and ``doubt`` are texts on what is wrong or not known, ``shift_px`` is the shift
+    of the picture, ``frame_ns`` the time of the last frame compared with the calibration; None: not known.
     """
 
     target: str
@@ -52,9 +52,9 @@ class ViewStatus:
     frame_ns: int | None
 
     def figures(self, now_ns: int) -> dict[str, float | str]:
-        """The figures for health: whether the view is verified, since when, and the picture's shift.
+        """Return the figures for health: whether the view is verified, since when, and the picture's shift.
 
-        Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
+        If no frame arrived for a while before ``now_ns``, it contains only the time of verification.
         """
         figures: dict[str, float | str] = {f"view_{self.target}": self._verdict_text(now_ns)}
         if self.shift_px is not None and not self._is_silent(now_ns):
@@ -78,12 +78,12 @@ class ViewStatus:
 
 
 class ViewCheck:
-    """One camera's check, frame by frame. Its memory is what the last frames told.
+    """Check of one camera, frame by frame; its memory holds the results of the last frames.
 
-    A frame is examined, for about a millisecond, when the camera begins to deliver or does so again, when the
-    spot has jumped or lies on new ground, and every 0.2 s; each frame while dim ones decide together. What is
-    wrong is wrong at once; after three such verdicts only a frame that verifies the view ends it, before that
-    any frame that finds nothing wrong.
+    A frame is examined, for about a millisecond, when the camera starts or resumes delivery, when the spot
+    has jumped or is in a new place, and every 0.2 s; each frame while dim ones are evaluated together. A
+    wrong view counts at once. After three such verdicts only a frame that verifies the view ends it, before
+    that any frame in which nothing wrong is found.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class ViewCheck:
         self._wrong: ViewVerdict | None = None
         self._wrong_verdicts = 0
         self.displaced_px = 0.0
-        """The uncertainty that the picture's shift adds to spots that are not refused."""
+        """Uncertainty that the picture's shift adds to spots that are not rejected."""
         self._restart_examination()
 
     def _restart_examination(self) -> None:
@@ -120,19 +120,19 @@ class ViewCheck:
         self._before_last: Spot | None = None
         self._jumps_px: deque[float] = deque(maxlen=_COMPARED_JUMPS)
         self._faint: deque[Sample] = deque(maxlen=_STACKED_FRAMES - 1)
-        """Of the last frames that were examined and too dim to decide alone, since the spot jumped last."""
+        """Samples of the last examined frames too dim to decide alone, since the last jump of the spot."""
 
     def compare_with(self, fingerprint: Fingerprint | None) -> None:
-        """Hold the frames from now on against another fingerprint; the next one is examined."""
+        """Compare frames from now on with another fingerprint; the next one is examined."""
         self._fingerprint = fingerprint
         self._restart_examination()
 
     def objection(
         self, analysis: FrameAnalysis, spot: Spot | NoSpot, camera: CameraIdentity | None
     ) -> NoSpot | None:
-        """Why a frame's spot is not to be measured; None when nothing speaks against the camera.
+        """Return why a frame's spot must not be measured; None if there is no objection to the camera.
 
-        ``camera`` is the one that delivered the frame.
+        ``camera`` is the identity of the camera that delivered the frame.
         """
         for expected in self._expected:
             if camera is not None and (difference := camera.difference_from(expected)):
@@ -147,7 +147,7 @@ class ViewCheck:
         self._frames_since += 1
         has_jumped = self._has_jumped(spot)
         if has_jumped:
-            self._faint.clear()  # the view before may have been another one
+            self._faint.clear()  # the earlier samples may show another view
         if self._fingerprint is not None and self._is_due(frame, spot, has_jumped):
             self._examine(self._fingerprint, analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
@@ -155,7 +155,7 @@ class ViewCheck:
 
     @property
     def status(self) -> ViewStatus:
-        """The state after the last frame."""
+        """State after the last frame."""
         return ViewStatus(
             self._target,
             self._fingerprint is not None,
@@ -188,7 +188,7 @@ class ViewCheck:
         )
 
     def _has_jumped(self, spot: Spot | NoSpot) -> bool:
-        """Whether a spot lies far from where the motion between the last two would have brought it."""
+        """Return whether a spot is far from the position predicted by the motion between the last two."""
         last, before = self._last, self._before_last or self._last
         if not isinstance(spot, Spot) or last is None or before is None:
             return False

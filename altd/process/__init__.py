@@ -1,1 +1,1 @@
-"""The log, the standard streams, and how a process ends."""
+"""The log, the standard streams, and the end of a process."""

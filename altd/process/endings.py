@@ -25,7 +25,7 @@ Result = TypeVar("Result")
 
 
 class EndedBySignal(BaseException):
-    """A signal asked the process to end. No ``Exception``: nothing but the end of the command takes it."""
+    """A signal requested the end. Not an ``Exception``, so only the end of the command catches it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -33,15 +33,15 @@ class EndedBySignal(BaseException):
 
     @property
     def status(self) -> int:
-        """The exit status that a shell gives it."""
+        """Exit status that a shell assigns to it."""
         return 128 + self.number
 
 
 def run_to_end(work: Callable[[], int], name: Callable[[], str]) -> int:
-    """Do the work of a command called ``name``; the return value is the process' exit status.
+    """Run a command called ``name``; returns the exit status of the process.
 
-    That of the work, 2 for what the caller did wrong, 1 when standard output did not take all, 128 and the
-    number of the signal that ended it; what the work has to clean up is cleaned up first.
+    The status is that of the work, 2 for a mistake of the caller, 1 if standard output did not accept
+    everything, or 128 plus the number of the signal that ended it. The work's cleanup runs first.
     """
     prepare_streams()
     try:
@@ -64,7 +64,7 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
         missing = f"the Python package {error.name!r} is missing in {sys.executable}"
         complain(f"{name()}: {missing}: start the `altd` that was installed, see docs/install.md")
         return 1
-    except SystemExit as end:  # the parser has said what there was to say
+    except SystemExit as end:  # the parser has already printed the reason
         status = end.code if isinstance(end.code, int) else 1
     except OSError:
         if output_failure() is None:
@@ -78,9 +78,9 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
 
 
 async def until_signal(work: Coroutine[None, None, Result], hangup: asyncio.Event | None = None) -> Result:
-    """Run until done; raises EndedBySignal once a signal asked to end and the work has cleaned up.
+    """Run until done; raises EndedBySignal after a signal, once the work has cleaned up.
 
-    With the event of ``hangups`` SIGHUP sets that and ends nothing.
+    With the event of ``hangups``, SIGHUP only sets that event.
     """
     loop = asyncio.get_running_loop()
     task = asyncio.ensure_future(work)
@@ -108,7 +108,7 @@ async def until_signal(work: Coroutine[None, None, Result], hangup: asyncio.Even
 
 
 def hangups() -> asyncio.Event | None:
-    """An event that SIGHUP sets from now on; None: it is ignored, or reports that the terminal has gone."""
+    """Return an event that SIGHUP sets from now on; None: it is ignored, or means a closed terminal."""
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or _has_terminal():
         return None
     event = asyncio.Event()
@@ -126,7 +126,7 @@ def _has_terminal() -> bool:
 
 @contextmanager
 def _signals_raised() -> Iterator[None]:
-    """Within, a signal that asks to end raises EndedBySignal; a second one ends the process at once."""
+    """Raise EndedBySignal on an ending signal; a second one ends the process at once."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread receives signals
         return
@@ -146,6 +146,6 @@ def _end(number: int, _frame: FrameType | None) -> None:
 
 
 def _ending_signals() -> list[signal.Signals]:
-    """Ctrl-C, SIGTERM, and the terminal that went away; not those that are ignored, as by nohup(1)."""
+    """Return SIGINT, SIGTERM and SIGHUP, without those that are ignored, as by nohup(1)."""
     ending = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     return [number for number in ending if signal.getsignal(number) is not signal.SIG_IGN]

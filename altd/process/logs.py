@@ -16,16 +16,16 @@ from dataclasses import dataclass
 from altd.errors import one_line
 
 LOG_REPEAT_S = 10.0
-"""A cause is written once in this time, and how often it came meanwhile with its next line."""
+"""Time in which a cause is written once, s; its next line gives the number of repetitions."""
 
 MAX_CAUSES = 20
-"""Different causes of one logger that are written in this time; what comes beyond is counted."""
+"""Maximum number of different causes of one logger that are written in this time; others are counted."""
 
 MAX_WAITING_LINES = 1000
-"""More than these are dropped and counted while standard error takes nothing."""
+"""Maximum number of waiting lines while standard error is blocked; further lines are dropped and counted."""
 
 JOIN_TIMEOUT_S = 1.0
-"""Longest wait at the end for standard error to take the rest."""
+"""Longest wait at the end for standard error to accept the rest, s."""
 
 _PLAIN = logging.Formatter()
 _ADDRESSES_AND_NUMBERS = re.compile(r"0x[0-9a-f]+|\d+")
@@ -39,10 +39,10 @@ class _Cause:
 
 
 class RepeatLimit:
-    """Lets warnings and errors of one cause pass once in ``LOG_REPEAT_S``, and counts the others.
+    """Passes warnings and errors of one cause once in ``LOG_REPEAT_S``, and counts the others.
 
-    A cause is a logger, a level and a message without its numbers. Lines that inform are not limited: they
-    come once a second at most, where they are made, and the last of them must be the true one.
+    A cause is a logger, a level and a message without its numbers. Informational lines are not limited: their
+    source writes at most one per second, and the last of them must be the true one.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -50,7 +50,7 @@ class RepeatLimit:
         self._causes: dict[str, dict[str, _Cause]] = {}
 
     def note(self, record: logging.LogRecord) -> str | None:
-        """The addition to the record's line, or None when it is held back."""
+        """Return the addition to the record's line, or None if the record is held back."""
         if record.levelno <= logging.INFO:
             return ""
         now_s = self._clock()
@@ -69,7 +69,7 @@ class RepeatLimit:
         return _repeats_note(held_back)
 
     def due(self, *, all_of_them: bool = False) -> list[str]:
-        """Lines for what was held back and did not come again; forgets causes that are over."""
+        """Return lines for causes held back without repetition since; forgets causes whose time is over."""
         now_s = self._clock()
         lines = []
         for causes in self._causes.values():
@@ -82,7 +82,7 @@ class RepeatLimit:
 
 
 class StderrLog(logging.Handler):
-    """Hands lines to a thread that writes them; what standard error does not take in time is dropped."""
+    """Passes lines to a writer thread; lines that standard error does not accept in time are dropped."""
 
     def __init__(self, prefix: str = "", descriptor: int = 2) -> None:
         super().__init__()
@@ -96,7 +96,7 @@ class StderrLog(logging.Handler):
         self._thread.start()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take a record; never waits."""
+        """Accept a record without waiting."""
         try:
             note = self._limit.note(record)
             if note is None:
@@ -107,7 +107,7 @@ class StderrLog(logging.Handler):
             self.handleError(record)
 
     def close(self) -> None:
-        """Write what is left, but wait for standard error no longer than ``JOIN_TIMEOUT_S``."""
+        """Write the remaining lines; wait at most ``JOIN_TIMEOUT_S`` for standard error."""
         if not self._ending.is_set():
             self._enqueue_repeats(all_of_them=True)
             self._ending.set()
@@ -116,7 +116,7 @@ class StderrLog(logging.Handler):
         super().close()
 
     def _enqueue(self, line: str, traceback: str = "") -> None:
-        """Each line is escaped; those of a traceback are indented, or text in it could pass for a line."""
+        """Queue an escaped line; traceback lines are indented so that their text cannot imitate a line."""
         indented = (f"\n  {one_line(each)}" for each in traceback.splitlines())
         try:
             self._lines.put_nowait(one_line(line) + "".join(indented))
@@ -151,7 +151,7 @@ class StderrLog(logging.Handler):
                     )
 
     def _write(self, line: str) -> None:
-        """Write a line, however long it takes; a standard error that is gone takes nothing."""
+        """Write a line, however long it takes; if standard error is closed, the line is dropped."""
         rest = f"{self._prefix}{line}\n".encode()
         try:
             while rest:

@@ -1,4 +1,4 @@
-"""Which process has a TCP port, as far as this user may see it: /proc/net and /proc/PID/fd (proc(5))."""
+"""The process that has a TCP port, as far as this user may read it: /proc/net and /proc/PID/fd (proc(5))."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LISTEN_STATE = "0A"
 
 
 def listening_sockets(host: str, port: int, root: Path = Path("/")) -> Iterator[str]:
-    """The inodes of sockets that keep us from listening there."""
+    """Yield the inodes of sockets that prevent listening on this host and port."""
     wanted = bytes_of(host)
     for path in ("proc/net/tcp", "proc/net/tcp6"):
         for line in _text(root / path).splitlines()[1:]:
@@ -24,7 +24,7 @@ def listening_sockets(host: str, port: int, root: Path = Path("/")) -> Iterator[
 
 
 def owner_of_socket(inode: str, root: Path = Path("/")) -> tuple[int, str] | None:
-    """The process that has a socket: number and name; those of other users are seen by root alone."""
+    """Return number and name of a socket's process; only root can read those of other users."""
     for link in root.glob("proc/[0-9]*/fd/*"):
         with contextlib.suppress(OSError):
             if str(link.readlink()) == f"socket:[{inode}]":
@@ -33,12 +33,12 @@ def owner_of_socket(inode: str, root: Path = Path("/")) -> tuple[int, str] | Non
 
 
 def process_at(folder: Path) -> tuple[int, str]:
-    """Number and name of the process of a folder in /proc."""
+    """Return number and name of the process of a folder in /proc."""
     return int(folder.name), "altd" if is_altd(words_of(folder)) else _text(folder / "comm").strip() or "?"
 
 
 def words_of(folder: Path) -> list[str]:
-    """The command line of the process of a folder in /proc."""
+    """Return the command line of the process of a folder in /proc."""
     return _text(folder / "cmdline").strip().split("\0")
 
 
@@ -48,13 +48,13 @@ def is_altd(words: list[str]) -> bool:
 
 
 def from_kernel(address: str) -> bytes:
-    """The bytes of an address as /proc/net shows it: words of four bytes, each the wrong way round."""
+    """Return the bytes of an address in /proc/net: words of four bytes, each in reverse order."""
     raw = bytes.fromhex(address)
     return b"".join(raw[i : i + 4][::-1] for i in range(0, len(raw), 4))
 
 
 def bytes_of(host: str) -> bytes:
-    """The bytes of an address; of a name those of any address."""
+    """Return the bytes of an address; of a name, those of 0.0.0.0."""
     for family in (socket.AF_INET, socket.AF_INET6):
         try:
             return socket.inet_pton(family, host.partition("%")[0])

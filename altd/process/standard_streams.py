@@ -1,4 +1,4 @@
-"""Standard input, output and error as they may be: closed, full, gone."""
+"""Standard input, output and error in any state: closed, full, disconnected."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from altd.errors import escaped
 _COMPLAINT_TIMEOUT_MS = 1000
 
 _STREAMS = (("stdin", "r", os.O_WRONLY), ("stdout", "w", os.O_RDONLY), ("stderr", "w", os.O_WRONLY))
-"""Name, mode, and how nothing is opened for it: all but standard error then refuse to be used."""
+"""Name, mode, and flags for opening the null device: all but standard error then refuse to be used."""
 
 
 class _Output(io.FileIO):
-    """Standard output that remembers why it did not take something, which a caller may ignore."""
+    """Standard output that stores the error of a failed write, which a caller may ignore."""
 
     failure: OSError | None = None
 
@@ -31,10 +31,10 @@ class _Output(io.FileIO):
 
 
 def prepare_streams() -> None:
-    """Put something behind those of the descriptors 0, 1 and 2 that are closed, and watch standard output.
+    """Open the null device for closed descriptors 0, 1 and 2, and watch standard output.
 
-    Else the next file to be opened takes the number, and prints go into it. What is printed to a
-    closed standard output fails (EBADF), for a lost answer is no success.
+    Otherwise the next opened file would get the number, and prints would go into it. Printing to a closed
+    standard output fails (EBADF), because a lost response is not a success.
     """
     is_process_output = sys.stdout is sys.__stdout__
     for descriptor, (name, mode, way) in enumerate(_STREAMS):
@@ -60,7 +60,7 @@ def say(*lines: str) -> None:
 
 
 def complain(*lines: str) -> None:
-    """Print lines on standard error, each ``escaped``, unless it takes nothing for a second.
+    """Print lines on standard error, each ``escaped``, unless it is blocked for a second.
 
     A counter in the last line of a terminal is overwritten.
     """
@@ -68,7 +68,7 @@ def complain(*lines: str) -> None:
 
 
 def clear_counter() -> None:
-    """Take away what a counter left in the last line of a terminal."""
+    """Erase a counter in the last line of a terminal."""
     if clearing := _erasure():
         _write(clearing)
 
@@ -92,7 +92,7 @@ def _write(text: str) -> None:
 
 
 def output_failure() -> OSError | None:
-    """Why standard output did not take what was printed; None when it has taken all."""
+    """Return the error of standard output; None if it has accepted everything."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -102,7 +102,7 @@ def output_failure() -> OSError | None:
 
 
 def drop_unwritten() -> None:
-    """Drop what standard output and error did not take: at its end Python would try again, loudly."""
+    """Drop unwritten output, which Python would otherwise retry at its end with an error message."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -15,27 +15,27 @@ from altd.files.reading import UnchangedFile
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 OPAQUE = "opaque"
-"""A further column, of targets that are switched; a table may lack it."""
+"""Name of an optional column, for switched targets."""
 POSE_COLUMNS = ("a_mm", "b_mm", "phi_deg")
-"""Further columns, of the known pose of a plate."""
+"""Names of further columns, for the known pose of a plate."""
 
 MAX_T_S = 1e9
-"""Thirty years: the times of a recording count from its start."""
+"""Maximum time, thirty years, s: the times of a recording count from its start."""
 MAX_SEQUENCE = 2**53
-"""Whole numbers up to here are exact as floats, thus in every JSON reader."""
+"""Maximum sequence: whole numbers up to here are exact as floats, thus in every JSON reader."""
 MAX_POSITION_MM = 10_000.0
 _MAX_TURN_DEG = 360.0
 
 _MAX_BYTES = 1 << 28
-"""A day of two cameras at 20 a second takes 210 MB."""
+"""Maximum size of the table; a day of two cameras at 20 frames per second takes 210 MB."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of ``frames.csv``; ``position_mm`` is where a stage put the beam, if known.
+    """One line of ``frames.csv``; ``position_mm`` is the stage's position of the beam, if known.
 
-    ``opaque`` names the target that was switched to show the spot; empty: none.
-    ``pose`` is that of a plate, (a mm, b mm, φ °), where it is known.
+    ``opaque`` names the target that was switched to show the spot; empty: none. ``pose`` is that of a plate,
+    (a mm, b mm, φ °), if known.
     """
 
     number: int
@@ -51,26 +51,26 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """The rows of a table that has been checked, in its order.
+    """Rows of a table that has been checked, in its order.
 
-    They are read from the table again for each iteration, so a day of frames takes no more memory than a
-    second; that raises BadInputError when the table has changed since it was checked.
+    Each iteration reads the table again, so a day of frames takes no more memory than a second. It raises
+    BadInputError if the table has changed since it was checked.
     """
 
     table: UnchangedFile
     count: Mapping[str, int]
-    """The number of frames of each camera, 0 included."""
+    """Number of frames of each camera, 0 included."""
     first: Row
     last: Row
     largest_sequence: int
     has_positions: bool
-    """Whether any row says where the stage put the beam."""
+    """Whether any row contains the stage's position of the beam."""
     has_opaque: bool = False
     """Whether any row names a target that was switched to show the spot."""
 
     @classmethod
     def checked(cls, path: Path, cameras: Collection[str], check: Callable[[Row], None]) -> Self:
-        """Read all rows of the cameras and ``check`` each, which may raise BadInputError like this."""
+        """Read all rows of the cameras and ``check`` each; both may raise BadInputError."""
         table = UnchangedFile(path, _MAX_BYTES)
         count = Counter(dict.fromkeys(cameras, 0))
         largest_sequence, has_positions, has_opaque = 0, False, False
@@ -93,11 +93,11 @@ class Rows:
         return _read_rows(self.table, self.count)
 
     def of(self, camera: str) -> Iterator[Row]:
-        """The rows of one camera."""
+        """Return an iterator over the rows of one camera."""
         return (row for row in self if row.camera == camera)
 
     def place(self, row: Row) -> str:
-        """The file and the number of the row, for an error message."""
+        """Return the file and the number of the row, for an error message."""
         return f"{self.table.path}: row {row.number}"
 
 
@@ -127,7 +127,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
 
 
 def _check_order(place: str, above: Row, row: Row) -> None:
-    """One camera's rows must be in the order of their exposures, without repeated ones."""
+    """Raise unless a camera's rows are in the order of their exposures, without repeated ones."""
     for column, value, before in (
         ("sequence", row.sequence, above.sequence),
         ("t_s", row.t_s, above.t_s),
@@ -174,7 +174,7 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras
 
 
 def _pose(place: str, record: Mapping[str, str | None]) -> tuple[float, float, float] | None:
-    """The known pose of a plate; None where the row does not give it."""
+    """Return the known pose of a plate; None if the row does not give it."""
     text = [(record.get(column) or "").strip() for column in POSE_COLUMNS]
     if not any(text):
         return None

@@ -1,4 +1,4 @@
-"""recording.json: what a recording shows, and of which unit and cameras (docs/recordings.md)."""
+"""recording.json: contents of a recording, and its unit and cameras (docs/recordings.md)."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
 
 Kind = Literal["scan", "plate", "flat", "measurement", "self-check", "planar"]
-"""The subject of a recording."""
+"""Subject of a recording."""
 
 MAX_HEADER_BYTES = 1 << 20
 
 MADE_BY = f"altd {__version__}"
 
 FRONT, REAR = "front", "rear"
-"""The targets of a recording that does not say which it shows, and the cameras that look at them."""
+"""Targets of a recording that does not list its targets, and the names of their cameras."""
 
 Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
 Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
@@ -69,27 +69,27 @@ class CameraHeader(_Header):
     height: Annotated[int, Field(ge=16, le=20_000)]
     bits: Annotated[int, Field(ge=8, le=16)]
     serial: str | None = None
-    """The camera's serial number, where its driver tells one."""
+    """Serial number of the camera, if its driver reports one."""
     model: str | None = None
-    """The name that its maker gave it."""
+    """The maker's name of the camera."""
     driver: str | None = None
-    """The driver that named it: ``driver`` of the config."""
+    """Driver that reported them: ``driver`` of the config."""
     origin: Origin = Origin.CAMERA
-    """The origin of its frames."""
+    """Origin of the camera's frames."""
     exposure_ms: float | None = None
-    """As the first frame was exposed, where the driver tells; a recording keeps to it."""
+    """Exposure time of the first frame, ms, if the driver reports it; it is constant in a recording."""
     gain_db: float | None = None
     mirrored: bool | None = None
-    """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
+    """Whether the camera's view of its target is mirrored, if unusual: see a plate's calibration."""
 
     @property
     def identity(self) -> CameraIdentity:
-        """Which camera it was, as far as the recording knows."""
+        """Identity of the camera, as far as the recording contains it."""
         return CameraIdentity(self.serial, self.model, self.driver)
 
 
 def camera_header(frame: Frame, camera: Camera | None) -> CameraHeader:
-    """The header of a camera that is open and delivers such frames."""
+    """Return the header of an open camera that delivers such frames."""
     known = (camera.identity if camera else None) or CameraIdentity()
     rows, columns = frame.pixels.shape
     return CameraHeader(
@@ -106,40 +106,40 @@ def camera_header(frame: Frame, camera: Camera | None) -> CameraHeader:
 
 
 def note_of(command: str, cameras: Collection[Camera]) -> str:
-    """The note of what a command records of cameras that are open: its name, and what is not live."""
+    """Return the note of a command's recording: its name, and ``playback`` or ``simulated``."""
     played = any(camera.playback for camera in cameras)
     simulated = any(camera.origin is Origin.SIMULATED for camera in cameras)
     return f"{command}{', playback' * played}{', simulated' * simulated}"
 
 
 class UnitHeader(_Header):
-    """The unit that was recorded."""
+    """The recorded unit."""
 
     serial: str
     target_distance_mm: Annotated[float, Field(gt=0, le=100_000)] | None = None
-    """From the front target to the rear one; required where the header has no ``targets``."""
+    """Distance from the front target to the rear one, mm; required if the header has no ``targets``."""
 
 
 class TargetHeader(_Header):
-    """A target that the recording shows, its place on the beam, and the camera that looks at it."""
+    """A target in the recording, its position on the beam, mm, and its camera."""
 
     name: Annotated[str, Field(pattern=NAME_PATTERN, max_length=32)]
     z_mm: Annotated[float, Field(ge=-100_000, le=100_000)]
     camera: str
     glass_mm: Annotated[float, Field(ge=0, le=100)] | None = None
-    """Thickness of the glass behind it, where the recording knows."""
+    """Thickness of the glass behind it, mm, if the recording contains it."""
     glass_index: Annotated[float, Field(ge=1, le=3)] | None = None
     switched: bool | None = None
-    """Of a beam: opaque in the rows that name it ``opaque``, else clear."""
+    """Switched target of a beam: opaque in the rows that name it ``opaque``, else clear."""
 
     @property
     def glass(self) -> Glass | None:
-        """The glass behind it; None: not stated."""
+        """Glass behind the target; None: not stated."""
         return Glass(self.glass_mm, self.glass_index or GLASS_INDEX) if self.glass_mm else None
 
 
 def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
-    """The targets of a config as the header of a recording of its cameras names them."""
+    """Return a config's targets as in the header of a recording of its cameras."""
     return tuple(
         TargetHeader(
             name=of.name,
@@ -154,7 +154,7 @@ def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
 
 
 def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:
-    """The unit of a config; readers that know no ``targets`` want the distance from the first to the last."""
+    """Return the unit of a config; the distance is for readers that do not support ``targets``."""
     distance_mm = targets[-1].z_mm - targets[0].z_mm if targets else 0.0
     return UnitHeader(serial=serial, target_distance_mm=distance_mm or None)
 
@@ -175,9 +175,9 @@ class PlateHeader(_Header):
 
 
 class LedPlateHeader(_Header):
-    """A plate whose lit LEDs are at ``leds_mm`` in its own frame, x right and y up as the camera sees it.
+    """A plate with lit LEDs at ``leds_mm`` in its own frame, x right and y up in the camera's view.
 
-    ``disc_mm`` is the diameter of an LED's even disc; None: the pictures show it.
+    ``disc_mm`` is the diameter of an LED's even disc; None: measured in the pictures.
     """
 
     leds_mm: Annotated[tuple[tuple[Position, Position], ...], Field(min_length=5, max_length=64)]
@@ -198,7 +198,7 @@ def _plate_tag(plate: object) -> str:
 
 
 _LEDS, _GRID = "with leds_mm", "with a grid"
-"""The two kinds of plate; pydantic puts them into an error's place."""
+"""Tags of the two kinds of plate; pydantic puts them into an error's place."""
 
 
 class SelfCheckHeader(_Header):
@@ -220,9 +220,9 @@ class RecordingHeader(_Header):
     unit: UnitHeader
     note: str = ""
     made_by: str | None = None
-    """The program that wrote it, with its version."""
+    """Program that wrote it, with its version."""
     start: Annotated[datetime, AfterValidator(_checked_year)] | None = None
-    """UTC of t_s = 0, where it is known."""
+    """UTC of t_s = 0, if known."""
     plate: (
         Annotated[
             Annotated[PlateHeader, Tag(_GRID)] | Annotated[LedPlateHeader, Tag(_LEDS)],
@@ -230,20 +230,20 @@ class RecordingHeader(_Header):
         ]
         | None
     ) = None
-    """In a recording of kind ``plate`` a grid, of kind ``planar`` the LEDs' places."""
+    """Plate: in a recording of kind ``plate`` a grid, of kind ``planar`` the LEDs' positions."""
     self_check: SelfCheckHeader | None = None
-    """In a recording of kind ``scan``, where there was a calibration to check the unit against."""
+    """Self-check of a ``scan``, if there was a calibration for it."""
     turned_deg: Annotated[float, AfterValidator(_checked_turn)] = 0.0
-    """In a ``scan``: by how much the unit was turned about its own z axis; stage and beam stood still."""
+    """Turn of the unit about its own z axis in a ``scan``, degrees; stage and beam were not moved."""
     limits: Limits | None = None
-    """In a ``scan``: the uncertainties that it does not show in itself."""
+    """Uncertainties of a ``scan`` that it cannot measure."""
     targets: Annotated[tuple[TargetHeader, ...], Field(min_length=1)] | None = None
-    """Which targets it shows, in beam order; None: those that ``shown_targets`` tells."""
+    """Targets in beam order; None: those of ``shown_targets``."""
 
     @model_validator(mode="before")
     @classmethod
     def _check_planar(cls, content: Any) -> Any:
-        """Of kind ``planar`` the plate's LEDs must be there, and one camera."""
+        """Raise unless a recording of kind ``planar`` has the plate's LEDs and one camera."""
         if not isinstance(content, dict) or content.get("kind") != "planar":
             return content
         plate, cameras = content.get("plate"), content.get("cameras")
@@ -278,9 +278,9 @@ class RecordingHeader(_Header):
 
     @property
     def shown_targets(self) -> tuple[TargetHeader, ...]:
-        """The targets that it shows, in beam order.
+        """Targets in the recording, in beam order.
 
-        Where it does not say: ``front`` at 0 and ``rear`` behind it, of those the cameras that are there.
+        If it does not list them: ``front`` at 0 and ``rear`` behind it, as far as their cameras exist.
         """
         if self.targets is not None:
             return self.targets
@@ -293,17 +293,17 @@ class RecordingHeader(_Header):
 
     @property
     def is_switched(self) -> bool:
-        """Whether it shows a beam whose targets are shown in turn."""
+        """Whether the recording is of a beam whose targets are shown in turn."""
         return any(target.switched for target in self.shown_targets)
 
     def is_mirrored(self, target: TargetHeader) -> bool:
-        """Whether the target's camera sees it mirrored: as it says, else ``front`` alone."""
+        """Whether the camera's view of the target is mirrored: as in its header, else only for ``front``."""
         said = self.cameras[target.camera].mirrored
         return target.name == FRONT if said is None else said
 
 
 def read_header(path: Path) -> RecordingHeader:
-    """The header in a file; raises BadInputError that names the file and the key."""
+    """Return the header in a file; raises BadInputError with the file and the key."""
     content = read_file(path, MAX_HEADER_BYTES)
     try:
         return RecordingHeader.model_validate(parse_json(content))

@@ -1,7 +1,7 @@
-"""A recording, read: header and rows checked, frames decoded one by one, and the rows that it lacks.
+"""Reading a recording: header and rows checked, frames decoded one by one, and missing rows listed.
 
-A recording of a live unit may have lost frames, so gaps are reported and no reason to refuse it; measurements
-of such an exposure carry a reason (``camera_silent``, ``out_of_step``, ``exposures_lost``).
+A recording of a live unit may have lost frames, so gaps are reported but not refused. Measurements of such an
+exposure have a reason (``camera_silent``, ``out_of_step``, ``exposures_lost``).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Recording:
     rows: Rows
 
     def frame(self, row: Row) -> Frame:
-        """Decode the frame of a row; raises BadInputError that names the file and the row."""
+        """Decode the frame of a row; raises BadInputError with the file and the row."""
         camera = self.header.cameras[row.camera]
         size = camera.width, camera.height, camera.bits
         try:
@@ -48,7 +48,7 @@ class Recording:
         return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on, opaque=row.opaque)
 
     def sha256(self) -> str:
-        """Hash over header, rows and all frame files, in the rows' order."""
+        """Return the hash over header, rows and all frame files, in the rows' order."""
         digest = hashlib.sha256(read_file(self.path / HEADER_FILE, MAX_HEADER_BYTES))
         for piece in self.rows.table.pieces():
             digest.update(piece)
@@ -60,7 +60,7 @@ class Recording:
 def open_recording(path: Path) -> Recording:
     """Read header and rows and check every frame's file, size and depth without decoding it.
 
-    Raises BadInputError that names the file and, in ``frames.csv``, the row (the first frame is row 2).
+    Raises BadInputError with the file and, in ``frames.csv``, the row (the first frame is row 2).
     """
     if os.path.lexists(path) and not os.path.lexists(path / HEADER_FILE):
         lacks = f"it has no {HEADER_FILE}" if path.is_dir() else "a recording is a folder"
@@ -71,7 +71,7 @@ def open_recording(path: Path) -> Recording:
 
 
 def _check_row(path: Path, header: RecordingHeader, row: Row) -> None:
-    """The name of a switched target, and the frame's file."""
+    """Check the name of a switched target, and the frame's file."""
     names = [target.name for target in header.shown_targets]
     if row.opaque and row.opaque not in names:
         known = f"is no target of recording.json{did_you_mean(row.opaque, names)}"
@@ -80,7 +80,7 @@ def _check_row(path: Path, header: RecordingHeader, row: Row) -> None:
 
 
 def _check_png(path: Path, header: RecordingHeader, row: Row) -> None:
-    """Signature, size, depth and colour, without decoding it."""
+    """Check signature, size, depth and colour, without decoding the frame."""
     camera, place = header.cameras[row.camera], f"{path / FRAMES_FILE}: row {row.number}"
     try:
         head = read_head(path / row.file, PNG_HEAD_BYTES)
@@ -92,14 +92,14 @@ def _check_png(path: Path, header: RecordingHeader, row: Row) -> None:
 
 
 _MAX_NAMED = 3
-"""So many places are named, the others counted."""
+"""Maximum number of places that are named; the others are counted."""
 
 
 @dataclass(slots=True)
 class Gap:
-    """Exposures that lack something, from one number to another: all frames, or those of ``cameras``.
+    """Exposures from ``first`` to ``last`` that lack all frames, or those of ``cameras``.
 
-    ``row`` is that of the exposures' first frame, or the one that follows where there is none.
+    ``row`` is that of the exposures' first frame, or the next one if there is none.
     """
 
     row: int
@@ -117,9 +117,9 @@ class Gap:
 
 
 def gaps(rows: Iterable[Row], cameras: Sequence[str]) -> Iterator[Gap]:
-    """The gaps of a table in the order of its numbers; ``rows`` is gone through once a camera, in step.
+    """Yield the gaps of a table in the order of its sequences; ``rows`` is read once per camera, in step.
 
-    A camera without any row is left to the caller: it is one fault, not one an exposure.
+    A camera without any row is left to the caller: it is one fault, not one per exposure.
     """
     by_camera = [_of(camera, rows) for camera in cameras]
     gap: Gap | None = None
@@ -147,7 +147,7 @@ def gaps(rows: Iterable[Row], cameras: Sequence[str]) -> Iterator[Gap]:
 
 
 def gap_lines(recording: Recording) -> list[str]:
-    """The missing rows of a table, a line each for the first places and one for the others."""
+    """Return the missing rows of a table: one line for each of the first places, one for the others."""
     table = recording.path / FRAMES_FILE
     cameras = list(recording.header.cameras)
     empty = [camera for camera in cameras if not recording.rows.count[camera]]

@@ -1,4 +1,4 @@
-"""A recording, written frame by frame."""
+"""Writing a recording, frame by frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from altd.records import Frame, utc_text
 
 
 def refuse_used_folder(path: Path) -> None:
-    """Raise BadInputError when ``path`` is something else than an empty or a new folder."""
+    """Raise BadInputError if ``path`` exists and is not an empty folder."""
     try:
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise BadInputError(path, "exists and is not an empty folder")
@@ -36,16 +36,16 @@ def refuse_used_folder(path: Path) -> None:
 
 
 def _comparable(header: RecordingHeader) -> dict[str, CameraHeader]:
-    """The cameras without what may differ between two parts of a recording."""
+    """Return the cameras without the values that may differ between two parts of a recording."""
     free = {"exposure_ms": None, "gain_db": None}
     return {name: camera.model_copy(update=free) for name, camera in header.cameras.items()}
 
 
 class RecordingWriter:
-    """Writes a recording frame by frame; what is on disk is readable after each frame.
+    """Writes a recording frame by frame; the files are readable after each frame.
 
-    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it continues in a folder
-    that another writer left, after that many bytes of its table; the header there stays, and must have the
+    Raises BadInputError if the folder exists and is not empty. With ``resume_at`` it continues in the folder
+    of an earlier writer, after that many bytes of its table; the existing header is kept, and must have the
     same cameras and unit. ``pose`` is the known one of a plate, (a mm, b mm, φ °). ``has_opaque``: the table
     has a column of the target that was switched to show the spot.
     """
@@ -69,7 +69,7 @@ class RecordingWriter:
         try:
             path.mkdir(parents=True, exist_ok=True)
             for camera in header.cameras:
-                (path / camera).mkdir()  # fails for the later one of two that began here at once
+                (path / camera).mkdir()  # if two start here at once, it fails for the later one
         except OSError as error:
             raise BadInputError(path, error.strerror or "cannot be written") from error
         try:
@@ -101,7 +101,7 @@ class RecordingWriter:
             raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
 
     def _append(self, row: Iterable[object]) -> None:
-        """Write a row completely; raises OSError, and then nothing of it remains."""
+        """Write a row completely; raises OSError and then leaves nothing of it."""
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerow(row)
         line, before_bytes = text.getvalue().encode(), os.fstat(self._file.fileno()).st_size
@@ -112,7 +112,7 @@ class RecordingWriter:
     def write(
         self, frame: Frame, sequence: int, t_s: float, position_mm: tuple[float, float] | None = None
     ) -> Path:
-        """Append one frame under the exposure's number and time; returns its file.
+        """Append one frame with the exposure's number and time; returns its file.
 
         Raises OSError when the disk refuses.
         """
@@ -126,16 +126,16 @@ class RecordingWriter:
             leds = "on" if frame.leds_on else "off"
             opaque = (frame.opaque,) if self._has_opaque else ()
             self._append((sequence, f"{t_s:.6f}", frame.camera, name, leds, *at, *self._pose, *opaque))
-        except OSError:  # a full disk: half a frame is no part of the recording
+        except OSError:  # a full disk: a partial file is not part of the recording
             (self._path / name).unlink(missing_ok=True)
             raise
         return self._path / name
 
     def synced(self) -> int:
-        """Bring the table to the disk; its length so far, bytes."""
+        """Write the table to the disk; returns its length, bytes."""
         os.fsync(self._file.fileno())
         return os.fstat(self._file.fileno()).st_size
 
     def close(self) -> None:
-        """Finish; harmless when done twice."""
+        """Close the table; harmless when done twice."""
         self._file.close()

@@ -1,4 +1,4 @@
-"""The nouns that travel from camera to publisher: frozen, slotted, units in their names.
+"""Records that pass from camera to publisher: frozen, slotted, units in their names.
 
 Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/conventions.md``.
 """

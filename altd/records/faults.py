@@ -18,12 +18,12 @@ class Fault:
     detail: str = ""
 
     def __str__(self) -> str:
-        """The code that travels on the wires, such as ``front_spot_missing``."""
+        """Return the published code, such as ``front_spot_missing``."""
         return f"{self.target}_{self.reason}" if self.target else str(self.reason)
 
 
 def origin_faults(origins: Mapping[str, Origin], played: Iterable[str] = ()) -> tuple[Fault, ...]:
-    """The warnings that frames of these cameras bring into each measurement; ``played`` play a recording."""
+    """Return the warnings of each measurement from these cameras' frames; ``played`` play a recording."""
     simulated = (name for name, origin in origins.items() if origin is Origin.SIMULATED)
     by_reason = {Reason.PLAYBACK: sorted(played), Reason.SIMULATED: sorted(simulated)}
     return tuple(Fault(reason, detail=", ".join(names)) for reason, names in by_reason.items() if names)

@@ -1,4 +1,4 @@
-"""Frames, where they come from, and the arrays of numbers that they and the measuring chain hold."""
+"""Frames, their origin, and the arrays of numbers in them and in the measuring chain."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 class Origin(StrEnum):
-    """The origin of frames: a camera exposed them, or a simulator computed them.
+    """Origin of frames: exposed by a camera, or computed by a simulator.
 
-    It is kept in recordings and calibrations, and everything derived from simulated frames is marked.
+    Recordings and calibrations store it, and everything derived from simulated frames is marked.
     """
 
     CAMERA = "camera"
@@ -30,16 +30,17 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CameraIdentity:
-    """Which camera this is, as its driver tells; None: not known."""
+    """Identity of a camera as its driver reports it; None: not known."""
 
     serial: str | None = None
     model: str | None = None
     driver: str | None = None
 
     def difference_from(self, expected: CameraIdentity) -> str:
-        """The difference between this camera and the expected one, in words; empty when there is none.
+        """Return the difference between this camera and the expected one, in words; empty if none.
 
-        What one of the two does not know tells nothing, and another driver names cameras otherwise.
+        Values that one of the two lacks are not compared, and nothing is if the drivers differ, because
+        another driver names cameras differently.
         """
         if None not in (self.driver, expected.driver) and self.driver != expected.driver:
             return ""
@@ -54,13 +55,12 @@ class CameraIdentity:
 class Frame:
     """One exposure of one camera.
 
-    ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits;
-    ``t_ns`` is the middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures,
-    those too that were lost. ``exposure_ms`` and ``gain_db`` are what the camera tells, else what it was set
-    to, else None.
-    ``changing``: exposure or gain was being set; which value this frame has is unknown.
-    ``playthrough`` counts how often a recording was played before: its pictures come again by intent.
-    ``opaque`` names the target that was switched to show the spot; empty: none.
+    ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits; ``t_ns`` is the
+    middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures, including lost
+    ones. ``exposure_ms`` and ``gain_db`` are reported by the camera, else its settings, else None.
+    ``changing``: exposure or gain was being set; the value of this frame is unknown. ``playthrough`` counts
+    how often a recording was played before: its pictures are repeated intentionally. ``opaque`` names the
+    target that was switched to show the spot; empty: none.
     """
 
     camera: str
@@ -77,5 +77,5 @@ class Frame:
 
     @property
     def full_scale(self) -> int:
-        """The largest grey value that a pixel can take."""
+        """Largest grey value of a pixel."""
         return (1 << self.bits) - 1

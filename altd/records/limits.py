@@ -1,4 +1,4 @@
-"""Uncertainties of a calibration that no scan shows in itself (docs/budget.md)."""
+"""Uncertainties of a calibration that a scan cannot measure (docs/budget.md)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Limits:
     ``stage_mm`` is independent from node to node, each of the others is one value for the whole scan:
     ``stage_scale_ppm`` of the stage's length, ``stage_square_mrad`` of the angle between its axes,
     ``beam_normal_mm_per_m`` of the beam against the targets' normal, ``target_distance_mm`` of the distance
-    from the first target to another one. Raises ValueError for a number that is none of an uncertainty.
+    from the first target to another one. Raises ValueError for a number that is not a possible uncertainty.
     """
 
     stage_mm: float | None = None
@@ -30,13 +30,13 @@ class Limits:
 
     @property
     def not_stated(self) -> tuple[str, ...]:
-        """The keys of those that are None."""
+        """Keys of the uncertainties that are None."""
         return tuple(key for key in LIMIT_KEYS if getattr(self, key) is None)
 
 
 LIMIT_KEYS = tuple(field.name for field in fields(Limits))
 MAX_LIMIT = 1000.0
-"""In each one's unit: more is a mistake of the unit."""
+"""Maximum of each uncertainty in its own unit; a larger value is a mistake of the unit."""
 
 NO_LIMITS = Limits()
-"""Nothing is stated."""
+"""Uncertainties of which none is stated."""

@@ -14,7 +14,7 @@ from altd.records.spots import Motion
 
 
 def counted(number: int, thing: str) -> str:
-    """``1 frame``, ``2 frames``: the number and the thing, whose plural takes an s."""
+    """Return number and noun, ``1 frame`` or ``2 frames``; the plural adds an s."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
@@ -22,11 +22,11 @@ def counted(number: int, thing: str) -> str:
 class Quantity:
     """One number that an instrument publishes.
 
-    ``key`` names it in JSON and ends in the unit, ``label`` on screens; ``decimals`` are those of JSON, a
-    person sees one less. ``has_sigma``: its standard deviation is published too. ``is_optional``: a valid
-    measurement may be without it. ``is_also`` is the key of the quantity that this one is in another unit.
-    ``is_from_sensor``: another sensor measures it, at its own times, whether or not the beam is seen.
-    ``place`` is the target of a row whose place it tells of; its key begins with that name.
+    ``key`` names it in JSON and ends in the unit, ``label`` names it on screens. ``decimals`` are those of
+    JSON; displays show one less. ``has_sigma``: its standard deviation is published too. ``is_optional``: a
+    valid measurement may lack it. ``is_also`` is the key of the same quantity in another unit of measurement.
+    ``is_from_sensor``: another sensor measures it, at its own times, whether or not the beam is visible.
+    ``place`` is the target of a row to whose place it belongs; its key begins with that name.
     """
 
     key: str
@@ -43,9 +43,9 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Quantities:
-    """The quantities that a kind of unit publishes: of the whole unit, and of each of its targets.
+    """Quantities that a kind of unit publishes: of the whole unit, and of each of its targets.
 
-    ``has_motion``: the instrument estimates how fast they change.
+    ``has_motion``: the instrument estimates their rates.
     """
 
     instrument: str
@@ -55,21 +55,21 @@ class Quantities:
 
     @property
     def main(self) -> tuple[Quantity, ...]:
-        """The quantities of the unit that every valid measurement has, each in one unit of measurement."""
+        """Quantities of the unit in every valid measurement, each in one unit of measurement."""
         return tuple(each for each in self.of_unit if not (each.is_also or each.is_optional))
 
     @property
     def shown(self) -> tuple[Quantity, ...]:
-        """The quantities for a display: the main ones, and those of fitted sensors and of places."""
+        """Quantities for a display: the main ones, and those of fitted sensors and of places."""
         return self.main + tuple(each for each in self.of_unit if each.is_from_sensor or each.place)
 
     @property
     def has_places(self) -> bool:
-        """Whether they are those of a row: each of its targets is measured, or not, on its own."""
+        """Whether they are those of a row, in which each target is measured independently."""
         return any(quantity.place for quantity in self.of_unit)
 
     def with_sensor(self, key: str) -> Quantities:
-        """The same of a unit that has a sensor for the quantity ``key``: it comes with its sigma."""
+        """Return the quantities of a unit with a sensor for the quantity ``key``, including its sigma."""
         of_unit = tuple(
             replace(each, has_sigma=True, is_from_sensor=True) if each.key == key else each
             for each in self.of_unit
@@ -79,10 +79,10 @@ class Quantities:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A quantity's value with its combined standard uncertainty (1 sigma); None: it has none of its own.
+    """Value of a quantity with its combined standard uncertainty (1 sigma); None: it has none of its own.
 
-    ``sigma_random`` is the part of ``sigma`` that scatters from place to place and from time to time; the
-    rest is common to all measurements with one calibration. None: all of it scatters.
+    ``sigma_random`` is the random part of ``sigma``, which varies with place and time; the rest is common to
+    all measurements with one calibration. None: all of it is random.
     """
 
     value: float
@@ -94,15 +94,14 @@ class Value:
 class Measurement:
     """The result of one window of exposures.
 
-    ``sequence`` is that of the window's last exposure, ``t_ns`` the middle of the exposures that were
-    averaged and ``time`` the same instant in UTC (None where the source of the frames does not know it).
-    ``values`` holds the values of ``quantities`` by their keys, those that are known; it is empty when the
-    measurement is invalid, and ``status`` then holds at least one reason that is not a warning. ``targets``
-    holds the values of each target of the unit, None where not known.
-    ``last_exposure_ns`` is the time of the window's last exposure; None: ``t_ns`` is. ``motions`` holds how
-    the quantities that have a sigma move, by their keys; empty where that is not known.
-    ``from_sensors`` holds what other sensors say of quantities, each at its own time: ``valid`` does not look
-    at it, and it stays when the beam is lost.
+    ``sequence`` is that of the window's last exposure, ``t_ns`` the middle of the averaged exposures and
+    ``time`` the same instant in UTC (None if the source of the frames does not provide it). ``values``
+    contains the known values of ``quantities`` by their keys. It is empty if the measurement is invalid;
+    ``status`` then contains at least one reason that is not a warning. ``targets`` contains the values of
+    each target of the unit, None if not known. ``last_exposure_ns`` is the time of the window's last
+    exposure; None: ``t_ns`` is. ``motions`` contains the motion of the quantities with a sigma, by their
+    keys; empty if not known. ``from_sensors`` contains other sensors' values of quantities, each at its own
+    time. They do not affect ``valid`` and remain when the beam is lost.
     """
 
     sequence: int
@@ -119,17 +118,17 @@ class Measurement:
 
     @property
     def light_ns(self) -> int:
-        """When the newest light fell of which this tells."""
+        """Time of the newest exposure in this measurement, ns."""
         return self.t_ns if self.last_exposure_ns is None else self.last_exposure_ns
 
     def without_numbers(self, status: tuple[Fault, ...]) -> Measurement:
-        """The same moment, invalid for these reasons."""
+        """Return the measurement of the same moment, invalid for these reasons."""
         return replace(self, values={}, targets=dict.fromkeys(self.targets), status=status, motions={})
 
     def with_motion_in_sigma(self) -> Measurement | None:
-        """The same, its sigmas those of the truth at ``t_ns`` itself, vibration included.
+        """Return the measurement with sigmas about the true value at ``t_ns``, vibration included.
 
-        None: how a quantity with a sigma moves is not known.
+        None: the motion of a quantity with a sigma is not known.
         """
         values = dict(self.values)
         for quantity in self.quantities.of_unit:
@@ -149,41 +148,41 @@ class Measurement:
         return bool(self.values)
 
     def with_sensors(self, from_sensors: Mapping[str, SensorValue]) -> Measurement:
-        """The same with what sensors say now, and a warning where one says nothing."""
+        """Return the measurement with the sensors' present values, and a warning for each missing one."""
         others = tuple(fault for fault in self.status if fault.reason is not Reason.ROLL_MISSING)
         missing = [said.detail for said in from_sensors.values() if said.value is None]
         status = (*others, *(Fault(Reason.ROLL_MISSING, detail=detail) for detail in missing))
         return replace(self, from_sensors=from_sensors, status=status)
 
     def at(self, now_ns: int) -> Measurement:
-        """The same at that moment: itself, or without what is too old of sensors by then."""
+        """Return the measurement at that moment: unchanged, or without sensor values that are too old."""
         now = {key: said.at(now_ns) for key, said in self.from_sensors.items()}
         return self if now == self.from_sensors else self.with_sensors(now)
 
     def known(self, key: str) -> Value | None:
-        """A quantity of the unit, of whichever sensor; None: not known."""
+        """Return a quantity of the unit, from whichever sensor; None: not known."""
         said = self.from_sensors.get(key)
         if said is None:
             return self.values.get(key)
         return None if said.value is None else Value(said.value, said.sigma)
 
     def known_of(self, key: str) -> Value | None:
-        """The same, or the value ``TARGET.KEY`` of a target."""
+        """Return a quantity of the unit, or the value ``TARGET.KEY`` of a target; None: not known."""
         target, _, of_target = key.rpartition(".")
         return (self.targets.get(target) or {}).get(of_target) if target else self.known(key)
 
     def number(self, key: str) -> float | None:
-        """The value of a quantity; None: not known."""
+        """Return the value of a quantity; None: not known."""
         value = self.known(key)
         return None if value is None else value.value
 
     def sigma(self, key: str) -> float | None:
-        """The combined standard uncertainty of a quantity; None: not known."""
+        """Return the combined standard uncertainty of a quantity; None: not known."""
         value = self.known(key)
         return None if value is None else value.sigma
 
     def sigma_random(self, key: str) -> float | None:
-        """The part of ``sigma`` that scatters; all of it where it has none. None: not known."""
+        """Return the random part of ``sigma``, all of it if it has no separate one; None: not known."""
         value = self.known(key)
         if value is None:
             return None
@@ -195,10 +194,10 @@ class Measurement:
         return {key: Value(motion.rate, motion.sigma_rate) for key, motion in self.motions.items()}
 
     def sigma_at(self, key: str, age_s: float) -> float | None:
-        """The standard deviation of a quantity as a statement about the truth ``age_s`` after ``t_ns``.
+        """Return a quantity's standard deviation as a statement about the true value at ``age_s``.
 
-        None: not known, for it has no sigma, or the unit has not yet seen how it moves. An instant before
-        ``t_ns`` counts as ``t_ns``.
+        ``age_s`` counts from ``t_ns``; an earlier instant counts as ``t_ns``. None: not known, because the
+        quantity has no sigma, or its motion has not been determined yet.
         """
         sigma, motion = self.sigma(key), self.motions.get(key)
         since = None if motion is None else motion.variance_since(max(age_s, 0.0))
@@ -206,5 +205,5 @@ class Measurement:
 
 
 def utc_text(time: datetime) -> str:
-    """ISO 8601 in UTC with milliseconds and ``Z``."""
+    """Return ISO 8601 in UTC with milliseconds and ``Z``."""
     return time.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,7 +1,8 @@
-"""Spots in frames, their means over a window, and how they and the beam move.
+"""Spots in frames, their means over a window, and the motion of spots and beam.
 
-A value is the mean of a window that lies in the past, or where the window's steady motion is at its newest
-exposure (``MeanSpots.at_newest``). ``Motion.variance_since`` gives how far the truth may be from it since.
+A value is the mean of a past window, or the position of the window's steady motion at its newest exposure
+(``MeanSpots.at_newest``). ``Motion.variance_since`` gives the mean square of the true value's distance from
+it since then.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ class SpotMotion:
     """Motion of the mean spots of a window, u and v of one target after the other, (2 · targets,).
 
     ``rate_px_per_s`` is the steady motion, ``rate_covariance`` its covariance, px²/s². ``vibration_px2`` is
-    the covariance of a single exposure about the steady motion without the spots' own noise: an estimate, of
-    which a variance may come out negative. ``onset_px_per_s`` is how fast the newest exposure left the others
-    if it is an outlier, else zero, and ``onset_s`` when the last of the others was; ``spread_s2`` is the mean
-    square of the exposures' times. Times count from the middle of the exposures, ``span_s`` is from the first
-    to the last, ``newest_s`` is the newest one's, outlier or not. The spots are those of ``at_s``.
+    the covariance of a single exposure about the steady motion without the spots' own noise: an estimate,
+    whose variances may be negative. ``onset_px_per_s`` is the rate at which the newest exposure left the
+    others if it is an outlier, else zero; ``onset_s`` is the time of the last of the others. ``spread_s2`` is
+    the mean square of the exposures' times. Times count from the middle of the exposures, ``span_s`` is from
+    the first to the last, ``newest_s`` is that of the newest exposure, outlier or not. The spots are those at
+    ``at_s``.
     """
 
     rate_px_per_s: npt.NDArray[np.float64]
@@ -44,11 +46,11 @@ class SpotMotion:
 class Motion:
     """Motion of one quantity, in its own unit and per second.
 
-    ``rate`` with ``sigma_rate`` is that of the window. ``vibration`` is the standard deviation of the truth
-    about the steady motion. ``probable_rate`` is the root mean square of what the rate may be,
-    ``acceleration`` of its change in a second, both by the windows before; None: not known yet. ``onset``,
-    ``onset_s``, ``spread_s2`` and ``at_s`` are as in ``SpotMotion``. ``is_in_sigma``: the sigma of the value
-    includes the motion at its own instant.
+    ``rate`` with ``sigma_rate`` is that of the window. ``vibration`` is the standard deviation of the true
+    value about the steady motion. ``probable_rate`` is the root mean square of the possible rate,
+    ``acceleration`` that of its change in a second, both from earlier windows; None: not known yet.
+    ``onset``, ``onset_s``, ``spread_s2`` and ``at_s`` are as in ``SpotMotion``. ``is_in_sigma``: the sigma of
+    the value includes the motion at its own instant.
     """
 
     rate: float
@@ -63,13 +65,13 @@ class Motion:
     is_in_sigma: bool = False
 
     def variance_since(self, age_s: float) -> float | None:
-        """Mean square of how far the truth is from the value, ``age_s`` after the instant that it is of.
+        """Return the mean square of the true value's distance from the value, ``age_s`` later.
 
-        Beyond the variance of the value itself. None: not known. A mean of uniformly accelerated motion is
-        ahead of the middle by half the acceleration times ``spread_s2``, and so is the line through it: the
-        acceleration does not change its slope. Vibration counts in full at any age: 20 exposures a second
-        cannot tell 2 Hz from 22, so its phase is not known. Rate and acceleration are taken as independent,
-        for one may end or turn at any time.
+        It adds to the variance of the value itself. None: not known. A mean of uniformly accelerated motion
+        is ahead of the middle by half the acceleration times ``spread_s2``, and so is the line through it:
+        the acceleration does not change its slope. Vibration counts in full at any age: 20 exposures per
+        second cannot distinguish 2 Hz from 22, so its phase is not known. Rate and acceleration are treated
+        as independent, because one may end or reverse at any time.
         """
         if self.probable_rate is None or self.acceleration is None:
             return None
@@ -88,7 +90,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class SpotShape:
-    """The shape of a spot, E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); a, b, c in 1/px²."""
+    """Shape of a spot, E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); a, b, c in 1/px²."""
 
     a: float
     b: float
@@ -100,8 +102,8 @@ class SpotShape:
 class Spot:
     """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts.
 
-    ``excess_px`` is the standard deviation, in u and in v, that light which one spot does not explain, and a
-    picture that moved, add to that of a good spot; averaging does not reduce it. ``shape`` is None where no
+    ``excess_px`` is the standard deviation, in u and in v, added to that of a good spot by light that does
+    not fit one spot and by a picture that moved; averaging does not reduce it. ``shape`` is None if no
     profile was fitted. ``light_per_ms`` is the light of the whole spot for 1 ms of exposure and 0 dB of gain,
     counts · px² / ms; None: not known.
     """
@@ -116,7 +118,7 @@ class Spot:
     light_per_ms: float | None = None
 
     def __str__(self) -> str:
-        """For the technician who aims the beam."""
+        """Return a description for the technician who aims the beam."""
         return (
             f"spot at u {self.u_px:.1f} v {self.v_px:.1f} px, diameter {self.diameter_px:.0f} px, "
             f"peak {self.peak:.0f} counts"
@@ -125,27 +127,26 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class NoSpot:
-    """Why a frame gives no spot."""
+    """Reason why a frame gives no spot."""
 
     reason: Reason
     detail: str = ""
 
     def __str__(self) -> str:
-        """For the technician who looks for what is wrong."""
+        """Return a description for the technician who searches for the fault."""
         return f"{self.reason}, {self.detail}" if self.detail else str(self.reason)
 
     def fault(self, target: str) -> Fault:
-        """The reason as a fault of the target, or of the whole unit where it concerns all of it."""
+        """Return the reason as a fault of the target, or of the whole unit if it concerns all of it."""
         return Fault(self.reason, target if self.reason.scope is Scope.TARGET else None, self.detail)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSet:
-    """The spots of one instant: a spot, or the reason why there is none, per target.
+    """Spots of one instant: a spot, or the reason why there is none, per target.
 
-    ``t_ns`` is the mean of the frames' times; a target that is not in ``behind_ns`` was exposed just then,
-    another so much later. ``opaque`` names the target that a switched front target let be measured; empty:
-    all are.
+    ``t_ns`` is the mean of the frames' times. ``behind_ns`` gives a target's delay after it; a missing target
+    has none. ``opaque`` names the target that was switched to be measured; empty: all are measured.
     """
 
     sequence: int
@@ -155,7 +156,7 @@ class FrameSet:
     opaque: str = ""
 
     def faults(self) -> tuple[Fault, ...]:
-        """Why this frame set cannot be used; empty when every target has its spot."""
+        """Return the reasons why this frame set cannot be used; empty if every target has its spot."""
         return tuple(spot.fault(target) for target, spot in self.spots.items() if isinstance(spot, NoSpot))
 
 
@@ -163,15 +164,14 @@ class FrameSet:
 class MeanSpots:
     """The mean spots of a window of exposures.
 
-    ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
-    is that of the means, u and v of one target after the other: vibration moves all spots together.
-    ``shapes`` holds the mean shape of each target's spots, None where one was not fitted, ``excess_px`` what
-    averaging does not reduce of the sigma of each; the covariance holds it. ``log_lights``
-    (frames, targets, 2) holds the logarithm of each spot's light per ms and its standard deviation, NaN where
-    it is not known; ``changed_light`` is the share by which each target's light changed against the first's
-    (``LightBalance``). ``t_ns`` is the mean time
-    of the ``frames`` exposures that were averaged; ``lost`` were not usable. ``motion`` is None where there
-    were too few to tell.
+    ``px`` (targets, 2) contains u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 ·
+    targets) is that of the means, u and v of one target after the other: vibration moves all spots together.
+    ``shapes`` contains the mean shape of each target's spots, None if one was not fitted. ``excess_px`` is
+    the part of each sigma that averaging does not reduce; the covariance includes it. ``log_lights`` (frames,
+    targets, 2) contains the logarithm of each spot's light per ms and its standard deviation, NaN if not
+    known. ``changed_light`` is the relative change of each target's light against the first's
+    (``LightBalance``). ``t_ns`` is the mean time of the ``frames`` averaged exposures; ``lost`` were not
+    usable. ``motion`` is None if there were too few to determine it.
     """
 
     targets: tuple[str, ...]
@@ -187,7 +187,7 @@ class MeanSpots:
     motion: SpotMotion | None = None
 
     def at_newest(self) -> MeanSpots | None:
-        """The spots of the newest exposure by the steady motion of all of them; None: that is not known.
+        """Return the spots at the newest exposure by the steady motion of all; None: motion not known.
 
         A straight line through the window: its mean and its slope are uncorrelated.
         """
@@ -209,7 +209,7 @@ GLASS_INDEX = 1.52
 
 @dataclass(frozen=True, slots=True)
 class Glass:
-    """The plane-parallel glass behind a target's printed surface: its thickness and its refractive index."""
+    """Plane-parallel glass behind a target's printed surface: its thickness and its refractive index."""
 
     thickness_mm: float
     index: float = GLASS_INDEX
@@ -220,10 +220,10 @@ class Glass:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPoint:
-    """The intersection of the beam with one target, mm in the unit frame.
+    """Intersection of the beam with one target, mm in the unit frame.
 
-    ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is what print, speckle and
-    the map leave uncertain, without the scatter of the spot.
+    ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is the uncertainty from print,
+    speckle and map, without the scatter of the spot.
     """
 
     x_mm: float

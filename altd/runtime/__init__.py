@@ -1,1 +1,1 @@
-"""Clock, supervision, the service manager, threads for what blocks."""
+"""Clock, supervision, service manager, and threads for blocking calls."""

@@ -1,4 +1,4 @@
-"""The system's clock behind the clock port."""
+"""The system's clock as an implementation of the clock port."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from altd.ports import Stop
 
 
 class SystemClock:
-    """CLOCK_MONOTONIC for arithmetic; UTC as the system knows it at the time of asking."""
+    """CLOCK_MONOTONIC for arithmetic; UTC by the system's clock at the time of the call."""
 
     def monotonic_ns(self) -> int:
-        """Nanoseconds of the monotonic clock."""
+        """Return the time of the monotonic clock, ns."""
         return time.monotonic_ns()
 
     def utc(self, t_ns: int) -> datetime:
-        """UTC of a monotonic instant; follows the system's clock when that is set."""
+        """Return the UTC of a monotonic instant; it changes when the system's clock is set."""
         return datetime.now(UTC) - timedelta(microseconds=(time.monotonic_ns() - t_ns) / 1000)
 
     async def sleep(self, seconds: float) -> None:
@@ -25,5 +25,5 @@ class SystemClock:
         await asyncio.sleep(seconds)
 
     def wait(self, stop: Stop, seconds: float) -> None:
-        """Block a thread, at the most until ``stop`` is set."""
+        """Block a thread for ``seconds``, or until ``stop`` is set."""
         stop.wait(seconds)

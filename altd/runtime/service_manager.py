@@ -1,4 +1,4 @@
-"""Reports to the service manager and the journal: ready, alive by progress only, measuring or why not."""
+"""Reports to the service manager and the journal: ready, progress (watchdog), and measuring or why not."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _LOG_INTERVAL_NS = 1_000_000_000
 
 
 class ServiceManager:
-    """Notifies when the pipeline has made progress, never otherwise: that feeds the watchdog.
+    """Notifies the manager only when the pipeline has made progress: that feeds the watchdog.
 
-    Ready is sent with the first measurement on the board, again and again until the manager has taken it.
+    Ready is sent with the first measurement on the board, and repeated until the manager has received it.
     """
 
     def __init__(self, board: Board, clock: Clock, unit: str, interfaces: Sequence[str]) -> None:
@@ -36,7 +36,7 @@ class ServiceManager:
         self._logged = ""
 
     def progress(self) -> None:
-        """The pipeline took a frame set, or put something on the board."""
+        """Note that the pipeline processed a frame set or published a measurement; notify the manager."""
         now_ns = self._clock.monotonic_ns()
         latest = self._board.read()
         if latest is None or now_ns - self._notified_ns < _NOTIFY_INTERVAL_NS:
@@ -49,7 +49,7 @@ class ServiceManager:
 
     @contextmanager
     def reloading(self) -> Iterator[None]:
-        """Within, the settings are read again; the next progress reports ready (systemd.service(5))."""
+        """Report a reload during the context; the next progress reports ready (systemd.service(5))."""
         notify("RELOADING=1", f"MONOTONIC_USEC={self._clock.monotonic_ns() // 1000}")
         try:
             yield
@@ -67,7 +67,7 @@ class ServiceManager:
 
 
 def status_line(measurement: Measurement) -> str:
-    """One line for people: measuring, or why not."""
+    """Return one line of text: measuring, or why not."""
     reasons = ", ".join(str(fault) for fault in measurement.status)
     if measurement.valid:
         return f"measuring ({reasons})" if reasons else "measuring"
@@ -75,12 +75,12 @@ def status_line(measurement: Measurement) -> str:
 
 
 def state_folder() -> Path | None:
-    """The folder for what outlives a restart, $STATE_DIRECTORY (systemd.exec(5)); None: there is none."""
+    """Return the folder for persistent data, $STATE_DIRECTORY (systemd.exec(5)); None: not set."""
     return _first_folder("STATE_DIRECTORY")
 
 
 def runtime_folder() -> Path | None:
-    """The folder for what does not, $RUNTIME_DIRECTORY; None: there is none."""
+    """Return the folder for data of one run, $RUNTIME_DIRECTORY; None: not set."""
     return _first_folder("RUNTIME_DIRECTORY")
 
 
@@ -90,9 +90,9 @@ def _first_folder(variable: str) -> Path | None:
 
 
 def notify(*assignments: str) -> bool:
-    """Send assignments such as ``READY=1`` to $NOTIFY_SOCKET (sd_notify(3)); returns whether they went out.
+    """Send assignments such as ``READY=1`` to $NOTIFY_SOCKET (sd_notify(3)); return whether they were sent.
 
-    A manager that does not read, or is gone, neither holds nor ends the daemon.
+    A manager that does not read or has ended neither blocks nor ends the daemon.
     """
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:

@@ -1,4 +1,4 @@
-"""Publishers run independently: one that fails is restarted, at growing intervals; the others continue."""
+"""Supervision of publishers: a failed one is restarted at growing intervals; the others continue."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ log = logging.getLogger("altd")
 MIN_BACKOFF_S = 0.5
 MAX_BACKOFF_S = 30.0
 MAX_DEVICE_BACKOFF_S = 1.0
-"""A person who plugs a cable in waits for the result; to look for a device costs next to nothing."""
+"""Maximum back-off for a device: a person who plugs in a cable waits, and opening a device costs little."""
 
 MIN_STEADY_S = 10.0
-"""A publisher that failed after a shorter time is not logged again; its back-off continues to grow."""
+"""Minimum time of serving after which a failure is logged again and the back-off starts from its minimum."""
 
 _FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
-"""An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
+"""Errors not retried at the first start; a missing address (EADDRNOTAVAIL) may still appear during boot."""
 
 
 def _failure_text(error: Exception, place: str) -> str:
-    """The failure; ``place``, with whose address some errors begin, is not repeated."""
+    """Return the failure as text, without the address of ``place``, with which some errors begin."""
     if isinstance(error, OSError):
         return (error.strerror or str(error)).removeprefix(f"{place.partition(' ')[2]}: ")
     return f"{type(error).__name__}: {error}"
@@ -38,10 +38,10 @@ def _retry_message(failure: str, due_ns: int) -> Message:
 
 
 async def _run(publisher: Publisher, ready: Callable[[], None]) -> None:
-    """Run a publisher once, in a task of its own.
+    """Run a publisher once, in a separate task.
 
-    A TaskGroup of Python 3.11 that fails drops a cancellation that comes at the same time. It also leaves
-    ``cancelling()`` of its task above zero, so that only another task can tell that it was cancelled.
+    In Python 3.11 a failing TaskGroup drops a simultaneous cancellation. It also leaves ``cancelling()`` of
+    its task above zero, so only another task can detect that it was cancelled.
     """
     try:
         await asyncio.create_task(publisher.run(ready))
@@ -52,10 +52,10 @@ async def _run(publisher: Publisher, ready: Callable[[], None]) -> None:
 
 
 class Publisher(Protocol):
-    """An interface to the outside."""
+    """An external interface."""
 
     def run(self, ready: Callable[[], None]) -> Coroutine[object, object, None]:
-        """Serve until cancelled; call ``ready`` once serving; raise when the interface is dead."""
+        """Serve until cancelled; call ``ready`` once serving; raise if the interface fails."""
 
 
 async def keep_running(
@@ -69,11 +69,11 @@ async def keep_running(
 ) -> None:
     """Run a publisher indefinitely.
 
-    An address that is taken or forbidden at the first start is a mistake in the config: BadInputError that
-    names ``place``, unless it served before (``is_new``). A device (an OSError with its file's name) may be
-    missing or still forbidden then, for udev hands a new one over a moment after it appeared: it is waited
-    for. ``up`` is called once, when the first start was tried. The component counts a failure for each time
-    that it stopped serving.
+    An address in use or forbidden at the first start is a mistake in the config: raises BadInputError that
+    names ``place``, unless the publisher served before (not ``is_new``). A device (an OSError with the name
+    of its file) may be missing or still forbidden at the start, as udev sets the rights of a new device a
+    moment after it appears: the start is retried. ``up`` is called once, after the first attempt. The
+    component counts a failure each time the publisher stops serving, and if the first attempt fails.
     """
     backoff_s = MIN_BACKOFF_S
     first, is_logged = True, False

@@ -1,8 +1,8 @@
-"""Blocking calls in threads, whose results are set in the event loop; and threads that give way soon.
+"""Blocking calls in threads, with results set in the event loop; and a short switch interval of threads.
 
-A call that never returns blocks only its thread: neither the loop nor the end of the process, which a thread
-of ``asyncio.to_thread`` would block. Nothing here keeps the arguments of a call, not even after it
-has failed: frames take megabytes, and the garbage collector may not run for hours.
+A call that never returns blocks only its thread, not the loop and not the end of the process, which a thread
+of ``asyncio.to_thread`` would block. The arguments of a call are not kept, not even after a failure:
+frames take megabytes, and the garbage collector may not run for hours.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 def call_in_thread(call: Callable[[], Result], name: str) -> asyncio.Future[Result]:
-    """The result of a call, or what it raises, from a thread that ends with it."""
+    """Make a call in a new thread, which ends with it; return the future of its result or exception."""
     result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
     threading.Thread(target=_settle, args=(result, call), name=name, daemon=True).start()
     return result
@@ -38,9 +38,9 @@ class DeviceThread:
         self._thread.start()
 
     async def call(self, function: Callable[..., Result], *arguments: object, within_s: float) -> Result:
-        """The call's result or what it raises; TimeoutError when it, or the one before, takes too long.
+        """Return or raise the outcome of a call; TimeoutError if it or the one before takes too long.
 
-        A call that took too long continues; nothing more is called until it has returned.
+        A call that timed out continues; the next call starts only after it has returned.
         """
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         result.add_done_callback(self._came_back)
@@ -51,17 +51,17 @@ class DeviceThread:
                 self._calls.put(partial(_settle, result, partial(function, *arguments), self._end_soon))
                 return await asyncio.shield(result)
         finally:
-            del result, function, arguments  # an error that passes here refers to them, and they to it
+            del result, function, arguments  # breaks the cycle with an exception raised through this frame
 
     async def end(self, last: Callable[[], None], within_s: float) -> bool:
-        """Call ``last`` after what is under way and end; False when the thread does not come back in time."""
+        """Call ``last`` after the pending calls and end the thread; return whether it ended in time."""
         self._calls.put(last)
         self._calls.put(None)
         await asyncio.shield(asyncio.to_thread(self._thread.join, within_s))
         return not self._thread.is_alive()
 
     def _came_back(self, result: asyncio.Future[Result]) -> None:
-        """The thread is free; an exception of the call is ignored if its caller has left."""
+        """Mark the thread as idle; mark the call's exception as retrieved: its caller may have left."""
         self._idle.set()
         if not result.cancelled():
             result.exception()
@@ -69,7 +69,7 @@ class DeviceThread:
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
             call()
-            del call  # and its arguments, before the next one comes
+            del call  # and its arguments, before waiting for the next call
 
     def _end_soon(self) -> None:
         self._calls.put(None)
@@ -78,9 +78,9 @@ class DeviceThread:
 def _settle(
     result: asyncio.Future[Result], call: Callable[[], Result], left: Callable[[], None] = lambda: None
 ) -> None:
-    """Make a call in this thread and give its result to the loop; ``left`` is called when that is closed.
+    """Make a call in this thread and pass its result to the loop; call ``left`` if the loop is closed.
 
-    A result that was cancelled meanwhile stays so.
+    A future that was cancelled meanwhile stays cancelled.
     """
     try:
         give = partial(result.set_result, call())
@@ -88,10 +88,10 @@ def _settle(
         give = partial(result.set_exception, error)
     try:
         result.get_loop().call_soon_threadsafe(_unless_done, result, give)
-    except RuntimeError:  # the process is going down
+    except RuntimeError:  # the process is ending
         left()
     finally:
-        del result, call, give  # an error refers to the frames that it passed, and to this, which called them
+        del result, call, give  # breaks the cycle with an exception, which refers to this frame
 
 
 def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> None:
@@ -100,23 +100,23 @@ def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> No
 
 
 SWITCH_INTERVAL_S = 0.0001
-"""Longest time that a computing thread keeps the interpreter from a waiting one; Python's own is 50 times as
-long. With 0.5 ms, seven clients that ask for a day of trends at once cost 1 to 4 exposures on a slow PC: its
-threads wait for the interpreter a hundred times while they locate and measure one exposure."""
+"""Maximum time for which a computing thread keeps the interpreter from a waiting thread; Python's default is
+50 times as long. With 0.5 ms, seven simultaneous requests of a day of trends cost 1 to 4 exposures on a slow
+PC: its threads wait for the interpreter a hundred times per located and measured exposure."""
 
 
 @contextlib.contextmanager
 def real_time_interpreter() -> Iterator[None]:
-    """Within, threads give way to each other soon, and the garbage collection goes through new objects only.
+    """Context with fast switching of threads and garbage collection of new objects only.
 
-    What was made before, modules and the calibration above all, lives as long as the process. To go through
-    all of that holds every thread for 15 to 30 ms.
+    Earlier objects, mainly modules and the calibration, live as long as the process. Collecting over all of
+    them would block every thread for 15 to 30 ms.
     """
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     gc.collect()
     gc.freeze()
-    gc.enable()  # a start does without
+    gc.enable()  # it is disabled during the start
     try:
         yield
     finally:

@@ -1,1 +1,1 @@
-"""Whether camera and target are still in the same relative position as in the calibration (thesis 3.4)."""
+"""Check whether camera and target still have the same relative position as at calibration (thesis 3.4)."""

@@ -1,4 +1,4 @@
-"""One target's LEDs against their references: which are there, and how the picture moved."""
+"""Comparison of one target's LEDs with their references: which are present, and how the picture moved."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from altd.selfcheck.records import LedState, LedView, Limits, Similarity, Target
 Chosen = npt.NDArray[np.bool_]
 
 _RASTER_PX = 0.003
-"""Displacement of an LED's place when it comes to lie otherwise on the raster of the pixels: 0.0025 px rms
+"""Displacement of an LED's measured position when its alignment to the pixel raster changes: 0.0025 px rms
 over 144 displaced LEDs of two simulated units (docs/selfcheck.md)."""
 _PRIOR_RATIO, _PRIOR_FREEDOM = 1.3, 8.0
-"""Places scatter 1.15 times as much as the frames' noise predicts; the prior before the pairs are known."""
+"""Prior before the pairs are known: positions scatter 1.15 times as much as the frames' noise predicts."""
 _MISFIT_SIGMAS = 4.5
 _MODEL_SHARE = 0.05
-"""A lens bends a motion by so much of it from one LED to the next; more is no similarity."""
+"""Share of a motion by which a lens bends it from one LED to the next; more is no similarity."""
 _MISFIT_LIMIT_SHARE = 0.25
 _MANY_LIGHTS = 3
 _MIN_RADIUS_PX = 20.0
-"""LEDs nearer to each other tell nothing of a turn or a scale."""
+"""Minimum rms distance of the LEDs from their centroid; nearer ones determine no turn or scale."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Places:
-    """The LEDs' places by pair, (p, n, 2) px, NaN where not seen, with their sigma (p, n) and peak (p, n)."""
+    """LEDs' positions by pair, (p, n, 2) px, NaN where not seen, with their sigma (p, n) and peak (p, n)."""
 
     px: FloatArray
     sigma_px: FloatArray
@@ -44,14 +44,14 @@ class _Places:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Noise:
-    """Square of the scatter over what the frames say of it; variance of what moves a whole pair, px²."""
+    """Squared ratio of the scatter to the frames' noise; variance of the motion common to a pair, px²."""
 
     ratio2: float
     common_px2: float
 
 
 def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits) -> TargetDrift:
-    """The drift of one target, from its frames; ValueError for frames not of the calibration's size."""
+    """Return the drift of one target from its frames; raises ValueError for frames of another size."""
     references = np.asarray(target.leds_px, dtype=np.float64)
     if any(frame.pixels.shape != (target.height, target.width) for frame in (*view.lit, *view.dark)):
         raise ValueError(f"{name}: frames are not {target.width} × {target.height} px")
@@ -115,7 +115,7 @@ def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits
 
 
 def _places(taken: list[tuple[Frame, Frame]], references: FloatArray) -> _Places:
-    """The LEDs in each pair that shows enough of them to tell which is which."""
+    """Return the LEDs in each pair that shows enough of them to identify them."""
     shape = len(references)
     px, sigma, peak, diameters = [], [], [], []
     lights: list[Lights] = []
@@ -146,14 +146,14 @@ def _places(taken: list[tuple[Frame, Frame]], references: FloatArray) -> _Places
 
 
 def _spread(values: FloatArray, have: Chosen, shape: tuple[int, ...]) -> FloatArray:
-    """Values of some of the LEDs among all of them; NaN for the others."""
+    """Return values of some of the LEDs among all of them; NaN for the others."""
     among = np.full(shape, np.nan)
     among[have] = values
     return among
 
 
 def _foreign(lights: list[Lights], matched: list[Indices]) -> tuple[tuple[float, float, bool], ...]:
-    """Places of lights that are no LED, and whether they shine in every pair."""
+    """Return the positions of lights that are no LED, and whether they shine in every pair."""
     groups: list[tuple[FloatArray, int]] = []
     for found, which in zip(lights, matched, strict=True):
         for place in np.delete(found.px, which, axis=0):
@@ -167,7 +167,7 @@ def _foreign(lights: list[Lights], matched: list[Indices]) -> tuple[tuple[float,
 
 
 def _noise(places: _Places, used: Chosen) -> _Noise:
-    """The scatter of the used LEDs' places from pair to pair: of each alone and of all together."""
+    """Return the scatter of the used LEDs' positions from pair to pair: of each alone and of all together."""
     px, sigma = places.px[:, used], places.sigma_px[:, used]
     deviation = px - np.nanmean(px, axis=0)
     common = np.nanmean(deviation, axis=1)
@@ -184,7 +184,7 @@ def _noise(places: _Places, used: Chosen) -> _Noise:
 
 
 def _with_covariance(fitted: Fitted, noise: _Noise, pairs_seen: int) -> Similarity:
-    """With the residuals and the picture's vibration added; the reference is taken to be of one pair."""
+    """Add the residuals and the picture's vibration; the reference is assumed to be of one pair."""
     found = fitted.similarity
     stretch = max(1.0, fitted.chi2 / fitted.degrees_of_freedom) if fitted.degrees_of_freedom else 1.0
     covariance = found.covariance * stretch
@@ -200,7 +200,7 @@ def _is_similarity(
     target: TargetCalibration,
     limits: Limits,
 ) -> bool:
-    """Whether noise, or a lens that bends the motion a little, explains what the similarity leaves."""
+    """Return whether noise, or slight bending of the motion by a lens, explains the residuals."""
     motion = np.hypot(*(now_px - then_px).T)
     allowed = np.sqrt(sigma_px**2 + (_MODEL_SHARE * motion) ** 2)
     chi2 = float(np.sum((fitted.residuals_px / allowed[:, None]) ** 2))
@@ -217,7 +217,7 @@ def _radius_px(references: FloatArray) -> float:
 
 
 def _sentence(states: tuple[LedState, ...], places: _Places, found: int, *, few: bool) -> str:
-    """Remarks on the LEDs for a person, empty when all are well."""
+    """Return remarks on the LEDs for a person, empty if all are good."""
     parts = []
     if places.rival:
         parts.append("two groups of lights look like the LEDs")
@@ -237,7 +237,7 @@ def _sentence(states: tuple[LedState, ...], places: _Places, found: int, *, few:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The similarity, the residuals (n, 2) px of the LEDs, and their weighted square sum with its freedom."""
+    """Similarity, residuals (n, 2) px of the LEDs, their weighted square sum and its degrees of freedom."""
 
     similarity: Similarity
     residuals_px: FloatArray
@@ -248,11 +248,10 @@ class Fitted:
 def fit_similarity(
     then_px: FloatArray, now_px: FloatArray, sigma_px: FloatArray, about_px: FloatArray, radius_px: float
 ) -> Fitted:
-    """Shift, turn and scale that bring LEDs at ``then_px`` (n, 2) to ``now_px`` (n, 2), n ≥ 2.
+    """Fit shift, turn and scale that map LEDs at ``then_px`` (n, 2) to ``now_px`` (n, 2), n ≥ 2.
 
-    ``sigma_px`` (n,) is the standard deviation of each LED's motion, an axis, reference and check
-    together. A similarity is linear in scale·cos and scale·sin. Raises LinAlgError for LEDs that all lie in
-    one place.
+    ``sigma_px`` (n,) is the standard deviation of each LED's motion per axis, reference and check together. A
+    similarity is linear in scale·cos and scale·sin. Raises LinAlgError if all LEDs are in one place.
     """
     right, down = (then_px - about_px).T
     weight = np.repeat(1.0 / sigma_px, 2)
@@ -280,7 +279,7 @@ def fit_similarity(
 
 
 def chi2_limit(degrees_of_freedom: int, sigmas: float) -> float:
-    """The χ² that chance exceeds as rarely as a Gaussian deviate its ``sigmas`` (Wilson–Hilferty)."""
+    """Return the χ² that chance exceeds as rarely as a Gaussian deviate its ``sigmas`` (Wilson–Hilferty)."""
     if degrees_of_freedom == 0:
         return math.inf
     ninth = 2.0 / (9.0 * degrees_of_freedom)

@@ -1,12 +1,12 @@
-"""The checks of days: a slow drift is found long before a limit (CUSUM, E. S. Page, Biometrika 41, 1954).
+"""Checks by day, to find a slow drift long before a limit (CUSUM, E. S. Page, Biometrika 41, 1954).
 
-Of each day the mean of its checks counts, so that neither a warm afternoon nor an hourly schedule makes a
-drift. Shift in u and v, and turn and scale as px at the LEDs, are summed up beyond an allowance K, each in
-both directions: S ← max(0, S ± x − K). A drift is reported once S exceeds the limit H.
+The mean of each day's checks counts, so that neither a warm afternoon nor an hourly schedule makes a drift.
+Shift in u and v, and turn and scale as px at the LEDs, are summed up beyond an allowance K, each in both
+directions: S ← max(0, S ± x − K). A drift is reported once S exceeds the limit H.
 
-K is at least five standard deviations of x, the reference's included, which is the same in all checks of a
-calibration. So chance lifts S off zero at all in less than one day of a hundred thousand; that bounds the
-false alarms without independence of the checks. 0.02 px a day pass K on the second day and H on the fifth.
+K is at least five standard deviations of x, including that of the reference, which is the same in all checks
+of a calibration. So chance raises S above zero in less than one day of a hundred thousand; that limits the
+false alarms without independence of the checks. 0.02 px a day exceed K on the second day and H on the fifth.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from altd.selfcheck.records import SelfCheck, Similarity, Verdict
 
 MIN_ALLOWANCE_PX = 0.03
-"""K: a picture that moves by less and stays there, as with warmth, is no drift."""
+"""Minimum allowance K: a picture that moves by less and stays there, as with warmth, is no drift."""
 ALLOWANCE_SIGMAS = 5.0
 MIN_LIMIT_PX = 0.06
 LIMIT_SIGMAS = 5.0
@@ -35,15 +35,15 @@ Numbers = tuple[_Px, _Px, _Px, _Px]
 """Shift in u, shift in v, turn, scale, each as px at the LEDs."""
 _NotNegative = Annotated[float, Field(ge=0, le=1e18)]
 _Sums = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
-"""The same of variances, or summed up beyond the allowance."""
+"""Variances of the four numbers, or their sums beyond the allowance."""
 _NOTHING: Numbers = (0.0, 0.0, 0.0, 0.0)
 _FILED = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""For ``history_of``, which checks the fields of these records by their types."""
+"""Configuration for ``history_of``, which checks the fields of these records by their types."""
 
 
 @dataclass(frozen=True, slots=True)
 class SlowDrift:
-    """A target whose camera drifts: how far from the calibration it is, and how fast it moves."""
+    """Target whose camera drifts: its deviation from the calibration, and its speed."""
 
     target: str
     shift_px: tuple[float, float]
@@ -54,7 +54,7 @@ class SlowDrift:
 
 @dataclass(frozen=True, slots=True)
 class Day:
-    """The checks of one day: its number, how many, the sum of what they found and of its variances."""
+    """Checks of one day: its number, number of checks, sum of their results and of their variances."""
 
     __pydantic_config__ = _FILED
     number: Annotated[int, Field(ge=-1_000_000, le=4_000_000)]
@@ -64,18 +64,18 @@ class Day:
 
     @property
     def mean(self) -> Numbers:
-        """Of what they found, px."""
+        """Mean of the results, px."""
         return _four(np.array(self.sums) / self.checks)
 
     @property
     def sigma(self) -> Numbers:
-        """Of the mean, px: the reference's part is the same in all, so it is that of one check."""
+        """Sigma of the mean, px: that of one check, because the reference's part is the same in all."""
         return _four(np.sqrt(np.array(self.variances) / self.checks))
 
 
 @dataclass(frozen=True, slots=True)
 class TargetHistory:
-    """One target: the day that is not over, the last days, CUSUMs upwards and downwards, the LEDs' radius."""
+    """One target: the current day, the last days, CUSUMs upwards and downwards, the LEDs' radius."""
 
     __pydantic_config__ = _FILED
     today: Day
@@ -86,8 +86,8 @@ class TargetHistory:
     radius_px: Annotated[float, Field(gt=0, le=1e5)]
 
     def with_numbers(self, numbers: Numbers, variances: Numbers, number: int) -> TargetHistory:
-        """With one check more, of that day."""
-        if number <= self.today.number:  # a clock that was set back adds to the day that runs
+        """Return the history with one more check, of that day."""
+        if number <= self.today.number:  # after a clock was set back, checks add to the current day
             today = Day(
                 self.today.number,
                 self.today.checks + 1,
@@ -98,13 +98,13 @@ class TargetHistory:
         return replace(self._closed(), today=Day(number, 1, numbers, variances))
 
     def dated_back(self, number: int) -> TargetHistory:
-        """The same days in their order, of which the newest is that one and no other is later."""
+        """Return the same days in their order, with ``number`` as the newest and no other day later."""
         too_late = max(self.days[-1].number - (number - 1), 0) if self.days else 0
         days = tuple(replace(day, number=day.number - too_late) for day in self.days)
         return replace(self, days=days, today=replace(self.today, number=number))
 
     def _closed(self) -> TargetHistory:
-        """With today summed up."""
+        """Return the history with the current day summed up."""
         mean, sigma = np.array(self.today.mean), np.array(self.today.sigma)
         allowance = np.maximum(MIN_ALLOWANCE_PX, ALLOWANCE_SIGMAS * sigma)
         limit = np.maximum(MIN_LIMIT_PX, LIMIT_SIGMAS * sigma)
@@ -121,9 +121,9 @@ class TargetHistory:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Memory of the checks so far, by target; a new one starts with a new calibration.
+    """History of all checks by target; a new calibration starts a new one.
 
-    ``was_bad``: so the last check with a verdict was.
+    ``was_bad``: whether the last check with a verdict was bad.
     """
 
     __pydantic_config__ = _FILED
@@ -132,17 +132,17 @@ class History:
 
     @classmethod
     def empty(cls) -> Self:
-        """Before the first check."""
+        """Return the history before the first check."""
         return cls({})
 
     def with_verdict(self, verdict: Verdict) -> Self:
-        """With the verdict of the last check that had one."""
+        """Return the history with the verdict of the last check that had one."""
         return replace(self, was_bad=verdict is Verdict.BAD)
 
     def with_check(self, check: SelfCheck, time_s: float) -> Self:
-        """With one check more, made at ``time_s`` (any clock that runs through a restart, such as UTC).
+        """Return it with one more check, at ``time_s`` (any clock that runs through a restart, such as UTC).
 
-        A target that the check could not judge is left as it is.
+        A target that the check could not judge is not changed.
         """
         number = math.floor(time_s / DAY_S)
         targets = dict(self.targets)
@@ -159,14 +159,14 @@ class History:
         return replace(self, targets=targets)
 
     def is_ahead_of(self, time_s: float) -> bool:
-        """Whether it holds a day that, by a time of the same clock, begins more than a day from now."""
+        """Return whether it holds a day that begins more than a day after ``time_s`` of the same clock."""
         today = math.floor(time_s / DAY_S)
         return any(history.today.number > today + 1 for history in self.targets.values())
 
     def dated_back(self, time_s: float) -> Self:
-        """The same where it ends later than ``time_s``: as if the last checks were of that day.
+        """Return it with the last checks dated to the day of ``time_s``, if it ends later.
 
-        A clock that was wrong and is set tells nothing of what was found meanwhile.
+        Setting a wrong clock is no evidence against what was found meanwhile.
         """
         number = math.floor(time_s / DAY_S)
         targets = {
@@ -177,12 +177,12 @@ class History:
 
     @property
     def slow_drifts(self) -> tuple[SlowDrift, ...]:
-        """The targets that wander, by evidence that chance gives less than once in 10,000 checks."""
+        """Targets that drift, by evidence that chance gives less than once in 10,000 checks."""
         return tuple(_slow_drift(name, history) for name, history in self.targets.items() if history.drifts)
 
 
 def _numbers(similarity: Similarity) -> tuple[Numbers, Numbers]:
-    """A similarity as px at the LEDs, and the variances, px²."""
+    """Return a similarity as px at the LEDs, and the variances, px²."""
     radius = similarity.radius_px
     to_px = np.array([1.0, 1.0, math.radians(radius), 1e-6 * radius])
     return _four(similarity.vector * to_px), _four(np.diag(similarity.covariance) * to_px**2)
@@ -210,15 +210,15 @@ def _four(values: np.typing.NDArray[np.float64]) -> Numbers:
 
 
 def document_of(history: History) -> dict[str, Any]:
-    """The history as plain JSON types: at most some 10 kB for each target."""
+    """Return the history as plain JSON types: at most some 10 kB for each target."""
     targets = {name: asdict(target) for name, target in history.targets.items()}
     return {"targets": targets, "was_bad": history.was_bad}
 
 
 def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> History:
-    """The history that a document of ``document_of`` holds; raises ValueError in one line.
+    """Return the history in a document of ``document_of``; raises ValueError with a one-line message.
 
-    ``targets`` are those of the calibration; one that is none of them is an error.
+    ``targets`` are those of the calibration; any other target is an error.
     """
     try:
         history = TypeAdapter(History).validate_python(document)

@@ -1,4 +1,4 @@
-"""The lights that switch with the frame LEDs, and whether the frames of a check show what they should."""
+"""Lights that switch with the frame LEDs, and faults of the frames of a check."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from altd.vision.search import Region, search
 SEARCH_PX = 40.0
 """Radius about its reference in which an LED is searched."""
 _CAP_RATIO = 1.5
-"""A foreign light may be much brighter than an LED, and the search takes the brightest as its measure."""
+"""Cap relative to an LED: a foreign light may be far brighter, and the search scales by the brightest."""
 _MAX_LIGHTS = 40
 _MIN_SIGMA_PX = 1e-3
-"""No light's place is known better than its rim's raster."""
+"""Minimum sigma of a light's position, limited by the raster of its rim."""
 _NOISE_RATIO = 4.0
-"""Above the ninth decile by so many times its distance from the median there is light, and no noise."""
+"""Light is above the ninth decile by more than this many times the decile's distance from the median."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lights:
-    """The lights of one pair, the brightest first.
+    """Lights of one pair, the brightest first.
 
-    Places (m, 2), their standard deviation an axis (m,), peaks over the background (m,), diameters (m,).
+    Positions (m, 2), their standard deviation per axis (m,), peaks over the background (m,), diameters (m,).
     """
 
     px: FloatArray
@@ -41,9 +41,9 @@ class Lights:
 
 
 def pairs(view: LedView) -> Iterator[tuple[Frame, Frame]]:
-    """Each lit frame with the dark one nearest in time that no other has taken; without overlap of frames.
+    """Yield each lit frame with the dark one nearest in time that no other has taken; no frame is used twice.
 
-    So the pairs' noises are independent. Frames beyond that are left out.
+    So the noise of the pairs is independent. Frames beyond that are skipped.
     """
     free = list(view.dark)
     for lit in view.lit:
@@ -54,7 +54,7 @@ def pairs(view: LedView) -> Iterator[tuple[Frame, Frame]]:
 
 
 def lights_of(lit: Frame, dark: Frame, references_px: FloatArray) -> Lights:
-    """The lights in ``lit`` that are not in ``dark``, located as the calibration's LEDs (n, 2) were.
+    """Return the lights in ``lit`` that are not in ``dark``, located like the calibration's LEDs (n, 2).
 
     Light that is much brighter than an LED is capped, so that it hides none; LEDs are not.
     """
@@ -73,9 +73,9 @@ def lights_of(lit: Frame, dark: Frame, references_px: FloatArray) -> Lights:
 
 
 def _led_level(difference: PixelArray, references_px: FloatArray) -> float:
-    """About the brightness of an LED, counts: the third brightest of what shines near the references.
+    """Estimate an LED's brightness, counts: the third brightest of the lights near the references.
 
-    Two foreign lights do not raise it. Where only two shine at all, the brightest counts.
+    Two foreign lights do not raise it. If there are only two lights, the brightest counts.
     """
     rows, columns = difference.shape
     smooth = cv2.blur(difference, (5, 5))
@@ -94,15 +94,15 @@ def _led_level(difference: PixelArray, references_px: FloatArray) -> float:
 _EXPOSURE_TOLERANCE = 0.02
 _GAIN_TOLERANCE_DB = 0.1
 _MIN_BLINK_SHARE = 0.06
-"""Of full scale: a light that changes by less is dim beside an LED and moves none."""
+"""Minimum change of a light as a share of full scale: a smaller one is dim beside an LED and moves none."""
 _NEAR_LED_PX = 20
 _SPOT_MARGIN_PX = 16
-"""The beam vibrates; a change around its spot is no separate light."""
+"""Margin of the spot: the beam vibrates, so a change around the spot is no separate light."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The lights in a camera's frames, in words; ``spoils``: no verdict can rest on them."""
+    """Fault of a camera's frames as text; ``spoils``: whether no verdict can be based on them."""
 
     sentence: str
     spoils: bool
@@ -111,7 +111,7 @@ class Finding:
 def findings(
     before: Sequence[Frame], lit: Sequence[Frame], after: Sequence[Frame], leds_px: FloatArray
 ) -> tuple[Finding, ...]:
-    """The faults of one camera's frames, in the order of their exposure.
+    """Return the faults of one camera's frames, in the order of their exposure.
 
     ``before`` and ``after`` have the LEDs off, ``lit`` on; ``leds_px`` (n, 2) are their reference positions.
     A light that changes while the LEDs do not is reported; near an LED it makes the check useless.
@@ -131,7 +131,7 @@ def findings(
 
 
 def have_one_exposure(frames: Sequence[Frame]) -> bool:
-    """Whether all frames of one camera were taken with the same exposure time and gain."""
+    """Return whether all frames of one camera were taken with the same exposure time and gain."""
     first = frames[0]
     return all(
         _is_about(frame.exposure_ms, first.exposure_ms, _EXPOSURE_TOLERANCE * (first.exposure_ms or 0.0))
@@ -145,7 +145,7 @@ def _is_about(value: float | None, other: float | None, tolerance: float) -> boo
 
 
 def _blinking(same: Sequence[Frame], dark: Sequence[Frame], leds_px: FloatArray) -> list[Finding]:
-    """The lights that change among frames under the same LEDs, but for the spot that all dark frames show."""
+    """Return the lights that change among frames under the same LEDs, except the spot in all dark frames."""
     pixels = np.stack([frame.pixels for frame in same])
     changes = search(pixels.max(axis=0) - pixels.min(axis=0)).regions
     min_counts = _MIN_BLINK_SHARE * same[0].full_scale

@@ -1,4 +1,4 @@
-"""The LEDs of a target among the lights of a check: which light is which LED, and the state of each."""
+"""LEDs of a target among the lights of a check: which light is which LED, and the state of each."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from altd.records import ComplexArray, FloatArray, Frame, PixelArray
 from altd.selfcheck.records import LedState
 
 _MIN_AGREEING_FAR = 4
-"""Three lights of twelve lie by chance like three LEDs once any shift and turn may be."""
+"""Minimum agreement: three of twelve lights match three LEDs by chance if any shift and turn is allowed."""
 _MAX_FAR_LIGHTS = 12
 TOLERANCE_PX = 2.0
-"""Largest distance of an LED from the similarity of two others that it agrees with; the fit's own residuals
-judge afterwards."""
+"""Maximum distance of an LED from the similarity of two others that it agrees with; the residuals of the fit
+are checked afterwards."""
 _USUAL_MOTION_PX = 10.0
 _MAX_BASES = 60
 _MIN_AGREEING = 3
@@ -30,7 +30,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class _Reach:
-    """Largest distance of a similarity from none, either way."""
+    """Maximum deviation of a similarity from none, either way."""
 
     shift_px: float
     turn_deg: float
@@ -38,14 +38,14 @@ class _Reach:
 
 
 _NEAR = _Reach(40.0, 5.0, 0.05)
-"""The motion of a camera that comes loose; a symmetric layout fits itself again at 180°."""
+"""Motion of a camera that comes loose; a symmetric layout would match itself again at 180°."""
 _FAR = _Reach(math.inf, 180.0, 0.2)
-"""A camera that was knocked out of its place, or another one. The LEDs of a target behind it look smaller."""
+"""Motion of a camera out of its place, or of another one. LEDs of a target behind it look smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """The light of each LED, (n,), -1: none. ``rival``: other lights fit the layout as well, elsewhere."""
+    """Light of each LED, (n,), -1: none. ``rival``: other lights elsewhere match the layout equally well."""
 
     lights: Indices
     rival: bool = False
@@ -53,7 +53,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Similarities z → a z + b, (h,) each, with the light that each gives each LED, (h, n)."""
+    """Similarities z → a z + b, (h,) each, with the light that each assigns to each LED, (h, n)."""
 
     lights: Indices
     counts: Indices
@@ -61,12 +61,12 @@ class _Candidates:
 
 
 def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> Match:
-    """Which of the lights (m, 2), with their peaks (m,), are the LEDs of the references (n, 2).
+    """Return which of the lights (m, 2), with their peaks (m,), are the LEDs of the references (n, 2).
 
-    Each pair of LEDs with each pair of lights proposes a similarity; those that no camera does are dropped.
-    Of the rest the one wins with which most agree, of equals the one that is nearest to no motion. Where no
-    three agree, the layout is looked for anywhere in the picture; where it is not found either, the lights
-    that are where LEDs should be are those.
+    Each pair of LEDs with each pair of lights proposes a similarity; those no camera can make are dropped. Of
+    the rest the one with most agreeing lights wins, of equals the one nearest to no motion. If no three
+    agree, the layout is searched anywhere in the picture. If it is not found there either, the lights at the
+    LEDs' expected positions are accepted.
     """
     least = min(_MIN_AGREEING, len(references_px))
     candidates = _candidates(references_px, lights_px, _NEAR)
@@ -76,7 +76,7 @@ def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -
 
 
 def _far_match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> Match | None:
-    """The layout of the LEDs among the brightest lights, wherever it is; None: it is not there."""
+    """Return the layout of the LEDs anywhere among the brightest lights; None if it is not there."""
     brightest = np.argsort(-peaks, kind="stable")[:_MAX_FAR_LIGHTS]
     candidates = _candidates(references_px, lights_px[brightest], _FAR)
     if candidates is None or candidates.counts.max() < _MIN_AGREEING_FAR:
@@ -86,26 +86,26 @@ def _far_match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArr
 
 
 def _best_of(candidates: _Candidates, peaks: FloatArray) -> Match:
-    """The result for the best of the candidates."""
+    """Return the match of the best candidate."""
     best = int(np.lexsort((candidates.cost, -candidates.counts))[0])
     chosen = candidates.lights[best]
     return Match(chosen, _has_rival(candidates, best, peaks))
 
 
 def _in_place(references_px: FloatArray, lights_px: FloatArray) -> Indices:
-    """The light that shines where each LED should be, (n,); -1: none."""
+    """Return the light at the expected position of each LED, (n,); -1: none."""
     if not len(lights_px):
         return np.full(len(references_px), -1)
     distance = np.hypot(*(references_px[:, None] - lights_px[None]).transpose(2, 0, 1))
     in_place = np.where(distance.min(axis=1) <= TOLERANCE_PX, distance.argmin(axis=1), -1)
-    taken, first = np.unique(in_place, return_index=True)  # a light is one LED's at most
+    taken, first = np.unique(in_place, return_index=True)  # a light belongs to one LED at most
     alone = np.full_like(in_place, -1)
     alone[first] = taken
     return alone
 
 
 def _has_rival(candidates: _Candidates, best: int, peaks: FloatArray) -> bool:
-    """Whether about as many other lights, not much dimmer, lie in the same layout: a second picture of it."""
+    """Return whether about as many other lights, not much dimmer, have the same layout: a second picture."""
     own = candidates.lights[best]
     own_lights = own[own >= 0]
     near = np.flatnonzero(candidates.counts >= max(_MIN_AGREEING, candidates.counts[best] - 1))
@@ -119,7 +119,7 @@ def _has_rival(candidates: _Candidates, best: int, peaks: FloatArray) -> bool:
 
 
 def _candidates(references_px: FloatArray, lights_px: FloatArray, reach: _Reach) -> _Candidates | None:
-    """All similarities within reach of two LEDs to two lights; None without any."""
+    """Return all similarities within reach from two LEDs to two lights; None without any."""
     if len(references_px) < 2 or len(lights_px) < 2:
         return None
     references, lights = _complex(references_px), _complex(lights_px)
@@ -141,7 +141,7 @@ def _candidates(references_px: FloatArray, lights_px: FloatArray, reach: _Reach)
 
 
 def _bases(references: ComplexArray) -> tuple[Indices, Indices]:
-    """Pairs of LEDs, the farthest apart first, as many as are needed."""
+    """Return pairs of LEDs, the farthest apart first, ``_MAX_BASES`` at most."""
     every = np.array(list(itertools.combinations(range(len(references)), 2)), dtype=np.int64)
     apart = np.abs(references[every[:, 0]] - references[every[:, 1]])
     every = every[apart > TOLERANCE_PX]
@@ -152,7 +152,7 @@ def _bases(references: ComplexArray) -> tuple[Indices, Indices]:
 def _agreement(
     a: ComplexArray, b: ComplexArray, references: ComplexArray, lights: ComplexArray
 ) -> _Candidates:
-    """The lights that agree with each of these similarities; a light belongs to one LED at most."""
+    """Return the lights that agree with each of these similarities; a light belongs to one LED at most."""
     predicted = a[:, None] * references[None] + b[:, None]
     distance = np.abs(predicted[:, :, None] - lights[None, None, :])
     nearest = distance.argmin(axis=2)
@@ -176,22 +176,22 @@ _DARK_SHARE = 0.05
 MIN_SEEN_SHARE = 0.8
 _MARGIN_PX = 3.0
 _BRIGHT_SHARE = 0.04
-"""Of full scale, over twice the frame's median: light with the LEDs off that is no ambient light."""
+"""Share of full scale, above twice the frame's median, from which light with the LEDs off is not ambient."""
 _LIT_PERCENTILE = 97.0
-"""Hot pixels aside: the rim of a spot over an LED moves its place where both together reach full scale."""
+"""Excludes hot pixels: the rim of a spot over an LED moves its position if both reach full scale."""
 
 
 _UNEVEN_SHARE = 0.012
-"""Of full scale, by which the darkness under one LED is more uneven than twice that of most."""
+"""Share of full scale by which a dark frame at one LED is more uneven than twice the median of all."""
 _CLIPPED_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A target's LEDs, as the pairs show them.
+    """LEDs of a target, as seen in the pairs.
 
-    ``places_px`` (n, 2) are where they are, or where they should be; ``peaks`` (n,) their brightness, NaN
-    where not seen; ``share`` (n,) in how many of the pairs they are seen, 0 to 1.
+    ``places_px`` (n, 2) are their positions, seen or expected; ``peaks`` (n,) their brightness, NaN where not
+    seen; ``share`` (n,) the share of the pairs in which they are seen, 0 to 1.
     """
 
     pairs: Sequence[tuple[Frame, Frame]]
@@ -202,7 +202,7 @@ class Seen:
 
 
 def states_of(seen: Seen) -> tuple[LedState, ...]:
-    """The state of each LED, in their order."""
+    """Return the state of each LED, in order."""
     usual = float(np.nanmedian(seen.peaks)) if np.isfinite(seen.peaks).any() else 0.0
     touched = _touched(seen)
     return tuple(
@@ -212,9 +212,9 @@ def states_of(seen: Seen) -> tuple[LedState, ...]:
 
 
 def _touched(seen: Seen) -> npt.NDArray[np.bool_]:
-    """Over which LEDs, (n,), faint light that the others do not have brings some pixels to full scale.
+    """Return over which LEDs, (n,), faint light that others do not have brings some pixels to full scale.
 
-    What is cut off there on one side moves the place of an LED: the rim of a spot by 0.1 px.
+    Clipping on one side moves the position of an LED: the rim of a spot by 0.1 px.
     """
     if not seen.pairs:
         return np.zeros(len(seen.places_px), dtype=np.bool_)
@@ -256,7 +256,7 @@ def _state(seen: Seen, index: int, usual: float) -> LedState:
 
 
 def _foreign_light(seen: Seen, u: float, v: float, reach: float) -> LedState | None:
-    """The light at an LED's place with the LEDs off: the spot, or the LED itself; None: none."""
+    """Return the state by light at an LED with the LEDs off: the spot, or the LED itself; None: no light."""
     for _, dark in seen.pairs:
         limit = 2 * float(np.median(dark.pixels[::4, ::4])) + _BRIGHT_SHARE * dark.full_scale
         window = _window(dark, u, v, reach)
@@ -275,5 +275,5 @@ def _window(frame: Frame, u: float, v: float, reach: float) -> FloatArray:
 
 
 def _brightness(frame: Frame, u: float, v: float) -> float:
-    """The mean level within 2 px."""
+    """Return the mean level within 2 px."""
     return float(_window(frame, u, v, 2).mean())

@@ -1,4 +1,4 @@
-"""The nouns of the self-check: what it is given and what it says."""
+"""Data types of the self-check: its input and its results."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class LedState(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LedView:
-    """One target in one check: frames with its frame LEDs on and frames with them off, one at least of each.
+    """One target in one check: frames with its frame LEDs on and frames with them off, at least one of each.
 
-    All are of one camera, size and depth; frames in which the LEDs were switched are none of them. The laser
-    spot may be in them, and need not stand still.
+    All are of one camera, size and depth, without frames in which the LEDs were switched. They may contain
+    the laser spot, which may move.
     """
 
     lit: tuple[Frame, ...]
@@ -65,44 +65,44 @@ class Similarity:
 
     @property
     def vector(self) -> FloatArray:
-        """Shift_u_px, shift_v_px, turn_deg, scale_ppm, as (4,)."""
+        """Vector of shift_u_px, shift_v_px, turn_deg, scale_ppm, as (4,)."""
         return np.array([*self.shift_px, self.turn_deg, self.scale_ppm])
 
     def now_px(self, then_px: FloatArray) -> FloatArray:
-        """The current places, (n, 2), of places (n, 2) of the calibrated picture."""
+        """Return the current positions, (n, 2), of positions (n, 2) in the calibrated picture."""
         about = np.asarray(self.about_px)
         now: FloatArray = about + self.shift_px + (then_px - about) @ self._matrix().T
         return now
 
     def then_px(self, now_px: FloatArray) -> FloatArray:
-        """The places (n, 2) in the calibrated picture of places (n, 2) of the current one."""
+        """Return the positions (n, 2) in the calibrated picture of current positions (n, 2)."""
         about = np.asarray(self.about_px)
         then: FloatArray = about + (now_px - about - self.shift_px) @ np.linalg.inv(self._matrix()).T
         return then
 
     @property
     def affine(self) -> FloatArray:
-        """The same as (2, 3): now = affine · (u, v, 1) of then, as OpenCV takes it."""
+        """The same as (2, 3): now = affine · (u, v, 1) of then, in OpenCV's form."""
         matrix = self._matrix()
         about = np.asarray(self.about_px)
         return np.column_stack([matrix, about + self.shift_px - matrix @ about])
 
     def covariance_at_px2(self, u_px: float, v_px: float) -> FloatArray:
-        """Covariance (2, 2) in px² of where a place is seen now (to first order: of where it was, too)."""
+        """Return the covariance (2, 2) px² of a place's current position; to first order the old one's."""
         right, down = u_px - self.about_px[0], v_px - self.about_px[1]
         design = design_rows(right, down)
         covariance: FloatArray = design @ self.covariance @ design.T
         return covariance
 
     def _matrix(self) -> FloatArray:
-        """Scale and turn, (2, 2)."""
+        """Return scale and turn, (2, 2)."""
         turn, scale = math.radians(self.turn_deg), 1.0 + 1e-6 * self.scale_ppm
         cos, sin = scale * math.cos(turn), scale * math.sin(turn)
         return np.array([[cos, -sin], [sin, cos]])
 
 
 def design_rows(right_px: float, down_px: float) -> FloatArray:
-    """The motion of a place so far from the centroid, (2, 4) px by (shift px, px, turn °, scale ppm)."""
+    """Return the motion of a place off the centroid, (2, 4) px by (shift px, px, turn °, scale ppm)."""
     turn, scale = math.radians(1.0), 1e-6
     return np.array(
         [[1.0, 0.0, -down_px * turn, right_px * scale], [0.0, 1.0, right_px * turn, down_px * scale]]
@@ -111,15 +111,15 @@ def design_rows(right_px: float, down_px: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetDrift:
-    """The result of a check for one target.
+    """Result of a check for one target.
 
-    ``leds`` holds the state of each reference, in the calibration's order; ``leds_found`` counts those
-    used. ``foreign_px`` are lights that switch with the LEDs and are none of them. ``similarity`` is None
-    where too few LEDs were found. ``rms_px`` is the root mean square of the used LEDs' distances from it, an
-    axis; ``is_similarity`` is False where that is more than their noise explains: then print, LEDs and camera
+    ``leds`` holds the state of each reference, in the calibration's order; ``leds_found`` counts those used.
+    ``foreign_px`` are lights that switch with the LEDs and are none of them. ``similarity`` is None if too
+    few LEDs were found. ``rms_px`` is the root mean square of the used LEDs' distances from it, per axis;
+    ``is_similarity`` is False if that is more than their noise explains: then print, LEDs and camera
     disagree, and nothing is corrected. ``significance`` is the Mahalanobis distance of (shift, turn, scale)
-    from none, √χ² with four degrees of freedom: chance alone exceeds 4.9 in one check of 10,000.
-    ``detail`` says for people what was seen, empty when all is well.
+    from none, √χ² with four degrees of freedom: chance alone exceeds 4.9 in one check of 10,000. ``detail``
+    is a text for people on the findings, empty if all is well.
     """
 
     target: str
@@ -136,13 +136,13 @@ class TargetDrift:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """From where on a drift matters, in units of the measurement.
+    """Limits above which a drift matters, in units of the measurement.
 
-    A drift counts by what it would do to a measurement: ``…_mm`` to the place on any target, ``…_deg`` to
-    yaw and pitch, at the beam's place and wherever else in the calibrated area it may be. Up to ``suspect_…``
-    all is good. ``release_share``: a verdict that is worse than good ends once the drift is below that share
-    of its limit. ``compensate_mm``: no place is corrected by more than that. ``min_leds``: with fewer the
-    verdict is unknown.
+    A drift counts by its effect on a measurement: ``…_mm`` on the position on any target, ``…_deg`` on yaw
+    and pitch, at the beam's place and anywhere else in the calibrated area. Up to ``suspect_…`` the verdict
+    is good. ``release_share``: a verdict worse than good ends once the drift is below that share of its
+    limit. ``compensate_mm``: maximum correction of a position. ``min_leds``: with fewer LEDs the verdict is
+    unknown.
     """
 
     suspect_mm: float = 0.03
@@ -156,10 +156,10 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class PartVerdict:
-    """The verdict on one part: a target, in mm, or ``yaw, pitch``, in °.
+    """Verdict on one part: a target, in mm, or ``yaw, pitch``, in °.
 
-    ``error`` is the largest error anywhere in the calibrated area. Above ``suspect`` and ``bad``
-    it gives that verdict. ``error`` and ``sigma`` are None if too few LEDs were found.
+    ``error`` is the largest error anywhere in the calibrated area. Above ``suspect`` and ``bad`` it gives
+    that verdict. ``error`` and ``sigma`` are None if too few LEDs were found.
     """
 
     of: str
@@ -174,13 +174,13 @@ class PartVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfCheck:
-    """The result of one check.
+    """Result of one check.
 
-    ``effects`` holds, by the keys of the beam (``yaw_deg``, ``pitch_deg``, ``x_mm``, ``y_mm``), what the
-    drift makes of a measurement at the beam's place, measured minus true, with its sigma; it is empty where
-    no two targets could be judged. ``reasons`` says in words what kept it from being good, worst first.
-    ``is_whole`` is False where of a target, or of the direction, nothing is known: the verdict is then that
-    of the rest. ``parts`` are the parts of the verdict, the worst first.
+    ``effects`` holds, by the keys of the beam (``yaw_deg``, ``pitch_deg``, ``x_mm``, ``y_mm``), the error
+    that the drift causes at the beam's place, measured minus true, with its sigma; it is empty unless all of
+    at least two targets could be judged. ``reasons`` are texts why the verdict is not good, worst first.
+    ``is_whole`` is False if nothing is known of a target or of the direction: the verdict is then that of the
+    rest. ``parts`` are the parts of the verdict, the worst first.
     """
 
     verdict: Verdict
@@ -196,7 +196,7 @@ _KEYS = ("yaw_deg", "pitch_deg", "x_mm", "y_mm")
 
 
 def as_object(check: SelfCheck) -> dict[str, Any]:
-    """The answer of ``altd selfcheck``; unknown values are null."""
+    """Return the answer of ``altd selfcheck``; unknown values are null."""
     effects = check.effects
     values = {key: round(effects[key].value, _DECIMALS[key]) if key in effects else None for key in _KEYS}
     sigmas = {key: effects[key].sigma if key in effects else None for key in _KEYS}

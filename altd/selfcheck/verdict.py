@@ -1,4 +1,4 @@
-"""A moved picture: its effect on a measurement, the verdict of a check, and the correction (thesis 3.4)."""
+"""Effect of a moved picture on a measurement, the verdict of a check, and the correction (thesis 3.4)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from altd.vision.flat import Flat
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceEffect:
-    """The beam's place on a target, (2,) mm, the error of its measurement, and the covariance of that."""
+    """Position of the beam on a target, (2,) mm, the error of its measurement, and the error's covariance."""
 
     true_mm: FloatArray
     error_mm: FloatArray
@@ -36,7 +36,7 @@ class PlaceEffect:
 
 @dataclass(frozen=True, slots=True)
 class WorstEffect:
-    """Of all the calibrated area of a target: the largest error along x or y, mm, and the largest sigma."""
+    """Largest error along x or y, mm, and largest sigma, over all the calibrated area of a target."""
 
     error_mm: float
     sigma_mm: float
@@ -45,7 +45,7 @@ class WorstEffect:
 def place_effect(
     target: TargetCalibration, similarity: Similarity, at_px: tuple[float, float] | None
 ) -> PlaceEffect:
-    """The effect where the spot is seen now; without a place, or outside the map, in the area's middle."""
+    """Return the effect at the spot's current position; if unknown or unmapped, at the area's middle."""
     middle = target.map.hull_mm.mean(axis=0, keepdims=True)
     then = target.map.to_px(middle) if at_px is None else similarity.then_px(np.array([at_px]))
     point = target.point(float(then[0, 0]), float(then[0, 1]))
@@ -60,7 +60,7 @@ def place_effect(
 
 
 def worst_effect(target: TargetCalibration, similarity: Similarity) -> WorstEffect:
-    """The largest error, and the largest sigma, over the calibrated area."""
+    """Return the largest error and the largest sigma over the calibrated area."""
     points_mm = target.map.dense_mm()
     then = target.map.to_px(points_mm)
     jacobians = np.linalg.inv(target.map.jacobian(points_mm))
@@ -73,7 +73,7 @@ def worst_effect(target: TargetCalibration, similarity: Similarity) -> WorstEffe
 def beam_effects(
     z_mm: Sequence[float], places: Sequence[PlaceEffect], reference_plane_mm: float
 ) -> Mapping[str, Value]:
-    """Measured minus true of a beam through two targets or more, by the beam's keys, with sigma."""
+    """Return measured minus true of a beam through two or more targets, by the beam's keys, with sigma."""
     lever = np.asarray(z_mm, dtype=np.float64) - reference_plane_mm
     solve = np.linalg.pinv(np.column_stack([np.ones_like(lever), lever]))
     effects: dict[str, Value] = {}
@@ -90,9 +90,9 @@ def beam_effects(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compensation:
-    """The fitted transforms by target: from where a spot is seen now to where it would have been then.
+    """Fitted transforms by target: from the current position of a spot to its position at calibration.
 
-    ``misfit_px`` is, by target, what the LEDs leave beside the transform: no place is known better.
+    ``misfit_px`` is, by target, the residual of the LEDs after the transform: no position is known better.
     """
 
     transforms: Mapping[str, Similarity]
@@ -101,13 +101,13 @@ class Compensation:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Why nothing is corrected, in words for people."""
+    """Reason why nothing is corrected, as text for people."""
 
     detail: str
 
 
 def compensation_of(check: SelfCheck, calibration: Calibration, limits: Limits) -> Compensation | Refused:
-    """The correction of a check's drift; refused where it is unknown, no similarity, or beyond the limit.
+    """Return the correction of a check's drift; refused if unknown, no similarity, or beyond the limit.
 
     All targets are corrected or none: half a correction of a direction can be worse than none.
     """
@@ -132,10 +132,10 @@ def compensation_of(check: SelfCheck, calibration: Calibration, limits: Limits) 
 
 
 def flat_now(flat: Flat, transform: Similarity) -> Flat:
-    """A target's flat as the camera would record it now: print and texture moved with the target.
+    """Return a target's flat as the camera would record it now: print and texture moved with the target.
 
-    A spot is to be located through it, for the print under it is where the picture is. A flat that is half a
-    pixel off makes more pattern of the print than it removes (docs/selfcheck.md).
+    Spots must be located through it, because the print under them moved with the picture. A flat that is half
+    a pixel off adds more pattern of the print than it removes (docs/selfcheck.md).
     """
     rows, columns = flat.levels.shape
     levels = cv2.warpAffine(
@@ -149,11 +149,11 @@ def flat_now(flat: Flat, transform: Similarity) -> Flat:
 
 
 def compensated(mean: MeanSpots, compensation: Compensation) -> MeanSpots:
-    """The mean spots as the calibrated unit would have seen them, with the transform's covariance added.
+    """Return the mean spots as the calibrated unit would measure them, with the transform's covariance added.
 
-    To be applied to uncorrected mean spots, between the window and the instrument; spots that a flat helps to
-    locate want ``flat_now`` before. Shapes stay as they are:
-    a turn of 1° changes them less than their own noise. Raises KeyError for a target without a transform.
+    Apply it to uncorrected mean spots, between the window and the instrument; spots that are located through
+    a flat need ``flat_now`` before. Shapes are not changed: a turn of 1° changes them less than their own
+    noise. Raises KeyError for a target without a transform.
     """
     px, covariance = mean.px.copy(), mean.covariance_px2.copy()
     for index, name in enumerate(mean.targets):
@@ -167,10 +167,10 @@ def compensated(mean: MeanSpots, compensation: Compensation) -> MeanSpots:
 
 NOT_LOOKED_AT = "no frames with the LEDs on and off"
 SIGNIFICANT = 7.0
-"""The Mahalanobis distance from which a drift is none of chance: 6 in 10⁹ with four degrees of freedom, and
-still below 1 in 10,000 where the noise is known to 15 % only (``benchmarks.selfcheck places``)."""
+"""Mahalanobis distance from which a drift is not due to chance: 6 in 10⁹ with four degrees of freedom, and
+still below 1 in 10,000 if the noise is known only to 15 % (``benchmarks.selfcheck places``)."""
 _SIGMAS = 3.0
-"""A limit must be so many sigmas away from what is not seen, for the verdict to be good."""
+"""Minimum distance, in sigmas, of a limit from an undetected drift for the verdict to be good."""
 _ORDER = (Verdict.GOOD, Verdict.UNKNOWN, Verdict.SUSPECT, Verdict.BAD)
 
 
@@ -183,14 +183,14 @@ def judge(
     previous: Verdict | None = None,
     reference_plane_mm: float = 0.0,
 ) -> SelfCheck:
-    """The state of the unit's geometry, from LEDs on and off by target. Pure; takes 10 to 50 ms a target.
+    """Return the state of the geometry from LEDs on and off by target. Pure; takes 10 to 50 ms a target.
 
-    ``at`` is where the spots are now, (u, v) px by target, uncorrected; of a target that is not in it, or
-    without it, the middle of the calibrated area counts. ``previous`` is, for the hysteresis, the last
-    verdict that was not unknown: after a bad one a check that sees only a part is unknown, unless that
-    part is bad. ``reference_plane_mm`` is the plane of x and y. A target of the calibration that is not in
-    ``views`` makes the verdict unknown, as does one without LED references; a view of a target that the
-    calibration does not know raises KeyError, frames of another size ValueError.
+    ``at`` holds the current positions of the spots, (u, v) px by target, uncorrected; for a target without
+    one the middle of the calibrated area counts. ``previous`` is, for the hysteresis, the last verdict that
+    was not unknown: after a bad one a check of only a part is unknown, unless that part is bad.
+    ``reference_plane_mm`` is the plane of x and y. A target of the calibration that is not in ``views`` makes
+    the verdict unknown at best, as does one without LED references; a view of a target that is not in the
+    calibration raises KeyError, frames of another size ValueError.
     """
     known = {target.name: target for target in calibration.targets}
     seen = {name: drift_of(name, view, known[name], limits) for name, view in views.items()}
@@ -218,7 +218,7 @@ def judge(
     verdict = parts[0].verdict
     is_whole = all(opinion.verdict is not Verdict.UNKNOWN for opinion in parts)
     if verdict is Verdict.SUSPECT and not is_whole and previous is Verdict.BAD:
-        verdict = Verdict.UNKNOWN  # the hidden LEDs may be those that were bad
+        verdict = Verdict.UNKNOWN  # the LEDs not seen may be the ones that were bad
     return SelfCheck(
         verdict=verdict,
         targets=drifts,
@@ -235,7 +235,7 @@ def _effects(
     at: Mapping[str, tuple[float, float]],
     reference_plane_mm: float,
 ) -> Mapping[str, Value]:
-    """By the beam's keys; empty unless every target of two or more was judged."""
+    """Return the effects by the beam's keys; empty unless all of two or more targets were judged."""
     places = []
     for target in calibration.targets:
         drift = drifts[target.name]
@@ -250,7 +250,7 @@ def _effects(
 def _of_target(
     drift: TargetDrift, worst: WorstEffect | None, limits: Limits, previous: Verdict | None
 ) -> Iterator[PartVerdict]:
-    """The effect of one target's drift; where its LEDs contradict each other, that and the unknown part."""
+    """Yield the verdict on one target; if its LEDs contradict each other, that and any unknown verdict."""
     name = drift.target
     bounds = (limits.suspect_mm, limits.bad_mm)
     if worst is None:
@@ -273,7 +273,7 @@ def _of_target(
 def _of_direction(
     worst: list[WorstEffect], distance_mm: float, significant: bool, limits: Limits, previous: Verdict | None
 ) -> PartVerdict:
-    """The effect of the drifts of all targets on yaw and pitch, wherever the beam meets each of them."""
+    """Return the verdict on yaw and pitch by all targets' drifts, wherever the beam meets each target."""
     error = sum(effect.error_mm for effect in sorted(worst, key=lambda effect: -effect.error_mm)[:2])
     sigma = math.hypot(*(effect.sigma_mm for effect in worst))
     turned = WorstEffect(math.degrees(error / distance_mm), math.degrees(sigma / distance_mm))
@@ -288,7 +288,7 @@ def _against(
     figures: tuple[str, WorstEffect, float, float],
     state: tuple[bool, Limits, Verdict | None],
 ) -> PartVerdict:
-    """An error and its sigma against (suspect, bad); a verdict once reached ends below a share of it."""
+    """Compare an error and its sigma with (suspect, bad); a verdict once reached ends below a share of it."""
     significant, limits, previous = state
     unit, worst, suspect, bad = figures
     certain = suspect / _SIGMAS

@@ -1,1 +1,1 @@
-"""Serial ports, for all that speaks on one: opened in one way, and written and read inside the event loop."""
+"""Serial ports of interfaces and devices: opened in one way, written and read inside the event loop."""

@@ -1,7 +1,7 @@
-"""Serial ports: which there are, and opening one.
+"""Serial ports: find and open them.
 
-These calls may block for seconds: a USB adapter is asked for everything over its bus, and one that hangs is
-given five seconds for each question.
+These calls may block for seconds: every request to a USB adapter goes over its bus, and each request to a
+hanging adapter times out only after five seconds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _STABLE = (Path("/dev/serial/by-id"), Path("/dev/serial/by-path"))
 
 @dataclass(frozen=True, slots=True)
 class FoundPort:
-    """One port: the path that survives re-plugging where there is one, the kernel's own, and what it is."""
+    """One port: its path, if possible one that survives re-plugging, the kernel's path, a description."""
 
     path: Path
     device: Path
@@ -34,7 +34,7 @@ class FoundPort:
 
 
 def has_hardware(device: Path, folder: Path = Path("/sys/class/tty")) -> bool:
-    """Whether there is a port behind its name: of on-board ones the kernel names more than exist (type 0)."""
+    """Whether a port exists: the kernel names more on-board ports than there are (type 0)."""
     try:
         return (folder / device.name / "type").read_text().strip() != "0"
     except OSError:
@@ -42,7 +42,7 @@ def has_hardware(device: Path, folder: Path = Path("/sys/class/tty")) -> bool:
 
 
 def find_ports() -> list[FoundPort]:
-    """The serial ports of this machine by their devices' names; none is opened."""
+    """Return the serial ports of this machine, sorted by device name; none is opened."""
     stable: dict[Path, Path] = {}
     for folder in _STABLE:
         for link in sorted(folder.glob("*")):
@@ -73,22 +73,22 @@ _SENTENCES = {
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """Format of bytes on a line, 8 data bits each and without flow control."""
+    """Format of bytes on a line: 8 data bits, without flow control."""
 
     baud: int
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     rs485: Rs485Settings | None = None
-    """None: the direction needs no switching."""
+    """RS-485 mode of the kernel; None: the direction needs no switching."""
 
 
 def open_serial(
     device: Path, line: LineSettings, *, read_timeout_s: float = 0.0, write_timeout_s: float = 0.0
 ) -> serial.Serial:
-    """The port with the settings of its line, locked against others until it is closed.
+    """Open the port with the settings of its line, locked against other programs until it is closed.
 
-    Raises OSError whose ``strerror`` is a sentence for a technician and whose ``filename`` is the device.
+    Raises OSError with a sentence for a technician as ``strerror`` and the device as ``filename``.
     """
     try:
         port = serial.Serial(
@@ -98,15 +98,15 @@ def open_serial(
             stopbits=line.stop_bits,
             timeout=read_timeout_s,
             write_timeout=write_timeout_s,
-            exclusive=True,  # a lock that daemons and good terminal programs heed
-            inter_byte_timeout=0,  # sets VMIN to 1, so that reading nothing means a hang-up and no empty line
+            exclusive=True,  # a lock that daemons and good terminal programs respect
+            inter_byte_timeout=0,  # sets VMIN to 1: an empty read then means a hang-up, not an idle line
         )
     except serial.SerialException as error:
         raise _named(device, error.errno) from error
     except termios.error as error:
         raise OSError(error.args[0], f"refuses its settings: {error.args[1]}", str(device)) from error
     try:
-        fcntl.ioctl(port.fileno(), termios.TIOCEXCL)  # keeps out those who heed no lock
+        fcntl.ioctl(port.fileno(), termios.TIOCEXCL)  # keeps out programs that ignore the lock
         if line.rs485 is not None:
             _switch_to_rs485(port.fileno(), device, line.rs485)
     except BaseException as error:
@@ -118,9 +118,9 @@ def open_serial(
 
 
 def close_serial(port: serial.Serial) -> None:
-    """Release the port. Unsent bytes are discarded, where the driver can: closing would wait for them.
+    """Release the port. Discard unsent bytes if the driver can: closing would wait for them.
 
-    cdc_acm cannot: an adapter that takes nothing blocks this call for 30 s.
+    cdc_acm cannot: an adapter that accepts no bytes blocks this call for 30 s.
     """
     with contextlib.suppress(OSError, termios.error):
         port.reset_output_buffer()
@@ -130,14 +130,15 @@ def close_serial(port: serial.Serial) -> None:
 
 
 def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485Settings) -> None:
-    """Let the kernel switch the transceiver; raises OSError when it cannot, or not as wanted.
+    """Let the kernel switch the transceiver; raises OSError if it cannot, or not with these settings.
 
-    pyserial's ``rs485_mode`` is not used: it keeps neither the error's number nor what the driver made of it.
+    pyserial's ``rs485_mode`` is not used: it keeps neither the error number nor the settings that the driver
+    actually applied.
     """
     level = _RTS_ON_SEND if wanted.rts_while_sending == "high" else _RTS_AFTER_SEND
     asked = (_ENABLED | level, wanted.delay_before_ms, wanted.delay_after_ms)
     try:
-        # The kernel gives back what it has set, without what the driver cannot do.
+        # The kernel returns the settings that it applied, without those that the driver cannot apply.
         flags, before_ms, after_ms = _RS485.unpack(fcntl.ioctl(descriptor, _TIOCSRS485, _RS485.pack(*asked)))
     except OSError as error:
         if error.errno not in (errno.ENOTTY, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
@@ -160,9 +161,9 @@ def _difference(asked: tuple[int, int, int], given: tuple[int, int, int]) -> str
 
 
 def _named(device: Path, number: int | None) -> OSError:
-    """The error with its sentence. pyserial has no number for what is no serial port at all."""
+    """Return the error with its sentence. pyserial has no error number for a file that is no serial port."""
     if number is None:
         number = errno.ENOTTY
-    elif number == errno.EAGAIN:  # the lock is taken
+    elif number == errno.EAGAIN:  # another program holds the lock
         number = errno.EBUSY
     return OSError(number, _SENTENCES.get(number, os.strerror(number)), str(device))

@@ -1,6 +1,6 @@
-"""A serial port inside the event loop: nothing here blocks, and what is written goes out whole or not at all.
+"""A serial port inside the event loop: no call blocks, and data is sent completely or not at all.
 
-Reading and writing go past pyserial: with a zero timeout its ``write`` spins while the device takes nothing,
+Reading and writing bypass pyserial: with a zero timeout its ``write`` spins while the device accepts nothing,
 and both add system calls that a ready event loop does not need.
 """
 
@@ -22,17 +22,17 @@ from altd.serial_port.opening import LineSettings, close_serial, open_serial
 MAX_READ_BYTES = 4096
 
 CLOSE_TIMEOUT_S = 1.0
-"""Longest wait for closing; a device that takes nothing holds it for 30 s."""
+"""Maximum wait for closing; a device that accepts nothing blocks it for 30 s."""
 
 _THREAD = "serial-port"
 
 
 @contextlib.asynccontextmanager
 async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> AsyncIterator[Port]:
-    """The port, open; raises OSError with a sentence for a technician and the name of the device.
+    """Open the port for the context; raises OSError with a sentence for a technician and the device's name.
 
-    At most ``limit`` bytes wait to go out. ``fresh``: those that the kernel holds count too, for what must
-    not be late; some drivers (cdc_acm) then count a whole buffer for every write that is not out yet.
+    At most ``limit`` bytes wait to be sent. ``fresh``: bytes in the kernel's buffer count too, for data that
+    must not be late; some drivers (cdc_acm) then count a whole buffer for each write that is not sent yet.
     """
     line = LineSettings(settings.baud, settings.parity, settings.stop_bits, settings.rs485)
     opening = call_in_thread(lambda: open_serial(settings.device, line), _THREAD)
@@ -42,7 +42,7 @@ async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> As
         opening.add_done_callback(_close_unwanted)
         raise
     finally:
-        del opening  # an error that came in it refers to this frame
+        del opening  # its exception would refer to this frame
     port = Port(device, limit, fresh)
     try:
         yield port
@@ -63,7 +63,7 @@ class Port:
         self._descriptor: int = device.fileno()
 
     def write(self, data: bytes) -> bool:
-        """Send all of ``data``, or nothing and return False when too much waits already; raises OSError."""
+        """Send all of ``data``, or nothing and return False if too much waits already; raises OSError."""
         try:
             waiting = len(self._rest) + (self._serial.out_waiting if self._fresh else 0)
             if waiting + len(data) > self._limit:
@@ -75,9 +75,9 @@ class Port:
         return True
 
     async def read(self, until: asyncio.Future[Any] | None = None, limit: int = MAX_READ_BYTES) -> bytes:
-        """The next bytes, or none once ``until`` is done; raises OSError when the device is gone.
+        """Return the next bytes, or none once ``until`` is done; raises OSError if the device is gone.
 
-        What is beyond ``limit`` bytes stays with the kernel, whose buffer is the sender's back-pressure.
+        Bytes beyond ``limit`` stay in the kernel's buffer, which limits the sender.
         """
         ready = self._loop.create_future()
 
@@ -104,7 +104,7 @@ class Port:
         return data
 
     def forget(self) -> None:
-        """Drop what still waits to go out."""
+        """Discard the bytes that wait to be sent."""
         self._rest.clear()
         self._loop.remove_writer(self._descriptor)
 
@@ -112,7 +112,7 @@ class Port:
         return OSError(errno.EIO, "the port is gone: unplugged, or switched off?", self._serial.port)
 
     def _push(self) -> None:
-        """Hand the kernel what it takes now; the rest follows when it takes more."""
+        """Write the bytes that the kernel accepts now; the rest follows when it accepts more."""
         with contextlib.suppress(BlockingIOError):
             del self._rest[: os.write(self._descriptor, self._rest)]
         if self._rest:
@@ -123,24 +123,24 @@ class Port:
     def _push_later(self) -> None:
         try:
             self._push()
-        except OSError:  # the next read or write meets it again and raises
+        except OSError:  # the next read or write fails again and raises
             self._loop.remove_writer(self._descriptor)
 
 
 def describe(settings: SerialPortSettings) -> str:
-    """The port in the words of a technician: ``/dev/ttyS1, 9600 baud 8N1``."""
+    """Return the port in a technician's notation: ``/dev/ttyS1, 9600 baud 8N1``."""
     mode = " RS485" if settings.rs485 is not None else ""
     return f"{settings.device}, {settings.baud} baud 8{settings.parity[0].upper()}{settings.stop_bits}{mode}"
 
 
 def seconds_on_line(settings: SerialPortSettings, length: int) -> float:
-    """Duration of ``length`` bytes on the line: start bit, 8 data bits, parity and stop bits for each."""
+    """Return the time of ``length`` bytes on the line, s: each has start, 8 data, parity and stop bits."""
     bits = 1 + 8 + (settings.parity != "none") + settings.stop_bits
     return length * bits / settings.baud
 
 
 def _close_in_thread(device: serial.Serial) -> asyncio.Future[None]:
-    """Done once the port is closed, which may take long."""
+    """Close the port in a thread, for this may take long; return a future that is done then."""
     return call_in_thread(lambda: close_serial(device), _THREAD)
 
 

@@ -8,7 +8,7 @@ from altd.reasons import LEDS_LIT, Reason
 
 
 class Advice(NamedTuple):
-    """The fault, and its remedy."""
+    """Meaning of a fault and its remedy."""
 
     means: str
     remedy: str
@@ -66,11 +66,12 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
         "the unit measures up to": Advice("the beam is too oblique", "turn the unit towards the beam"),
     },
 }
-"""Words of a fault's detail that tell its cause; the tests have them from the code that writes them."""
+"""Words in a fault's detail that identify its cause; the tests compare them with the code that writes
+them."""
 
 
 def advice_of(reason: Reason, detail: str) -> Advice | None:
-    """Fault and remedy, as far as a fault's detail tells; None: no more than its reason."""
+    """Return meaning and remedy as far as a fault's detail determines them; None: only the reason's own."""
     if detail.startswith(LEDS_LIT):
         return _LEDS
     return next((known for words, known in _SEEN.get(reason, {}).items() if words in detail), None)

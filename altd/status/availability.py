@@ -1,4 +1,4 @@
-"""The share of time in which the unit measured: of the last hour, day and 31 days, and since the start."""
+"""Share of time with valid measurements: last hour, day and 31 days, and since the start."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from typing import Any
 from altd.records import utc_text
 
 MAX_GAP_S = 5.0
-"""Time between two looks that are further apart is lost: the process stood still, and measured nothing."""
+"""Maximum time between two observations; a longer gap is lost: the process was stopped and measured
+nothing."""
 
 NOT_WATCHED = "not_watched"
-"""The reason for time that was not observed."""
+"""Reason for time that was not observed."""
 
 NOT_RUNNING = "not_running"
-"""The reason for time before this start in which, by what is on record, no daemon ran."""
+"""Reason for time before this start in which, according to the history, no daemon ran."""
 
 MONTH_S = 31 * 86_400
-"""So far back the time before this start counts."""
+"""Length of the time before this start that is counted."""
 
 _MINUTE_NS = 60 * 10**9
 _HOUR_NS = 60 * _MINUTE_NS
 _SPANS = {"last_hour": (_MINUTE_NS, 60), "last_day": (_MINUTE_NS, 1440), "last_31_days": (_HOUR_NS, 744)}
-"""The counts of each span, and how many of them it has."""
+"""Tally length of each span, ns, and its number of tallies."""
 
 SPANS = (*_SPANS, "since_start")
-"""The keys of ``Availability.as_object``."""
+"""Keys of ``Availability.as_object``."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunningSpan:
-    """Time in which a daemon before this one ran; it ended so many seconds before this one's start.
+    """Time in which an earlier daemon ran; it ended ``ended_s`` before this daemon's start.
 
-    ``valid`` is the share of it in which something valid was measured, ``lost_to`` the worst reason of the
-    rest.
+    ``valid`` is the share of it with valid measurements, ``lost_to`` the worst reason of the rest.
     """
 
     ended_s: float
@@ -47,7 +47,7 @@ class RunningSpan:
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """The time before this start: known for ``known_s``, with the spans in which a daemon ran, newest first.
+    """Time before this start: known for ``known_s``, with the spans in which a daemon ran, newest first.
 
     The spans do not overlap.
     """
@@ -58,7 +58,7 @@ class Before:
 
 @dataclass(slots=True)
 class _Tally:
-    """Time by what it was, ns."""
+    """Valid time and lost time by reason, ns."""
 
     valid_ns: int = 0
     lost_ns: Counter[str] = field(default_factory=Counter)
@@ -90,13 +90,13 @@ class _Tally:
 
 @dataclass(slots=True)
 class _Ring:
-    """Time in pieces of equal length from the start on: the newest of them."""
+    """Time in tallies of equal length since the start; the newest are kept."""
 
     length_ns: int
     tallies: deque[tuple[int, _Tally]]
 
     def add(self, begun_ns: int, end_ns: int, lost_to: str | None) -> None:
-        """Take time, in ns since the start."""
+        """Add a span of time, in ns since the start."""
         while begun_ns < end_ns:
             number = begun_ns // self.length_ns
             until_ns = min((number + 1) * self.length_ns, end_ns)
@@ -106,7 +106,7 @@ class _Ring:
             begun_ns = until_ns
 
     def newest(self, count: int, now_ns: int) -> _Tally:
-        """The sum of the newest pieces, the one that has begun among them."""
+        """Return the sum of the newest tallies, including the current one."""
         now = max(now_ns - 1, 0) // self.length_ns
         whole = _Tally()
         for number, tally in self.tallies:
@@ -116,13 +116,12 @@ class _Ring:
 
 
 class Availability:
-    """Counts on the monotonic clock, which no setting of the time of day moves; a minute is the finest.
+    """Counts on the monotonic clock, which is independent of the time of day, in steps of one minute.
 
-    Time is valid when the measurement was so at both of two looks that follow each other; else it is lost to
-    the reason that was seen later. The hour and the day hold whole minutes and the one that has begun, the 31
-    days hours. Where they reach back behind this start, ``before`` says how it was then; what it does not
-    know is not observed, and a span is shorter than its name says. Memory: a tally for each of 1,440 minutes
-    and 744 hours.
+    Time is valid if the measurement was valid at both of two consecutive observations; otherwise it is lost
+    to the reason observed last. The hour and the day consist of whole minutes and the current one, the 31
+    days of hours. ``before`` gives the time before this start; where it is unknown, time is not observed, and
+    a span is shorter than its name. Memory: a tally for each of 1,440 minutes and 744 hours.
     """
 
     def __init__(self, started_ns: int, utc: Callable[[int], datetime | None] | None = None) -> None:
@@ -140,7 +139,7 @@ class Availability:
         }
 
     def look(self, now_ns: int, lost_to: str | None) -> None:
-        """The unit measures at this moment (None), or why it does not."""
+        """Record that the unit measures at this moment (None), or the reason why it does not."""
         begun_ns, self._last_ns = self._last_ns, now_ns
         before, self._last = self._last, lost_to
         if now_ns - begun_ns > MAX_GAP_S * 1e9:
@@ -153,7 +152,7 @@ class Availability:
             self._since_start.add(now_ns - begun_ns, why)
 
     def as_object(self) -> dict[str, dict[str, Any]]:
-        """Share, valid, observed and lost seconds of each span and since when, as plain JSON types."""
+        """Return each span's share, valid, observed and lost seconds and its start, as plain JSON types."""
         running_ns = self._last_ns - self.started_ns
         spans: dict[str, dict[str, Any]] = {}
         for name, (length_ns, count) in _SPANS.items():
@@ -163,12 +162,12 @@ class Availability:
         return spans | {"since_start": self._as_object(self._since_start)}
 
     def shares(self) -> dict[str, float | None]:
-        """The share of time valid by span; None: nothing was observed."""
+        """Return the valid share of each span; None: nothing was observed."""
         spans = self.as_object()
         return {name: spans[name]["share"] for name in SPANS}
 
     def _add_before(self, whole: _Tally, missing_ns: int) -> None:
-        """Add what is known of so long before this start."""
+        """Add the known part of this time before the start."""
         missing_s = min(missing_ns * 1e-9, self.before.known_s)
         running_s = valid_s = 0.0
         lost_s: dict[str, float] = {}

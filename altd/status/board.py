@@ -15,10 +15,11 @@ _REHEARSAL = Fault(Reason.REHEARSAL)
 
 
 class Board:
-    """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped.
+    """Holds the latest measurement; each waiting reader has its own cursor, which counts skipped ones.
 
-    ``complete`` adds to each measurement what other sensors say. Without ``rehearsal`` a measurement from
-    played or simulated frames, or by a calibration from simulated frames, loses its numbers.
+    ``complete`` adds the values of other sensors to each measurement. Without ``rehearsal``, a measurement
+    loses its numbers if its frames are played or simulated, or its calibration was made from simulated
+    frames.
     """
 
     def __init__(
@@ -31,28 +32,28 @@ class Board:
         rehearsal: bool = False,
     ) -> None:
         self.quantities = quantities
-        """The quantities of its measurements; known before the first."""
+        """Quantities of its measurements; known before the first one."""
         self.stale_after_s = stale_after_s
         self._complete = complete
         self._rehearsal = rehearsal
         self.identity = identity
-        """Whose measurements these are."""
+        """Identity of the unit and session of these measurements."""
         self._clock = clock
         self._started_ns = clock.monotonic_ns()
         self._latest: Measurement | None = None
         self._stale: Measurement | None = None
-        """The record shown once it is stale: always the same one, so that readers recognise it."""
+        """Record shown once the latest is stale: always the same object, so that readers recognise it."""
         self._published_ns = 0
         self._count = 0
         self._changed = asyncio.Event()
 
     @property
     def published(self) -> int:
-        """The number of measurements published so far."""
+        """Number of measurements published so far."""
         return self._count
 
     def publish(self, measurement: Measurement) -> Measurement:
-        """Publish a measurement and wake every reader that waits; returns it as it is published."""
+        """Publish a measurement and wake all waiting readers; returns it as published."""
         published = self._as_live(self._complete(measurement))
         self._latest, self._stale = published, None
         self._published_ns = self._clock.monotonic_ns()
@@ -62,7 +63,7 @@ class Board:
         return published
 
     def _as_live(self, measurement: Measurement) -> Measurement:
-        """The measurement with its numbers if it is live or the unit rehearses; else without them."""
+        """Return the measurement with its numbers if it is live or in rehearsal; else without them."""
         if self._rehearsal:
             return replace(measurement, status=(*measurement.status, _REHEARSAL))
         why = [str(fault.reason) for fault in measurement.status if fault.reason in NOT_FROM_CAMERAS]
@@ -72,27 +73,27 @@ class Board:
         return measurement.without_numbers((not_live, *measurement.status))
 
     async def published_after(self, count: int) -> int:
-        """Wait until the number of measurements published differs from ``count``; that number."""
+        """Wait until the number of published measurements differs from ``count``; return that number."""
         while self._count == count:
             await self._changed.wait()
         return self._count
 
     def running_ns(self) -> int:
-        """Nanoseconds since the board was made, which is when the daemon started."""
+        """Return the nanoseconds since the board was created, at the daemon's start."""
         return self._clock.monotonic_ns() - self._started_ns
 
     def age_s(self) -> float | None:
-        """Seconds since the middle of the latest measurement's window; None before the first."""
+        """Return the seconds since the middle of the latest measurement's window; None before the first."""
         if self._latest is None:
             return None
         return (self._clock.monotonic_ns() - self._latest.t_ns) * 1e-9
 
     def read(self) -> Measurement | None:
-        """The latest measurement; without its numbers and with ``stale`` once nothing follows it.
+        """Return the latest measurement; without numbers and with ``stale`` once it is too old.
 
-        It ages from when its last light fell, not from when it was published: what waited on its way is as
-        old as it is. Frames that are played faster than they were recorded are ahead of the clock; what is
-        made of them ages from when it was published. What other sensors say in it goes by its own age.
+        Its age counts from its last exposure to light, not from its publication, so that delays on the way
+        are included. Frames that are played faster than they were recorded are ahead of the clock; their
+        measurements age from publication. Values of other sensors have their own age.
         """
         latest = self._latest
         if latest is None:
@@ -108,21 +109,21 @@ class Board:
         return self._stale
 
     def cursor(self) -> Cursor:
-        """A reader's own place: what is on the board now counts as not yet seen."""
+        """Return a reader's cursor; the current measurement counts as not yet read."""
         return Cursor(self)
 
 
 class Cursor:
-    """One reader's place on the board."""
+    """One reader's position on the board."""
 
     def __init__(self, board: Board) -> None:
         self._board = board
         self._seen = max(board.published - 1, 0)
         self.skipped = 0
-        """Measurements that were replaced before this reader took them."""
+        """Number of measurements that were replaced before this reader took them."""
 
     async def next(self) -> Measurement:
-        """The latest measurement not yet seen, waiting for one if need be."""
+        """Return the latest measurement not yet read; wait for one if necessary."""
         published = await self._board.published_after(self._seen)
         self.skipped += published - self._seen - 1
         self._seen = published

@@ -1,4 +1,4 @@
-"""Why the unit's state is what it is: causes, held long enough to be seen, and the worst of them."""
+"""Causes of the unit's state, held long enough to be noticed, and the worst of them."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from altd.status.availability import Availability
 from altd.status.conditions import Condition
 
 Kind = Reason | Condition
-"""The common part of both tables of causes: code, signal, brief, remedy, meaning."""
+"""Common type of both tables of causes: code, signal, brief, remedy, meaning."""
 
 HOLD_S = 2.0
-"""A cause is shown for so long after it was last true: polling at 1 Hz sees every one, and one that
-comes and goes with the exposures is one cause and not twenty a second."""
+"""Time a cause is still shown after it was last true, s. Polling at 1 Hz sees every one, and a cause that
+toggles with the frames is one cause, not twenty per second."""
 
 MAINTENANCE_DELAY_S = 10.0
-"""Before maintenance is asked for, its cause was true for so long, with pauses of no more than this: a frame
-that is lost now and then calls no technician. What is worse than maintenance is shown at once, for a state
+"""Time a cause must be true before maintenance is required, and the longest pause in it, s. An occasional
+lost frame does not require a technician. Anything worse than maintenance is shown at once, because a state
 must never be better than the measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Something that is wrong now; ``of`` names the target or component, None: the whole unit."""
+    """A present fault; ``of`` names the target or component, None: the whole unit."""
 
     kind: Kind
     of: str | None = None
@@ -33,14 +33,14 @@ class Cause:
 
     @property
     def remedy(self) -> str:
-        """Its remedy, as far as its detail tells."""
+        """Remedy of the cause, as far as its detail determines it."""
         seen = advice_of(self.kind, self.detail) if isinstance(self.kind, Reason) else None
         return self.kind.remedy if seen is None else seen.remedy
 
 
 @dataclass(frozen=True, slots=True)
 class ShownCause:
-    """A cause, since when it is there (monotonic ns), whether it is true just now, how often it came."""
+    """A cause, its begin (monotonic ns), whether it is true now, and its number of occurrences."""
 
     cause: Cause
     since_ns: int
@@ -49,12 +49,12 @@ class ShownCause:
 
     @property
     def signal(self) -> Signal:
-        """The signal of the unit for it."""
+        """Signal of the unit for this cause."""
         return signal_of(self.cause.kind)
 
 
 def signal_of(kind: Kind) -> Signal:
-    """The signal of a cause. A fault is never good, not even where its table has that."""
+    """Return the signal of a cause. A fault is never good, even if its table states that."""
     signal = getattr(kind, "signal", None)
     if not isinstance(signal, Signal) or signal is Signal.GOOD:
         return Signal.FAILURE
@@ -62,7 +62,7 @@ def signal_of(kind: Kind) -> Signal:
 
 
 def worst(causes: Iterable[ShownCause]) -> Signal:
-    """The signal that is shown for all of them; good when there are none."""
+    """Return the signal that is shown for all causes; good if there are none."""
     return max((cause.signal for cause in causes), key=lambda signal: signal.severity, default=Signal.GOOD)
 
 
@@ -76,13 +76,13 @@ class _Seen:
 
 
 class CauseFilter:
-    """Holds causes that come and go, so that the state does not flicker; time is handed in."""
+    """Holds intermittent causes, so that the state does not flicker; the caller passes the time."""
 
     def __init__(self) -> None:
         self._seen: dict[tuple[Kind, str | None], _Seen] = {}
 
     def update(self, causes: Iterable[Cause], now_ns: int) -> tuple[ShownCause, ...]:
-        """Take what is wrong at this moment; returns what is shown, the worst first, then the oldest."""
+        """Update with the present causes; returns the shown ones, the worst first, then the oldest."""
         now = {(cause.kind, cause.of): cause for cause in causes}
         for key, seen in list(self._seen.items()):
             if key not in now:
@@ -117,7 +117,7 @@ def _is_shown(seen: _Seen) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class StateReport:
-    """The unit's state at one moment: what is shown, since when, and every cause."""
+    """State of the unit at one moment: its signal, since when, and every cause."""
 
     signal: Signal
     since_ns: int
@@ -127,7 +127,7 @@ class StateReport:
 
     @property
     def needs_attention(self) -> bool:
-        """Whether something beside the measurement is wrong just now that needs attention."""
+        """Whether a fault other than the measurement's needs attention now."""
         return any(
             isinstance(shown.cause.kind, Condition)
             and shown.is_active
@@ -136,7 +136,7 @@ class StateReport:
         )
 
     def as_object(self) -> dict[str, object]:
-        """The state as plain JSON types."""
+        """Return the state as plain JSON types."""
         return {
             "signal": str(self.signal),
             "number": self.signal.number,

@@ -1,4 +1,4 @@
-"""The present faults, by the latest measurement and by the reports of the components."""
+"""Present faults, from the latest measurement and the components' reports."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from altd.status.conditions import Condition
 from altd.status.health import MEASURING, Component, State
 
 START_S = 2.0
-"""A daemon that started so recently is starting, whatever else it says: cameras take time to open."""
+"""Time after the daemon's start during which the unit counts as starting: cameras take time to open, s."""
 
 MAX_START_S = 15.0
-"""A component that is still starting after this long does not come up."""
+"""Time after which a component that is still starting counts as not started, s."""
 
 _WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAILED}
-"""Reasons that are no failure while the unit starts."""
+"""Reasons that are not a failure while the unit starts."""
 
 _FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "opcua", "local", "serial"}
-"""The first words of the names of components that are interfaces to the outside."""
+"""First words of the names of components that are external interfaces."""
 
 
 def causes_now(
     measurement: Measurement | None, components: Iterable[Component], now_ns: int, running_s: float
 ) -> list[Cause]:
-    """Every cause that is true at this moment, of a daemon that runs for so long.
+    """Return every cause that is true now, for a daemon that has run for ``running_s``.
 
-    ``measurement`` is what the board shows now; None: nothing yet.
+    ``measurement`` is the board's current one; None: nothing yet.
     """
     causes = [*_of_measurement(measurement), *_of_components(components, now_ns)]
     is_measuring = measurement is not None and measurement.valid
@@ -57,7 +57,7 @@ def _of_fault(fault: Fault) -> Cause:
 
 
 def is_warning(fault: Fault) -> bool:
-    """Whether a measurement with this fault may be valid; a reason that is not known is no warning."""
+    """Whether a measurement with this fault may be valid; an unknown reason is not a warning."""
     return isinstance(fault.reason, Reason) and fault.reason.is_warning
 
 
@@ -71,7 +71,7 @@ def _of_components(components: Iterable[Component], now_ns: int) -> Iterator[Cau
 
 
 def _of_component(component: Component, now_ns: int) -> Condition | None:
-    """The meaning of a component's state for the unit; None: no fault, or one of the measurement."""
+    """Return the condition of a component's state; None: no fault, or one that the measurement reports."""
     first_word = component.name.partition(" ")[0]
     match component.state:
         case State.OK:

@@ -1,7 +1,7 @@
 """Faults of the unit beside the measurement's own reasons: the second table of causes.
 
-A measurement says in ``altd.reasons`` why it is invalid. What is here alone never makes it invalid; it is
-why the unit as a whole is not good. Codes are contracts, as those of reasons are.
+The reasons in ``altd.reasons`` make a measurement invalid. A condition of this table never makes it invalid,
+but the unit as a whole is not good. Codes are contracts, like those of reasons.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _SEE_STATUS = "see what `status` says of it"
 
 
 class Condition(StrEnum):
-    """A row of the table: code, signal, brief, remedy, meaning, as those of ``altd.reasons.Reason``."""
+    """A row of the table: code, signal, brief, remedy, meaning, as in ``altd.reasons.Reason``."""
 
     STARTING = (
         "starting", _CHECK_FUNCTION,
@@ -156,7 +156,7 @@ class Condition(StrEnum):
     meaning: str
 
     def __new__(cls, code: str, signal: Signal, brief: str, remedy: str, meaning: str) -> Condition:
-        """A member that is equal to its code."""
+        """Create a member that is equal to its code."""
         condition = str.__new__(cls, code)
         condition._value_ = code
         condition.signal = signal

@@ -12,31 +12,31 @@ from altd.errors import one_line
 from altd.ports import Clock
 
 MAX_EVENTS = 1000
-"""In memory; older ones are in the history alone."""
+"""Maximum number of events in memory; only the history has older ones."""
 
 MAX_ASKED_EVENTS = 250
-"""In memory beside them, of the kinds that anybody on the network can bring about."""
+"""Maximum number in memory, in addition, of the kinds that any client on the network can cause."""
 
 MAX_OF_ONE_IN_WINDOW = 10
-"""Events of one kind about one thing that are noted in ``WINDOW_S``; the others are counted."""
+"""Maximum number of noted events of one kind and subject in ``WINDOW_S``; others are counted."""
 
 MAX_IN_WINDOW = 200
-"""Events of any kind in that time."""
+"""Maximum number of noted events of all other kinds in ``WINDOW_S``."""
 
 MAX_ASKED_IN_WINDOW = 50
-"""Beside them, of the kinds that anybody on the network can bring about."""
+"""Maximum number, in addition, of the kinds that any client on the network can cause."""
 
 WINDOW_S = 60.0
 MAX_TEXT_CHARACTERS = 500
 _NO_TIME = datetime.fromtimestamp(0, UTC)
-"""Of a clock that does not know UTC, which no daemon has."""
+"""Time of events if the clock does not provide UTC, which no daemon's clock does."""
 
 
 class EventKind(StrEnum):
-    """A row of the table: code, severity where nothing else is said, meaning.
+    """A row of the table: code, default severity, meaning.
 
-    The severity is that of the unit's signals, 0 good to 4 failure. The history drops the oldest of the
-    least severe first, so what is rare and explains much ranks higher than its harm.
+    The severity is that of the unit's signals, 0 good to 4 failure. The history drops the oldest of the least
+    severe events first. Rare events that explain much therefore rank higher than their harm.
     """
 
     STARTED = "started", 2, "the daemon started"
@@ -58,7 +58,7 @@ class EventKind(StrEnum):
     meaning: str
 
     def __new__(cls, code: str, severity: int, meaning: str) -> EventKind:
-        """A member that is equal to its code."""
+        """Create a member that is equal to its code."""
         kind = str.__new__(cls, code)
         kind._value_ = code
         kind.severity, kind.meaning = severity, meaning
@@ -66,17 +66,17 @@ class EventKind(StrEnum):
 
 
 ASKED = frozenset({EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK})
-"""Events that any client on the network can cause, again and again. They have bounds of their own, here and
-in the history: their number does not displace a state or a cause."""
+"""Events that any client on the network can cause repeatedly. They have separate limits, here and in the
+history, so that their number does not displace a state or a cause."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened.
+    """An event of the unit.
 
     ``number`` counts the events of this daemon from 1, ``of`` names the target, component or interface,
-    ``detail`` holds plain JSON types. ``held_back`` are those of its kind before it that were counted and not
-    noted; ``is_recorded``: the history has it already.
+    ``detail`` contains plain JSON types. ``held_back`` is the number of earlier events of its kind that were
+    only counted; ``is_recorded``: the history contains it already.
     """
 
     number: int
@@ -93,7 +93,7 @@ class Event:
 
 @dataclass(slots=True)
 class _Window:
-    """Events of one kind about one thing since ``begun_ns``; ``last`` is the newest that was held back."""
+    """Events of one kind and subject since ``begun_ns``; ``last`` is the newest that was held back."""
 
     begun_ns: int
     noted: int = 0
@@ -102,14 +102,14 @@ class _Window:
 
 
 _Key = tuple[EventKind, str | None, object]
-"""A repeated event is recognised by this: kind, what it is about, and the code of a cause."""
+"""Identity of a repeated event: its kind, its subject, and the code of a cause."""
 
 
 class EventLog:
-    """Takes events of one daemon, keeps the newest, and limits those that repeat.
+    """Accepts events of one daemon, keeps the newest, and limits repeated ones.
 
-    What flaps is noted ``MAX_OF_ONE_IN_WINDOW`` times; then the newest of those held back follows when the
-    window ends, with the number of the others: the last that is noted is always how things are.
+    A toggling event is noted ``MAX_OF_ONE_IN_WINDOW`` times. When the window ends, the newest event held back
+    is noted with the number of the others, so the last noted event always gives the present state.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -120,7 +120,7 @@ class EventLog:
         self._windows: dict[_Key, _Window] = {}
         self._begun_ns = clock.monotonic_ns()
         self._room: dict[bool, int] = {}
-        """Remaining numbers of events that are noted in this time: of those asked for, and of the rest."""
+        """Remaining number of events in this window: client-caused ones (True) and the rest (False)."""
         self._make_room(self._begun_ns)
 
     def note(
@@ -131,9 +131,9 @@ class EventLog:
         severity: int | None = None,
         detail: Mapping[str, object] | None = None,
     ) -> None:
-        """Something happened just now; ``severity`` None: that of its kind.
+        """Note an event that happened now; ``severity`` None: that of its kind.
 
-        Control letters in its words are written as escapes.
+        Control characters in its texts are written as escapes.
         """
         now_ns = self.clock.monotonic_ns()
         self.release(now_ns)
@@ -147,7 +147,7 @@ class EventLog:
         )
 
     def note_recorded(self, kind: EventKind, text: str, detail: Mapping[str, object]) -> None:
-        """Something that the history found out, and has written already."""
+        """Note a finding of the history that it has written already."""
         self._keep(replace(self._event(kind, text, detail), is_recorded=True), _Window(0))
 
     def _event(self, kind: EventKind, text: str, detail: Mapping[str, object]) -> Event:
@@ -167,7 +167,7 @@ class EventLog:
             window.last = event
 
     def release(self, now_ns: int) -> None:
-        """Note what was held back where its time is over; called regularly, so that the last one comes."""
+        """Note held-back events whose window has ended; call regularly, so that the last one is noted."""
         if now_ns - self._begun_ns >= WINDOW_S * 1e9:
             self._make_room(now_ns)
         for key, window in list(self._windows.items()):
@@ -183,11 +183,11 @@ class EventLog:
 
     @property
     def count(self) -> int:
-        """The number of events noted so far."""
+        """Number of events noted so far."""
         return self._count
 
     def after(self, number: int) -> list[Event]:
-        """The events with a larger number that are still in memory, oldest first."""
+        """Return the events with a larger number that are still in memory, oldest first."""
         if number >= self._count:
             return []
         events = sorted((*self._asked, *self._others), key=lambda event: event.number)
@@ -202,7 +202,7 @@ class EventLog:
             is_asked = key[0] in ASKED
             alike = sum((kind in ASKED) is is_asked for kind, _, _ in self._windows)
             if alike >= (MAX_ASKED_IN_WINDOW if is_asked else MAX_IN_WINDOW):
-                key = (key[0], None, None)  # names without end cost no memory without end
+                key = (key[0], None, None)  # limits the memory if names never repeat
         return self._windows.setdefault(key, _Window(now_ns))
 
     def _keep(self, event: Event, window: _Window) -> None:

@@ -1,4 +1,4 @@
-"""The reports of the components, for the technician and for the status pages."""
+"""Reports of the components, for the technician and for the status pages."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from altd.status.zero import Zero
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticPart:
-    """``name`` is the file's, ``meaning`` says in a few words what it is.
+    """One file of the diagnostics; ``meaning`` describes it in a few words.
 
-    ``make`` gives its content, in a thread; whatever it raises costs this part only.
+    ``make`` returns its content and runs in a thread; an exception in it loses only this part.
     """
 
     name: str
@@ -28,17 +28,17 @@ class DiagnosticPart:
 
 
 MEASURING = "measuring"
-"""The component that does as the latest measurement does."""
+"""Name of the component whose state follows the latest measurement."""
 
 FIGURE_AGE_S = 2.5
-"""A figure is current for so long after it was observed; silence itself is observed at least every 2 s."""
+"""Maximum age of a current figure, s; components observe at least every 2 s, even without data."""
 
 Message = str | Callable[[int], str]
-"""A sentence; one that holds a time is made again when it is read, from the monotonic ns of that moment."""
+"""A sentence, or a function of the current monotonic ns for a sentence that contains a time."""
 
 
 class State(StrEnum):
-    """The condition of a component."""
+    """State of a component."""
 
     STARTING = "starting"
     OK = "ok"
@@ -61,17 +61,17 @@ class Component:
     silent_after_s: float | None = None
     """Longest interval between reports of a live component; None: it reports changes only."""
     data_given: int = 0
-    """Deliveries of data to clients, on request or unasked, counted: what the Data lamp shows."""
+    """Number of data deliveries to clients, requested or not; the Data lamp shows them."""
     _message: Message = ""
     _figures: dict[str, tuple[float | str | None, int]] = field(default_factory=dict)
 
     @property
     def message(self) -> str:
-        """The sentence that explains the state, true at this moment."""
+        """Sentence that explains the state at this moment."""
         return self._message if isinstance(self._message, str) else self._message(self.clock.monotonic_ns())
 
     def set_state(self, state: State, message: Message = "") -> None:
-        """Set the state; ``since_ns`` moves only when the state changes."""
+        """Set the state; ``since_ns`` changes only with the state."""
         self.heard_ns = self.clock.monotonic_ns()
         if state is not self.state:
             self.since_ns = self.heard_ns
@@ -79,7 +79,7 @@ class Component:
         self._message = message
 
     def expect(self, silent_after_s: float) -> None:
-        """From now on it is to be heard of at least so often."""
+        """Require a report at least this often from now on."""
         self.silent_after_s = silent_after_s
         self.heard_ns = self.clock.monotonic_ns()
 
@@ -88,7 +88,7 @@ class Component:
         self.heard_ns = self.clock.monotonic_ns()
 
     def silent_s(self, now_ns: int) -> float | None:
-        """For how long nothing was heard of it, where that is longer than it should be; None: it is not."""
+        """Return the time since the last report if it is longer than allowed; None: it is not."""
         quiet_s = (now_ns - self.heard_ns) * 1e-9
         if self.silent_after_s is None or quiet_s <= self.silent_after_s or self.state is State.ENDED:
             return None
@@ -99,9 +99,9 @@ class Component:
         self.counters[counter] = self.counters.get(counter, 0) + by
 
     def observe(self, figures: Mapping[str, float | str | None]) -> None:
-        """Its current figures, by names that end in the unit; None: not known.
+        """Set current figures, by names that end in the unit; None: not known.
 
-        A number that is none counts as not known: JSON has no NaN, and one would hide all the others.
+        A non-finite number counts as not known: JSON has no NaN, and one would make all others unreadable.
         """
         now_ns = self.clock.monotonic_ns()
         self._figures |= {
@@ -111,19 +111,19 @@ class Component:
 
     @property
     def figures(self) -> dict[str, float | str | None]:
-        """Its figure; None: not known, or observed too long ago to be true now."""
+        """Current figures by name; None: not known, or too old to be true now."""
         oldest_ns = self.clock.monotonic_ns() - round(FIGURE_AGE_S * 1e9)
         return {
             name: figure if at_ns >= oldest_ns else None for name, (figure, at_ns) in self._figures.items()
         }
 
     def gave_data(self) -> None:
-        """Data went out: an answer, a telegram, an event."""
+        """Count a delivery of data: a response, a telegram, an event."""
         self.data_given += 1
 
 
 class Health:
-    """The components of one daemon, in the order in which they came up."""
+    """Components of one daemon, in the order in which they started."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -131,7 +131,7 @@ class Health:
         self.facts: dict[str, str] = {}
         """Constants while the daemon runs: serial, version, calibration."""
         self.targets: tuple[TargetArea, ...] = ()
-        """In beam order."""
+        """Targets in beam order."""
         self.events = EventLog(clock)
         self.self_check = SelfCheckService(self.events)
         self.zero = Zero(self.events)
@@ -141,23 +141,23 @@ class Health:
         self.diagnostics: tuple[DiagnosticPart, ...] = ()
         """Contents of the diagnostics beyond what every interface shows."""
         self.state: Callable[[], StateReport | None] = lambda: None
-        """The unit's state at this moment; None: it is not determined."""
+        """Returns the unit's present state; None: it is not determined."""
 
     def component(self, name: str) -> Component:
-        """The component of that name, new when it is not known yet."""
+        """Return the component of that name; create it if it does not exist."""
         if name not in self._components:
             self._components[name] = Component(name, self.clock, since_ns=self.clock.monotonic_ns())
         return self._components[name]
 
     def remove(self, name: str) -> None:
-        """Forget a component that the settings have no more."""
+        """Remove a component that is no longer in the settings."""
         self._components.pop(name, None)
 
     def __iter__(self) -> Iterator[Component]:
         return iter(self._components.values())
 
     def as_object(self) -> Mapping[str, object]:
-        """All of it as plain JSON types."""
+        """Return facts, state and components as plain JSON types."""
         now_ns = self.clock.monotonic_ns()
         report = self.state()
         found = (
@@ -182,7 +182,7 @@ class Health:
 
 
 def duration(seconds: float) -> str:
-    """A span of time in its two largest units; below 10 s in tenths."""
+    """Format a span of time in its two largest units; below 10 s in tenths."""
     minutes, hours, days = seconds / 60, seconds / 3600, seconds / 86400
     if seconds < 10:
         return f"{max(round(1e3 * seconds), 0) // 100 / 10:.1f} s"

@@ -1,7 +1,7 @@
-"""Parts that need maintenance, or are outside the specification, before a measurement is invalid by them.
+"""Parts that need maintenance, or exceed the specification, before they make a measurement invalid.
 
-Each class is a watch of ``altd.status.state``: asked for an instant of the monotonic clock it says what is
-wrong then.
+Each class is a watch of ``altd.status.state``: called for an instant of the monotonic clock, it yields the
+faults at that instant.
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from altd.status.conditions import Condition
 from altd.status.health import Component
 
 TEMPERATURE_HYSTERESIS_K = 1.0
-"""A limit that was passed holds until the temperature is back by so much."""
+"""Distance inside a limit, K, that the temperature must reach before the limit no longer counts as passed."""
 
 _RECOVERY = 1.1
-"""Hysteresis: a value that fell below a share is good again at so many times of it; above, at the inverse."""
+"""Hysteresis factor: a value below its limit is good again above the limit times this; for an upper limit,
+below the limit divided by it."""
 
 _MAX_CLOCK_ERROR = timedelta(days=1)
-"""Time zones and slow clocks make a day; more is a clock that was never set."""
+"""Maximum clock error: time zones and slow clocks explain a day; above it, the clock was never set."""
 
 
 class CalibrationAge:
-    """Whether the calibration is due, by the time of day: it was made on another computer.
+    """Whether the calibration is due, by the time of day because it was made on another computer.
 
-    A time without a zone, as a file that was written by hand may have it, is taken for UTC.
+    A time without a zone, possible in a file written by hand, counts as UTC.
     """
 
     def __init__(self, created: datetime, due_days: float, utc: Callable[[int], datetime | None]) -> None:
@@ -40,7 +41,7 @@ class CalibrationAge:
         self._utc = utc
 
     def __call__(self, now_ns: int) -> Iterator[Cause]:
-        """Nothing where the time of day is not known."""
+        """Yield the fault, if any; none while the time of day is not known."""
         now = self._utc(now_ns)
         if now is None:
             return
@@ -58,14 +59,14 @@ class CalibrationAge:
 
 @dataclass(frozen=True, slots=True)
 class TemperatureLimits:
-    """The limits of a temperature, °C."""
+    """Limits of a temperature, °C."""
 
     lowest: float
     highest: float
 
 
 class Temperatures:
-    """Whether temperatures are within their limits; one that is not known is said by its component."""
+    """Whether temperatures are within their limits; an unknown one is its component's fault."""
 
     def __init__(
         self, limits: Mapping[str, TemperatureLimits], component: Callable[[str], Component]
@@ -74,7 +75,7 @@ class Temperatures:
         self._passed: dict[str, Condition] = {}
 
     def __call__(self, now_ns: int) -> Iterator[Cause]:
-        """Each temperature that is too low or too high."""
+        """Yield each temperature that is too low or too high."""
         for name, (component, limits) in self._limits.items():
             celsius = component.figures.get("celsius")
             if not isinstance(celsius, float):
@@ -98,9 +99,9 @@ def _passed_limit(celsius: float, limits: TemperatureLimits, before: Condition |
 
 
 class SpotTrends:
-    """The trends of each target's light, residuals and dust, against what they may become.
+    """Trends of each target's light, residuals and dust, compared with their limits.
 
-    ``targets`` names the target of each camera.
+    ``targets`` maps each camera to its target.
     """
 
     def __init__(self, targets: Mapping[str, str], limits: Maintenance) -> None:
@@ -113,7 +114,7 @@ class SpotTrends:
         self._warned: set[tuple[Condition, str]] = set()
 
     def add(self, located: Located) -> None:
-        """Take what was located in a frame."""
+        """Add a frame's located spot."""
         if isinstance(located.spot, NoSpot):
             return
         target = self._target_of[located.camera]
@@ -124,7 +125,7 @@ class SpotTrends:
         self.residual[target].add(located.t_ns, residual_share(located.spot))
 
     def __call__(self, now_ns: int) -> Iterator[Cause]:
-        """Each target whose light has fallen, whose residuals have risen or that is dusty."""
+        """Yield each target with too little light, too large residuals or dust."""
         for target in self._targets:
             share = self.light[target].figures.share
             if self._is_below(Condition.LASER_WEAK, target, share, self._limits.min_light_share):
@@ -139,7 +140,7 @@ class SpotTrends:
                 yield Cause(Condition.DUSTY, target, f"{covered:.2%} of the area under the spot are covered")
 
     def _is_below(self, condition: Condition, target: str, value: float | None, limit: float) -> bool:
-        """Whether a value is too small; after that, until it is well above."""
+        """Whether a value is below its limit; after a warning, until it is well above."""
         limit *= _RECOVERY if (condition, target) in self._warned else 1
         return self._warns(condition, target, is_bad=value is not None and value < limit)
 

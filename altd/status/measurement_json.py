@@ -13,13 +13,13 @@ from altd.status.board import Board
 from altd.status.proof import Stamp, sealed
 
 _KNOWN_DECIMALS = 4
-"""Of where a stage put the beam, mm, and of what a measurement differs from it."""
+"""Decimals of the stage's beam position, mm, and of a measurement's difference from it."""
 _AGE_DECIMALS = 3
 _REASONS = frozenset(map(str, Reason))
 
 
 def as_object(measurement: Measurement) -> dict[str, Any]:
-    """The measurement as plain JSON types; what is not known is None, never a number."""
+    """Return the measurement as plain JSON types; an unknown value is None, never a number."""
     quantities, codes = measurement.quantities, [str(fault) for fault in measurement.status]
     return {
         "sequence": measurement.sequence,
@@ -37,10 +37,10 @@ def as_object(measurement: Measurement) -> dict[str, Any]:
 
 
 def as_object_now(measurement: Measurement, age_s: float | None) -> dict[str, Any]:
-    """The same as it is sent while the unit runs, ``age_s`` after the middle of the exposures.
+    """Return the object as sent by a running unit, ``age_s`` after the middle of the exposures.
 
-    With ``rates``, per second and with their ``sigma``, and ``sigma_now``: the standard deviation as a
-    statement about the truth at that age. None: not known.
+    Adds ``rates``, per second and with their ``sigma``, and ``sigma_now``: the standard deviation as a
+    statement about the true value at that age. None: not known.
     """
     quantities = [quantity for quantity in measurement.quantities.of_unit if quantity.has_sigma]
     rates = measurement.rates
@@ -59,9 +59,9 @@ def as_object_now(measurement: Measurement, age_s: float | None) -> dict[str, An
 
 
 def as_scan_object(measurement: Measurement, known_mm: tuple[float, float]) -> dict[str, Any]:
-    """The same of a scan, where the stage put the beam at (x, y) mm on every target: with the difference.
+    """Return the object of a scan whose stage put the beam at (x, y) mm on every target.
 
-    ``known_x_mm``, ``known_y_mm``, and measured minus known as ``dx_mm``, ``dy_mm``, of the displacement
+    Adds ``known_x_mm``, ``known_y_mm``, and measured minus known as ``dx_mm``, ``dy_mm``, of the displacement
     and of each target.
     """
     document = as_object(measurement)
@@ -87,9 +87,9 @@ def _values(
 def targets_object(
     quantities: Quantities, targets: Iterable[str], known: Callable[[str], Value | None], codes: Sequence[str]
 ) -> dict[str, Any]:
-    """The values of each target by its name; those of a row below ``targets``, with status and place.
+    """Return each target's values by name; targets of a row below ``targets``, with status and place.
 
-    ``known`` gives the value of a key of the unit, or of ``TARGET.KEY``. ``codes`` are those of the
+    ``known`` returns the value of a key of the unit, or of ``TARGET.KEY``. ``codes`` are those of the
     measurement.
     """
     if not quantities.has_places:
@@ -130,7 +130,7 @@ def _number(value: Value | None) -> float | None:
 
 
 def _sensors(measurement: Measurement) -> dict[str, Any]:
-    """State and age of each sensor's value; empty where no such sensor is fitted."""
+    """Return state and age of each sensor's value; empty if no such sensor is fitted."""
     if not measurement.from_sensors:
         return {}
     return {
@@ -146,7 +146,7 @@ def _rate(rates: Mapping[str, Value], quantity: Quantity, field: str) -> float |
 
 
 def _difference(values: Mapping[str, Value], known_mm: Mapping[str, float]) -> dict[str, float | None]:
-    """Measured minus known, of x and y."""
+    """Return measured minus known, of x and y."""
     return {
         f"d{axis}_mm": _rounded(
             values[f"{axis}_mm"].value - known if f"{axis}_mm" in values else None, _KNOWN_DECIMALS
@@ -160,11 +160,11 @@ def _rounded(value: float | None, decimals: int) -> float | None:
 
 
 PROOF_KEYS = ("unit", "session", "message", "published", "clock_ms", "age_s", "crc32")
-"""The keys that follow those of the measurement, in this order."""
+"""Keys that follow those of the measurement, in this order."""
 
 
 def proof_of(board: Board, stamp: Stamp) -> dict[str, Any]:
-    """The keys before ``crc32``, of what is on the board at this moment."""
+    """Return the keys before ``crc32``, for the board's present content."""
     identity, age_s = stamp.identity, board.age_s()
     return {
         "unit": _hexadecimal(identity.unit),
@@ -177,20 +177,20 @@ def proof_of(board: Board, stamp: Stamp) -> dict[str, Any]:
 
 
 def checked_line(board: Board, measurement: Measurement, stamp: Stamp) -> str:
-    """The current reading of the board, as one line of JSON without the line end, with its proof."""
+    """Return the board's current reading with its proof, as one line of JSON without the line end."""
     return with_proof(as_object_now(measurement, board.age_s()), board, stamp)
 
 
 def with_proof(document: Mapping[str, Any], board: Board, stamp: Stamp) -> str:
-    """A document as one line of JSON, behind its keys those of the proof.
+    """Return a document as one line of JSON, with the keys of the proof at its end.
 
-    The last member is ``crc32``: of all bytes before ``, "crc32":``, as they are sent.
+    The last member is ``crc32`` of all bytes before ``, "crc32":``, as they are sent.
     """
     return sealed(line_of({**document, **proof_of(board, stamp)}))
 
 
 def reserved_names(quantities: Quantities) -> frozenset[str]:
-    """The keys of the measurement object in any of its forms, whose place no target may take."""
+    """Return the keys of the measurement object in any of its forms; no target may have such a name."""
     sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
     without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
     objects = as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0))

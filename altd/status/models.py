@@ -1,6 +1,6 @@
-"""The shape of what several interfaces send, as pydantic models: schemas are made of them.
+"""Shape of what several interfaces send, as pydantic models from which schemas are made.
 
-The documents themselves are made elsewhere, byte for byte; the tests hold them against these.
+Other modules write the documents, byte for byte; tests compare them with these models.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from altd.records.sensors import Quality
 
 
 class Answer(BaseModel):
-    """An object whose keys are all named here."""
+    """An object without keys other than those listed here."""
 
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class Cause(Answer):
-    """Something that is wrong, with what to do about it."""
+    """A fault and its remedy."""
 
     code: str
     signal: Signal
     of: str | None
-    """The target or component; null: the whole unit."""
+    """Name of the target or component; null: the whole unit."""
     active: bool
-    """Whether it is true just now; else it is shown for a while after."""
+    """Whether it is true now; otherwise it is still shown for a while."""
     for_s: float
     times: int
     brief: str
@@ -40,25 +40,25 @@ class Cause(Answer):
 
 
 class UnitState(Answer):
-    """The unit's state in the signals of NAMUR NE 107."""
+    """State of the unit in the signals of NAMUR NE 107."""
 
     signal: Signal
     number: int
     """Number of the signal in OPC 10000-100, table 22."""
     for_s: float
     causes: list[Cause]
-    """The worst first."""
+    """Causes, the worst first."""
 
 
 class Sensor(Answer):
-    """State and age of the value of another sensor when the measurement was published."""
+    """State and age (s) of another sensor's value when the measurement was published."""
 
     quality: Quality
     age_s: float | None
 
 
 def measurement_model(quantities: Quantities) -> type[BaseModel]:
-    """The measurement of a unit with these quantities, as ``altd/status/measurement_json.py`` writes it."""
+    """Return the model of a measurement, as ``altd/status/measurement_json.py`` writes it."""
     with_sigma = [quantity for quantity in quantities.of_unit if quantity.has_sigma]
     of_target = _numbers("TargetValues", "The values of one target.", quantities.of_target, "")
     sigma = _numbers("Sigma", "Combined standard uncertainties (1 sigma) of the means.", with_sigma, "")
@@ -68,9 +68,9 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
     rates = _numbers("Rates", "How fast quantities change.", with_sigma, "_per_s", sigma=sigma_rates)
 
     class Measurement(Answer):
-        """One measurement. Use its numbers only when `valid` is true; what is not known is null.
+        """One measurement. Use its numbers only when `valid` is true; null means not known.
 
-        Next to the keys that are named here there is one for each target, by the target's name.
+        In addition to the keys listed here, there is one key for each target, with the target's name.
         """
 
         model_config = ConfigDict(extra="allow")
@@ -80,23 +80,23 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         """UTC, ISO 8601, of the middle of the exposures."""
         t_s: float
         frames: int
-        """Exposures that were averaged."""
+        """Number of averaged exposures."""
         valid: bool
         status: list[str]
-        """The codes of reasons and warnings."""
+        """Codes of reasons and warnings."""
         sensors: dict[str, Sensor] = Field(default={})
-        """Only where another sensor is fitted."""
+        """State of each other sensor's value; only if another sensor is fitted."""
         unit: str | None
         session: str | None
-        """Drawn by chance at the start of the daemon."""
+        """Random number, drawn at the start of the daemon."""
         message: int
         published: int
-        """Measurements since the start of the daemon."""
+        """Number of measurements since the start of the daemon."""
         clock_ms: int
         age_s: float | None
-        """Seconds from the middle of the exposures until it was sent."""
+        """Time from the middle of the exposures until sending, s."""
         crc32: str
-        """Of all bytes before `, "crc32":`."""
+        """CRC-32 of all bytes before `, "crc32":`."""
 
     of_row = place_model(quantities)
     beside: dict[str, Any] = (
@@ -118,7 +118,7 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
 
 
 def place_model(quantities: Quantities) -> type[BaseModel] | None:
-    """One target of a row with its place, below ``targets``; None: the instrument is no row."""
+    """Return the model of a row's target, below ``targets``; None: the instrument is not a row."""
     first = next((each.place for each in quantities.of_unit if each.place), None)
     if first is None:
         return None
@@ -145,7 +145,7 @@ def place_model(quantities: Quantities) -> type[BaseModel] | None:
 def _numbers(
     name: str, meaning: str, quantities: Sequence[Quantity], suffix: str, sigma: type[BaseModel] | None = None
 ) -> type[BaseModel]:
-    """An object with a number, or null, for each quantity."""
+    """Return the model of an object with a number, or null, for each quantity."""
     more: dict[str, Any] = {} if sigma is None else {"sigma": (sigma, ...)}
     return create_model(name, __base__=Answer, __doc__=meaning, **_fields(quantities, suffix), **more)
 

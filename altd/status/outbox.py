@@ -1,8 +1,7 @@
-"""The messages between a unit's outbox and the ingest, as both sides read them.
+"""Messages between a unit's outbox and the ingest, as both sides read them.
 
-A batch states ``first`` to ``last``: each sequence in it is a row, or was dropped by the unit.
-``file`` is a history, ``stream`` one opening of it. The reader of a batch checks its CRC first
-(``proof.is_sealed``).
+A batch states ``first`` to ``last``: each sequence in it is a row, or was dropped by the unit. ``file`` is a
+history, ``stream`` one opening of it. The reader of a batch checks its CRC first (``proof.is_sealed``).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from altd.status.proof import sealed
 
 SCHEMA = 1
 MAX_NUMBERS = 2500
-"""Of one batch: 100 seconds of a beam, 16 kB, which a line of 64 kbit/s takes in 2 s."""
+"""Maximum number of numbers in one batch: 100 seconds of a beam, 16 kB, 2 s on a line of 64 kbit/s."""
 
 MAX_QUANTITIES = 128
 
@@ -33,7 +32,7 @@ class Second(NamedTuple):
     """A summary of 1 s; ``boot`` is the history's epoch, ``t_s`` the UTC second at which it begins.
 
     ``worst`` is the severity of the unit's state, ``cause`` its code; ``lost_to`` is the worst reason of the
-    measurements that were not valid. Of each quantity: mean, sigma, lowest, highest; None: not known.
+    invalid measurements. Values of each quantity: mean, sigma, lowest, highest; None: not known.
     """
 
     sequence: _Whole
@@ -58,8 +57,8 @@ class _Message(BaseModel):
 class Batch(_Message):
     """Consecutive seconds of a unit.
 
-    It has none below ``oldest`` any more, and some up to ``newest``. ``dropped`` are those that it deleted
-    before they were acknowledged, since the file was begun.
+    The unit has no seconds below ``oldest`` any more; its newest is ``newest``. ``dropped`` counts the
+    seconds deleted before they were acknowledged, since the file was created.
     """
 
     file: _Random
@@ -86,11 +85,11 @@ class Batch(_Message):
 
 
 class Acknowledgement(_Message):
-    """The ingest has all sequences of a stream up to this one in its database."""
+    """The ingest has stored all sequences of a stream up to this one in its database."""
 
     sequence: _Whole
 
 
 def acknowledgement_of(serial: str, stream: str, sequence: int) -> str:
-    """The message of the ingest."""
+    """Return the ingest's acknowledgement as a sealed line."""
     return sealed(json.dumps({"schema": SCHEMA, "serial": serial, "stream": stream, "sequence": sequence}))

@@ -13,7 +13,7 @@ Provider = TypeVar("Provider")
 
 
 class _Service(Generic[Provider]):
-    """``unavailable`` says why it is not available; empty from ``open`` on."""
+    """A service; ``unavailable`` gives the reason why it is not available, and is empty after ``open``."""
 
     error: ClassVar[type[Exception]]
 
@@ -22,23 +22,23 @@ class _Service(Generic[Provider]):
         self._provider: Provider | None = None
 
     def open(self, provider: Provider) -> None:
-        """From now on it can be asked for."""
+        """Make the service available."""
         self.unavailable, self._provider = "", provider
 
     @property
     def provider(self) -> Provider:
-        """Its provider; raises ``error`` where there is none."""
+        """Provider of the service; raises ``error`` if there is none."""
         if self._provider is None:
             raise self.error(self.unavailable)
         return self._provider
 
 
 class NoCalibrationFileError(Exception):
-    """The file cannot be given, or is not the one that belongs to this unit; the sentence says why."""
+    """The file cannot be returned, or does not belong to this unit; the message gives the reason."""
 
 
 class NoReportError(Exception):
-    """There is no report on the loaded calibration; the sentence says why."""
+    """There is no report on the loaded calibration; the message gives the reason."""
 
 
 class CalibrationFiles(Protocol):
@@ -46,45 +46,45 @@ class CalibrationFiles(Protocol):
 
     @property
     def name(self) -> str:
-        """The calibration file's name."""
+        """Name of the calibration file."""
 
     async def calibration(self) -> bytes:
-        """The file as it was loaded; raises NoCalibrationFileError."""
+        """Return the file as it was loaded; raises NoCalibrationFileError."""
 
     async def check_report(self) -> None:
-        """Raise NoReportError where there is no report on the loaded calibration."""
+        """Raise NoReportError if there is no report on the loaded calibration."""
 
     async def report(self) -> bytes:
-        """The report, a page of HTML; raises NoReportError."""
+        """Return the report, an HTML page; raises NoReportError."""
 
 
 class CalibrationService:
-    """``summary``, of plain JSON types, is empty and ``files`` None until the calibration is there."""
+    """Calibration; ``summary`` (plain JSON types) is empty and ``files`` None until it is loaded."""
 
     def __init__(self) -> None:
         self.summary: Mapping[str, Any] = {}
         self.files: CalibrationFiles | None = None
 
     def open(self, summary: Mapping[str, Any], files: CalibrationFiles) -> None:
-        """From now on there is a calibration."""
+        """Make the calibration available."""
         self.summary, self.files = summary, files
 
 
 Points = tuple[tuple[float, float], ...]
-"""u, v in px of the frame."""
+"""Points (u, v), px of the frame."""
 
 
 class NoPictureError(Exception):
-    """There is no picture; the sentence says why."""
+    """There is no picture; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetView:
-    """The constant part of a target's pictures: the frame's size, px, and what its calibration knows.
+    """Constant part of a target's pictures: the frame's size, px, and data of the calibration.
 
-    ``outline`` bounds the area in which a spot is measured, ``leds`` are the frame LEDs' references.
-    ``middle`` is the place x = y = 0 of the unit frame, ``x_axis`` and ``y_axis`` how far one millimetre
-    along x and y goes there, u and v in px.
+    ``outline`` limits the area in which a spot is measured, ``leds`` are the frame LEDs' reference positions.
+    ``middle`` is the position of x = y = 0 of the unit frame; ``x_axis`` and ``y_axis`` are the displacements
+    there of one millimetre along x and y. All are u and v in px.
     """
 
     target: str
@@ -98,7 +98,7 @@ class TargetView:
     y_axis: tuple[float, float]
 
     def as_object(self) -> dict[str, object]:
-        """As plain JSON types."""
+        """Return the view as plain JSON types."""
         return {
             "target": self.target,
             "width": self.width,
@@ -124,10 +124,10 @@ class SpotContour:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One frame as JPEG, with what was found in this very frame. ``t_ns`` is the middle of its exposure.
+    """One frame as JPEG, with the results of this very frame. ``t_ns`` is the middle of its exposure.
 
-    ``width`` and ``height`` are the JPEG's own, px; ``spot`` is None where none was found, ``why`` says why
-    not; ``number`` grows from picture to picture of a camera.
+    ``width`` and ``height`` are those of the JPEG, px. ``spot`` is None if none was found, ``why`` gives the
+    reason; ``number`` increases with each picture of a camera.
     """
 
     target: str
@@ -147,12 +147,12 @@ class PictureMaker(Protocol):
 
     @property
     def views(self) -> Sequence[TargetView]:
-        """The targets, in beam order."""
+        """Targets in beam order."""
 
     async def newer(self, seen: dict[str, int]) -> Sequence[Picture]:
-        """The newest picture of each target that is newer than the number that was ``seen`` of it.
+        """Return the newest picture of each target whose number is larger than in ``seen``.
 
-        Waits until there is one. Raises NoPictureError when it cannot be made.
+        Waits until there is one. Raises NoPictureError if it cannot be made.
         """
 
 
@@ -163,18 +163,18 @@ class PictureService(_Service[PictureMaker]):
 
 
 class NotKeptError(Exception):
-    """A request that cannot be met; the sentence says why."""
+    """The request cannot be met; the message gives the reason."""
 
 
 class NoExposureError(NotKeptError):
-    """There is nothing to keep: the cameras delivered nothing, which they say themselves."""
+    """There is nothing to keep: the cameras delivered nothing, which they report themselves."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptRecording:
-    """A recording on the unit's disk. ``start`` is UTC, ISO 8601; empty where it is not known.
+    """A recording on the unit's disk. ``start`` is UTC, ISO 8601; empty if it is not known.
 
-    ``why`` is the code of the cause, with the target or component that it is of, or the user that asked.
+    ``why`` is the code of the cause with its target or component, or the user who requested the recording.
     """
 
     name: str
@@ -186,7 +186,7 @@ class KeptRecording:
     is_marked: bool
 
     def as_object(self) -> dict[str, object]:
-        """As plain JSON types."""
+        """Return the recording as plain JSON types."""
         return {
             "name": self.name,
             "why": self.why,
@@ -203,39 +203,39 @@ class RecordingKeeper(Protocol):
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """The recordings, the newest first."""
+        """Recordings, the newest first."""
 
     async def keep(self, why: str) -> KeptRecording:
         """Write the last seconds."""
 
     async def mark(self, name: str, is_marked: bool) -> KeptRecording:
-        """A marked recording is never removed to make room."""
+        """Mark or unmark a recording; a marked one is never removed to make room."""
 
     async def files(self, name: str) -> Sequence[str]:
-        """The files of a recording, by their paths in it, ``recording.json`` the last."""
+        """Return the files of a recording as paths relative to it, ``recording.json`` last."""
 
     async def content(self, name: str, file: str) -> bytes | None:
-        """One of them; None: it is gone."""
+        """Return the content of one file; None: it no longer exists."""
 
 
 class RecordingService(_Service[RecordingKeeper]):
-    """The recordings that the unit has kept, and one of the last seconds on request."""
+    """Recordings that the unit has kept, and recording of the last seconds on request."""
 
     error = NotKeptError
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """The recordings, the newest first."""
+        """Recordings, the newest first."""
         return () if self._provider is None else self._provider.recordings
 
 
 class NoSelfCheckError(Exception):
-    """The unit cannot check itself; the sentence says why."""
+    """The unit cannot check itself; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class SelfCheckReport:
-    """The report of one check: its number since the start, a sentence for people, and plain JSON types."""
+    """Report of one check: its number since the start, a sentence for people, and plain JSON types."""
 
     number: int
     sentence: str
@@ -243,42 +243,42 @@ class SelfCheckReport:
 
 
 class SelfCheckService:
-    """``unavailable`` says why there is no self-check; empty once there is one.
+    """Self-checks; ``unavailable`` gives the reason why there are none, and is empty after ``open``.
 
-    Requests go to it and are noted in ``events``.
+    Requests are passed to the self-check and noted in ``events``.
     """
 
     def __init__(self, events: EventLog) -> None:
         self.unavailable = "this unit has no frame LEDs that the daemon switches"
         self.latest: SelfCheckReport | None = None
         self.ended_ns: int | None = None
-        """When it was published."""
+        """Time at which the latest report was published."""
         self.waiting = 0
-        """The clients that wait for a report."""
+        """Number of clients that wait for a report."""
         self._begun = 0
         self._events = events
         self._on_request: Callable[[], None] = lambda: None
         self._changed = asyncio.Event()
 
     def open(self, on_request: Callable[[], None]) -> None:
-        """From now on checks can be asked for."""
+        """Make self-checks available."""
         self.unavailable, self._on_request = "", on_request
 
     def begin(self) -> int:
-        """A check begins; returns its number."""
+        """Begin a check; returns its number."""
         self._begun += 1
         return self._begun
 
     def publish(self, report: SelfCheckReport) -> None:
-        """A check has ended."""
+        """Publish the report of a check that has ended."""
         self.latest, self.ended_ns = report, self._events.clock.monotonic_ns()
         self._changed.set()
         self._changed = asyncio.Event()
 
     def ask(self, by: str = "") -> int:
-        """Ask for a check, which comes within seconds; returns its number. Raises NoSelfCheckError.
+        """Request a check, which begins within seconds; returns its number. Raises NoSelfCheckError.
 
-        ``by`` is who asks, for the events.
+        ``by`` is the requester, for the events.
         """
         if self.unavailable:
             raise NoSelfCheckError(self.unavailable)
@@ -287,7 +287,7 @@ class SelfCheckService:
         return self._begun + 1
 
     async def report(self, number: int) -> SelfCheckReport:
-        """The report of check ``number``, or of one after it, once it has ended."""
+        """Return the report of check ``number``, or of a later one, once it has ended."""
         self.waiting += 1
         try:
             while self.latest is None or self.latest.number < number:

@@ -1,7 +1,7 @@
-"""The unit's state in the four signals of NAMUR NE 107 beside good, its causes, and events of its changes.
+"""State of the unit in the four signals of NAMUR NE 107 besides good, its causes, and events of its changes.
 
-It is found out again whenever it is read, from the board, the components and the watches: no task can die and
-leave an old state behind. The task that looks regularly serves the memory of causes and the counting.
+Each read determines it from the board, the components and the watches, so no task can die and leave an old
+state behind. The periodic task only updates the memory of causes and the availability.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Watch = Callable[[int], Iterable[Cause]]
 
 
 class UnitState:
-    """One daemon's state. ``watches`` know of more than board and health do."""
+    """State of one daemon. ``watches`` report faults that board and health do not contain."""
 
     def __init__(self, board: Board, health: Health, clock: Clock, watches: Iterable[Watch] = ()) -> None:
         self._board = board
@@ -42,13 +42,13 @@ class UnitState:
         self.availability = Availability(self._started_ns, clock.utc)
 
     async def run(self) -> None:
-        """Look regularly until cancelled."""
+        """Update the state regularly until cancelled."""
         while True:
             self._look()
             await self._clock.sleep(TICK_S)
 
     def read(self) -> StateReport:
-        """The state at this moment."""
+        """Return the present state."""
         now_ns, causes = self._look()
         return StateReport(self._signal, self._since_ns, now_ns, causes, self.availability)
 
@@ -65,7 +65,7 @@ class UnitState:
         return now_ns, shown
 
     def _watched(self, now_ns: int) -> Iterator[Cause]:
-        """The faults that the watches report. A watch that fails is a fault; it does not end the daemon."""
+        """Yield the watches' faults. A watch that fails is a fault; it does not end the daemon."""
         for watch in self._watches:
             try:
                 yield from watch(now_ns)
@@ -75,7 +75,7 @@ class UnitState:
 
 
 def _lost_to(measurement: Measurement | None, running_s: float) -> str | None:
-    """The worst reason for which nothing valid is measured, without its target; None when there is."""
+    """Return the worst reason why nothing valid is measured, without its target; None: valid."""
     if measurement is None:
         return str(Condition.STARTING if running_s < START_S else Condition.NOTHING_MEASURED)
     if measurement.valid:
@@ -89,7 +89,7 @@ _SEVERITY_WITHOUT_VERDICT = 1
 
 
 class StateEvents:
-    """One daemon's observer. A cause is shown for 2 s at least, so none is missed between two looks."""
+    """Observer of one daemon. A cause is shown for at least 2 s, so no observation interval misses one."""
 
     def __init__(
         self, log: EventLog, read_state: Callable[[], StateReport], service: SelfCheckService, clock: Clock
@@ -103,13 +103,13 @@ class StateEvents:
         self._checks = 0
 
     async def run(self) -> None:
-        """Look until cancelled."""
+        """Observe until cancelled."""
         while True:
             self.look()
             await self._clock.sleep(TICK_S)
 
     def look(self) -> None:
-        """Note what is otherwise than at the last look."""
+        """Note the changes since the last call."""
         self._log.release(self._clock.monotonic_ns())
         report = self._read_state()
         self._look_at_causes(report)
@@ -159,7 +159,7 @@ class StateEvents:
 
 
 def _shifts_px(targets: object) -> dict[str, object]:
-    """By target, how far its frame LEDs have moved, u and v in px; None where that is not known."""
+    """Return the shift of each target's frame LEDs, u and v in px; None: not known."""
     if not isinstance(targets, Mapping):
         return {}
     return {name: of.get("shift_px") for name, of in targets.items() if isinstance(of, Mapping)}

@@ -1,18 +1,18 @@
-"""The area in which a target is measured, for drawings of it."""
+"""Area in which a target is measured, for drawings of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 AREA_MM = (140.0, 110.0)
-"""Width and height of the area that the unit is made for (App. A.1), its middle in the unit frame's zero."""
+"""Width and height of the area that the unit is made for (App. A.1), centred on the unit frame's zero, mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetArea:
-    """One target: ``valid_mm`` are the corners of the area in which spots are valid, in the unit frame.
+    """One target; ``valid_mm`` are the corners of the valid spot area in the unit frame.
 
-    ``camera`` is the name of the camera that looks at it.
+    ``camera`` is the name of its camera.
     """
 
     name: str
@@ -22,7 +22,7 @@ class TargetArea:
 
 
 def as_object(areas: tuple[TargetArea, ...]) -> dict[str, object]:
-    """The targets in beam order, as plain JSON types."""
+    """Return the targets in beam order, as plain JSON types."""
     return {
         "area_mm": list(AREA_MM),
         "targets": [

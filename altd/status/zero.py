@@ -1,6 +1,7 @@
-"""The zero from which controllers measure relative values: one for the unit, in memory alone.
+"""The zero of relative values for controllers: one for the unit, in memory only.
 
-The published values never change with it: a shifted number that is taken for an absolute one steers wrong.
+The published values never change with it: a controller that takes a shifted number for an absolute one would
+steer wrong.
 """
 
 from __future__ import annotations
@@ -13,38 +14,38 @@ from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog
 
 _NUMBERS = 0xFFFF
-"""Of a request that sets the zero: 0 to 0xFFFE, for 0xFFFF is *not known* in a register."""
+"""Count of numbers in a request that sets the zero: 0 to 0xFFFE; 0xFFFF is *not known* in a register."""
 
 
 class NoZeroError(Exception):
-    """There is no measurement to take as the zero; the sentence says why."""
+    """There is no measurement to use as the zero; the message gives the reason."""
 
 
 class Zero:
-    """A measurement and the differences from it.
+    """A measurement used as zero, and differences from it.
 
-    Each zero is set by the number that ``next_number`` has then, so a request that is late, repeated or
-    replayed sets nothing. ``first_number`` is drawn by chance: a request of an earlier session fails too.
+    A zero is set only with the present ``next_number``, so a late, repeated or replayed request sets nothing.
+    ``first_number`` is random: a request of an earlier session fails too.
     """
 
     def __init__(self, events: EventLog, first_number: int | None = None) -> None:
         self.measurement: Measurement | None = None
-        """None: no zero was set since the daemon started."""
+        """Measurement used as zero; None: no zero was set since the daemon started."""
         self.count = 0
-        """Zeros set since the daemon started."""
+        """Number of zeros set since the daemon started."""
         self._first_number = secrets.randbelow(_NUMBERS) if first_number is None else first_number
         self._events = events
 
     @property
     def next_number(self) -> int:
-        """The number by which the next zero is set."""
+        """Number with which the next zero is set."""
         return (self._first_number + self.count) % _NUMBERS
 
     def set(self, board: Board, by: str) -> None:
-        """Take the measurement on the board as the zero; raises NoZeroError where it is not valid.
+        """Use the board's measurement as the zero; raises NoZeroError if it is not valid.
 
-        What is on the board is valid only while it is fresh and, unless the unit rehearses, live. ``by`` is
-        the interface that asked, for the events.
+        The board's measurement is valid only while it is fresh and, unless in rehearsal, live. ``by`` is the
+        requesting interface, for the events.
         """
         measurement = board.read()
         if measurement is None or not measurement.valid:
@@ -54,10 +55,10 @@ class Zero:
         self._events.note(EventKind.REQUEST, f"zero {self.count} was set", by)
 
     def difference(self, key: str, measurement: Measurement | None) -> Value | None:
-        """A quantity of ``measurement`` less that of the zero; None: one of the two is not known.
+        """Return a quantity of ``measurement`` minus that of the zero; None: one of the two is not known.
 
-        Its sigma takes the two as independent. Both share the calibration's errors, which cancel the better
-        the nearer the two are to each other: the true standard deviation is then smaller.
+        Its sigma treats the two as independent. Both share the calibration's errors, which cancel better the
+        closer the two are: the true standard deviation is then smaller.
         """
         if measurement is None or self.measurement is None:
             return None

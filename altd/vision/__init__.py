@@ -1,1 +1,1 @@
-"""Pure: frame → spot, or the reason why there is none."""
+"""Pure code: from a frame to its spot, or the reason why there is none."""

@@ -1,4 +1,4 @@
-"""A spot's surroundings as sums over blocks of pixels: the data vectors of the fit."""
+"""Surroundings of a spot as sums over blocks of pixels: the data vectors of the fit."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ READ_NOISE, SHOT_NOISE, SPOT_TEXTURE, ROWS = range(12, 16)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """Blocks as the columns of one array, ``rows`` (15, n), which compiled code takes as it is.
+    """Blocks as the columns of one array, ``rows`` (15, n), in the layout that compiled code reads.
 
-    LIGHT is Σ F·I, F1 and F2 the sums of F and F². MONOMIALS are 1, x, y, x², xy, y² of the places of the
-    blocks, which count from the initial estimate in units of its sigma. HALF_MOMENTS are ½ xx, xy,
-    ½ yy, half the second moments of F² about the places; without ``has_moments`` they are the same in all
+    LIGHT is Σ F·I, F1 and F2 the sums of F and F². MONOMIALS are 1, x, y, x², xy, y² of the blocks'
+    positions, which count from the initial estimate in units of its sigma. HALF_MOMENTS are ½ xx, xy, ½ yy,
+    half the second moments of F² about the positions; without ``has_moments`` they are the same in all
     blocks, only widen the spot, and are not set. READ_NOISE, SHOT_NOISE per count of irradiance and
     SPOT_TEXTURE per squared count of irradiance and squared texture contrast are variances of the light.
     """
@@ -32,7 +32,7 @@ class Blocks:
     has_moments: bool
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Blocks:
-        """Some of the blocks."""
+        """Return the blocks that the mask ``kept`` selects."""
         return Blocks(self.rows[:, kept], self.has_moments)
 
 
@@ -44,9 +44,10 @@ def blocks_of(
     sigma_px: float,
     size: int,
 ) -> Blocks:
-    """The blocks of ``size`` × ``size`` px; places count from the outline's middle in units of ``sigma_px``.
+    """Return the blocks of ``size`` × ``size`` px.
 
-    Pixels that are ``clipped``, as a mask of the patch, are left out.
+    Positions count from the outline's centroid in units of ``sigma_px``. Pixels in the mask ``clipped`` of
+    the patch are excluded.
     """
     light, sums = _sums(patch, flat, clipped, size)
     f1, f2, f3, f4, u, v = sums.planes[:6].reshape(6, -1)
@@ -73,7 +74,7 @@ def blocks_of(
 def _sums(
     patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, size: int
 ) -> tuple[Image, BlockSums]:
-    """Σ F·I over the patch's blocks and the sums of F, cut out of the flat's own sums where possible."""
+    """Return Σ F·I over the patch's blocks and the sums of F, cut out of the flat's sums where possible."""
     height, width = patch.excess.shape
     if flat is None and clipped is None:
         return block_sum(patch.excess, size), _plain_sums(height, width, size).shifted(patch.left, patch.top)
@@ -93,5 +94,5 @@ def _sums(
 
 @lru_cache(maxsize=64)
 def _plain_sums(height: int, width: int, size: int) -> BlockSums:
-    """The block sums of a plain target, which depend on the patch's size alone."""
+    """Return the block sums of a plain target, which depend only on the patch's size."""
     return block_sums(np.ones((height, width), np.float32), 0, 0, size)

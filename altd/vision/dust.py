@@ -1,9 +1,9 @@
-"""Dust and dirt under a spot: what is dark there now and was not when the target was calibrated.
+"""Dust and dirt under a spot: places that are dark now and were not when the target was calibrated.
 
-A speck is opaque and has an edge; the print and the grain of the target are known, a drift of the camera
-moves them, and the laser's power, the exposure and smears without an edge change all of a spot alike. So the
-specks are what is left of the light's fine structure, once the texture at its best shift is taken off, where
-it is far darker than the rest.
+A speck is opaque and has an edge. The target's print and surface texture are known and a drift of the camera
+only moves them; the laser's power, the exposure time and smears without an edge change all of a spot alike.
+Specks are thus the places where the light's fine structure, after division by the texture at its best shift,
+is far darker than the rest.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from altd.vision.image import Image
 from altd.vision.texture import MAX_SHIFT_PX, Sample, Texture, match, sample_of
 
 _MIN_LOSS = 0.4
-"""Of a pixel's light. The model of a print is wrong by less where its dots have their edges, an image that
-moved by a part of a pixel too."""
+"""Minimum loss as a share of a pixel's light. The error of a print's model at the edges of its dots is
+smaller, and so is that by an image that moved by a fraction of a pixel."""
 _LOSS_SIGMAS = 5.0
-"""Of the pixel's own noise, and of what most pixels of the spot differ by: coarse grain is no dust."""
+"""Minimum loss per sigma of the pixel's noise, and of most pixels' scatter: coarse texture is no dust."""
 _MAX_NOISE = 0.1
-"""A pixel whose light is known worse than this is not looked at: the flanks of a spot."""
+"""Maximum noise of a pixel's light; noisier pixels, on the flanks of a spot, are skipped."""
 _MIN_EXPECTED = 0.7
-"""Nor is one that shows less than this share of the light about it: the gaps of a print."""
+"""Minimum share of the surrounding light; pixels that show less, in the gaps of a print, are skipped."""
 _MIN_TOGETHER = 2.0
-"""Pixels of a speck, among a pixel and its eight neighbours: blurred by the lens, none is dark alone."""
+"""Minimum number of dark pixels among nine neighbouring ones: blurred by the lens, none is dark alone."""
 _MIN_PIXELS = 100
 _DARKEST = 0.01
 _MAX_GRAIN = 0.2
@@ -37,16 +37,16 @@ _MAX_GRAIN = 0.2
 
 @dataclass(frozen=True, slots=True)
 class DustCount:
-    """The pixels under a spot that were looked at, and how many of them are covered."""
+    """Number of covered pixels under a spot, and number of pixels that were examined."""
 
     covered: int
     looked_at: int
 
 
 def count_dust(analysis: FrameAnalysis, texture: Texture) -> DustCount | None:
-    """Dust over the brightest spot of a frame; None where too little is seen or known, or clipped.
+    """Count dust over the brightest spot of a frame; None if it is clipped or too little is visible or known.
 
-    A pixel is covered where 40 % of its light are missing. Takes about a millisecond.
+    A pixel is covered if 40 % of its light are missing. Takes about a millisecond.
     """
     sample = sample_of(analysis)
     expected = None if sample is None else _expected(sample, texture)
@@ -67,9 +67,9 @@ def count_dust(analysis: FrameAnalysis, texture: Texture) -> DustCount | None:
 
 
 def _expected(sample: Sample, texture: Texture) -> Image | None:
-    """The light of each pixel of a sample, as a share of what is about it, as the calibration has it.
+    """Return each pixel's light expected from the calibration, relative to its surroundings; None: not known.
 
-    A plate of which nothing is known there has a grain that is no dust; a print would be. None: not known.
+    If nothing matches, a plate counts as even: its surface texture is no dust, but print would be.
     """
     found = match(sample, texture)
     if found is None:

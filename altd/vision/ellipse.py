@@ -1,8 +1,8 @@
-"""The second localiser: an ellipse through the contour of the smoothed spot (thesis 2.1.2, Eq. 2.2-2.6).
+"""Second localiser: an ellipse through the contour of the smoothed spot (thesis 2.1.2, Eq. 2.2-2.6).
 
-It shares the patch with the profile and nothing else: it uses the place of one contour instead of the heights
-of all pixels. Where a spot is not what the profile takes it for (a comet, a reflection beside it, a finger
-print on the window) the two centres differ. It is an independent check, no part of the measuring chain.
+It shares only the patch with the profile: it uses the position of one contour instead of the values of all
+pixels. If a spot is not as the profile assumes (a comet, a reflection beside it, a finger print on the
+window), the two centres differ. It is an independent check and not part of the measuring chain.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from altd.vision.settings import SpotSettings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conic:
-    """The centre (x, y) of an ellipse, in the unit of its points, and its sensitivity to each point.
+    """Centre (x, y) of an ellipse, in the unit of its points, and its sensitivity to each point.
 
-    ``sensitivities`` (2, n): by how much x and y rise when a point goes outwards, along the ellipse's normal,
-    by one; to first order in the points' distances from the ellipse.
+    ``sensitivities`` (2, n): increase of x and y when a point moves outwards, along the ellipse's normal, by
+    one; to first order in the points' distances from the ellipse.
     """
 
     x: float
@@ -34,15 +34,15 @@ class Conic:
 
 
 def fit_conic(x: FloatArray, y: FloatArray) -> Conic | None:
-    """The ellipse through points (n,) that are mean-free and of a size about 1; None when there is none.
+    """Fit an ellipse to points (n,) that are mean-free and of a size about 1; None if there is none.
 
     Least squares of the algebraic distances e = D z (Eq. 2.3-2.6). The constant and the linear terms are
     eliminated by orthogonal residualisation of D2 against (D1, D0); under the constraint C1, b² − 4ac = −1,
-    z2 is then an eigenvector of a 3 × 3 matrix, the one that is an ellipse. (D2's columns are x², xy, y²,
-    in the order of Eq. 2.2; Eq. 2.4 and 2.6 have them in two orders.) C1 makes the ellipse of noisy points
-    too small, which does not affect its centre when they go all around. On a spot whose contours are similar
-    ellipses, the algebraic distance of a point is proportional to the irradiance by which it is wrong, so
-    that the distances deserve equal weights.
+    z2 is then an eigenvector of a 3 × 3 matrix, the one that is an ellipse. (D2's columns are x², xy, y², in
+    the order of Eq. 2.2; Eq. 2.4 and 2.6 use two different orders.) C1 makes the ellipse of noisy points too
+    small, which does not affect its centre if they surround it. On a spot whose contours are similar
+    ellipses, the algebraic distance of a point is proportional to the error of its irradiance, so that the
+    distances deserve equal weights.
     """
     squares = np.stack([x * x, x * y, y * y], axis=1)
     rest = np.stack([x, y, np.ones_like(x)], axis=1)
@@ -54,7 +54,7 @@ def fit_conic(x: FloatArray, y: FloatArray) -> Conic | None:
 
 
 def _coefficients(squares: FloatArray, rest: FloatArray) -> FloatArray | None:
-    """The conic's a … f, a positive, of the columns (n, 3) of D2 and of (D1, D0)."""
+    """Return the conic's a … f, a positive, from the columns (n, 3) of D2 and of (D1, D0)."""
     eliminated = np.linalg.solve(rest.T @ rest, rest.T @ squares)
     residual = squares - rest @ eliminated
     scatter = residual.T @ residual
@@ -71,13 +71,13 @@ def _coefficients(squares: FloatArray, rest: FloatArray) -> FloatArray | None:
 
 
 def _centre(coefficients: FloatArray, design: FloatArray) -> Conic:
-    """The place of zero gradient of the conic, and its derivatives by the points of a design (n, 6)."""
+    """Return the conic's point of zero gradient, and its derivatives by the points of a design (n, 6)."""
     a, b, c, d, e, _ = coefficients
     x, y = design[:, 3], design[:, 4]
     hessian = np.array([[2 * a, b], [b, 2 * c]])
     u, v = -np.linalg.solve(hessian, (d, e))
     of_coefficients = -np.linalg.solve(hessian, [[2 * u, v, 0, 1, 0, 0], [0, u, 2 * v, 0, 1, 0]])
-    # the scale of the coefficients does not affect the centre: it is held fixed
+    # the scale of the coefficients does not affect the centre and is held fixed
     scale_only = np.outer(coefficients, coefficients) / (coefficients @ coefficients)
     keep = np.eye(6) - scale_only
     inverse = np.linalg.inv(keep @ design.T @ design @ keep + len(x) * scale_only)
@@ -87,10 +87,10 @@ def _centre(coefficients: FloatArray, design: FloatArray) -> Conic:
 
 
 CONTOUR_LEVEL = 0.5
-"""Of the smoothed spot's peak. The contour of a Gaussian carries most information on its centre at 47 % of
-the peak (r² = 1.5 sigma²) where read noise disturbs it, and at 22 % where shot noise does. Half the peak is
-near the one, costs a sixth of sigma for the other, and is far from clipped pixels as well as from what the
-background leaves."""
+"""Level of the contour as a share of the smoothed spot's peak. The contour of a Gaussian carries most
+information on its centre at 47 % of the peak (r² = 1.5 sigma²) under read noise, and at 22 % under shot
+noise. Half the peak is near the first, costs a sixth of sigma for the second, and is far from clipped pixels
+as well as from residual background."""
 
 _MIN_POINTS = 16
 _MIN_RESPONSE2 = 0.01
@@ -99,10 +99,10 @@ _MIN_RESPONSE2 = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contour:
-    """The places of the level between two neighbouring pixels of an irradiance image, n of them.
+    """The n crossings of the level between two neighbouring pixels of an irradiance image.
 
-    ``inside`` and ``outside`` are the flat indices of the two, ``fraction`` (0 … 1) how far from the one
-    inside to the one outside the level lies; ``x`` and ``y`` px from the image's first pixel.
+    ``inside`` and ``outside`` are the flat indices of the two, ``fraction`` (0 … 1) is the position of the
+    level from the one inside to the one outside; ``x`` and ``y`` are px from the image's first pixel.
     """
 
     inside: np.ndarray[tuple[int], np.dtype[np.intp]]
@@ -112,31 +112,31 @@ class _Contour:
     y: FloatArray
 
     def interpolated(self, image: Image) -> FloatArray:
-        """An image (rows, columns) at the places, (n,), interpolated linearly as the contour was."""
+        """Return an image (rows, columns) at the crossings, (n,), interpolated linearly like the contour."""
         values = image.ravel()
         between: FloatArray = (1 - self.fraction) * values[self.inside] + self.fraction * values[self.outside]
         return between
 
     def adjoint(self, values: FloatArray, shape: tuple[int, int]) -> Image:
-        """The transpose of ``interpolated``: values (n,) spread onto the pixels that they were read from."""
+        """Apply the transpose of ``interpolated``: spread values (n,) onto the pixels they were read from."""
         image = np.bincount(self.inside, values * (1 - self.fraction), shape[0] * shape[1])
         image += np.bincount(self.outside, values * self.fraction, shape[0] * shape[1])
         return image.reshape(shape).astype(np.float32)
 
 
 def ellipse(patch: Patch, noise: Noise, settings: SpotSettings, flat: Flat | None = None) -> Centre | None:
-    """The centre of the ellipse through the contour at CONTOUR_LEVEL; None when there is no such contour.
+    """Return the centre of the ellipse through the contour at CONTOUR_LEVEL; None without such a contour.
 
-    With a ``flat`` F the contour is that of the normalised image G ⊛ (F·I) / G ⊛ F², G the smoothing.
-    What read and shot noise do to the centre goes through smoothing, contour and fit to first order; that the
-    level depends on the noisy peak moves the contour outwards, not sideways.
+    With a ``flat`` F the contour is that of the normalised image G ⊛ (F·I) / G ⊛ F², G the smoothing. Read
+    and shot noise are propagated through smoothing, contour and fit to first order; the noise of the peak, on
+    which the level depends, moves the contour outwards, not sideways.
     """
     response, response2, irradiance = _irradiance(patch, settings, flat)
     peak = float(irradiance[patch.mask > 0].max())
     contour = _contour(irradiance, CONTOUR_LEVEL * peak, patch.mask) if peak > 0 else None
     if contour is None:
         return None
-    # G ⊛ F²·u over G ⊛ F² is where the normalised image measures: where F is brighter, off the middle of G
+    # the normalised image measures at G ⊛ F²·u over G ⊛ F²: off the middle of G, where F is brighter
     off_y, off_x = (settings.smoothing_px**2 * slope for slope in _gradient(np.log(response2)))
     x, y = contour.x + contour.interpolated(off_x), contour.y + contour.interpolated(off_y)
     middle_x, middle_y = float(x.mean()), float(y.mean())
@@ -164,7 +164,7 @@ def ellipse(patch: Patch, noise: Noise, settings: SpotSettings, flat: Flat | Non
 
 
 def _irradiance(patch: Patch, settings: SpotSettings, flat: Flat | None) -> tuple[Image, Image, Image]:
-    """F, the smoothed F² and the smoothed irradiance in a patch, which is 0 where F is too dark."""
+    """Return F, the smoothed F² and the smoothed irradiance in a patch; the last is 0 where F is too dark."""
     if flat is None:
         ones = np.ones_like(patch.smooth)
         return ones, ones, patch.smooth
@@ -179,13 +179,13 @@ def _irradiance(patch: Patch, settings: SpotSettings, flat: Flat | None) -> tupl
 
 
 def _gradient(image: Image) -> tuple[Image, Image]:
-    """Derivatives along v and u, per px."""
+    """Return the derivatives along v and u, per px."""
     by_v, by_u = np.gradient(image)
     return np.asarray(by_v, dtype=np.float32), np.asarray(by_u, dtype=np.float32)
 
 
 def _contour(irradiance: Image, level: float, mask: Mask) -> _Contour | None:
-    """Outer contour of the largest piece above a level, by linear interpolation along rows and columns."""
+    """Return the outer contour of the largest piece above a level, interpolated along rows and columns."""
     above = ((irradiance > level) & (mask > 0)).astype(np.uint8)
     outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     largest = max(outlines, key=cv2.contourArea)

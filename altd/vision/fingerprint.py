@@ -1,8 +1,8 @@
-"""Whether a camera's view is the one that was calibrated, from what no spot changes in a frame.
+"""Check whether a camera's view is the calibrated one, by features of a frame that no spot changes.
 
-Hot pixels identify the sensor; the surface texture under the spot, print or grain, shows where the camera
-looks (``texture``). Neither decides where it cannot be sure: nothing is known under the spot, the spot is too
-dim or too small, there are no hot pixels.
+Hot pixels identify the sensor; the texture under the spot, of print or plate, shows where the camera points
+(``texture``). Neither gives a verdict if it is uncertain: nothing is known under the spot, the spot is too
+dim or too small, or there are no hot pixels.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from altd.vision.texture import Match, Sample, Texture, match, sample_of, stacke
 TextureSource = Literal["flat", "scan"]
 
 MAX_SHIFT_PX = 0.4
-"""0.08 mm on the target: pictures of both targets that move against each other make 0.03°. Heat moves an
-image by 0.1 to 0.3 px, of which up to a fifth more is measured."""
+"""Maximum shift of the picture, 0.08 mm on the target: if pictures of both targets move against each other,
+they make 0.03°. Heat moves an image by 0.1 to 0.3 px, of which up to a fifth more is measured."""
 _MIN_SIGNIFICANCE = 8.0
 _NOISE_SIGMAS = 3.0
 _MODEL_ERROR_PX = 0.02
-"""On good views of the campaign's units shifts of 0.02 px at most are found on print, of 0.06 on plates."""
+"""Error of a shift: on good views of the campaign's units at most 0.02 px on print, 0.06 px on plates."""
 _MODEL_DOUBLED_PX = 0.2
-"""Likewise: 0.13 px at most, 0.2 with spots of 6 mm and with clipped ones; twice that where the image moved
-by a part of a pixel, for which the model is interpolated."""
+"""The same for ``doubled_px``: at most 0.13 px, 0.2 with spots of 6 mm and with clipped ones; twice that if
+the image moved by a fraction of a pixel, for which the model is interpolated."""
 _DOUBLED_PER_SHIFT = 3.0
 _MAX_USUAL_RATIO = 1.5
-"""Dots of 1 mm, nine pixels from each other, are modelled less well: there 0.7 px are usual."""
+"""Maximum ratio to the usual value. Dots of 1 mm, nine pixels apart, are modelled worse: 0.7 px is usual."""
 _MIN_PRINT_CONTRAST = 0.2
-"""Contrast of a target's texture from which it is printed: a plate stays below 0.1, dots of any size are
-above."""
+"""Contrast of a target's texture from which it is printed: plates are below 0.1, dots of any size above
+this."""
 _MIN_SEEN_PRINT_CONTRAST = 0.35
 _MIN_EXPLAINED = 0.7
-"""Of the contrast under a spot on print: 0.85 to 1 of it is explained in the calibrated view, less than
+"""Minimum explained share of the contrast under a spot on print: 0.85 to 1 in the calibrated view, less than
 0.6 in 19 of 20 others."""
 _MIN_PRINT_GAIN = 0.8
-"""Dust on the window adds contrast of its own, but leaves the print its gain: with 3 to 10 % of the window
-covered 0.5 to 0.8 is explained at a gain of 0.92 to 0.97. Another print in about the same place has both
-low."""
+"""Minimum gain of a print. Dust on the window adds contrast of its own, but leaves the print its gain: with 3
+to 10 % of the window covered 0.5 to 0.8 is explained at a gain of 0.92 to 0.97. For another print in about
+the same place both are low."""
 _MIN_STRENGTH = 50.0
 _MIN_GAIN = 0.4
 _MISMATCH_SIGMAS = 5.0
@@ -51,7 +51,7 @@ _NO_SPOT = "no spot to see it by"
 
 
 class ViewOutcome(Enum):
-    """Whether a frame shows the view that was calibrated."""
+    """Whether a frame shows the calibrated view."""
 
     VERIFIED = auto()
     REFUTED = auto()
@@ -60,14 +60,14 @@ class ViewOutcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ViewVerdict:
-    """The verdict on one frame; ``reason`` in words of what is refuted or undecided.
+    """Verdict on one frame; ``reason`` is a text on what is refuted or undecided.
 
     ``is_same_sensor``: the hot pixels are in their places; ``is_other_sensor``: they are what refutes the
-    view. ``shift_px`` is by how much the image moved, None where that could not be measured. ``displaced_px``
-    is the part of it that is certain enough to add to the uncertainty of a spot, with what a doubled image
-    does; None where that is not known. ``doubled_px`` is what may be caused by that image, or by the error of
-    the print's model. ``is_print_seen``: a spot shows print on a target that has none; None without a spot.
-    ``faint`` is the sample of a frame with too little light to decide alone, where several together may.
+    view. ``shift_px`` is the shift of the image, None if it could not be measured. ``displaced_px`` is the
+    part of it certain enough to add to the uncertainty of a spot, with the effect of a doubled image; None if
+    it is not known. ``doubled_px`` is the possible effect of that image, or of an error of the print's model.
+    ``is_print_seen``: a spot shows print on a target that has none; None without a spot. ``faint`` is the
+    sample of a frame with too little light to decide alone, where several together may.
     """
 
     outcome: ViewOutcome
@@ -82,25 +82,25 @@ class ViewVerdict:
 
     @classmethod
     def refuted(cls, reason: str) -> Self:
-        """Not the view that was calibrated."""
+        """Return the verdict that the view is not the calibrated one."""
         return cls(ViewOutcome.REFUTED, reason)
 
     @classmethod
     def undecided(cls, reason: str) -> Self:
-        """Neither is certain."""
+        """Return the verdict that neither outcome is certain."""
         return cls(ViewOutcome.UNDECIDED, reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fingerprint:
-    """The fixed pattern of one camera's images, as the calibration knows it.
+    """Fixed pattern of one camera's images, from the calibration.
 
-    ``texture`` from a flat is known everywhere and does not depend on the laser, so that its absence refutes
-    a view as well as its shift. One from the ``scan`` holds only near the nodes, and contains what belongs to
-    the laser and to the edges of its spots, which moves with a spot: it verifies a view and refutes none.
-    None: nothing is known of the target's surface. ``usual_doubled_px`` is what good spots show of a doubled
-    image, 95 % of them less; None: not known. ``moved`` (2, 3) takes (u, v, 1) of the calibrated picture to
-    where it is known to lie now, None: where it lay; shifts count from there.
+    A ``texture`` from a flat is known everywhere and does not depend on the laser, so that both its absence
+    and its shift refute a view. One from the ``scan`` holds only near the nodes, and contains parts of the
+    laser and of the edges of its spots, which move with a spot: it verifies a view and refutes none. None:
+    nothing is known of the target's surface. ``usual_doubled_px`` is the value of ``doubled_px`` below which
+    95 % of good spots are; None: not known. ``moved`` (2, 3) maps (u, v, 1) of the calibrated picture to its
+    known current position, None: unmoved; shifts count from there.
     """
 
     hot: HotPixels
@@ -110,9 +110,9 @@ class Fingerprint:
     moved: FloatArray | None = None
 
     def examine(self, analysis: FrameAnalysis, has_spot: bool, earlier: Sequence[Sample] = ()) -> ViewVerdict:
-        """The verdict of one frame; ``has_spot``: a good spot was found in it.
+        """Return the verdict on one frame; ``has_spot``: a good spot was found in it.
 
-        ``earlier`` are the faint samples of frames before it that show the same view.
+        ``earlier`` are the faint samples of earlier frames that show the same view.
         """
         sensor = self.hot.compare(analysis.frame.pixels)
         if sensor.is_other:
@@ -172,7 +172,7 @@ class Fingerprint:
         )
 
     def _displaced_px(self, found: Match, is_patterned: bool) -> float:
-        """The shift, and what a second image does, less what noise and the model of a print explain.
+        """Return the shift and the effect of a second image, less the part by noise and the model of a print.
 
         The texture of a plate is too faint to show a second image.
         """
@@ -185,14 +185,14 @@ class Fingerprint:
         return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + doubled_px2)
 
     def _interpolated_px(self, found: Match) -> float:
-        """The share of a doubled image that may be the model's, as it is interpolated; all of a moved one."""
+        """Return the doubled image that the interpolated model may cause, px; the maximum if ``moved``."""
         if self.moved is not None:
             return _MODEL_DOUBLED_PX
         return min(_DOUBLED_PER_SHIFT * found.shift_px, _MODEL_DOUBLED_PX)
 
 
 def _mismatch(found: Match, is_patterned: bool) -> str | None:
-    """Why this cannot be the target as it was calibrated, in words; None when it can be."""
+    """Return as text why this cannot be the target as it was calibrated; None if it can."""
     if found.expected * (_MIN_GAIN - found.gain) > _MISMATCH_SIGMAS:
         return f"the target's surface is not what is seen (gain {max(found.gain, 0):.2f} of 1)"
     is_clear = is_patterned and found.strength > _MIN_STRENGTH

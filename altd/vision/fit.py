@@ -1,6 +1,6 @@
 """Weighted least squares of a super-Gaussian and a sloping background through blocks: Gauss-Newton.
 
-``solve`` runs compiled code where that was built (``kernel.c``), and numpy elsewhere; both find the same.
+``solve`` runs compiled code if it was built (``kernel.c``), otherwise numpy; both give the same result.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _MIN_PEAK_SHARE_FOR_CONTRAST = 0.1
 PEAK, U, V, A, B, C, OFFSET, RISE_X, RISE_Y, ORDER = range(10)
 RESIDUAL, NOISE, TEXTURE, SPOT, ROWS = range(10, 15)
 State = Sequence[float]
-"""The first ten of these, in units of the initial estimate's sigma: plain numbers, faster in Python."""
+"""Parameters PEAK to ORDER in units of the initial estimate's sigma; plain numbers are faster in Python."""
 
 _LIMITS = kernel.FitLimits(
     _INITIAL_CONTRAST**2,
@@ -67,11 +67,11 @@ _LIMITS = kernel.FitLimits(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """The converged state, and the matrices of the last iteration.
+    """Converged state, and the matrices of the last iteration.
 
     ``rows`` (14, n) are the derivatives of the light by the parameters, its RESIDUAL, its variances by read
     and shot NOISE and by a TEXTURE of contrast 1, and the irradiance of the SPOT in counts.
-    ``centre_variance`` is what read and shot noise do to the centre, the mean square of both axes;
+    ``centre_variance`` is the variance of the centre by read and shot noise, the mean of both axes;
     ``contrast2`` is the squared texture contrast.
     """
 
@@ -82,17 +82,17 @@ class Solution:
 
     @property
     def derivatives(self) -> FloatArray:
-        """Of the light by the parameters, (RESIDUAL, n)."""
+        """Derivatives of the light by the parameters, (RESIDUAL, n)."""
         return self.rows[:RESIDUAL]
 
     @property
     def peak_shares(self) -> FloatArray:
-        """The irradiance as a share of the peak, (n,)."""
+        """Irradiance as a share of the peak, (n,)."""
         shares: FloatArray = self.rows[SPOT] / self.state[PEAK]
         return shares
 
     def variance(self, contrast2: float) -> FloatArray:
-        """The variance of the light with that squared texture contrast, (n,)."""
+        """Return the variance of the light for that squared texture contrast, (n,)."""
         variance: FloatArray = self.rows[NOISE] + contrast2 * self.rows[TEXTURE]
         return variance
 
@@ -100,7 +100,7 @@ class Solution:
 def solve(
     data: Blocks, state: State, rise: float, order_free_iteration: int = ORDER_FREE_ITERATION
 ) -> Solution | None:
-    """The fit from an estimate on; None when it does not converge.
+    """Fit from an initial estimate; None if the fit does not converge.
 
     ``rise`` is the prior standard deviation of the background's slopes, counts per sigma of the initial
     estimate. The order is held until ``order_free_iteration``.
@@ -112,10 +112,10 @@ def solve(
 
 
 def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration: int) -> Solution | None:
-    """``solve`` without compiled code.
+    """Fit like ``solve`` without compiled code.
 
-    With some three hundred blocks numpy's call overhead dominates: what belongs together is one array, and
-    one product gives the normal equations with their right-hand side.
+    With some three hundred blocks numpy's call overhead dominates: related data is one array, and one product
+    gives the normal equations with their right-hand side.
     """
     contrast2 = contrast2_before = _INITIAL_CONTRAST**2
     blocks = data.rows
@@ -135,7 +135,7 @@ def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration
             unexplained = float((residual * bright) @ residual - noise_variance @ bright)
             per_contrast2 = float(texture_variance @ bright)
             if per_contrast2 <= 0:
-                return None  # no usable pixel lies within the spot
+                return None  # no usable pixel is within the spot
             contrast2_before = contrast2
             contrast2 = min(max(unexplained / per_contrast2, _MIN_CONTRAST**2), _MAX_CONTRAST**2)
         weighted = rows[:RESIDUAL] / (noise_variance + contrast2 * texture_variance)
@@ -162,9 +162,9 @@ def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration
 
 
 def _is_converged(change: Sequence[float], contrast_is_steady: bool, is_late: bool) -> bool:
-    """Whether the last step changed centre and shape by less than the tolerances.
+    """Return whether the last step changed centre and shape by less than the tolerances.
 
-    ``contrast_is_steady``: so did the texture contrast, which decides on the weights. A small spot with a
+    ``contrast_is_steady``: so did the texture contrast, which determines the weights. A small spot with a
     hard edge may oscillate between shapes indefinitely: in late iterations a converged centre is enough.
     """
     if is_late:
@@ -216,11 +216,11 @@ def _linearise(data: Blocks, state: State, rows: FloatArray) -> None:
 def _block_mean_ratio(
     half_moments: FloatArray, steepness: FloatArray, along: FloatArray, form: tuple[float, float, float]
 ) -> FloatArray:
-    """Mean of the spot over each block relative to its value at the block's centroid.
+    """Return the mean of the spot over each block relative to its value at the block's centroid.
 
-    1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives of a Gaussian that is as steep
-    there; ``along`` (2, n) is the gradient of q. Where the rows of dots run along those of pixels, the
-    moments beat, and without this so does the centre: by 0.02 px.
+    1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives of a Gaussian of the same steepness
+    there; ``along`` (2, n) is the gradient of q. If the rows of dots run along those of pixels, the moments
+    beat, and without this the centre does too: by 0.02 px.
     """
     xx, xy, yy = half_moments
     by_x, by_y = along * steepness
@@ -235,7 +235,7 @@ def _block_mean_ratio(
 
 
 def _damped_step(state: State, step: Sequence[float]) -> State | None:
-    """The state after a step, damped until the form is an ellipse and no parameter leaps; None if none is."""
+    """Return the state after a step, damped to an ellipse without a leaping parameter; None if impossible."""
     largest = max(abs(step[U]), abs(step[V]), *(abs(step[index] / state[index]) for index in (A, C, ORDER)))
     if not math.isfinite(largest):
         return None

@@ -1,4 +1,4 @@
-"""The flat field of one target: the share of the light that each pixel shows."""
+"""Flat field of one target: the share of the light that each pixel shows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from altd.vision.image import Image
 Source = Literal["recording", "laser", "print"]
 
 BLOCK_PX = 4
-"""Side of the blocks into which a spot is summed before it is fitted."""
+"""Side of the blocks over which a spot is summed before it is fitted, px."""
 
 _FULL_SCALE = 255
 _BRIGHTEST_PERCENT = 99.99
@@ -24,11 +24,11 @@ _BRIGHTEST_PERCENT = 99.99
 
 @dataclass(frozen=True, eq=False)
 class Flat:
-    """A target's response F to even light, mean 1: what a pixel shows of an irradiance E is E · F.
+    """Response F of a target to even light, mean 1: a pixel shows E · F of an irradiance E.
 
-    Kept as ``levels`` (rows, columns), uint8 from 0 to the brightest pixel, as a calibration file keeps it:
-    the steps are far below the surface texture. A pixel of 0 is not used. ``source`` says where it comes
-    from: a recording of the evenly lit target, or a model of its print; ``origin`` is that of their frames.
+    Stored as ``levels`` (rows, columns), uint8 from 0 to the brightest pixel, as in a calibration file: the
+    steps are far below the surface texture. A pixel of 0 is not used. ``source`` is a recording of the evenly
+    lit target, laser spots, or a model of its print; ``origin`` is the origin of their frames.
     """
 
     levels: npt.NDArray[np.uint8]
@@ -37,41 +37,41 @@ class Flat:
 
     @classmethod
     def of(cls, response: npt.NDArray[np.floating], source: Source, origin: Origin = Origin.CAMERA) -> Self:
-        """The flat of a response (rows, columns) in any unit; negative values are 0."""
+        """Return the flat of a response (rows, columns) in any unit; negative values become 0."""
         brightest = max(float(np.percentile(response, _BRIGHTEST_PERCENT)), 1e-12)
         levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL_SCALE).astype(np.uint8)
         return cls(levels, source, origin)
 
     @cached_property
     def response(self) -> Image:
-        """F, (rows, columns)."""
+        """Response F, (rows, columns)."""
         response = self.levels.astype(np.float32)
         response /= max(float(self.levels.mean()), 1e-6)
         return response
 
     @cached_property
     def blocks(self) -> BlockSums:
-        """The sums over whole blocks of BLOCK_PX."""
+        """Sums over whole blocks of BLOCK_PX."""
         return block_sums(self.response, 0, 0, BLOCK_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockSums:
-    """Sums of powers of F over square blocks, and where the blocks measure: ``planes`` (9, rows, columns).
+    """Sums of powers of F over square blocks, and the blocks' positions: ``planes`` (9, rows, columns).
 
     ΣF, ΣF², ΣF³, ΣF⁴, then u and v in px: a block's centroid weighted with F², so that ΣF·(E·F) is E there
     times ΣF² for an irradiance that is linear over the block; then uu, uv and vv in px², the moments about
-    it, for one that is curved. One array, since a spot's part is cut out of it for every frame.
+    it, for a curved irradiance. One array, since a spot's part is cut out of it for every frame.
     """
 
     planes: FloatArray
 
     def cut(self, rows: slice, columns: slice) -> BlockSums:
-        """Some of the blocks."""
+        """Return the blocks of these rows and columns."""
         return BlockSums(self.planes[:, rows, columns])
 
     def shifted(self, left: int, top: int) -> BlockSums:
-        """The same blocks at another place."""
+        """Return the same blocks shifted by (left, top) px."""
         planes = self.planes.copy()
         planes[4] += left
         planes[5] += top
@@ -79,9 +79,9 @@ class BlockSums:
 
 
 def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
-    """The sums of a part of a flat whose first pixel is (left, top); incomplete blocks are left out."""
+    """Return the sums of a part of a flat with first pixel (left, top); incomplete blocks are excluded."""
     rows, columns = response.shape[0] // size, response.shape[1] // size
-    # from the blocks' middles: small numbers keep their digits in float32
+    # relative to the blocks' middles: small numbers keep their digits in float32
     offset = np.arange(size, dtype=np.float32) - np.float32((size - 1) / 2)
     by_column, by_row = np.tile(offset, columns), np.tile(offset, rows)[:, None]
     whole = response[: rows * size, : columns * size]
@@ -106,7 +106,7 @@ def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
 
 
 def block_sum(image: Image, size: int) -> Image:
-    """Sums over size × size pixels; rows and columns that fill no block are left out."""
+    """Return sums over size × size pixels; rows and columns that fill no block are excluded."""
     if size == 1:
         return image
     rows, columns = image.shape[0] // size, image.shape[1] // size

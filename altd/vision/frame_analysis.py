@@ -1,4 +1,4 @@
-"""One frame with what several steps need of it: noise, bright regions, and the surroundings of each."""
+"""Analysis of one frame shared by several steps: noise, bright regions, and the surroundings of each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """A mask's area, centroid and second moments about it, px."""
+    """Area, centroid and second moments about it of a mask, px."""
 
     area: float
     u: float
@@ -38,9 +38,9 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A spot's surroundings: excess over the background, smoothed, and the mask of the spot in it.
+    """Surroundings of a spot: excess over the background, the same smoothed, and the mask of the spot in it.
 
-    ``left`` and ``top`` are multiples of BLOCK_PX, ``pixels`` the frame's part, ``outline`` the mask's, in
+    ``left`` and ``top`` are multiples of BLOCK_PX, ``pixels`` is the frame's part, ``outline`` the mask's, in
     px of the patch.
     """
 
@@ -50,9 +50,9 @@ class Patch:
     excess: Image
     smooth: Image
     background_counts: float
-    """The background in the middle."""
+    """Background in the middle."""
     peak: float
-    """Of the smoothed excess."""
+    """Peak of the smoothed excess."""
     mask: Mask
     outline: Outline
     is_cut: bool
@@ -85,9 +85,9 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
 
 
 def without_hot_pixels(window: PixelArray) -> Image:
-    """A window of the frame as float, with single bright pixels replaced by their neighbours' median.
+    """Return a window of the frame as float; neighbours' medians replace single bright pixels.
 
-    A pixel is hot when it exceeds the window's floor three times as far as the brightest of its eight
+    A pixel is hot if it exceeds the window's floor three times as far as the brightest of its eight
     neighbours does: the smallest printed dot spreads over more than one pixel, a hot pixel does not.
     """
     image: Image = window.astype(np.float32)
@@ -95,7 +95,7 @@ def without_hot_pixels(window: PixelArray) -> Image:
     limit = cv2.dilate(window, _RING).astype(np.float32)
     np.maximum(limit, floor + 3, out=limit)
     limit *= _MIN_HOT_RATIO
-    limit -= (_MIN_HOT_RATIO - 1) * floor  # all of it whole numbers, so nothing is rounded
+    limit -= (_MIN_HOT_RATIO - 1) * floor  # all are whole numbers, so nothing is rounded
     hot = np.flatnonzero(image > limit).tolist()
     if len(hot) > _MAX_MENDED_SINGLY:
         image.ravel()[hot] = cv2.medianBlur(window, 5).ravel()[hot]
@@ -108,14 +108,14 @@ def without_hot_pixels(window: PixelArray) -> Image:
 
 
 def _connected_component(mask: npt.NDArray[np.bool_], u: int, v: int) -> Mask:
-    """The part of a mask that is connected with pixel (u, v)."""
+    """Return the part of a mask that is connected with pixel (u, v)."""
     _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
     mask_of_spot: Mask = np.equal(labels, labels[v, u]).view(np.uint8)
     return mask_of_spot
 
 
 def _touches(mask: Mask, image_borders: tuple[bool, bool, bool, bool]) -> tuple[bool, bool]:
-    """Whether the mask reaches a border of the image, and whether it reaches another border of the patch.
+    """Return whether the mask reaches a border of the image, and whether another border of the patch.
 
     ``image_borders``: which borders of the patch are the image's, left, top, right, bottom.
     """
@@ -129,7 +129,7 @@ def _touches(mask: Mask, image_borders: tuple[bool, bool, bool, bool]) -> tuple[
 
 
 def outline_of(mask: Mask) -> Outline:
-    """The outline of a mask of 0 and 1 that is not empty."""
+    """Return the outline of a non-empty mask of 0 and 1."""
     m = cv2.moments(mask)
     area = m["m00"]
     return Outline(
@@ -140,8 +140,8 @@ def outline_of(mask: Mask) -> Outline:
 class FrameAnalysis:
     """A frame, the coarse search over it, the noise of its pixels and the surroundings of its regions.
 
-    Localiser, frame LEDs and fingerprint work on the same analysis, so that none of them searches again.
-    ``found`` is the search where it has been made.
+    Localiser, frame LEDs and fingerprint share one analysis, so that the search runs once. ``found`` is the
+    search if it has already been made.
     """
 
     def __init__(self, frame: Frame, settings: SpotSettings, found: Search | None = None) -> None:
@@ -152,19 +152,19 @@ class FrameAnalysis:
 
     @property
     def found(self) -> Search:
-        """The background and the bright regions."""
+        """Background and bright regions."""
         if self._found is None:
             self._found = search(self.frame.pixels)
         return self._found
 
     @cached_property
     def noise(self) -> Noise:
-        """The noise of the frame's pixels."""
+        """Noise of the frame's pixels."""
         read_counts = pixel_noise(self.frame.pixels, self.found.background)
         return Noise(read_counts, self.settings.full_well_electrons / self.frame.full_scale)
 
     def patch(self, region: Region) -> Patch | NoSpot:
-        """The surroundings of a bright region of this frame, or why there is no spot in it."""
+        """Return the surroundings of a bright region of this frame, or why there is no spot in it."""
         patch = self._patches.get(region)
         if patch is None:
             patch = self._patches[region] = patch_around(self.frame, region, self.found, self.settings)
@@ -172,6 +172,6 @@ class FrameAnalysis:
 
     @property
     def brightest_patch(self) -> Patch | None:
-        """The surroundings of the brightest region; None where there is none, or single pixels shine."""
+        """Surroundings of the brightest region; None if there is none, or only single pixels shine."""
         patch = self.patch(self.found.regions[0]) if self.found.regions else None
         return patch if isinstance(patch, Patch) else None

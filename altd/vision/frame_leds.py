@@ -1,4 +1,4 @@
-"""The frame LEDs in a pair of frames, LEDs on and off; the laser spot may be there in both."""
+"""Frame LEDs in a pair of frames, LEDs on and off; the laser spot may be present in both."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class FittedDisc:
 
 
 def fit_disc(window: Image, initial_radius_px: float) -> FittedDisc | None:
-    """Least squares of a disc with a soft edge through a window (h, w) of counts; None where it is no disc.
+    """Fit a disc with a soft edge to a window (h, w) of counts by least squares; None if it is no disc.
 
-    Centre, radius, level, what lies under it, and the width of its edge are fitted. It may reach out of the
-    window; its centre must lie inside. The standard deviation is that of the residuals, propagated.
+    Fitted are centre, radius, level, the background under it, and the width of its edge. It may extend beyond
+    the window; its centre must be inside. The standard deviation is propagated from the residuals.
     """
     u, v = (places.astype(np.float64) for places in np.meshgrid(*map(np.arange, window.shape[::-1])))
     counts = window.astype(np.float64)
@@ -87,7 +87,7 @@ def _residuals(parameters: FloatArray, u: FloatArray, v: FloatArray, counts: Flo
 
 
 def _jacobian(parameters: FloatArray, u: FloatArray, v: FloatArray, counts: FloatArray) -> FloatArray:
-    """Derivatives (n, 6) of the residuals by the parameters, by central differences."""
+    """Return the derivatives (n, 6) of the residuals by the parameters, by central differences."""
     columns = []
     for index in range(len(parameters)):
         step = np.zeros(len(parameters))
@@ -102,26 +102,26 @@ def _jacobian(parameters: FloatArray, u: FloatArray, v: FloatArray, counts: Floa
 LED_SETTINGS = SpotSettings(
     method="moment", smoothing_px=1.5, threshold=0.3, power=1.0, min_diameter_px=5.0, max_aspect=2.0
 )
-"""A flat-headed LED is an evenly bright disc: little smoothing, half-way contour, plain moment."""
+"""A flat-headed LED is an evenly bright disc: little smoothing, contour at 0.3 of the peak, plain moment."""
 
 _MARGIN_PX = 8
 _PLACE_TOLERANCE_PX = 3
-"""An LED need not be at its reference position to be distinguished from a laser spot."""
+"""Tolerance of an LED's reference position; an LED beside it still differs from a laser spot."""
 _INITIAL_RADIUS_PX = 9.0
 _MAX_SIZE_RATIO = 1.4
-"""A disc at the border is an LED when it is at most this much larger or smaller than the others."""
+"""Maximum ratio, either way, of the size of an LED at the border to that of the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leds:
-    """The located LEDs by increasing u, and in words the lights that could not be located."""
+    """Located LEDs by increasing u, and texts on the lights that could not be located."""
 
     spots: tuple[Spot, ...]
     rejected: tuple[str, ...]
 
 
 def count_lit_leds(found: Search, leds_px: FloatArray) -> int:
-    """The number of LEDs at ``leds_px``, (n, 2), lit in one frame, each as a bright region of its own.
+    """Return how many LEDs at ``leds_px``, (n, 2), are lit in one frame, each as a bright region of its own.
 
     Light that floods them all is one region.
     """
@@ -136,10 +136,10 @@ def count_lit_leds(found: Search, leds_px: FloatArray) -> int:
 
 
 def locate_leds(lit: Frame, dark: Frame, settings: SpotSettings = LED_SETTINGS) -> Leds:
-    """Positions of the LEDs that are lit in ``lit`` and not in ``dark``.
+    """Return the positions of the LEDs that are lit in ``lit`` and not in ``dark``.
 
-    Light that is the same in both frames cancels. An LED at the border of the picture is fitted on what is
-    there.
+    Light that is the same in both frames cancels. An LED at the border of the picture is fitted on its
+    visible part.
     """
     difference = replace(lit, pixels=cast("PixelArray", cv2.subtract(lit.pixels, dark.pixels)))
     analysis = FrameAnalysis(difference, settings)
@@ -169,7 +169,7 @@ def _reaches_border(region: Region, frame: Frame) -> bool:
 
 
 def _fit_at_border(difference: Frame, region: Region, usual_radius_px: float | None) -> Spot | NoSpot:
-    """The LED in a region at the border; ``usual_radius_px`` is the radius of those that are whole."""
+    """Return the LED in a region at the border; ``usual_radius_px`` is the radius of complete ones."""
     left, top = max(region.left - _MARGIN_PX, 0), max(region.top - _MARGIN_PX, 0)
     window = difference.pixels[top : region.bottom + _MARGIN_PX, left : region.right + _MARGIN_PX]
     disc = fit_disc(window.astype(np.float32), usual_radius_px or _INITIAL_RADIUS_PX)
@@ -192,7 +192,7 @@ def _rejection_text(region: Region, spot: NoSpot) -> str:
 
 
 def with_leds_as_cause(refused: NoSpot, lit: int, leds: int) -> NoSpot:
-    """The refusal, with the lit frame LEDs as the cause where they are the light that is seen."""
+    """Return the rejection, with the lit frame LEDs as the cause if they are the visible light."""
     if lit < 2 or 2 * lit < leds:
         return refused
     return replace(refused, detail=f"{LEDS_LIT}, {lit} of {leds} shine at their places")

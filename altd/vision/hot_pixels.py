@@ -1,7 +1,7 @@
-"""The hot pixels of a sensor: single pixels that are bright in every frame, and so identify the sensor.
+"""Hot pixels of a sensor: single pixels that are bright in every frame, and so identify the sensor.
 
-What a lens images is wider than a pixel, so light is not taken for them. A mirrored image, one of another
-part of the sensor and one of another sensor have them elsewhere; the scene before the lens has no effect.
+A lens images light wider than a pixel, so light is not taken for them. A mirrored image, one of another part
+of the sensor and one of another sensor have them elsewhere; the scene before the lens has no effect.
 """
 
 from __future__ import annotations
@@ -19,42 +19,42 @@ Places = npt.NDArray[np.int64]
 """Pixels (n, 2) as u, v."""
 
 MAX_PIXELS = 500
-"""Of a sensor with more, that many are kept; in an image with more, no offset is searched."""
+"""Maximum number of hot pixels kept of a sensor; in an image with more, no offset is searched."""
 
 _NEIGHBOURS = tuple((dv, du) for dv in (-1, 0, 1) for du in (-1, 0, 1) if dv or du)
 _MIN_RISE_RATIO = 5
-"""A hot pixel rises over the dimmest of its eight neighbours so many times as far as the brightest: in an
-image as sharp as 0.5 px a glint does not. In even light the neighbours lie 2.8 sigma apart, so noise would
-need 7 sigma."""
+"""Minimum rise of a hot pixel over the dimmest of its eight neighbours, relative to that of the brightest: a
+glint rises less, even in an image as sharp as 0.5 px. In even light the neighbours are 2.8 sigma apart, so
+noise would need 7 sigma."""
 _ROUNDING_COUNTS = 3
 _SPARSE = 9
-"""The distance, in rows and columns, of the pixels whose neighbourhoods are sampled."""
+"""Distance, in rows and columns, of the pixels whose neighbourhoods are sampled."""
 _PIECE_PIXELS = 1 << 16
-"""A frame is processed in pieces of so many pixels, whose intermediate results stay cached. For those of the
+"""Number of pixels of a frame processed at once, so that intermediate results stay cached. For those of the
 whole frame the kernel would provide memory again, page by page, for each frame."""
 _MIN_PERMANENT_SHARE = 0.9
 _MIN_INTERMITTENT_FRAMES = 2
 
 _MIN_PRESENT = 3
-"""In another sensor with 20 hot pixels, so many of 20 coincide by chance once in 10^9."""
+"""Minimum number of matches; for another sensor with 20 hot pixels, this many of 20 match once in 10^9."""
 _MIN_EXPECTED = 4
 _MIN_PRESENT_SHARE = 0.5
 _MAX_CHANCE_SHARE = 0.15
-"""Of the hot pixels of a calibration: so many may lie in a place by chance."""
+"""Maximum share of a calibration's hot pixels that may coincide by chance."""
 _MAX_OFFSET_PX = 12
 _MAX_DISPLACEMENT_PX = 400
 _MIN_DISPLACED = 3
-"""By chance, of ten missing and ten foreign ones: once in 10^7."""
+"""Minimum number equally displaced; by chance, of ten missing and ten foreign ones: once in 10^7."""
 
 
 def hot_pixels(pixels: PixelArray) -> Places:
-    """The hot pixels of a frame, row by row; those at its border are not looked for."""
+    """Return the hot pixels of a frame, row by row; those at its border are not searched."""
     rows, columns = pixels.shape
     if min(rows, columns) < 3:
         return places_of([])
     median_range = _median_range(pixels)
-    # A hot pixel fulfils here - low > 5 max(high - low, median) + 3, so here - high > 4 median + 3, too, and
-    # high is at least the brighter one of left and right: to look for that costs least, and leaves a few.
+    # A hot pixel fulfils here - low > 5 max(high - low, median) + 3, so here - high > 4 median + 3, too.
+    # high is at least the brighter of left and right: this test is the cheapest and leaves few candidates.
     least_rise = (_MIN_RISE_RATIO - 1) * median_range + _ROUNDING_COUNTS
     flat, found = pixels.ravel(), []
     end = flat.size - columns
@@ -75,10 +75,10 @@ def hot_pixels(pixels: PixelArray) -> Places:
 
 
 def _median_range(pixels: PixelArray) -> int:
-    """By how much the brightest of a pixel's eight neighbours exceeds the dimmest: the median of a sample."""
+    """Return the median of a sample of the ranges from the dimmest to the brightest of eight neighbours."""
     rows, columns = pixels.shape
     v = np.arange(0, rows, _SPARSE)
-    # Mirrored at the border, where a pixel has fewer neighbours: each of them once more, and none else.
+    # Mirrored at the border, where a pixel has fewer neighbours: this repeats them and adds no others.
     above, within, below = (
         cv2.copyMakeBorder(pixels[at], 0, 0, 1, 1, cv2.BORDER_REFLECT_101)
         for at in (abs(v - 1), v, np.where(v + 1 < rows, v + 1, v - 1))
@@ -98,9 +98,9 @@ def _median_range(pixels: PixelArray) -> int:
 class SensorMatch:
     """Agreement of a frame's hot pixels with those of a calibration.
 
-    ``expected`` of the calibration's could be seen, ``present`` of them are there, ``foreign`` are where the
-    calibration has none. ``offset_px`` (u, v) is by how much the whole set lies elsewhere, where it does;
-    ``displaced`` of them lie the same number of pixels further on, and not in their places.
+    ``expected`` of the calibration's could be visible, ``present`` of them are there, ``foreign`` are in
+    places where the calibration has none. ``offset_px`` (u, v) is the displacement of the whole set, if there
+    is one; ``displaced`` of them are the same number of pixels further on, and not in their places.
     """
 
     expected: int
@@ -111,28 +111,28 @@ class SensorMatch:
 
     @property
     def is_same(self) -> bool:
-        """Whether this is the sensor, read as it was."""
+        """Whether this is the calibrated sensor with the same readout."""
         return self.present >= max(_MIN_PRESENT, _MIN_PRESENT_SHARE * self.expected)
 
     @property
     def is_other(self) -> bool:
-        """Whether this is another sensor, or another part or way of reading it.
+        """Whether this is another sensor, or another part or readout of it.
 
-        Hot pixels fade in the cold, so that they are missing is not enough: others must be there instead.
+        Hot pixels fade in the cold, so missing ones are not enough: others must be present instead.
         """
         absent = self.expected >= _MIN_EXPECTED and self.present <= _MAX_CHANCE_SHARE * self.expected
         return (absent and self.foreign >= max(_MIN_PRESENT, self.expected / 4)) or self.is_shifted_partly
 
     @property
     def is_shifted_partly(self) -> bool:
-        """Whether a part of the image is displaced, as where bytes were lost on the way."""
+        """Whether a part of the image is displaced, as after bytes were lost in transmission."""
         most = self.present + self.displaced >= _MIN_PRESENT_SHARE * self.expected
         return most and self.displaced >= max(_MIN_DISPLACED, _MAX_CHANCE_SHARE * self.expected)
 
 
 @dataclass(frozen=True, eq=False)
 class HotPixels:
-    """A sensor's hot pixels: ``permanent`` (n, 2) in every frame, ``intermittent`` (m, 2) in some."""
+    """Hot pixels of a sensor: ``permanent`` (n, 2) in every frame, ``intermittent`` (m, 2) in some."""
 
     permanent: Places
     intermittent: Places
@@ -156,7 +156,7 @@ class HotPixels:
         return _as_set(self.intermittent)
 
     def _count_hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
-        """The number of missing ones hidden by light: neighbours brighter than most of the frame."""
+        """Return the number of missing ones hidden by light: neighbours brighter than most of the frame."""
         if not missing:
             return 0
         background = float(np.percentile(pixels[::9, ::9], 90)) + _ROUNDING_COUNTS
@@ -168,7 +168,7 @@ class HotPixels:
         )
 
     def _offset_px(self, seen: Places, present: int) -> tuple[int, int] | None:
-        """The offset at which most of the hot pixels lie, where it is not 0; None where there is none."""
+        """Return the offset of most of the hot pixels, if it is not 0; None if there is none."""
         if not 0 < len(seen) <= MAX_PIXELS or present == len(self.permanent):
             return None
         offsets = (seen[:, None, :] - self.permanent[None, :, :]).reshape(-1, 2)
@@ -191,13 +191,13 @@ class HotPixelCount:
         self._hot: dict[tuple[int, int], int] = {}
 
     def add(self, pixels: PixelArray) -> None:
-        """Count one frame."""
+        """Count the hot pixels of one frame."""
         self._frames += 1
         for place in _as_set(hot_pixels(pixels)):
             self._hot[place] = self._hot.get(place, 0) + 1
 
     def result(self) -> HotPixels:
-        """The hot pixels counted so far, without those of a single frame."""
+        """Return the hot pixels counted so far, without those of a single frame."""
         by_count = sorted(self._hot.items(), key=lambda item: -item[1])[:MAX_PIXELS]
         permanent = [place for place, count in by_count if count >= _MIN_PERMANENT_SHARE * self._frames]
         intermittent = [
@@ -207,12 +207,12 @@ class HotPixelCount:
 
 
 def places_of(places: list[tuple[int, int]]) -> Places:
-    """Pixels (n, 2) from pairs."""
+    """Return pixels (n, 2) from pairs."""
     return np.array(sorted(places), dtype=np.int64).reshape(-1, 2)
 
 
 def _displaced_along_rows(missing: set[tuple[int, int]], foreign: set[tuple[int, int]], width_px: int) -> int:
-    """The number of missing ones that are the same number of pixels further on, or back, as rows follow."""
+    """Return how many missing ones are the same number of pixels further on, or back, in row order."""
     if not missing or not 0 < len(foreign) <= MAX_PIXELS:
         return 0
     here, there = (np.array([v * width_px + u for u, v in places]) for places in (missing, foreign))

@@ -1,4 +1,4 @@
-"""From grey values to a spot: images in single precision, the noise of their pixels, and the centre."""
+"""Basic types of localisation: images in single precision, the noise of their pixels, and the centre."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Mask = npt.NDArray[np.uint8]
 
 
 def gaussian_blur(image: Image, sigma_px: float) -> Image:
-    """The image smoothed by a Gaussian; itself where ``sigma_px`` is 0."""
+    """Return the image smoothed by a Gaussian; itself if ``sigma_px`` is 0."""
     if sigma_px <= 0:
         return image
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
@@ -24,7 +24,7 @@ def gaussian_blur(image: Image, sigma_px: float) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """The noise of a pixel: ``read_counts`` of the dark camera, shot noise at ``electrons_per_count``."""
+    """Noise of a pixel: ``read_counts`` of the dark camera, shot noise at ``electrons_per_count``."""
 
     read_counts: float
     electrons_per_count: float
@@ -32,7 +32,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """A spot's centre and its sigma by read and shot noise, root mean square of both axes, px."""
+    """Centre of a spot and its sigma by read and shot noise, root mean square of both axes, px."""
 
     u_px: float
     v_px: float

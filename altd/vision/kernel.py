@@ -1,7 +1,7 @@
-"""Compiled code for what the locating of a spot spends most time on (``kernel.c``), called by ctypes.
+"""Compiled code (``kernel.c``) for the slowest parts of locating a spot, called by ctypes.
 
-It is built with altd where there is a C compiler (``hatch_build.py``). Elsewhere numpy does the same, four
-times as slow; ``description`` tells which of them runs.
+It is built with altd if there is a C compiler (``hatch_build.py``). Otherwise numpy does the same, four times
+as slow; ``description`` names the one in use.
 """
 
 from __future__ import annotations
@@ -93,14 +93,14 @@ _library, description = _loaded()
 
 
 def is_compiled() -> bool:
-    """Whether compiled code runs."""
+    """Return whether compiled code runs."""
     return _library is not None
 
 
 def fit(
     limits: FitLimits, blocks: Blocks, state: Sequence[float], rise: float, order_free_iteration: int
 ) -> tuple[list[float], FloatArray, float, float] | None:
-    """``fit.solve_by_numpy``: the values of a ``Solution`` in their order; None when it does not converge."""
+    """Run ``fit.solve_by_numpy`` compiled: the values of a ``Solution`` in order, None if not converged."""
     count = blocks.rows.shape[1]
     given, found = _packed(blocks.rows), np.array(state, np.float64)
     rows = np.empty((_FIT_ROWS + 1, count))
@@ -116,7 +116,7 @@ def fit(
 def misfit(
     rings: Rings, blocks: Blocks, solution: Solution, rise: float, order_sigma: float, texture_contrast: float
 ) -> FoundMisfit | None:
-    """``misfit.misfit_by_numpy``; None where there are too few blocks to tell."""
+    """Run ``misfit.misfit_by_numpy`` compiled; None if there are too few blocks."""
     given, state, rows = map(_packed, (blocks.rows, np.array(solution.state), solution.rows))
     if given.shape[1] != rows.shape[1]:
         raise ValueError(f"{given.shape[1]} blocks, but a fit of {rows.shape[1]}")
@@ -130,7 +130,7 @@ def misfit(
 
 
 def _packed(values: FloatArray) -> FloatArray:
-    """The values as compiled code reads them: doubles, row after row."""
+    """Return the values as compiled code reads them: doubles, row after row."""
     return np.ascontiguousarray(values, np.float64)
 
 

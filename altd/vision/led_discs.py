@@ -1,4 +1,4 @@
-"""The lit LEDs of a calibration plate: discs with sub-pixel centres in the image LEDs on minus LEDs off."""
+"""Lit LEDs of a calibration plate: discs with sub-pixel centres in the image LEDs on minus LEDs off."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _MIN_AREA_PX = 20
 _MAX_ASPECT = 2.5
 _MIN_FILL = 0.88
 _MAX_SOFTNESS, _MAX_SOFTNESS_RATIO = 2.4, 1.5
-"""Area above a quarter of the level over area above three quarters: a disc of 3 mm under 30° behind a lens of
-3.6 mm has 1.8, a Gaussian glow 2.9. It is one, if it is also so many times softer than most of the lights:
-then the LEDs themselves are not as soft."""
+"""Limits of the softness, the area above a quarter of the level over that above three quarters: a disc of 3
+mm under 30° behind a lens of 3.6 mm has 1.8, a Gaussian glow 2.9. A glow must also be so many times softer
+than the median of the lights: then the LEDs themselves are not as soft."""
 _MAX_NEIGHBOUR_DIFFERENCE_SHARE = 0.35
 _MARGIN_PX = 4
 _OUTER_SHARE, _INNER_SHARE = 0.25, 0.75
-"""The shares of a disc's level between which the softness of its edge is measured."""
+"""Shares of a disc's level between which the softness of its edge is measured."""
 _RIM_SHARES = 0.1, 0.9
-"""The shares between which a pixel counts in part. From 0.25 to 0.75 the rim is so narrow that the raster of
-the pixels shows (0.008 px instead of 0.004 px without noise)."""
+"""Shares between which a pixel counts in part. From 0.25 to 0.75 the rim is so narrow that the raster of the
+pixels shows (0.008 px instead of 0.004 px without noise)."""
 _LEVEL_PERCENTILE = 75.0
 
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """An evenly bright disc: centre of its area and its area, px; its median brightness, its edge's softness.
+    """Evenly bright disc: centre of its area and its area, px; its median brightness, its edge's softness.
 
-    ``is_cut``: the border of the image cuts it, so that its centre is not well known.
-    ``box`` is the window that it was found in: left, top, right, bottom, the last two past the end.
+    ``is_cut``: the border of the image cuts it, so that its centre is uncertain. ``box`` is the window that
+    it was found in: left, top, right, bottom, the last two exclusive.
     """
 
     u_px: float
@@ -52,7 +52,7 @@ class Disc:
 
 @dataclass(frozen=True, slots=True)
 class Discs:
-    """The discs that were found, and in words the lights that are no LED."""
+    """Discs that were found, and texts on the lights that are no LED."""
 
     found: tuple[Disc, ...]
     rejected: tuple[str, ...]
@@ -60,7 +60,7 @@ class Discs:
 
 @dataclass(frozen=True, slots=True)
 class _AreaCentre:
-    """The centre of a disc's area (u, v) in a window, the area, px, and the softness of the disc's edge."""
+    """Centre of a disc's area (u, v) in a window, the area, px, and the softness of the disc's edge."""
 
     u_px: float
     v_px: float
@@ -69,10 +69,10 @@ class _AreaCentre:
 
 
 def find_discs(difference: Image) -> Discs:
-    """Discs in the mean image with the LEDs on minus the one with them off, (h, w) counts.
+    """Find discs in the mean image with the LEDs on minus the one with them off, (h, w) counts.
 
     Light that is the same in both has cancelled. Single pixels, streaks, rings and soft glows, such as
-    reflections, are rejected; a reflection as sharp as an LED passes, and must fail to fit the grid.
+    reflections, are rejected; a reflection as sharp as an LED passes, and must fail to match the grid.
     """
     smoothed = cv2.GaussianBlur(cv2.medianBlur(difference, 3), (0, 0), 1.0)
     brightest = float(smoothed.max())
@@ -109,7 +109,7 @@ def find_discs(difference: Image) -> Discs:
 
 
 def disc_centres_px(difference: Image, discs: tuple[Disc, ...]) -> FloatArray:
-    """The discs' centres (n, 2) in another image of the same scene; NaN for one that is dark there."""
+    """Return the discs' centres (n, 2) in another image of the same scene; NaN for one that is dark there."""
     centres = np.full((len(discs), 2), np.nan)
     for row, disc in enumerate(discs):
         left, top, right, bottom = disc.box
@@ -120,7 +120,7 @@ def disc_centres_px(difference: Image, discs: tuple[Disc, ...]) -> FloatArray:
 
 
 def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
-    """The disc of a mask at (left, top), or in words why it is none."""
+    """Return the disc of a mask at (left, top), or as text why it is none."""
     rows, columns = difference.shape
     at_v, at_u = (positions.astype(np.int64) for positions in np.nonzero(mask))
     u, v = left + int(at_u.mean()), top + int(at_v.mean())
@@ -160,13 +160,13 @@ def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
 
 
 def _area_centre(window: Image, min_counts: float) -> _AreaCentre | None:
-    """The centre of the disc's area in a window.
+    """Return the centre of the disc's area in a window.
 
-    None without a bright inside, or where nothing is brighter than ``min_counts``.
+    None without a bright inside, or if nothing is brighter than ``min_counts``.
 
-    The disc's brightness is divided by the plane through its inside, so that neither the fall-off of the
-    lens nor an LED brighter on one side moves the centre. Weights rise from 0 at a tenth of that to 1 at
-    nine tenths: the inside does not add its noise, and the rim counts by its share of each pixel.
+    The disc's brightness is divided by the plane through its inside, so that neither the fall-off of the lens
+    nor an LED brighter on one side moves the centre. Weights rise from 0 at a tenth of that to 1 at nine
+    tenths: the inside does not add its noise, and the rim counts by its share of each pixel.
     """
     brightest = float(window.max())
     if brightest <= min_counts:

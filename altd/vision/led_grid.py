@@ -1,7 +1,7 @@
-"""Assigns found LEDs to places in the plate's grid, from neighbour to neighbour.
+"""Assignment of found LEDs to positions in the plate's grid, from neighbour to neighbour.
 
-A full grid looks the same upside down, and mirrored but for the side of its columns. So two things are taken
-as known: whether the camera sees the target mirrored, and that up in the image is up (+y), to within
+A full grid looks the same upside down, and mirrored except for the side of its columns. So two things are
+taken as known: whether the camera sees the target mirrored, and that up in the image is up (+y), to within
 ``MAX_TURN_DEG``.
 """
 
@@ -25,20 +25,20 @@ Cell = tuple[int, int]
 _MAX_STARTS = 9
 _MAX_NEIGHBOURS = 6
 _MAX_STEP_DEVIATION = 0.3
-"""A neighbour deviates from the place that the step before it predicts by at most this share of the step."""
+"""Maximum deviation of a neighbour from the position by the previous step, as a share of the step."""
 _MAX_CUBIC_DEVIATION = 0.2
-"""The same for the place that a cubic map through all the others predicts."""
+"""The same for the position that a cubic map through all the others predicts."""
 _MIN_FOR_CUBIC = 16
 _MIN_REDUNDANCY = 0.08
-"""1 − leverage: a point with less determines the cubic alone; no other can check it."""
+"""Minimum of 1 − leverage: a point with less determines the cubic alone, and no other can check it."""
 _MIN_LATTICE_SHARE = 0.5
 _MIN_MARGIN_LEDS = 2
-"""By so many LEDs the grid must fit better than when shifted by a line."""
+"""Number of LEDs by which the grid must fit better than when shifted by a line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridMatch:
-    """``rows_of`` (rows, columns) holds the row of the point that is the LED there, −1 where there is none.
+    """``rows_of`` (rows, columns) holds the row of the point that is the LED there, −1 if there is none.
 
     Counted from the LED with the smallest x and the smallest y. ``extra`` are points that are no LED.
     """
@@ -48,9 +48,9 @@ class GridMatch:
 
 
 def match_grid(points_px: FloatArray, columns: int, rows: int, mirrored: bool) -> GridMatch:
-    """Match points (n, 2) px to a grid of columns × rows, some of them missing, some points false.
+    """Match points (n, 2) px to a grid of columns × rows; points may be missing or false.
 
-    Raises ValueError, with a message for the user, when they are no such grid or their place is unknown.
+    Raises ValueError, with a message for the user, if they are no such grid or their place in it is unknown.
     """
     cells = _largest_lattice(points_px, columns, rows)
     if len(cells) < max(_MIN_LATTICE_SHARE * columns * rows, 6):
@@ -65,7 +65,7 @@ def match_grid(points_px: FloatArray, columns: int, rows: int, mirrored: bool) -
 
 
 def _largest_lattice(points: FloatArray, columns: int, rows: int) -> dict[Cell, int]:
-    """The lattice that holds most points within a window of the grid's size, lying or standing."""
+    """Return the lattice with most points within a window of the grid's size, in either orientation."""
     best: dict[Cell, int] = {}
     best_count = 0
     if len(points) < 4:
@@ -90,7 +90,7 @@ def _largest_lattice(points: FloatArray, columns: int, rows: int) -> dict[Cell, 
 
 
 def _follow_lattice(points: FloatArray, start: int, a: FloatArray, b: FloatArray) -> dict[Cell, int]:
-    """The lattice of steps from neighbour to neighbour; each step is that of the nearest known pair."""
+    """Return the lattice of steps from neighbour to neighbour; each is that of the nearest known pair."""
     cells: dict[Cell, int] = {(0, 0): start}
     free = np.ones(len(points), dtype=bool)
     free[start] = False
@@ -114,7 +114,7 @@ def _follow_lattice(points: FloatArray, start: int, a: FloatArray, b: FloatArray
 
 
 def _step(points: FloatArray, cells: Mapping[Cell, int], at: Cell, direction: Cell) -> FloatArray | None:
-    """The step from a cell predicted by its neighbours: the one before it, else those beside it."""
+    """Return a cell's step predicted by its neighbours: the previous one, else those beside it."""
     i, j = at
     di, dj = direction
     before = cells.get((i - di, j - dj))
@@ -127,12 +127,12 @@ def _step(points: FloatArray, cells: Mapping[Cell, int], at: Cell, direction: Ce
 
 
 def _max_count(cells: Mapping[Cell, int], columns: int, rows: int) -> int:
-    """The largest number of cells in a window of columns × rows."""
+    """Return the largest number of cells in a window of columns × rows."""
     return max(count for count, _, _ in _windows(cells, columns, rows))
 
 
 def _windows(cells: Mapping[Cell, int], columns: int, rows: int) -> list[tuple[int, int, int]]:
-    """The number of cells in each window (first column, first row) of that size, most first."""
+    """Return the number of cells in each window (first column, first row) of that size, most first."""
     places = np.array(list(cells))
     low, high = places.min(axis=0), places.max(axis=0)
     full = np.zeros(high - low + 2 * np.array([columns, rows]) - 1, dtype=np.int64)
@@ -149,17 +149,17 @@ def _windows(cells: Mapping[Cell, int], columns: int, rows: int) -> list[tuple[i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CubicMap:
-    """A cubic through the lattice's points: cell → px."""
+    """Cubic map through the lattice's points: cell → px."""
 
     centre: FloatArray
     scale: float
     coefficients: FloatArray
     leave_one_out_px: FloatArray
-    """Each point of the lattice as the fit to all others predicts it, (n, 2); NaN without redundancy."""
+    """Each lattice point's position predicted by the fit to all others, (n, 2); NaN without redundancy."""
 
     @classmethod
     def fit(cls, points: FloatArray, cells: Mapping[Cell, int]) -> Self:
-        """Least squares, with the leave-one-out prediction of each point by its leverage."""
+        """Fit by least squares, with the leave-one-out prediction of each point by its leverage."""
         places = np.array(list(cells), dtype=np.float64)
         seen = points[list(cells.values())]
         centre, scale = places.mean(axis=0), float(np.ptp(places, axis=0).max() / 2)
@@ -171,25 +171,25 @@ class _CubicMap:
         return cls(centre, scale, coefficients, seen - (seen - design @ coefficients) / redundancy)
 
     def to_px(self, cells: npt.ArrayLike) -> FloatArray:
-        """The places (n, 2) of cells (n, 2)."""
+        """Return the positions (n, 2) of cells (n, 2)."""
         places = np.asarray(cells, dtype=np.float64)
         return np.asarray(_cubic((places - self.centre) / self.scale) @ self.coefficients)
 
     def step_px(self, cell: Cell) -> float:
-        """The shorter step from a cell to the next ones."""
+        """Return the shorter step from a cell to the next ones."""
         here, right, up = self.to_px([cell, (cell[0] + 1, cell[1]), (cell[0], cell[1] + 1)])
         return float(min(np.linalg.norm(right - here), np.linalg.norm(up - here)))
 
 
 def _cubic(q: FloatArray) -> FloatArray:
-    """All monomials up to total degree 3 of points (n, 2)."""
+    """Return all monomials up to total degree 3 of points (n, 2)."""
     return np.stack([q[:, 0] ** i * q[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=-1)
 
 
 def _remove_outliers(points: FloatArray, cells: dict[Cell, int]) -> None:
     """Replace or remove the point with the largest leave-one-out residual until none is an outlier.
 
-    The steps may have met a light beside an LED, or in the place of a dark one.
+    The steps may have reached a light beside an LED, or in the place of a dark one.
     """
     for _ in range(2 * len(points)):
         if len(cells) < _MIN_FOR_CUBIC:
@@ -231,12 +231,12 @@ def _fill_gaps(points: FloatArray, cells: dict[Cell, int]) -> None:
 
 
 def _free(points: FloatArray, cells: Mapping[Cell, int]) -> list[int]:
-    """The points that no cell has."""
+    """Return the points that no cell has."""
     return sorted(set(range(len(points))) - set(cells.values()))
 
 
 def _oriented(points: FloatArray, cells: Mapping[Cell, int], mirrored: bool) -> dict[Cell, int]:
-    """The lattice with its cells counted along x and y."""
+    """Return the lattice with its cells counted along x and y."""
     places = np.array(list(cells), dtype=np.float64)
     design = np.column_stack([places, np.ones(len(places))])
     along_i, along_j, _ = np.linalg.lstsq(design, points[list(cells.values())], rcond=None)[0]
@@ -272,7 +272,7 @@ def _angle(wanted: FloatArray, seen: FloatArray) -> float:
 
 
 def _placed_in_grid(cells: Mapping[Cell, int], columns: int, rows: int) -> npt.NDArray[np.int64]:
-    """The grid's place in the lattice: the window with most LEDs, unless another one has nearly as many."""
+    """Place the grid on the window with most LEDs; raises ValueError if another one has nearly as many."""
     windows = _windows(cells, columns, rows)
     count, first_column, first_row = windows[0]
     upright = f"{columns} × {rows} (columns × rows)"

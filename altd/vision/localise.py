@@ -1,4 +1,4 @@
-"""From a frame to its one spot, or to the reason why there is none (thesis 2.1.1, 2.1.2)."""
+"""Localisation of a frame's one spot, or the reason why there is none (thesis 2.1.1, 2.1.2)."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ SATURATED_FROM = 0.995
 """Share of full scale from which a pixel counts as saturated."""
 
 _EXPLAINED_SIGMAS = 1.5
-"""Up to so many sigmas above its mean a chi-square adds nothing to a spot's sigma."""
+"""Number of sigmas above its mean up to which a chi-square adds nothing to a spot's sigma."""
 _BIAS_PER_EXCESS = 1.2
-"""Possible effect of unexplained light on a centre, one sigma, in its sigmas per root of the chi-square.
-Dust displaces a spot by half of that, grease by as much, weak reflections by two to four times: those that
-come near to five stretch the spot too, which the comparison of the targets adds."""
+"""Possible effect of unexplained light on a centre, one sigma, in its sigmas per root of the chi-square. Dust
+displaces a spot by half of that, grease by as much, weak reflections by two to four times: those near five
+times stretch the spot too, which the comparison of the targets adds."""
 _MIN_DISTORTION_SIGMAS = 5.5
-"""Of spots whose residuals are those of noise and texture alone, one in fifty million lies farther out."""
+"""Minimum excess of a distorted spot; by noise and texture alone one spot in fifty million exceeds it."""
 MIN_DISTORTION_DIAMETERS = 0.015
-"""A smaller possible displacement only adds to the spot's sigma, as dust on the window does."""
+"""Minimum possible displacement; a smaller one only adds to the spot's sigma, as dust on the window does."""
 
 _E_MINUS_2 = math.exp(-2.0)
 _MIN_PRINT_CONTRAST = 0.35
-"""Relative scatter of a spot's pixels from which it lies on print; speckle stays below 0.2."""
+"""Relative scatter of a spot's pixels from which it is on print; speckle is below 0.2."""
 
 
 @dataclass(frozen=True, slots=True)
 class _SpotSize:
-    """A spot's 1/e² diameter by its contour, and its peak over the background in counts."""
+    """1/e² diameter of a spot by its contour, and its peak over the background in counts."""
 
     diameter_px: float
     peak: float
@@ -53,14 +53,14 @@ def locate(
     flat: Flat | None = None,
     reference: SpotReference | None = None,
 ) -> Spot | NoSpot:
-    """Find the one laser spot of a frame, or say why there is none.
+    """Find the one laser spot of a frame, or return why there is none.
 
-    ``flat`` is the target's response, of the frame's size; without it the target is taken for plain, unless
+    ``flat`` is the target's response, of the frame's size; without it the target is treated as plain, unless
     the spot shows that it is printed. The centre is in px, (0, 0) the middle of the top-left pixel.
     ``sigma_px`` is its standard deviation by read and shot noise, without the fixed pattern of print and
-    speckle that is not in the flat; the calibration knows that. With a ``reference`` the spot is compared
-    with the target's usual spots: what is not explained adds to ``excess_px``, and from a certain size on the
-    spot is ``distorted``.
+    speckle that is not in the flat; the calibration contains that. With a ``reference`` the spot is compared
+    with the target's usual spots: the unexplained part adds to ``excess_px``, and above a limit the spot is
+    ``distorted``.
     """
     return locate_in(FrameAnalysis(frame, settings or SpotSettings()), flat, reference)
 
@@ -68,7 +68,7 @@ def locate(
 def locate_in(
     analysis: FrameAnalysis, flat: Flat | None = None, reference: SpotReference | None = None
 ) -> Spot | NoSpot:
-    """``locate`` for a frame whose analysis is shared with other steps."""
+    """Run ``locate`` for a frame whose analysis is shared with other steps."""
     frame, found = analysis.frame, analysis.found
     if found.background.level >= SATURATED_FROM * frame.full_scale:
         return NoSpot(Reason.SATURATED, "the whole frame is saturated")
@@ -86,7 +86,7 @@ def locate_in(
 def spot_in(
     analysis: FrameAnalysis, region: Region, flat: Flat | None = None, reference: SpotReference | None = None
 ) -> Spot | NoSpot:
-    """The spot in one bright region of a frame, whatever else shines, or why it is none."""
+    """Return the spot in one bright region of a frame, regardless of other lights, or why it is none."""
     frame, settings = analysis.frame, analysis.settings
     patch = analysis.patch(region)
     if isinstance(patch, NoSpot):
@@ -123,7 +123,7 @@ def spot_in(
 def _compared_with_reference(
     reference: SpotReference | None, analysis: FrameAnalysis, patch: Patch, profile: Profile, spot: Spot
 ) -> Spot | NoSpot:
-    """The spot with its shape and its unexplained excess, or why it is rejected."""
+    """Return the spot with its shape and its unexplained excess, or why it is rejected."""
     settings = analysis.settings
     shape = SpotShape(*profile.form, profile.order)
     if reference is None and not patch.is_cut:
@@ -152,11 +152,11 @@ def _compared_with_reference(
 
 
 def _light_per_ms(frame: Frame, size: _SpotSize, profile: Profile | None) -> float | None:
-    """The light of a spot: counts × px² for 1 ms of exposure and 0 dB of gain.
+    """Return the light of a spot: counts × px² for 1 ms of exposure and 0 dB of gain.
 
     The integral of the profile, peak · 2π Γ(1 + 1/order) / √(ac − b²); without one that of a Gaussian of the
-    spot's peak and 1/e² diameter d, peak · π d²/8. A gain of g dB multiplies counts by 10^(g/20). None where
-    the exposure is not known. Without a gain of its own a camera has 0 dB.
+    spot's peak and 1/e² diameter d, peak · π d²/8. A gain of g dB multiplies counts by 10^(g/20). None if the
+    exposure is not known. A camera without a gain of its own has 0 dB.
     """
     if not frame.exposure_ms:
         return None
@@ -170,13 +170,13 @@ def _light_per_ms(frame: Frame, size: _SpotSize, profile: Profile | None) -> flo
 
 
 def _unexplained(misfit: Misfit, reference: SpotReference) -> float:
-    """By how much the chi-square exceeds that of good spots."""
+    """Return by how much the chi-square exceeds that of good spots."""
     usual = misfit.degrees_of_freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.degrees_of_freedom)
     return max(misfit.chi2 / reference.misfit_ratio - usual, 0.0)
 
 
 def _excess_texture_px(misfit: Misfit, reference: SpotReference | None, cut: bool) -> float:
-    """Displacement by texture beyond that of the target's usual spots, which the map's covariance holds."""
+    """Return the displacement by texture beyond that of usual spots, which the map's covariance contains."""
     known_px = reference.pattern_px if reference else None
     if reference is None or not known_px:
         return misfit.worst_px if cut else 0.0
@@ -186,13 +186,13 @@ def _excess_texture_px(misfit: Misfit, reference: SpotReference | None, cut: boo
 
 
 def _profile_diameter_px(profile: Profile) -> float:
-    """1/e² diameter of the circle of the profile's area at that height."""
+    """Return the 1/e² diameter of the circle with the profile's area at that height."""
     a, b, c = profile.form
     return 2 * math.sqrt(2 * 2 ** (1 / profile.order) / math.sqrt(a * c - b * b))
 
 
 def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> Profile | None:
-    """The profile of the spot that ``locate`` has found in a frame; None where none fits."""
+    """Return the profile of the spot that ``locate`` has found in a frame; None if none fits."""
     analysis = FrameAnalysis(frame, settings)
     patch = analysis.brightest_patch
     if patch is None or patch.is_cut:
@@ -204,7 +204,7 @@ def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> P
 
 
 def is_patterned_spot(frame: Frame, settings: SpotSettings) -> bool:
-    """Whether the spot of a frame lies on print; False without a spot."""
+    """Return whether the spot of a frame is on print; False without a spot."""
     analysis = FrameAnalysis(frame, settings)
     patch = analysis.brightest_patch
     return patch is not None and is_patterned(patch, analysis.noise)
@@ -213,14 +213,14 @@ def is_patterned_spot(frame: Frame, settings: SpotSettings) -> bool:
 def locate_ellipse(
     frame: Frame, settings: SpotSettings | None = None, flat: Flat | None = None
 ) -> Centre | None:
-    """The centre of the spot that ``locate`` has found, by the second localiser; None if it finds none."""
+    """Return the centre of the spot found by ``locate``, by the second localiser; None if it finds none."""
     analysis = FrameAnalysis(frame, settings or SpotSettings())
     patch = analysis.brightest_patch
     return None if patch is None else ellipse(patch, analysis.noise, analysis.settings, flat)
 
 
 def is_patterned(patch: Patch, noise: Noise) -> bool:
-    """Whether the pixels of a spot scatter about the smoothed one more than noise and speckle explain."""
+    """Return whether a spot's pixels scatter about the smoothed spot more than noise and speckle explain."""
     core = patch.smooth > 0.5 * patch.peak
     light, smooth = patch.excess[core], patch.smooth[core]
     scale = float(light @ smooth) / float(smooth @ smooth)  # smoothing lowers a peak
@@ -232,14 +232,14 @@ def is_patterned(patch: Patch, noise: Noise) -> bool:
 def _profile(
     frame: Frame, patch: Patch, diameter_px: float, noise: Noise, flat: Flat | None
 ) -> Profile | None:
-    """The profile fitted without the clipped pixels."""
+    """Fit the profile without the clipped pixels."""
     full = SATURATED_FROM * frame.full_scale
     clipped = patch.pixels >= full if patch.pixels.max() >= full else None
     return fit_profile(patch, flat, diameter_px, noise, clipped)
 
 
 def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize | NoSpot:
-    """Classify the contour by size and shape (2.1.1): the spot's size, or why it is none."""
+    """Classify the contour by size and shape (2.1.1); return the spot's size, or why it is none."""
     core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
     peak, clipped = _brightness(frame, patch, core)
     if clipped > settings.max_saturated:
@@ -263,11 +263,11 @@ def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize |
 
 
 def _brightness(frame: Frame, patch: Patch, core: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Peak of the spot over the background, and the saturated fraction of its bright pixels.
+    """Return the peak of the spot over the background, and the saturated fraction of its bright pixels.
 
-    ``core`` is what reaches half the smoothed peak. The peak is where the brightest hundredth of it begins,
-    so that a hot pixel among the dots makes none. Bright is what reaches half of that: on the printed window
-    the dots, not the glass between them.
+    ``core`` marks the pixels above half the smoothed peak. The peak is where their brightest hundredth
+    begins, so that a hot pixel among the dots makes none. Bright pixels reach half of that: on the printed
+    window the dots, not the glass between them.
     """
     raw, excess = patch.pixels[core], patch.excess[core]
     brightest = len(excess) - 1 - len(excess) // 100
@@ -278,7 +278,7 @@ def _brightness(frame: Frame, patch: Patch, core: npt.NDArray[np.bool_]) -> tupl
 
 
 def _second_piece_share(core: npt.NDArray[np.bool_]) -> float:
-    """Area of the second largest piece of the core, relative to the largest."""
+    """Return the area of the second largest piece of the core, relative to the largest."""
     count, labels = cv2.connectedComponents(core.view(np.uint8))
     if count <= 2:
         return 0.0
@@ -287,13 +287,13 @@ def _second_piece_share(core: npt.NDArray[np.bool_]) -> float:
 
 
 def _diameter_px(patch: Patch, settings: SpotSettings) -> float:
-    """1/e² diameter of the circle of equal area, less what the smoothing added (a Gaussian's 4 sigma)."""
+    """Return the 1/e² diameter of the circle of equal area, less the smoothing Gaussian's (4 sigma)."""
     area = np.count_nonzero((patch.smooth > _E_MINUS_2 * patch.peak) & (patch.mask > 0))
     return math.sqrt(max(4 * area / math.pi - 16 * settings.smoothing_px**2, 0.0))
 
 
 def shape_of(outline: Outline) -> tuple[float, float]:
-    """Aspect ratio of the ellipse with the outline's second moments, and the area over that ellipse's."""
+    """Return the aspect ratio of the ellipse of equal second moments, and the outline's area over its."""
     # 1/12: the second moment of a pixel, so that a thin line has a width
     uu, vv, uv = outline.uu + 1 / 12, outline.vv + 1 / 12, outline.uv
     mean, difference = (uu + vv) / 2, math.hypot((uu - vv) / 2, uv)

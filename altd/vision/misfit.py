@@ -19,15 +19,15 @@ from altd.vision.blocks import F1, F2, MONOMIALS, Blocks
 from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, RESIDUAL, RISE_X, SPOT, TEXTURE, Solution, U, V
 
 _RING_LEVELS = 1.0, 0.7, 0.35, 0.12, 0.02, 0.0
-"""The rings lie between these shares of the spot's peak; the last one holds the surroundings."""
+"""Shares of the spot's peak between which the rings are; the last ring holds the surroundings."""
 _HARMONICS = slice(1, 3), slice(3, 7), slice(0, 7), slice(0, 7), slice(0, 7)
-"""Of the direction, ring by ring, as rows of 1, cos φ, sin φ, cos 2φ … sin 3φ. Peak, centre and form take up
-those that the inner two rings leave out."""
+"""Harmonics of the direction, ring by ring, as rows of 1, cos φ, sin φ, cos 2φ … sin 3φ. Peak, centre and
+form absorb those that the inner two rings omit."""
 _MAX_PATTERNS = sum(rows.stop - rows.start for rows in _HARMONICS)
 _MIN_BLOCKS = 6
-"""A ring of fewer blocks gets no pattern."""
+"""Minimum number of blocks of a ring with patterns."""
 _RIDGE_SHARE = 0.02
-"""Share of a pattern's information below which the fit itself has taken it up."""
+"""Share of a pattern's information below which the fit itself has absorbed it."""
 _RINGS = kernel.Rings(
     _RING_LEVELS,
     _RIDGE_SHARE,
@@ -36,16 +36,16 @@ _RINGS = kernel.Rings(
     _MIN_BLOCKS,
 )
 _MIN_TEXTURE_CONTRAST = 0.02
-"""No surface and no laser is known better: a hundredth of the light over 2 × 2 px."""
+"""Minimum contrast: no surface and no laser is known better than a hundredth of the light over 2 × 2 px."""
 _MAX_CONTRAST_RATIO = 1.3
-"""Texture contrast differs by so much over a target; what lies above is not taken for texture."""
+"""Maximum ratio by which texture contrast differs over a target; higher contrast is not texture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """A spot as fitted to its blocks.
+    """Residuals of a spot fitted to its blocks.
 
-    The blocks' places are in units of ``sigma_px``; ``rise`` is the prior standard deviation of the
+    The blocks' positions are in units of ``sigma_px``; ``rise`` is the prior standard deviation of the
     background's slopes, counts per ``sigma_px``.
     """
 
@@ -56,18 +56,18 @@ class Residuals:
 
     @property
     def texture_contrast(self) -> float:
-        """The relative standard deviation of the surface texture, as the fit estimated it."""
+        """Relative standard deviation of the surface texture, estimated by the fit."""
         return math.sqrt(self.solution.contrast2)
 
     @property
     def nbytes(self) -> int:
-        """The memory that the arrays take."""
+        """Memory of the arrays, bytes."""
         return self.blocks.rows.nbytes + self.solution.rows.nbytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """The statistic ``chi2`` with its degrees of freedom, and the uncertainty of the fit.
+    """Statistic ``chi2`` with its degrees of freedom, and the uncertainty of the fit.
 
     ``centre_covariance_px2`` (2, 2) is that of the centre for noise and texture together, ``pattern_px`` the
     standard deviation for texture alone (root mean square of both axes).
@@ -80,7 +80,7 @@ class Misfit:
 
     @property
     def centre_px(self) -> float:
-        """The standard deviation of the centre, root mean square of both axes."""
+        """Standard deviation of the centre, root mean square of both axes."""
         return math.sqrt(float(self.centre_covariance_px2[0, 0] + self.centre_covariance_px2[1, 1]) / 2)
 
     @property
@@ -90,10 +90,10 @@ class Misfit:
 
 
 def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misfit | None:
-    """The misfit of a spot; None where its blocks are too few to tell.
+    """Return the misfit of a spot; None if it has too few blocks.
 
-    ``usual_contrast`` is the target's texture contrast where the calibration knows it: light that is coarser
-    counts as unexplained. Without it the spot's own contrast is taken.
+    ``usual_contrast`` is the target's texture contrast if the calibration contains it: light that is coarser
+    counts as unexplained. Without it the spot's own contrast is used.
     """
     texture_contrast = residuals.texture_contrast
     if usual_contrast is not None:
@@ -113,7 +113,7 @@ def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misf
 
 
 def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | None:
-    """``misfit_of`` without compiled code, for a texture contrast."""
+    """Compute ``misfit_of`` without compiled code, for a texture contrast."""
     solution = residuals.solution
     derivatives, light = solution.derivatives, solution.rows[RESIDUAL]
     weights = 1 / solution.variance(texture_contrast**2)
@@ -158,15 +158,15 @@ def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | N
 
 
 def excess_sigmas(chi2: float, degrees_of_freedom: float) -> float:
-    """By how many sigmas a chi-square exceeds its mean, by Wilson and Hilferty's transform."""
+    """Return by how many sigmas a chi-square exceeds its mean, by Wilson and Hilferty's transform."""
     share = 2 / (9 * degrees_of_freedom)
     return (math.pow(max(chi2, 0.0) / degrees_of_freedom, 1 / 3) - 1 + share) / math.sqrt(share)
 
 
 def _patterns(residuals: Residuals) -> FloatArray:
-    """Rows (patterns, n): the spot's light in each ring times each harmonic of the direction.
+    """Return rows (patterns, n): the spot's light in each ring times each harmonic of the direction.
 
-    The direction from the centre is that in the frame in which the spot is round.
+    The direction from the centre is taken in the frame in which the spot is round.
     """
     blocks, solution = residuals.blocks.rows, residuals.solution
     spot, irradiance = solution.rows[SPOT], solution.peak_shares
@@ -189,7 +189,7 @@ def _patterns(residuals: Residuals) -> FloatArray:
             inside |= irradiance <= 0
         if np.count_nonzero(inside) < _MIN_BLOCKS:
             continue
-        # the last ring: counts that even light of the spot's peak would bring
+        # the last ring: counts of even light of the spot's peak
         light = np.where(inside, spot * blocks[F2] if lower > 0 else peak * blocks[F1], 0.0)
         rows = slice(filled, filled + harmonics.stop - harmonics.start)
         np.multiply(harmonic_rows[harmonics], light, out=patterns[rows])

@@ -23,11 +23,11 @@ _NOISE_BLOCK_PX = 4
 
 
 def moment(patch: Patch, noise: Noise, settings: SpotSettings) -> Centre:
-    """Eq. 2.7 of the thesis with I replaced by (I − T)₊; its standard deviation by read and shot noise."""
+    """Return the centre by Eq. 2.7 of the thesis with (I − T)₊ for I; its sigma is by read and shot noise."""
     above_threshold = np.maximum(patch.smooth - np.float32(settings.threshold * patch.peak), np.float32(0))
     above_threshold[patch.mask == 0] = 0
     weight = np.zeros_like(above_threshold)
-    is_above = above_threshold > 0  # the power of zero is what takes cv2.pow longest
+    is_above = above_threshold > 0  # cv2.pow is slowest for zeros
     weight[is_above] = np.asarray(cv2.pow(above_threshold[is_above], settings.power)).ravel()
     columns = cv2.reduce(weight, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
     rows = cv2.reduce(weight, 1, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
@@ -48,10 +48,10 @@ def _sigma_px(
 ) -> float:
     """Propagate read noise r and shot noise I/K through smoothing, threshold and moment.
 
-    du = Σ h dI with h = Gauss ⊛ [(u − ū) p (S − T)₊^(p−1) / Σ w]; var u = Σ h² (r² + I/K). It is summed on
+    du = Σ h dI with h = Gauss ⊛ [(u − ū) p (S − T)₊^(p−1) / Σ w]; var u = Σ h² (r² + I/K). The sum is over
     blocks of 4 px, on which h and I hardly change. Returns the root mean square of both axes.
     """
-    # At the contour the root's derivative diverges; within the smoothed noise of it, it is limited.
+    # The derivative of the power diverges at the contour; it is limited within the smoothed noise of it.
     floor = noise.read_counts / max(1.0, 2 * math.sqrt(math.pi) * settings.smoothing_px)
     slope = np.where(
         above_threshold > floor,
@@ -77,16 +77,16 @@ def _sigma_px(
 
 
 _MIN_BLOCK_DIAMETER_PX = 24.0
-"""Spots below this 1/e² diameter are fitted pixel by pixel: a block would be too coarse."""
+"""Minimum 1/e² diameter for blocks; smaller spots are fitted pixel by pixel, as blocks are too coarse."""
 
 _MIN_SPECK_SIGMAS = 4.5
-"""Of 200 blocks of ordinary surface texture one in 700 spots has one so far off."""
+"""Minimum residual of a speck; among 200 blocks of ordinary texture, one in 700 spots has one so far off."""
 _MIN_SPECK_PEAK_SHARE = 0.05
 _MAX_SPECK_SHARE = 0.12
-"""More is no dust: the spot has another profile, and the misfit shall show it."""
+"""Maximum share of specks; with more the spot has another profile, which the misfit must show."""
 _MAX_OFFSET_DIAMETERS = 0.25
 _MAX_OFFSET_DIAMETERS_CUT = 1.0
-"""For a spot cut by the image's edge, whose visible part lies off its centre."""
+"""Limit for a spot cut by the image's edge, whose visible part is off its centre."""
 
 _SLOPE_SHARE_PER_PX = 2e-5
 """Prior standard deviation of the local background slope, as a share of the background. A wider prior costs
@@ -96,10 +96,10 @@ _MIN_SLOPE_COUNTS_PER_PX = 2e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
+    """Spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``background_offset`` the counts by which the estimated background was
-    wrong, ``residuals`` what the spot does not explain.
+    ``form`` holds a, b, c in 1/px², ``background_offset`` is the error of the estimated background in counts,
+    ``residuals`` the part that the spot does not explain.
     """
 
     centre: Centre
@@ -110,7 +110,7 @@ class Profile:
     residuals: Residuals
 
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
-        """E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
+        """Return E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
         a, b, c = self.form
         du, dv = u_px - self.centre.u_px, (v_px - self.centre.v_px)[:, None]
         q = np.maximum(0.5 * (a * du * du + 2 * b * du * dv + c * dv * dv), 0.0)
@@ -125,14 +125,14 @@ def fit_profile(
     noise: Noise,
     clipped: npt.NDArray[np.bool_] | None = None,
 ) -> Profile | None:
-    """Fit the spot of a patch, weighted by the inverse variance; None when no profile fits it.
+    """Fit the spot of a patch, weighted by the inverse variance; None if no profile fits it.
 
-    ``diameter_px`` is an estimate of the spot's; pixels that are ``clipped``, as a mask of the patch, are
-    left out. Weighted least squares over blocks of ΣF·I for peak, centre, form, order, and the error of the
-    background: a constant, and a slope that is small against it. The variance of a block is read noise, shot
-    noise and surface texture: the relative scatter of the light (speckle, residual print), which the fit
-    estimates from its own residuals. On blocks of one dot pitch the centre is as precise as on pixels. A few
-    outlier blocks are left out: a speck of dust makes such.
+    ``diameter_px`` is an estimate of the spot's; pixels in the mask ``clipped`` of the patch are excluded.
+    Weighted least squares over blocks of ΣF·I for peak, centre, form, order, and the error of the background:
+    a constant, and a slope that is small against it. The variance of a block is read noise, shot noise and
+    surface texture: the relative scatter of the light (speckle, residual print), which the fit estimates from
+    its own residuals. On blocks of one dot pitch the centre is as precise as on pixels. A few outlier blocks
+    are excluded, as made by a speck of dust.
     """
     outline = patch.outline
     sigma_px = diameter_px / 4
@@ -140,7 +140,7 @@ def fit_profile(
         patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _MIN_BLOCK_DIAMETER_PX else 1
     )
     rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _MIN_SLOPE_COUNTS_PER_PX) * sigma_px
-    # second moments of a uniform ellipse: those of the spot but for a factor
+    # second moments of a uniform ellipse: those of the spot except for a factor
     scale = 1 / math.sqrt(max(outline.uu * outline.vv - outline.uv**2, 1e-12))
     form = scale * outline.vv, -scale * outline.uv, scale * outline.uu
     solution = solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 0.0, 0.0, 1.0), rise)
@@ -172,7 +172,7 @@ def fit_profile(
 
 
 def _clean_blocks(solution: Solution) -> npt.NDArray[np.bool_] | None:
-    """The mask (n,) of blocks without dust, where dust hides a few; None where it hides none or too many."""
+    """Return the mask (n,) of blocks without dust; None if dust hides no block or too many."""
     sigmas = np.abs(solution.rows[RESIDUAL]) / np.sqrt(solution.variance(solution.contrast2))
     lit: npt.NDArray[np.bool_] = solution.peak_shares > _MIN_SPECK_PEAK_SHARE
     lit_sigma = mad_sigma(sigmas[lit]) if lit.any() else 0.0

@@ -1,4 +1,4 @@
-"""Coarse search: the smooth background of ambient light in a frame, and the bright regions, best first."""
+"""Coarse search: the smooth background of ambient light in a frame, and its bright regions."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from altd.statistics import MAD_TO_SIGMA, mad_sigma, median
 from altd.vision.image import Image
 
 CELL_PX = 8
-"""Side of a coarse cell. It covers more than one printed dot, so it averages the print out."""
+"""Side of a coarse cell, px. It is larger than a printed dot, so that it averages the print out."""
 
 _TILE_ROWS, _TILE_COLUMNS = 6, 8
 _OUTLIER_SIGMAS = 2.0
 _MAX_ITERATIONS = 3
 _TOLERANCE_COUNTS = 0.1
 _MIN_CELLS_FOR_FALL_OFF = 1000
-"""In a smaller image, of which a spot covers much, noise hides the terms with r²."""
+"""Minimum number for the terms with r²; in a smaller image, of which a spot covers much, noise hides them."""
 _RIDGE = 1e-9 * np.eye(9)
 _ROUNDING_BIAS_COUNTS = 0.125
-"""The mean of four whole numbers, rounded half up, is off by 0, −1/4, 1/2 or 1/4: this in the mean."""
+"""Mean error of the mean of four whole numbers, rounded half up: it is off by 0, −1/4, 1/2 or 1/4."""
 
 
 @dataclass(frozen=True, slots=True)
 class Background:
     """Smooth background over a frame, counts: even or sloping light behind the fall-off of a lens.
 
-    Fall-off goes by the square of the distance r from the middle, so beside the terms of second degree there
-    are those in which r² multiplies a slope or itself: ``coefficients`` belong to 1, u, v, u², uv, v², r²u,
-    r²v, r⁴, with (u, v) from ``middle_px`` in units of ``scale_px``.
+    Fall-off depends on the square of the distance r from the middle, so there are, beside the terms of second
+    degree, terms in which r² multiplies a slope or itself: ``coefficients`` belong to 1, u, v, u², uv, v²,
+    r²u, r²v, r⁴, with (u, v) from ``middle_px`` in units of ``scale_px``.
     """
 
     coefficients: tuple[float, ...]
@@ -44,17 +44,17 @@ class Background:
 
     @property
     def level(self) -> float:
-        """The background in the middle of the frame."""
+        """Background in the middle of the frame."""
         return self.coefficients[0]
 
     def at(
         self, first_px: tuple[float, float], shape: tuple[int, int], step_px: tuple[int, int] = (1, 1)
     ) -> Image:
-        """The background on a grid: ``shape`` (rows, columns), every ``step_px`` (u, v) from ``first_px``."""
+        """Return the background: ``shape`` (rows, columns) points by ``step_px`` (u, v) from ``first_px``."""
         c, cu, cv, cuu, cuv, cvv, ru, rv, rr = self.coefficients
         u = _powers(first_px[0] - self.middle_px[0], shape[1], step_px[0], self.scale_px)
         v = _powers(first_px[1] - self.middle_px[1], shape[0], step_px[1], self.scale_px)
-        by_power = np.array(  # of v downwards, of u to the right
+        by_power = np.array(  # powers of v downwards, of u to the right
             (
                 (c, cu, cuu, ru, rr),
                 (cv, cuv, rv, 0.0, 0.0),
@@ -70,25 +70,25 @@ class Background:
 
 @lru_cache(maxsize=256)
 def _powers(first_px: float, count: int, step_px: int, scale_px: float) -> Image:
-    """Rows 1, x … x⁴ at ``count`` places. A spot's window is the same in most frames, the others' always."""
+    """Return rows 1, x … x⁴ at ``count`` places; cached, since most frames have the same windows."""
     return np.vander((first_px + step_px * np.arange(count)) / scale_px, 5, increasing=True).T.astype(
         np.float32
     )
 
 
 def coarse_image(pixels: PixelArray | Image) -> Image:
-    """Means over CELL_PX × CELL_PX cells, without single hot pixels.
+    """Return means over CELL_PX × CELL_PX cells, without single hot pixels.
 
-    Halfway down, a 3 × 3 median removes what is smaller than about 8 px. Rows and columns that do not fill
-    a cell are left out: a spot there would be cut by the edge.
+    Halfway down, a 3 × 3 median removes anything smaller than about 8 px. Rows and columns that do not fill a
+    cell are excluded: a spot there would be cut by the edge.
 
-    The image is halved three times, since OpenCV has vector code for halving only. Single precision from
-    the first half on keeps the fractions of a count: on whole numbers the median takes the nearest one.
+    The image is halved three times, since OpenCV has vector code only for halving. Single precision from the
+    first half on keeps the fractions of a count: on whole numbers the median takes the nearest one.
     """
     rows, columns = pixels.shape[0] // CELL_PX, pixels.shape[1] // CELL_PX
     whole = pixels[: rows * CELL_PX, : columns * CELL_PX]
-    # Reads the frame once from end to end, which the memory answers faster than the two rows at a time of
-    # halving: on a frame that no cache holds, 10 µs spent and 30 µs saved.
+    # Reads the frame once from end to end, which is faster than the access to two rows at a time by
+    # halving: on a frame that is not cached, it costs 10 µs and saves 30 µs.
     cv2.sumElems(whole)
     half = _halved(whole).astype(np.float32)
     half -= np.float32(_ROUNDING_BIAS_COUNTS)
@@ -96,13 +96,13 @@ def coarse_image(pixels: PixelArray | Image) -> Image:
 
 
 def _halved(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Means over 2 × 2."""
+    """Return means over 2 × 2 pixels."""
     size = image.shape[1] // 2, image.shape[0] // 2
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 def fit_background(coarse: Image) -> Background:
-    """Robust least squares through the medians of 6 × 8 tiles; tiles that a light fills are outliers."""
+    """Fit the medians of 6 × 8 tiles by robust least squares; tiles that a light fills are outliers."""
     rows, columns = coarse.shape
     tile_rows, tile_columns = min(_TILE_ROWS, rows), min(_TILE_COLUMNS, columns)
     height, width = rows // tile_rows, columns // tile_columns
@@ -141,7 +141,7 @@ def _tile_design(
     middle_px: tuple[float, float],
     scale_px: float,
 ) -> FloatArray:
-    """Rows of the background's terms at the tiles' middles."""
+    """Return rows of the background's terms at the tiles' middles."""
     along_u = (((np.arange(tile_columns) + 0.5) * width * CELL_PX - 0.5) - middle_px[0]) / scale_px
     along_v = (((np.arange(tile_rows) + 0.5) * height * CELL_PX - 0.5) - middle_px[1]) / scale_px
     u, v = (grid.ravel() for grid in np.meshgrid(along_u, along_v))
@@ -150,23 +150,23 @@ def _tile_design(
 
 
 def excess_over(coarse: Image, background: Background) -> Image:
-    """The coarse image less the background, counts."""
+    """Return the coarse image less the background, counts."""
     middle = (CELL_PX - 1) / 2
     return np.subtract(coarse, background.at((middle, middle), coarse.shape, (CELL_PX, CELL_PX)))
 
 
 def robust_sigma(values: Image) -> float:
-    """MAD-based standard deviation of values about zero; bright regions hardly count."""
+    """Return the MAD-based standard deviation of values about zero; bright regions hardly count."""
     magnitudes = np.abs(values.ravel())
     middle = magnitudes.size // 2
     return MAD_TO_SIGMA * float(np.partition(magnitudes, middle)[middle])
 
 
 def pixel_noise(pixels: PixelArray, background: Background) -> float:
-    """Noise of one background pixel in counts, from a sparse sample of the frame.
+    """Return the noise of one background pixel in counts, from a sparse sample of the frame.
 
     The MAD-based standard deviation only sets the limit up to which deviations are averaged, since on integer
-    counts it moves in steps; 1/12 is the variance of rounding, below which no camera goes.
+    counts it moves in steps; 1/12 is the variance of rounding, the minimum of any camera.
     """
     step_v, step_u = max(pixels.shape[0] // 40, 1), max(pixels.shape[1] // 50, 1)
     sample = pixels[::step_v, ::step_u].astype(np.float32)
@@ -184,7 +184,7 @@ _MIN_PEAK_SHARE = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A bright region: window in px (right and bottom are past the end), light and peak over background.
+    """Bright region: window in px (right and bottom are exclusive), light and peak over background.
 
     ``light`` is the sum over coarse cells, ``peak`` the brightest cell, both in counts.
     """
@@ -206,10 +206,10 @@ class Search:
 
 
 def search(pixels: PixelArray) -> Search:
-    """Bright regions of a frame that noise does not explain.
+    """Find the bright regions of a frame that noise does not explain.
 
-    A region must exceed the coarse image's own noise by eight sigma (among 5 640 cells, four are
-    usual) and be no dimmer than a tenth of the brightest.
+    A region's peak must exceed the coarse image's own noise by eight sigma (among 5 640 cells, four are
+    usual) and be at least 0.4 of the brightest; the region extends to a tenth of the brightest.
     """
     coarse = coarse_image(pixels)
     background = fit_background(coarse)
@@ -224,7 +224,7 @@ def search(pixels: PixelArray) -> Search:
 
 
 def _regions(excess: Image, level: float) -> list[Region]:
-    # Grana's algorithm: on images so small three times as fast as OpenCV's choice. Its statistics would
+    # Grana's algorithm is three times as fast as OpenCV's choice on images so small. Statistics would
     # take three times as long as the labels.
     count, labels = cv2.connectedComponentsWithAlgorithm(
         (excess > level).view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA

@@ -1,4 +1,4 @@
-"""The localiser's part of a calibration file: its settings, and statistics of the target's good spots."""
+"""Localiser's part of a calibration file: its settings, and statistics of the target's good spots."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ Method = Literal["auto", "moment", "profile"]
 
 @dataclass(frozen=True, slots=True)
 class SpotSettings:
-    """Settings by which a spot is found and judged.
+    """Settings by which a spot is found and classified.
 
-    The first four decide where the centre lies, so a map and the frames it is used on must share them.
+    The first four determine the centre, so a map and the frames it is used on must share them.
     """
 
     method: Method = "auto"
     """``profile`` fits a super-Gaussian through the flat, ``moment`` takes the first moment, which a printed
-    pattern without a flat disturbs less; ``auto`` decides by whether the spot lies on print."""
+    pattern without a flat disturbs less; ``auto`` chooses by whether the spot is on print."""
     smoothing_px: float = 4.0
     """Sigma of the Gaussian that bridges the printed dots: about one dot pitch. 0 switches it off."""
     threshold: float = 0.07
-    """The T of (I − T)₊ as a fraction of the smoothed spot's peak over the background."""
+    """Threshold T of (I − T)₊ as a fraction of the smoothed spot's peak over the background."""
     power: float = 0.4
-    """The p of Eq. 2.7. Below 1 it flattens the weights, as suits noise that grows with the light, such as
-    speckle and printed dots: on six simulated units and unit-a, 0.4 above 7 % scatters 10 to 30 % less
-    than 1 above 10 %."""
+    """Exponent p of Eq. 2.7. Below 1 it flattens the weights, which suits noise that increases with the
+    light, such as speckle and printed dots: on six simulated units and unit-a, 0.4 above 7 % scatters 10 to
+    30 % less than 1 above 10 %."""
     min_diameter_px: float = 8.0
-    """1/e² diameters outside these limits are ``wrong_size``."""
+    """Minimum 1/e² diameter; spots outside the limits are ``wrong_size``."""
     max_diameter_px: float | None = None
-    """None: 0.6 of the image's smaller side."""
+    """Maximum 1/e² diameter; None: 0.6 of the image's smaller side."""
     max_aspect: float = 3.5
-    """Longer shapes are ``wrong_shape``; a laser diode's ellipse reaches 2.6 (App. A.2)."""
+    """Maximum aspect ratio; longer is ``wrong_shape``. A laser diode's ellipse reaches 2.6 (App. A.2)."""
     min_fill: float = 0.8
-    """Area over the area of the ellipse with the same second moments; rings and crescents have less."""
+    """Minimum area over that of the ellipse with the same second moments; rings and crescents have less."""
     like_size: float = 0.3
-    """A second spot with this fraction of the first one's light makes the frame ``ambiguous``."""
+    """Share of the first spot's light from which a second spot makes the frame ``ambiguous``."""
     max_saturated: float = 0.5
     """Saturated fraction of the spot's bright pixels above which it is ``saturated``: a Gaussian reaches it
-    when it is over-exposed twofold. Below that the fit leaves clipped pixels out and loses little."""
+    when it is over-exposed twofold. Below that the fit excludes clipped pixels and loses little."""
     max_sigma_px: float = 0.5
-    """A spot whose centre is less certain than this is too dim."""
+    """Maximum uncertainty of a spot's centre, px; above it the spot is too dim."""
     full_well_electrons: float = 15_000.0
     """Electrons at full scale, for the shot noise in ``sigma_px``."""
 
@@ -53,7 +53,7 @@ class ShapeReference:
     """Mean and standard deviation of a spot's shape over a target, in the unit frame.
 
     Logarithm of the mean 1/e² radius in mm, two components of the stretch, and the profile's order, as
-    ``altd.measuring.spot_shape.shape_in_mm`` gives them.
+    ``altd.measuring.spot_shape.shape_in_mm`` returns them.
     """
 
     mean: ShapeVector
@@ -65,10 +65,10 @@ class SpotReference:
     """Figures of a target's calibrated spots.
 
     ``grain`` is the usual texture contrast, the relative scatter of the light from pixel to pixel (None: not
-    known, each spot's own is taken); ``misfit_ratio`` the usual chi-square of a good spot's residuals over
-    its expectation, above 1 where the texture is coarser than a block; ``pattern_px`` the standard deviation
-    of a centre by the texture, predicted from the fit, ``noise_px`` the one observed about the map.
-    ``pattern_px`` None: not known, nothing is added to the map's noise. The names are the calibration file's.
+    known, each spot's own is used); ``misfit_ratio`` the usual chi-square of a good spot's residuals over its
+    expectation, above 1 if the texture is coarser than a block; ``pattern_px`` the standard deviation of a
+    centre by the texture, predicted from the fit, ``noise_px`` the one observed about the map. ``pattern_px``
+    None: not known, nothing is added to the map's noise. The names are the calibration file's.
     """
 
     grain: float | None
@@ -79,4 +79,4 @@ class SpotReference:
 
 
 UNKNOWN_SPOT = SpotReference(grain=None, misfit_ratio=2.0, pattern_px=None, noise_px=0.0, shape=None)
-"""For a calibration that no laser spots were used for, such as one from a plate."""
+"""Reference for a calibration made without laser spots, such as one from a plate."""

@@ -1,9 +1,9 @@
-"""The surface texture under a spot, print or grain, and its shift since the calibration.
+"""Surface texture under a spot, print or plate, and its shift since the calibration.
 
-A camera in its calibrated place sees the same texture at the same pixels, wherever the spot is.
-The relative brightness under the spot is correlated with the texture that the calibration holds; the peak's
-place is the shift of the image, and the residual of the peak, correlated likewise, is its noise. So the
-significance of a peak follows from the frame itself.
+A camera in its calibrated place sees the same texture at the same pixels, wherever the spot is. The relative
+brightness under the spot is correlated with the texture of the calibration. The peak's position is the shift
+of the image, and the residual of the peak, correlated in the same way, is its noise. So the significance of a
+peak follows from the frame itself.
 """
 
 from __future__ import annotations
@@ -25,45 +25,45 @@ from altd.vision.image import Image, gaussian_blur
 from altd.vision.localise import SATURATED_FROM
 
 MAX_SHIFT_PX = 12
-"""Lags that are searched, either way in u and v."""
+"""Maximum lag that is searched, either way in u and v."""
 
 _SMOOTHING_PX = 4.0
 """Sigma of the Gaussian that separates texture from the shape of a spot: about one dot pitch."""
 _MIN_SHARE_OF_PEAK = 0.05
 _MODEL_SIGMA = 0.1
-"""Relative error that even a bright pixel keeps: speckle that moved, dust, the model of a print."""
+"""Relative error of even a bright pixel: speckle that moved, dust, the model of a print."""
 _MAX_RELATIVE = 1.5
 _MAX_CLIPPED_SHARE = 0.1
 _MIN_RESPONSE = 1e-3
 _MIN_OVERLAP = 0.25
-"""Lags at which less of the texture's energy than this share of the best covered one lies under the spot do
-not count."""
+"""Minimum energy of the texture under the spot, as a share of the best covered lag's; lags with less do not
+count."""
 _MIN_ENERGY = 1e-3
 _RESOLVED_PX, _MERGED_PX = 0.7, 8.0
-"""A second image nearer is a shift of the first; one farther aside distorts the spot."""
+"""Distances of a second image: a nearer one is a shift of the first; a farther one distorts the spot."""
 _MIN_AMPLITUDE = 0.1
 _RIVAL_SIGMAS = 7.0
 _INTERPOLATION_LOSS = 0.02
-"""Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
+"""Share by which an equally good peak may be lower: a print repeats itself, and the nearest peak is taken."""
 _MIN_RIVAL_SHARE = 0.7
-"""The most that a peak between two lags may lose at the better one, for dots four pixels apart."""
+"""Minimum share of its score that a peak between two lags keeps at the better one (dots four px apart)."""
 _MIN_REFINED_SIGNIFICANCE = 20.0
-"""Below it the noise of a shift is larger than the error of a parabola."""
+"""Minimum significance for refinement: below it the noise of a shift is larger than a parabola's error."""
 _MIN_REFINED_PX = 0.03
-"""Of a parabola's offset: smaller ones are found in calibrated views, and would grow to a displacement."""
+"""Minimum offset that is refined: calibrated views have smaller ones, which would become a displacement."""
 _MAX_REFINEMENT = 4.0
-"""The vertex of a parabola on straight sides of unequal length: f / (4 − 6 f) for an offset f."""
+"""Maximum ratio to a parabola's offset f: its vertex on straight sides of unequal length is f / (4 − 6 f)."""
 _CORRELATED_PIXELS = 4.0
-"""Of neighbours whose noise the smoothing and clipping tie together, at most."""
+"""Maximum number of neighbours whose noise smoothing and clipping correlate."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """The relative brightness of the pixels under one spot.
+    """Relative brightness of the pixels under one spot.
 
-    ``relative`` (h, w) is light over smoothed light − 1, ``variance`` (h, w) what photons and read-out
-    and the smoothing make of it, infinite where a pixel does not count; ``left`` and ``top`` place it in the
-    frame. ``is_clipped``: more than a tenth of the spot's core lies at or near clipped pixels.
+    ``relative`` (h, w) is light over smoothed light − 1, ``variance`` (h, w) its variance by photons,
+    read-out and smoothing, infinite where a pixel does not count; ``left`` and ``top`` are its position in
+    the frame. ``is_clipped``: more than a tenth of the spot's core is at or near clipped pixels.
     """
 
     left: int
@@ -74,25 +74,25 @@ class Sample:
 
     @cached_property
     def weight(self) -> Image:
-        """The weight of each pixel in a comparison, (h, w)."""
+        """Weight of each pixel in a comparison, (h, w)."""
         return np.asarray(1 / (self.variance + np.float32(_MODEL_SIGMA**2)), dtype=np.float32)
 
     @property
     def contrast(self) -> float:
-        """The relative scatter that noise does not explain; 0 where noise might explain all of it."""
+        """Relative scatter that noise does not explain; 0 if noise may explain all of it."""
         energy, noise = self.energy
         return math.sqrt(energy / float(self.weight.sum())) if energy > noise else 0.0
 
     @cached_property
     def energy(self) -> tuple[float, float]:
-        """The weighted squares of the relative brightness without those of noise, and their uncertainty."""
+        """Sum of the weighted squares of the relative brightness less those of noise, and its uncertainty."""
         noise = (self.weight * np.where(np.isfinite(self.variance), self.variance, 0)).ravel()
         energy = float(np.sum(self.weight * np.square(self.relative))) - float(noise.sum())
         return energy, math.sqrt(2 * _CORRELATED_PIXELS * float(noise @ noise))
 
 
 def sample_of(analysis: FrameAnalysis) -> Sample | None:
-    """The sample under the brightest spot of a frame; None where there is no spot."""
+    """Return the sample under the brightest spot of a frame; None if there is no spot."""
     patch = analysis.brightest_patch
     if patch is None:
         return None
@@ -120,9 +120,9 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
 
 
 def stacked(samples: Sequence[Sample]) -> Sample:
-    """One sample of several of the same view, over all pixels that any of them covers.
+    """Combine several samples of the same view into one, over all pixels that any of them covers.
 
-    The noise of photons and read-out averages; texture stays, wherever the spot was.
+    The noise of photons and read-out averages out; texture remains, wherever the spot was.
     """
     left, top = min(each.left for each in samples), min(each.top for each in samples)
     right = max(each.left + each.relative.shape[1] for each in samples)
@@ -141,16 +141,16 @@ def stacked(samples: Sequence[Sample]) -> Sample:
 
 
 def _curvature_preserving(once: Image) -> tuple[Image, Image]:
-    """An image smoothed ``once`` by G as by 2G − G², whose second moment is zero; and the correction to G.
+    """Return an image smoothed ``once`` by G as by 2G − G², whose second moment is zero; and the correction.
 
-    Where a correction of relative size b was needed, on a steep flank, an error of about b² is left.
+    If a correction of relative size b was needed, on a steep flank, an error of about b² remains.
     """
     correction = once - gaussian_blur(once, _SMOOTHING_PX)
     return np.asarray(once + correction, dtype=np.float32), np.asarray(correction, dtype=np.float32)
 
 
 def _near_clipped(pixels: PixelArray, full_scale: int) -> npt.NDArray[np.bool_]:
-    """The pixels whose smoothed surroundings lack what was clipped; a single one is a hot pixel."""
+    """Return the pixels whose smoothed surroundings lack clipped light; a single one is a hot pixel."""
     if pixels.max() < SATURATED_FROM * full_scale:
         return np.zeros(pixels.shape, dtype=np.bool_)
     clipped = (pixels >= SATURATED_FROM * full_scale).astype(np.uint8)
@@ -162,13 +162,13 @@ def _near_clipped(pixels: PixelArray, full_scale: int) -> npt.NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The expected relative brightness − 1 of each pixel, ``relative`` (rows, columns); 0 where unknown."""
+    """Expected relative brightness − 1 of each pixel, ``relative`` (rows, columns); 0 where unknown."""
 
     relative: Image
 
     @classmethod
     def of_flat(cls, flat: Flat) -> Self:
-        """The texture of a target whose flat field is known."""
+        """Return the texture of a target whose flat field is known."""
         smooth, _ = _curvature_preserving(gaussian_blur(flat.response, _SMOOTHING_PX))
         smooth = np.maximum(smooth, np.float32(_MIN_RESPONSE))
         relative = np.where(flat.levels > 0, np.clip(flat.response / smooth - 1, -1, _MAX_RELATIVE), 0)
@@ -180,15 +180,15 @@ class Texture:
 
     @cached_property
     def contrast(self) -> float:
-        """Root mean square of what is known."""
+        """Root mean square of the known pixels."""
         known = self.relative[self.relative != 0]
         return float(np.sqrt(np.mean(np.square(known)))) if known.size else 0.0
 
     def around(self, sample: Sample, moved: FloatArray | None = None) -> Image:
-        """The relative brightness under a sample and MAX_SHIFT_PX around it; 0 where unknown.
+        """Return the relative brightness under a sample and MAX_SHIFT_PX around it; 0 where unknown.
 
-        ``moved`` (2, 3) takes (u, v, 1) of the texture to where it is seen in the sample's frame; None: where
-        it was. Only what is asked for is moved, so the size of the picture costs nothing.
+        ``moved`` (2, 3) maps (u, v, 1) of the texture to its position in the sample's frame; None: unmoved.
+        Only the requested part is warped, so the size of the picture costs nothing.
         """
         rows, columns = (size + 2 * MAX_SHIFT_PX for size in sample.relative.shape)
         if moved is None:
@@ -204,12 +204,12 @@ class Texture:
 class Match:
     """Agreement of a sample with a texture.
 
-    ``u_px``, ``v_px`` is by how much the image moved, ``sigma_px`` the noise of either; ``significance``
-    the peak over its noise, ``expected`` what that would be if the sample were the texture, and ``strength``
-    if beside that nothing but known noise disturbed it. ``gain`` is how much of the texture's amplitude the
-    sample shows, ``explained`` the share of the sample's contrast, noise taken off, that the texture
-    explains; 1 where noise or clipping hides the contrast. ``doubled_px`` is how far a second image of the
-    texture, seen through water or a second pane, may displace the spot: its share times its distance.
+    ``u_px``, ``v_px`` is the shift of the image, ``sigma_px`` the noise of either; ``significance`` is the
+    peak over its noise, ``expected`` its value if the sample were the texture, and ``strength`` its value if
+    besides only known noise disturbed it. ``gain`` is the share of the texture's amplitude in the sample,
+    ``explained`` the share of the sample's contrast, less noise, that the texture explains; 1 if noise or
+    clipping hides the contrast. ``doubled_px`` is the possible displacement of the spot by a second image of
+    the texture, seen through water or a second pane: its share times its distance.
     """
 
     u_px: float
@@ -224,15 +224,15 @@ class Match:
 
     @property
     def shift_px(self) -> float:
-        """The distance by which the image moved."""
+        """Distance by which the image moved."""
         return math.hypot(self.u_px, self.v_px)
 
 
 def match(sample: Sample, texture: Texture, moved: FloatArray | None = None) -> Match | None:
-    """Correlate a sample with a texture; None where nothing, or too little, is known under the spot.
+    """Correlate a sample with a texture; None if nothing, or too little, is known under the spot.
 
-    The shift counts from where ``moved`` (2, 3) puts the texture: see ``Texture.around``. Takes about 0.2 ms
-    for a spot of 60 px.
+    The shift counts from the position by ``moved`` (2, 3): see ``Texture.around``. Takes about 0.2 ms for a
+    spot of 60 px.
     """
     expected, weight = texture.around(sample, moved), sample.weight
     energy = np.maximum(_cross_correlation(np.square(expected), weight), 0)
@@ -271,7 +271,7 @@ def match(sample: Sample, texture: Texture, moved: FloatArray | None = None) -> 
 
 
 def _doubled_px(amplitudes: Image, of_first: float, first: _Peak) -> float:
-    """Share times distance of the second image that would displace most, from the residual amplitudes."""
+    """Return share times distance of the second image that displaces most, from the residual amplitudes."""
     rows, columns = (np.arange(size) for size in amplitudes.shape)
     distance_px = np.hypot(
         (rows - first.lag[0] - first.offset_v)[:, None], columns - first.lag[1] - first.offset_u
@@ -282,7 +282,7 @@ def _doubled_px(amplitudes: Image, of_first: float, first: _Peak) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Peak:
-    """A peak of the score: its lag (row, column), the offset of its vertex from it, and its curvature."""
+    """Peak of the score: its lag (row, column), the offset of its vertex from it, and its curvature."""
 
     lag: tuple[int, int]
     offset_u: float
@@ -291,18 +291,18 @@ class _Peak:
 
     @classmethod
     def at(cls, score: Image, lag: tuple[int, int]) -> Self:
-        """The peak at a lag, with the parabola's vertex along either axis."""
+        """Return the peak at a lag, with the parabola's vertex along either axis."""
         offset_u, curvature_u = _vertex(score[lag[0]], lag[1])
         offset_v, curvature_v = _vertex(score[:, lag[1]], lag[0])
         return cls(lag, offset_u, offset_v, min(curvature_u, curvature_v))
 
     def refined(self, sample: Sample, expected: Image) -> Self:
-        """The peak with the offsets by which the expected texture, interpolated between lags, fits best.
+        """Return the peak with the offsets of best fit of the expected texture, interpolated between lags.
 
-        The pixels average texture as fine as they are: its score has straight sides, and the parabola finds
-        as little as a quarter of an offset. Averaging is a linear interpolation of four lags, whose
-        shares in the least-squares sum are the offset. Coarse texture is nearly linear from one lag to the
-        next. Blur takes shares too, but does not move the parabola, so that limits them on both sides.
+        Pixels average texture as fine as they are: its score has straight sides, and the parabola finds as
+        little as a quarter of an offset. Averaging is a linear interpolation of four lags, whose shares in
+        the least-squares sum are the offset. Coarse texture is nearly linear from one lag to the next. Blur
+        takes shares too, but does not move the parabola, whose offset limits them on both sides.
         """
         rows, columns = sample.weight.shape
         row, column = self.lag
@@ -328,26 +328,26 @@ class _Peak:
         return replace(self, offset_u=offset_u, offset_v=offset_v)
 
     def displaced(self, expected: Image, shape: tuple[int, ...]) -> Image:
-        """The expected content of the sample at this peak, (h, w)."""
+        """Return the expected content of the sample at this peak, (h, w)."""
         shift = np.array([[1.0, 0.0, self.lag[1] + self.offset_u], [0.0, 1.0, self.lag[0] + self.offset_v]])
         flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(expected, shift, (shape[1], shape[0]), flags=flags), np.float32)
 
 
 def _projected(sample: Sample, shifted: Image) -> tuple[float, float, Image]:
-    """Score and gain of the expected texture at a peak, and the residual of the sample."""
+    """Return score and gain of the expected texture at a peak, and the residual of the sample."""
     energy = max(float(np.sum(sample.weight * np.square(shifted))), _MIN_ENERGY)
     gain = float(np.sum(sample.weight * sample.relative * shifted)) / energy
     return gain * math.sqrt(energy), gain, sample.relative - np.float32(gain) * shifted
 
 
 def _cross_correlation(expected: Image, pattern: Image) -> Image:
-    """Σ over the pixels of a sample at each lag, (2 MAX_SHIFT_PX + 1,) squared."""
+    """Return Σ over the pixels of a sample at each lag, (2 MAX_SHIFT_PX + 1,) squared."""
     return np.asarray(cv2.matchTemplate(expected, pattern, cv2.TM_CCORR), dtype=np.float32)
 
 
 def _nearest_peak(score: Image, at_least: float) -> tuple[int, int]:
-    """The local maximum nearest to the middle among those that are high enough."""
+    """Return the local maximum nearest to the middle among those of at least that score."""
     peaks = (score >= cv2.dilate(score, np.ones((3, 3), np.uint8))) & (score >= at_least)
     rows, columns = np.nonzero(peaks)
     nearest = int(np.hypot(rows - MAX_SHIFT_PX, columns - MAX_SHIFT_PX).argmin())
@@ -355,7 +355,7 @@ def _nearest_peak(score: Image, at_least: float) -> tuple[int, int]:
 
 
 def _vertex(values: Image, at: int) -> tuple[float, float]:
-    """The vertex of the parabola through three values, from the middle one, and its curvature."""
+    """Return the vertex of the parabola through three values, from the middle one, and its curvature."""
     if not 0 < at < len(values) - 1:
         return 0.0, 0.0
     before, here, after = (float(value) for value in values[at - 1 : at + 2])

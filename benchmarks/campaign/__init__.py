@@ -1,4 +1,4 @@
-"""A campaign against the measuring chain: disturbed light, frames and cameras; the truth judges the results.
+"""A campaign of disturbed light, frames and cameras against the measuring chain, judged by the truth.
 
 It is not imported; ``python -m benchmarks.campaign`` (``make campaign``) runs it.
 """

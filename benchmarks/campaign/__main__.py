@@ -20,7 +20,7 @@ from benchmarks.progress import show
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run, print the table; 1 when a measurement was wrong and marked valid although physics can show it."""
+    """Run and print the table; return 1 if a wrong measurement was marked valid although it is detectable."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments[:1] == ["good"]:
         return _good(arguments[1:])
@@ -81,7 +81,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> list[str]:
-    """The command that repeats the run, as it was given."""
+    """Command that repeats the run, with its original arguments."""
     given = {
         name: getattr(options, name) for name in ("seconds", "measurements", "ways", "units", "pairs", "seed")
     }
@@ -89,7 +89,7 @@ def _given(options: argparse.Namespace) -> list[str]:
 
 
 def _good(arguments: list[str]) -> int:
-    """Hours of good measuring; 1 when a measurement was wrong."""
+    """Hours of undisturbed measuring; exit status 1 if a measurement was wrong."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign good", description=_good.__doc__)
     parser.add_argument("--hours", type=int, default=24)
     parser.add_argument("--step-s", type=float, default=300.0, help="a burst of exposures this often")

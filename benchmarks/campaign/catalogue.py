@@ -1,4 +1,4 @@
-"""All ways, by name."""
+"""All ways to disturb measurements, by name."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ WAYS: dict[str, Way] = {
 
 
 def chosen(names: str) -> list[Way]:
-    """The ways of these names or kinds, comma-separated; all where there is none. Raises BadInputError."""
+    """Ways with these names or kinds, comma-separated; all if empty. Raises BadInputError."""
     if not names:
         return list(WAYS.values())
     found = []

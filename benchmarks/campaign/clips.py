@@ -1,4 +1,4 @@
-"""Clean exposures of one episode, with their truth: of a simulated unit, or of the recorded one."""
+"""Clean exposures of one episode, with their truth, from a simulated unit or the recorded one."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ PERIOD_NS = 50_000_000
 START_NS = 1_000_000_000_000
 
 _DRIVING_MM_PER_S, _DRIVING_RAD_PER_S = 5.0, 0.01
-"""A machine in a hurry: four times as fast as hw_sim's drive."""
+"""Maximum speeds of a fast machine: four times as fast as hw_sim's drive."""
 _VIBRATION = Vibration(rms_mm=0.02, rms_mrad=0.05)
-"""Nothing that drives does so without: a steady way alone would hide that one camera is late."""
+"""Vibration of every driving machine: a perfectly steady path would hide a late camera."""
 
 
 class Clip(Protocol):
-    """One episode's exposures, counted by ``k`` from 0."""
+    """Exposures of one episode, counted by ``k`` from 0."""
 
     length: int
     still: bool
     """Whether all exposures show the same light."""
 
     def scene(self, camera: str, k: int) -> Scene:
-        """The light of a camera's frame."""
+        """Light of a camera's frame."""
 
     def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
-        """A frame of this scene, disturbed or not."""
+        """Frame of this scene, disturbed or not."""
 
     def truth(self, k: int) -> FloatArray:
-        """X mm, y mm, yaw °, pitch ° in the middle of frame set ``k``."""
+        """True x mm, y mm, yaw °, pitch ° in the middle of frame set ``k``."""
 
 
 class Rig(Protocol):
@@ -58,21 +58,21 @@ class Rig(Protocol):
     calibration: Calibration
 
     def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
-        """Exposures at a pose drawn from ``rng``; ``moving``: along a way."""
+        """Exposures at a pose drawn from ``rng``; ``moving``: along a path."""
 
 
 def t_ns_of(k: int) -> int:
-    """The middle of frame set ``k``."""
+    """Time of the middle of frame set ``k``."""
     return START_NS + k * PERIOD_NS
 
 
 def rig_of(name: str) -> Rig:
-    """The unit of that name, calibrated."""
+    """Unit of this name, with its calibration."""
     return RecordedRig() if name == RECORDED else SimulatedRig(SIMULATED[name])
 
 
 class SimulatedRig:
-    """A unit of ``hw_sim``."""
+    """A simulated unit of ``hw_sim``."""
 
     def __init__(self, spec: UnitSpec) -> None:
         self.name = spec.name
@@ -90,7 +90,7 @@ class SimulatedRig:
         return self.unit.imagers[camera].view.background_e(self.spec.exposure_ms, lux, False)
 
     def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
-        """At any pose that meets both targets within the scanned area."""
+        """Clip at any pose that meets both targets within the scanned area."""
         distance_mm = self.spec.config.target_distance_mm
         (pose,) = random_poses(1, distance_mm, rng)
         speed = np.zeros(4)
@@ -101,7 +101,7 @@ class SimulatedRig:
         return SimulatedClip(self, pose, speed, late_ns, length, rng)
 
     def scene(self, camera: str, t_ns: int, since_s: float) -> Scene:
-        """The light of a frame at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
+        """Light of a frame at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
         imager, exposure_ms = self.unit.imagers[camera], self.spec.exposure_ms
         rest = self.rest[camera]
         if self.spec.lux_of is not None:
@@ -162,7 +162,7 @@ class SimulatedClip:
         return moved if self._vibration is None else self._vibration.moved(moved, t_ns)
 
     def scene(self, camera: str, k: int) -> Scene:
-        """The light of a camera's frame."""
+        """Light of a camera's frame."""
         if self.still and camera in self._kept:
             return self._kept[camera]
         self._rig.unit.follow(self._at)
@@ -171,7 +171,7 @@ class SimulatedClip:
         return scene
 
     def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
-        """A frame with noise of its own."""
+        """Frame with independent noise."""
         kept = self._means.get(scene.camera)
         if kept is None or kept[0] is not scene:
             kept = self._means[scene.camera] = scene, mean_image(scene.electrons, self._rig.sensor)
@@ -179,14 +179,14 @@ class SimulatedClip:
         return noisy_image(kept[1], noise, self._rig.bits)
 
     def truth(self, k: int) -> FloatArray:
-        """As the unit's formulas have it, vibration included."""
+        """Truth from the unit's formulas, vibration included."""
         self._rig.unit.follow(self._at)
         pose = self._rig.unit.truth(self._late_ns + k * PERIOD_NS)
         return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
 
 
 class RecordedRig:
-    """unit-a: its poses as they were recorded, four exposures each."""
+    """Recorded unit unit-a: its recorded poses, four exposures each."""
 
     def __init__(self) -> None:
         self.name = RECORDED
@@ -205,16 +205,16 @@ class RecordedRig:
         }
 
     def frame(self, camera: str, pose: int, k: int) -> PixelArray:
-        """Frame set ``k`` of a pose."""
+        """Pixels of frame set ``k`` of a pose."""
         return self._frames[camera, pose * self.window + k]
 
     def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
-        """One of the recorded poses: it has four exposures and does not move."""
+        """Clip of one of the recorded poses: it has four exposures and does not move."""
         return RecordedClip(self, int(rng.integers(len(self.poses))))
 
     @cached_property
     def responses(self) -> dict[str, Image]:
-        """The response of the pixels, mean 1: the flat of the calibration, or even."""
+        """Response of the pixels, mean 1: the calibration's flat, or even without a flat."""
         shape = self.frame("front", 0, 0).shape
         return {
             target.name: np.ones(shape, np.float32) if target.flat is None else target.flat.response
@@ -226,12 +226,12 @@ class RecordedRig:
 class _RecordedScene:
     scene: Scene
     electrons: Image
-    """As they were recorded, their noise in them."""
+    """Recorded electrons, including their noise."""
     pixels: PixelArray
 
 
 class RecordedClip:
-    """The exposures of one pose of unit-a; noise is added for added light alone, the rest has its own."""
+    """Exposures of one pose of unit-a; only added light gets added noise, the frames contain their own."""
 
     still = False
 
@@ -243,7 +243,7 @@ class RecordedClip:
         self._kept: dict[tuple[str, int], _RecordedScene] = {}
 
     def scene(self, camera: str, k: int) -> Scene:
-        """The content of the frame, in electrons of a full well of 15 000."""
+        """Content of the frame, in electrons of a full well of 15 000."""
         if (camera, k) not in self._kept:
             self._kept[camera, k] = self._read(camera, k)
         return self._kept[camera, k].scene
@@ -262,7 +262,7 @@ class RecordedClip:
         point = next(t for t in self._rig.calibration.targets if t.name == camera).point(
             shape.u_px, shape.v_px
         )
-        assert point is not None  # noqa: S101  poses lie within the scan
+        assert point is not None  # noqa: S101  all poses are within the scan
         px_per_mm = abs(float(np.linalg.det(point.jacobian_mm_per_px))) ** -0.5
         scene = Scene(
             camera, beam, electrons - beam, response, replace(shape, peak=shape.peak / here), px_per_mm
@@ -270,7 +270,7 @@ class RecordedClip:
         return _RecordedScene(scene, electrons, pixels)
 
     def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
-        """The recorded frame, with what the way has changed."""
+        """The recorded frame, with the changes of the way."""
         kept = self._kept[scene.camera, k]
         if scene is kept.scene:
             return kept.pixels
@@ -281,13 +281,13 @@ class RecordedClip:
         return noisy_image(spoilt, self._rig.noise.picture(mean.shape, rng), self._rig.bits)
 
     def truth(self, k: int) -> FloatArray:
-        """As the recording's maker gives it."""
+        """Truth stated in the recording."""
         pose = self._rig.poses[self._pose]
         return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
 
 
 def _spot_of(electrons: Image) -> tuple[SpotShape, np.ndarray]:
-    """The Gaussian of a spot's moments above a tenth of its peak, and the pixels around it."""
+    """Gaussian with a spot's moments above a tenth of its peak, and the pixels around it."""
     smooth = cv2.GaussianBlur(electrons - np.median(electrons), (0, 0), 4.0)
     _, peak, _, (u_peak, v_peak) = cv2.minMaxLoc(smooth)
     _, labels = cv2.connectedComponents((smooth > 0.1 * peak).astype(np.uint8))

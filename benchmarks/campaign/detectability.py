@@ -1,4 +1,4 @@
-"""Undetectable disturbances of a unit: the limits that physics sets, as far as they depend on the unit."""
+"""Undetectable disturbances of a unit: the physical limits that depend on the unit."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _RECORDED_RADIUS_MM = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """The properties that decide: the spots' 1/e² radius, and whether the targets' flats were recorded."""
+    """Properties that determine the limits: 1/e² radius of the spots, and whether flats were recorded."""
 
     radius_mm: float
     has_flat: bool
 
     @classmethod
     def of(cls, spec: UnitSpec | None) -> Subject:
-        """A simulated unit, or the recorded one, which has no flat."""
+        """Properties of a simulated unit, or of the recorded one (None), which has no flat."""
         if spec is None:
             return cls(_RECORDED_RADIUS_MM, False)
         wide_mm, high_mm = spec.config.laser.diameters_mm
@@ -28,26 +28,26 @@ class Subject:
 
     @property
     def stretch_known_to(self) -> float:
-        """Three sigmas of the difference between two targets' spots in stretch.
+        """Three sigmas of the difference in stretch between two targets' spots.
 
-        Print and grain make a spot's stretch scatter by 0.2 % without a flat and by 0.06 % with one; targets
-        that are not quite parallel add 0.1 %.
+        Print and surface texture make a spot's stretch scatter by 0.2 % without a flat and by 0.06 % with
+        one; targets that are not quite parallel add 0.1 %.
         """
         of_nodes = 0.0006 if self.has_flat else 0.002
         return 3 * math.sqrt(2 * of_nodes**2 + 0.001**2)
 
 
 Undetectable = Callable[[Subject], str]
-"""Why it cannot be detected on a unit; empty where it can."""
+"""Reason why it cannot be detected on a unit; empty if it can."""
 
 
 def always_detectable(subject: Subject) -> str:
-    """It can be detected on every unit."""
+    """Empty reason: it can be detected on every unit."""
     return ""
 
 
 def near_on_one(share: float, far_mm: float) -> Undetectable:
-    """A second spot on one target, merged with the first: a shift, but for the stretch p (1 − p) d²/4."""
+    """A second spot on one target, merged with the first: a shift, except for the stretch p (1 − p) d²/4."""
 
     def undetectable(subject: Subject) -> str:
         p, d = share / (1 + share), 2 * far_mm / subject.radius_mm
@@ -63,7 +63,7 @@ def near_on_one(share: float, far_mm: float) -> Undetectable:
 
 
 def near_on_both(far_mm: float) -> Undetectable:
-    """A second spot beside both: one laser of another shape, as long as the two merge."""
+    """A second spot beside both spots: equivalent to a laser of another shape, while the spots merge."""
 
     def undetectable(subject: Subject) -> str:
         if 2 * far_mm / subject.radius_mm > 1.0:
@@ -77,7 +77,7 @@ def near_on_both(far_mm: float) -> Undetectable:
 
 
 def on_a_plate(cameras: frozenset[str]) -> Undetectable:
-    """The view of a plain plate has moved, alone or with that of the window, whose own shift may be small."""
+    """The view of a plain plate has moved, alone or with the window's view, whose shift may be small."""
 
     def undetectable(subject: Subject) -> str:
         if subject.has_flat or "rear" not in cameras:
@@ -91,7 +91,7 @@ def on_a_plate(cameras: frozenset[str]) -> Undetectable:
 
 
 def by_a_step_of_the_print(shift_px: float) -> Undetectable:
-    """The view has moved by about as much as the print's dots lie apart."""
+    """The view has moved by about the pitch of the print's dots."""
 
     def undetectable(subject: Subject) -> str:
         if shift_px < 3.3:
@@ -102,7 +102,7 @@ def by_a_step_of_the_print(shift_px: float) -> Undetectable:
 
 
 def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Undetectable:
-    """A plain plate is seen doubled by less than half a spot's radius."""
+    """A plain plate appears doubled by less than half a spot's radius."""
 
     def undetectable(subject: Subject) -> str:
         if "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:

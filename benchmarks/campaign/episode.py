@@ -22,13 +22,14 @@ _WARMING_UP = (str(Reason.WARMING_UP),)
 
 SPOILT = 9
 _SAME_TIME_NS = 5_000_000
-"""Exposures from the onset on: the window is full of them for the last of these."""
+"""Tolerance of a measurement's time after the beam has ended; the window then holds only earlier
+exposures."""
 
 
 def run_episode(
     rig: Rig, spoil: Spoil, rng: np.random.Generator, moving: bool, foreign: Rig | None = None
 ) -> Outcome:
-    """Measure one clip of a unit, disturbed from the onset on; ``foreign``: then that unit's frames come."""
+    """Measure a clip of a unit, disturbed from the onset on; ``foreign``: with that unit's frames then."""
     onset = WINDOW if rng.random() < 0.8 else 0
     clip = rig.clip(rng, WINDOW + SPOILT, moving)
     if clip.length < WINDOW + SPOILT:
@@ -52,7 +53,7 @@ def run_episode(
 
 
 def run_misnumbered(rig: Rig, way: Misnumbered, rng: np.random.Generator) -> Outcome:
-    """Measure with what the files give where a number in them is none; a refusal counts as invalid."""
+    """Measure with files that contain an invalid number; a refusal of the files counts as invalid."""
     taken = accepted(way, rig.calibration)
     if taken is None:
         return Outcome((), (Judgement(Verdict.INVALID, reasons=("refused",)),))
@@ -93,10 +94,10 @@ def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, M
 def _truth_of(
     measurement: Measurement, truth: Sequence[FloatArray], k: int, ended: int | None = None
 ) -> FloatArray | None:
-    """The place of the beam in the window that ends with frame set ``k``.
+    """Mean position of the beam in the window that ends with frame set ``k``.
 
-    Where the beam ``ended`` with a frame set of that number, what is averaged must be of those before it:
-    None when the measurement's time says that it is not.
+    If the beam ``ended`` at a frame set, only earlier exposures may be averaged: None if the measurement's
+    time contradicts that.
     """
     window = range(max(k - WINDOW + 1, 0), k + 1 if ended is None else min(k + 1, ended))
     times_ns = np.array([t_ns_of(n) for n in window], dtype=np.float64)

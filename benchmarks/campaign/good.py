@@ -1,7 +1,7 @@
-"""The good side: hours of measuring with nothing wrong but dust, vibration, changing light and slow drift.
+"""Undisturbed operation: hours of measuring with only dust, vibration, changing light and slow drift.
 
-Time is thinned out: every ``step_s`` of the unit's life the cameras expose ``BURST`` times at their rate,
-with fresh noise, through a chain that lives for an hour. What is refused or warned of is a false alarm.
+Time is thinned out: every ``step_s`` of the unit's operation the cameras expose ``BURST`` times at their
+rate, with new noise, through a chain that runs for an hour. Every refusal or warning is a false alarm.
 """
 
 from __future__ import annotations
@@ -38,12 +38,13 @@ HOUR_S = 3600.0
 PERIOD_NS = 50_000_000
 
 _DRIVING_S = 420.0
-"""Across the target and back, at up to 1 mm/s: so fast a machine drives along the tunnel, not across it."""
+"""Duration of the path across the target and back, s, at up to 1 mm/s: machines drive this fast along the
+tunnel, not across it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """The life of a good unit. ``lux_of`` is ambient light at ``t_s``; drifts are shares, of a day."""
+    """Conditions of a unit. ``lux_of`` is the ambient light at ``t_s``; drifts are shares per day."""
 
     unit: str
     dust: float = 0.0
@@ -52,16 +53,16 @@ class Circumstances:
     size_drift: float = 0.02
     power_drift: float = 0.05
     way_s: float = 700.0
-    """The duration of the machine's way from one end of the target to the other and back."""
+    """Duration of the machine's path from one end of the target to the other and back."""
 
 
 def _steps(t_s: float) -> float:
-    """Lights that are switched every seven minutes, between 0 and 1000 lx."""
+    """Ambient light that is switched every seven minutes, between 0 and 1000 lx."""
     return (0.0, 300.0, 1000.0, 60.0, 700.0)[int(t_s // 420.0) % 5]
 
 
 def _flicker(t_s: float) -> float:
-    """Lamps on 50.02 Hz: the light of 100 Hz beats slowly with the cameras."""
+    """Lamps on 50.02 Hz: their 100 Hz light beats slowly with the cameras."""
     return 400.0 * (1.0 + 0.4 * math.sin(2.0 * math.pi * 100.04 * t_s))
 
 
@@ -83,7 +84,7 @@ GOOD: dict[str, Circumstances] = {
 
 @dataclass(slots=True)
 class Count:
-    """The sums of one chunk of a unit's life; what they are of is in the names."""
+    """Sums over one part of a unit's operation."""
 
     measurements: int = 0
     valid: int = 0
@@ -97,7 +98,7 @@ class Count:
     largest_sigmas: float = 0.0
 
     def merge(self, other: Count) -> None:
-        """Add another chunk."""
+        """Add another part."""
         for name in ("measurements", "valid", "wrong", "frames"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.invalid += other.invalid
@@ -108,16 +109,16 @@ class Count:
 
     @property
     def rms(self) -> list[float]:
-        """Rms(error/sigma) of x, y, yaw, pitch; NaN without a valid measurement."""
+        """RMS of error/sigma of x, y, yaw, pitch; NaN without a valid measurement."""
         return [math.sqrt(square / self.valid) if self.valid else math.nan for square in self.squares]
 
     def as_json(self) -> str:
-        """For the file of results."""
+        """JSON text for the file of results."""
         return json.dumps({part.name: getattr(self, part.name) for part in fields(self)})
 
     @classmethod
     def of_json(cls, text: str) -> Count:
-        """The output of ``as_json``."""
+        """Parse the output of ``as_json``."""
         document = json.loads(text)
         for key in ("invalid", "warned", "frames_refused"):
             document[key] = Counter(document[key])
@@ -130,7 +131,7 @@ def _unit(name: str) -> _GoodUnit:
 
 
 class _GoodUnit:
-    """A unit in its circumstances."""
+    """A unit under its conditions."""
 
     def __init__(self, lives: Circumstances) -> None:
         spec = SIMULATED[lives.unit]
@@ -144,7 +145,7 @@ class _GoodUnit:
         self.distance_mm = spec.config.target_distance_mm
 
     def pose(self, t_ns: int) -> BeamPose:
-        """Over the whole area of both targets, on ways that do not repeat."""
+        """Pose at ``t_ns``, over the whole area of both targets, on paths that do not repeat."""
         turns = 2.0 * math.pi * t_ns * 1e-9 / self.lives.way_s
         places = []
         for half_mm, slope, first, second in zip(
@@ -152,7 +153,7 @@ class _GoodUnit:
         ):
             front_mm = half_mm * math.sin(first * turns)
             reach_mm = 0.95 * slope * self.distance_mm
-            # within both limits without a corner in the way: no beam turns from one exposure to the next
+            # within both limits on a smooth path: no beam changes direction from one exposure to the next
             rear_mm = half_mm * math.tanh((front_mm + reach_mm * math.sin(second * turns + 1.0)) / half_mm)
             aside_mm = reach_mm * math.tanh((rear_mm - front_mm) / reach_mm)
             places.append((front_mm, aside_mm / self.distance_mm))
@@ -160,12 +161,12 @@ class _GoodUnit:
         return BeamPose(x_mm, y_mm, slope_x, slope_y)
 
     def truth(self, t_ns: int) -> FloatArray:
-        """X mm, y mm, yaw °, pitch °."""
+        """True x mm, y mm, yaw °, pitch °."""
         pose = self.unit.truth(t_ns)
         return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
 
     def frame(self, camera: str, sequence: int, t_ns: int, rng: np.random.Generator) -> Frame:
-        """One frame set, with light, spot size and power as they are then."""
+        """Frame with the light, spot size and power of its time."""
         imager, t_s = self.unit.imagers[camera], t_ns * 1e-9
         electrons = imager.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
         spots = [self._drifted(spot, t_s) for spot in self.unit.spots(camera, t_ns)]
@@ -177,7 +178,7 @@ class _GoodUnit:
         return Frame(camera, sequence, t_ns, pixels, self.sensor.bits, exposure_ms=1.0)
 
     def _drifted(self, spot: Footprint, t_s: float) -> Footprint:
-        """Temperature: the spot's size and the laser's power follow the day."""
+        """Spot with the drift of its size and the laser's power over the day, as with temperature."""
         day = math.sin(2.0 * math.pi * t_s / 86_400.0)
         scale = 1.0 + self.lives.size_drift * day
         power = 1.0 + self.lives.power_drift * math.cos(2.0 * math.pi * t_s / 50_000.0)
@@ -186,7 +187,7 @@ class _GoodUnit:
 
 
 def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
-    """One hour of a unit's life through one chain."""
+    """Measure one hour of a unit's operation through one chain."""
     good = _unit(name)
     rng = np.random.default_rng([seed, hour, *name.encode()])
     count = Count()
@@ -198,7 +199,7 @@ def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
 
 
 def _measured(chain: MeasuringChain, frame: Frame, count: Count) -> Iterator[Measurement]:
-    """The measurement that a frame completes; what is found in the frames is counted."""
+    """Measurement that a frame completes; located and refused spots are added to ``count``."""
     for pair in chain.pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
         located = pair.of(chain.located)
         for one in located.all_items:
@@ -218,7 +219,7 @@ def _measure_burst(
         truth.append(good.truth(t_ns))
         for camera in CAMERAS:
             for measurement in _measured(chain, good.frame(camera, t_ns // PERIOD_NS, t_ns, rng), count):
-                if k < WINDOW - 1:  # a window that is still filling is no measurement of the unit's life
+                if k < WINDOW - 1:  # the window is still filling
                     continue
                 times_ns = t_ns + PERIOD_NS * np.arange(1.0 - WINDOW, 1.0)
                 true = truth_of(measurement, np.array(truth[-WINDOW:]), times_ns)
@@ -238,7 +239,7 @@ def _measure_burst(
 def run_good(
     hours: int, step_s: float, seed: int, processes: int, kept: Path, progress: Callable[[int, int], None]
 ) -> dict[str, Count]:
-    """The sums by unit; hours whose result lies in ``kept``, of this very code, are taken from there."""
+    """Sums by unit; hours with a result of exactly this code in ``kept`` are taken from there."""
     for circumstances in GOOD.values():
         calibrated(circumstances.unit)
     folder = kept / f"good-{_code()}-{step_s:g}-{seed}"
@@ -259,12 +260,12 @@ def run_good(
 
 
 def _code() -> str:
-    """A hash of all that decides a result."""
+    """Hash of all code that determines a result."""
     return hash_of(ROOT / folder for folder in ("altd", "hw_sim", "benchmarks/campaign"))
 
 
 def lines(sums: Mapping[str, Count], hours: int, step_s: float) -> Iterator[str]:
-    """The table."""
+    """Lines of the table."""
     yield (
         f"{hours} h of {len(sums)} units; every {step_s:g} s of it {BURST} exposures at 20 a second, "
         f"window {WINDOW}: {BURST - WINDOW + 1} measurements"

@@ -1,4 +1,4 @@
-"""Compares measurements with the truth, and sums up many."""
+"""Compares measurements with the truth, and summarises many of them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from altd.records import FloatArray, Measurement
 
 SIGMAS = 5.0
 LIMITS = np.array([0.05, 0.05, 0.01, 0.01])
-"""Mm, mm, °, °: an error is wrong above five sigmas and above this."""
+"""Error limits in mm, mm, °, °: an error is wrong if it exceeds both five sigmas and this limit."""
 
 
 class Verdict(StrEnum):
-    """The result for a measurement."""
+    """Verdict on a measurement."""
 
     RIGHT = "valid and right"
     WRONG = "valid and wrong"
@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """A measurement beside the truth: the largest errors in mm, in ° and in sigmas; 0 where it is invalid."""
+    """A measurement's largest errors against the truth, in mm, in ° and in sigmas; 0 if it is invalid."""
 
     verdict: Verdict
     error_mm: float = 0.0
@@ -37,7 +37,7 @@ class Judgement:
 
 
 def judge(measurement: Measurement, truth: FloatArray | None) -> Judgement:
-    """Compare a measurement with x mm, y mm, yaw °, pitch °; without a truth every number is wrong."""
+    """Compare a measurement with x mm, y mm, yaw °, pitch °; without a truth every value is wrong."""
     reasons = tuple(str(fault) for fault in measurement.status if not fault.reason.is_warning)
     warnings = tuple(str(fault) for fault in measurement.status if fault.reason.is_warning)
     if not measurement.valid:
@@ -59,9 +59,9 @@ def judge(measurement: Measurement, truth: FloatArray | None) -> Judgement:
 
 
 def truth_of(measurement: Measurement, places: FloatArray, times_ns: FloatArray) -> FloatArray:
-    """The place of the beam on the mean of a window's exposures, (exposures, 4) at ``times_ns``.
+    """Mean position of the beam over a window's exposures, from ``places`` (exposures, 4) at ``times_ns``.
 
-    Where exposures were lost it is carried along the steady way to the time that the measurement gives.
+    If exposures were lost, it is shifted along the mean path to the time of the measurement.
     """
     mean: FloatArray = places.mean(axis=0)
     if len(places) < 2 or measurement.frames >= len(places):
@@ -71,7 +71,7 @@ def truth_of(measurement: Measurement, places: FloatArray, times_ns: FloatArray)
 
 
 def arrays(measurement: Measurement) -> tuple[FloatArray, FloatArray]:
-    """The values x mm, y mm, yaw °, pitch ° of a valid measurement, and their sigmas."""
+    """Values x mm, y mm, yaw °, pitch ° of a valid measurement, and their sigmas."""
     values = [measurement.values[key] for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
     return np.array([each.value for each in values]), np.array(
         [each.sigma for each in values], dtype=np.float64
@@ -80,9 +80,9 @@ def arrays(measurement: Measurement) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of one episode: the measurements before the onset, and one a frame from it on.
+    """Result of one episode: the measurements before the onset, and those from it on.
 
-    ``recovered_s``: where a disturbance ended, how long until a measurement was valid again.
+    ``recovered_s``: time from the end of a disturbance until a measurement was valid again.
     """
 
     clean: tuple[Judgement, ...]
@@ -92,11 +92,11 @@ class Outcome:
 
 @dataclass(slots=True)
 class Tally:
-    """The sums of one way.
+    """Sums of one way.
 
-    ``noticed`` are frames from the onset until the first invalid measurement, of the episodes that had one;
-    ``worst`` the wrong ones' notes with their errors, largest in sigmas first. ``invisible``: why a wrong one
-    cannot be detected, empty where it can.
+    ``noticed`` are frames from the onset until the first invalid measurement, of episodes that had one;
+    ``worst`` holds the notes of wrong measurements with their errors, largest in sigmas first. ``invisible``:
+    why a wrong measurement cannot be detected, empty if it can.
     """
 
     episodes: int = 0
@@ -116,11 +116,11 @@ class Tally:
 
     @property
     def measurements(self) -> int:
-        """All that were made while something was disturbed."""
+        """Number of measurements during disturbances."""
         return sum(self.verdicts.values())
 
     def add(self, outcome: Outcome, note: str, invisible: str = "") -> None:
-        """One episode."""
+        """Add one episode."""
         spoilt = outcome.spoilt
         self.invisible = invisible
         self.episodes += 1
@@ -153,7 +153,7 @@ class Tally:
         )[:5]
 
     def merge(self, other: Tally) -> None:
-        """Add what another process has counted."""
+        """Add the sums of another process."""
         self.invisible = other.invisible
         self.episodes += other.episodes
         self.verdicts += other.verdicts

@@ -1,4 +1,4 @@
-"""Runs episodes, each from a seed of its own, in one or two processes, until enough was measured."""
+"""Runs episodes, each from its own seed, in one or two processes, until enough was measured."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The draws; ``pairs`` is the share of episodes that are disturbed in two ways at once."""
+    """Selection of the episodes; ``pairs`` is the share of episodes disturbed in two ways at once."""
 
     ways: tuple[str, ...]
     units: tuple[str, ...]
@@ -44,7 +44,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """The end of a campaign: so many seconds or measurements, whichever comes first; None ends nothing."""
+    """Limits of a campaign in seconds and measurements; the first one reached ends it, None is no limit."""
 
     seconds: float | None
     measurements: int | None
@@ -52,9 +52,9 @@ class Effort:
 
 
 def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> tuple[dict[str, Tally], float]:
-    """The sums by way, and the seconds that it took."""
+    """Run the campaign; return the sums by way, and the duration in s."""
     for unit in plan.units:
-        calibrated(unit)  # makes the calibrations before processes do so together
+        calibrated(unit)  # makes the calibrations before the processes need them
     tallies: dict[str, Tally] = {}
     began_s = time.monotonic()
     made = 0
@@ -77,14 +77,14 @@ def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> t
 
 
 def _batches(plan: Plan, processes: int) -> Iterator[dict[str, Tally]]:
-    """The sums of a few episodes at a time, in the order of their numbers."""
+    """Yield the sums of a few episodes at a time, in the order of their numbers."""
     if processes == 1:
         prepare()
         number = 0
         while True:
             yield batch(plan, range(number, number + _BATCH))
             number += _BATCH
-    # not forked: OpenCV's threads do not live on in a fork
+    # not forked: OpenCV's threads do not survive a fork
     with ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare) as pool:
         waiting = [
             pool.submit(batch, plan, range(n * _BATCH, (n + 1) * _BATCH)) for n in range(3 * processes)
@@ -100,7 +100,7 @@ def _batches(plan: Plan, processes: int) -> Iterator[dict[str, Tally]]:
 
 
 def prepare() -> None:
-    """Be modest: a worker process gives way to others and keeps to one core."""
+    """Lower the priority of a worker process and limit it to one thread."""
     os.nice(5)
     cv2.setNumThreads(1)
 
@@ -120,9 +120,9 @@ def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
 
 
 def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
-    """Run one episode; the name of its way, what was drawn, the result, and why it cannot be detected.
+    """Run one episode; return its way, parameters, result, and the reason if it cannot be detected.
 
-    Ways come in turn, so that each gets its share however short the run; the unit is drawn.
+    Ways alternate, so that each gets its share even in a short run; the unit is drawn.
     """
     rng = np.random.default_rng([plan.seed, number])
     way = WAYS[plan.ways[number % len(plan.ways)]]
@@ -145,7 +145,7 @@ def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
 def _spoilt(
     plan: Plan, way: Way, spoil: Spoil, rig: Rig, rng: np.random.Generator, number: int
 ) -> tuple[str, str, Outcome, str]:
-    """An episode of frames, in some cases disturbed by a second way too."""
+    """Run an episode of frames, in some cases disturbed by a second way too."""
     name, note, moving = way.name, spoil.note, way.moving or rng.random() < _MOVING_SHARE
     if rng.random() < plan.pairs and way.kind != "good" and not way.invisible:
         other = _other(plan, way, rng)
@@ -166,14 +166,14 @@ def _spoilt(
 
 
 def _units_alike(rig: Rig) -> list[str]:
-    """Other simulated units whose pictures have as many bits."""
+    """Other simulated units with the same number of bits per pixel."""
     return [
         spec.name for spec in SIMULATED.values() if spec.config.bits == rig.bits and spec.name != rig.name
     ]
 
 
 def _other(plan: Plan, way: Way, rng: np.random.Generator) -> Way:
-    """The second way of a pair."""
+    """Draw the second way of a pair."""
     apart = (way.name, ANOTHER_UNIT)
     others = [
         WAYS[name]

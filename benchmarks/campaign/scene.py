@@ -1,6 +1,6 @@
-"""The light of one frame before any noise, and the noise that belongs to it.
+"""The light of one frame before any noise, and the noise for it.
 
-A way that disturbs light changes mean electrons; noise is drawn from these. Pictures are (rows, columns).
+A way that disturbs light changes mean electrons, from which the noise is drawn. Pictures are (rows, columns).
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ class SpotShape:
 
     @property
     def radius_px(self) -> float:
-        """Radius of the circle as large as the 1/e² ellipse."""
+        """Radius of the circle with the area of the 1/e² ellipse."""
         uu, uv, vv = self.form
         return float((uu * vv - uv * uv) ** -0.25)
 
     def moved(self, du_px: float, dv_px: float) -> SpotShape:
-        """The same spot at another place."""
+        """The same spot at another position."""
         return replace(self, u_px=self.u_px + du_px, v_px=self.v_px + dv_px)
 
     def scaled(self, scale: float, share: float) -> SpotShape:
-        """A spot ``scale`` times as wide that has ``share`` of the light."""
+        """The spot ``scale`` times as wide, with ``share`` of the light."""
         uu, uv, vv = self.form
         by = scale**-2
         return replace(self, form=(uu * by, uv * by, vv * by), peak=self.peak * share * by)
@@ -72,9 +72,9 @@ def _span(middle: float, half: float, size: int) -> slice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """The light on one camera at one instant, in electrons: the laser's, and all the rest.
+    """Light on one camera at one instant, in electrons: the laser's light, and all other light.
 
-    ``response`` is what a pixel shows of an irradiance on the target, in the unit of the spot's ``peak``.
+    ``response`` is the signal of a pixel for an irradiance on the target, in the unit of the spot's ``peak``.
     """
 
     camera: str
@@ -90,53 +90,53 @@ class Scene:
         return self.beam + self.rest
 
     def beam_times(self, gain: Image | float) -> Scene:
-        """The laser's light passed by something before the target."""
+        """Scene with the laser's light attenuated before the target."""
         return replace(self, beam=self.beam * np.asarray(gain, np.float32))
 
     def all_times(self, gain: Image | float) -> Scene:
-        """All light passed by something between target and camera, or on the target."""
+        """Scene with all light attenuated between target and camera, or on the target."""
         factor = np.asarray(gain, np.float32)
         return replace(self, beam=self.beam * factor, rest=self.rest * factor)
 
     def beam_plus(self, spot: SpotShape) -> Scene:
-        """More laser light on the target, seen through its print."""
+        """Scene with more laser light on the target, through its print."""
         rows, columns = spot.window(self.beam.shape)
         beam = self.beam.copy()
         beam[rows, columns] += spot.light(rows, columns) * self.response[rows, columns]
         return replace(self, beam=beam)
 
     def lit(self, irradiance: Image | float) -> Scene:
-        """More light of any kind on the target, seen through its print."""
+        """Scene with more light of any kind on the target, through its print."""
         return replace(self, rest=self.rest + np.asarray(irradiance, np.float32) * self.response)
 
     def veiled(self, electrons: Image | float) -> Scene:
-        """Light that comes to the camera without meeting the target."""
+        """Scene with light that reaches the camera without meeting the target."""
         return replace(self, rest=self.rest + np.asarray(electrons, np.float32))
 
     def without_laser(self) -> Scene:
-        """The same in the laser's absence."""
+        """The scene without the laser."""
         return replace(self, beam=np.zeros_like(self.beam))
 
     def from_spot(self) -> tuple[Image, Image]:
-        """Distances of the pixels right of and below the spot's middle, px: (1, columns) and (rows, 1)."""
+        """Distances of the pixels right of and below the spot's centre, px: (1, columns) and (rows, 1)."""
         rows, columns = self.beam.shape
         right = np.arange(columns, dtype=np.float32)[None, :] - np.float32(self.spot.u_px)
         below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self.spot.v_px)
         return right, below
 
     def along(self, angle: float) -> Image:
-        """The distance of the pixels from the spot's middle in a direction, px."""
+        """Distance of the pixels from the spot's centre in a direction, px."""
         u, v = self.from_spot()
         return u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))
 
     def edge(self, angle: float, at_px: float, soft_px: float) -> Image:
-        """0 beyond a straight edge and 1 before it: ``at_px`` from the spot's middle, ``soft_px`` wide."""
+        """0 beyond a straight edge and 1 before it: ``at_px`` from the spot's centre, ``soft_px`` wide."""
         along = self.along(angle) - np.float32(at_px)
         shadow: Image = np.clip(0.5 - along / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
         return shadow
 
     def stripe(self, angle: float, at: float, width_mm: float, soft_px: float) -> Image:
-        """1 in a stripe across the picture, ``at`` radii from the spot's middle, 0 outside."""
+        """1 in a stripe across the picture, ``at`` radii from the spot's centre, 0 outside."""
         middle, half = at * self.spot.radius_px, width_mm * self.px_per_mm / 2
         return self.edge(angle, middle + half, soft_px) - self.edge(angle, middle - half, soft_px)
 
@@ -150,18 +150,18 @@ class MeanImage:
 
 
 def mean_image(electrons: Image, sensor: Sensor) -> MeanImage:
-    """The digital numbers of a chip for mean electrons."""
+    """Mean grey values and noise of a sensor for mean electrons."""
     return MeanImage(sensor.mean_counts(electrons, 1.0), sensor.noise_counts(electrons, 1.0))
 
 
 class Noise:
-    """Standard normal numbers drawn once; each frame takes a stretch from a place of its own."""
+    """Standard normal numbers drawn once; each frame uses a section at a random position."""
 
     def __init__(self, seed: int) -> None:
         self._numbers = np.random.default_rng(seed).standard_normal(_POOL, dtype=np.float32)
 
     def picture(self, shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-        """Noise (rows, columns); not to be written to."""
+        """Noise (rows, columns); read-only."""
         size = shape[0] * shape[1]
         start = int(rng.integers(_POOL - size))
         return self._numbers[start : start + size].reshape(shape)
@@ -177,5 +177,5 @@ def noisy_image(mean: MeanImage, noise: Image, bits: int) -> PixelArray:
 
 
 def blurred(picture: Image, sigma_px: float) -> Image:
-    """A picture through a Gaussian."""
+    """Picture after a Gaussian blur."""
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px), np.float32)

@@ -14,7 +14,7 @@ from benchmarks.campaign.judge import LIMITS, SIGMAS, Tally, Verdict
 from tools.markdown import wrapped
 
 HIDDEN_SUFFIX = " (hidden)"
-"""After the name of a way: its episodes that the drawn unit cannot detect."""
+"""Suffix of a way's name for its episodes that the drawn unit cannot detect."""
 
 HEAD = (
     *("way", "kind", "episodes", "measured", "wrong", "right", "invalid"),
@@ -23,7 +23,7 @@ HEAD = (
 
 
 def cells(name: str, tally: Tally) -> tuple[str, ...]:
-    """One row."""
+    """Cells of one row."""
     seen = f"{statistics.median(tally.noticed):.0f} / {max(tally.noticed)}" if tally.noticed else "–"
     back = (
         f"{statistics.median(tally.recovered_s):.2f} / {max(tally.recovered_s):.2f}"
@@ -54,7 +54,7 @@ def rows(tallies: Mapping[str, Tally]) -> list[tuple[str, ...]]:
 
 
 def totals(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """The text after the table."""
+    """Text after the table."""
     spoilt = sum(tally.measurements for name, tally in tallies.items())
     clean = sum(tally.clean for tally in tallies.values())
     refused: Counter[str] = Counter()
@@ -78,33 +78,33 @@ def totals(tallies: Mapping[str, Tally]) -> Iterator[str]:
 
 
 def wrong_count(tallies: Mapping[str, Tally]) -> int:
-    """Wrong ones marked valid, those of physically invisible ways aside."""
+    """Number of wrong measurements marked valid, except undetectable ones."""
     return sum(
         tally.verdicts[Verdict.WRONG] + tally.clean_wrong for tally in tallies.values() if not tally.invisible
     )
 
 
 def invisible_count(tallies: Mapping[str, Tally]) -> int:
-    """Wrong ones marked valid that cannot be detected."""
+    """Number of wrong measurements marked valid that cannot be detected."""
     return sum(tally.verdicts[Verdict.WRONG] for tally in tallies.values() if tally.invisible)
 
 
 def worst(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """The worst of each way, with what brings them back."""
+    """Worst cases of each way, with the episode and parameters that reproduce them."""
     for name, tally in tallies.items():
         for sigmas, error_mm, error_deg, note in tally.worst:
             yield f"{name}: {sigmas:.1f} sigma, {error_mm:.3f} mm, {error_deg:.4f}°: {note}"
 
 
 def invisible(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """The cases that no method can detect."""
+    """Cases that no method can detect."""
     for name, tally in tallies.items():
         if tally.invisible:
             yield f"* {name}: {tally.invisible}"
 
 
 def text(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """The table with columns under each other."""
+    """Table with aligned columns."""
     table = rows(tallies)
     widths = [max(len(row[column]) for row in table) for column in range(len(HEAD))]
     for row in table:
@@ -151,7 +151,7 @@ _WORST = ("worst mm", "worst °", "sigmas")
 
 @dataclass(frozen=True, slots=True)
 class RunDescription:
-    """The parameters of a campaign: its command, the seed and units drawn from, its duration and window."""
+    """Parameters of a campaign: its command, seed and units, its duration and window."""
 
     command: str
     seed: int
@@ -161,7 +161,7 @@ class RunDescription:
 
 
 def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) -> None:
-    """Write the page; raises BadInputError when the disk refuses."""
+    """Write the page; raises BadInputError if the file cannot be written."""
     wrong = wrong_count(tallies)
     total = sum(tally.measurements + tally.clean for tally in tallies.values())
     ways = {name.removesuffix(HIDDEN_SUFFIX) for name in tallies} & WAYS.keys()
@@ -174,7 +174,7 @@ def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) ->
         + "\n".join(
             f"- {line}."
             for line in totals(tallies)
-            if not line.startswith("wrong ones")  # of the headline
+            if not line.startswith("wrong ones")  # in the headline
         )
     ]
     sections += [*_wrong(tallies), *_undetectable(tallies), *_kinds(tallies)]
@@ -185,7 +185,7 @@ def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) ->
 
 
 def _wrong(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """Detectable disturbances with a wrong measurement that was marked valid."""
+    """Table of detectable disturbances with a wrong measurement that was marked valid."""
     rows = [
         _columns(name, tally, "way", "measured", "wrong", *_WORST)
         for name, tally in tallies.items()
@@ -196,7 +196,7 @@ def _wrong(tallies: Mapping[str, Tally]) -> Iterator[str]:
 
 
 def _undetectable(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """Undetectable episodes, and the reasons with the size of the error."""
+    """Undetectable episodes: the reasons with the size of the error."""
     head = ("way", "episodes", "measured", "wrong", "invalid", *_WORST, "notice")
     hidden = {name: tally for name, tally in tallies.items() if tally.invisible}
     if not hidden:
@@ -223,14 +223,14 @@ def _kinds(tallies: Mapping[str, Tally]) -> Iterator[str]:
 
 
 def _columns(name: str, tally: Tally, *columns: str) -> tuple[str, ...]:
-    """The cells of some columns of a way's row."""
+    """Cells of some columns of a way's row."""
     row = dict(zip((*HEAD[:-1], "back"), cells(name, tally), strict=True))
     row["way"] = name.removesuffix(HIDDEN_SUFFIX)
     return tuple(row[column].removesuffix(" *").replace(" / ", "/") for column in columns)
 
 
 def _table(head: Sequence[str], left: int, rows: Sequence[Sequence[str]]) -> str:
-    """A table whose first columns are text, the others numbers."""
+    """Table whose first columns are text, the others numbers."""
     rule = ["---"] * left + ["---:"] * (len(head) - left)
     return "\n".join("|" + "|".join(row) + "|" for row in (head, rule, *rows))
 

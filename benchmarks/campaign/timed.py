@@ -1,4 +1,4 @@
-"""A run through pipeline and board on a stepped clock: what a reader of the board finds, and when."""
+"""A run through pipeline and board on a stepped clock: the content of the board for a reader, over time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hw_sim.beam import BeamPose
 
 _START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 _TURNS = 6
-"""Turns of the loop in which every task that was woken reaches its next wait."""
+"""Turns of the event loop in which every woken task reaches its next wait."""
 
 
 class SteppedClock:
@@ -43,7 +43,7 @@ class SteppedClock:
         self._number = count()
 
     def monotonic_ns(self) -> int:
-        """The time that was set."""
+        """Time that was set."""
         return self._now_ns
 
     def utc(self, t_ns: int) -> datetime:
@@ -51,17 +51,17 @@ class SteppedClock:
         return _START + timedelta(microseconds=t_ns / 1000)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait until time was set so far."""
+        """Wait until the time has been set that far."""
         future = asyncio.get_running_loop().create_future()
         heapq.heappush(self._sleepers, (self._now_ns + round(seconds * 1e9), next(self._number), future))
         await future
 
     def wait(self, stop: Stop, seconds: float) -> None:
-        """No thread of the campaign waits."""
+        """Raise NotImplementedError: no thread of the campaign waits."""
         raise NotImplementedError
 
     async def pass_to(self, t_ns: int, *, at_one_blow: bool = False) -> None:
-        """Let time pass; sleepers wake at their instants, or all at the end when the process was held."""
+        """Advance the time; sleepers wake at their instants, or all at the end if the process was held."""
         await self.settle()
         while self._sleepers and (due_ns := self._sleepers[0][0]) <= t_ns:
             self._now_ns = t_ns if at_one_blow else max(due_ns, self._now_ns)
@@ -80,17 +80,17 @@ class SteppedClock:
 
 WINDOW = 8
 BEFORE, AFTER = 20, 60
-"""Exposures before the onset, and after the disturbance is over."""
+"""Exposures before the onset, and after the end of the disturbance."""
 
 START_NS = 1_000_000_000_000
 _FIRST_NUMBER = 100_000
 _TRANSFER_NS = 5 * MS
 _MAX_AGE_NS = 1_000 * MS + WINDOW * PERIOD_NS
-"""The oldest that a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
+"""Maximum age of a displayed measurement: the default of ``stale_after_s``, and the length of a window."""
 
 
 def run_timed(rig: Rig, way: Mistimed, rng: np.random.Generator) -> Outcome:
-    """Let a machine drive, disturb its frames' times, and judge what the board shows every 50 ms."""
+    """Simulate a driving machine, disturb its frames' times, and judge the board every 50 ms."""
     if not isinstance(rig, SimulatedRig):
         raise TypeError("only a simulated unit drives")
     onset_ns = START_NS + BEFORE * PERIOD_NS
@@ -137,7 +137,7 @@ async def _read(
     onset_ns: int,
     end_ns: int,
 ) -> list[tuple[int, Measurement | None]]:
-    """The board as it is found every 50 ms."""
+    """Read the board every 50 ms."""
     clock = SteppedClock(START_NS)
     measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
     board = Board(clock, Measuring().stale_after_s, QUANTITIES, rehearsal=True)  # frames are simulated
@@ -149,7 +149,7 @@ async def _read(
     task = asyncio.create_task(pipeline.run())
     found: list[tuple[int, Measurement | None]] = []
     waiting = list(arrivals)
-    stamps = {camera: StampCheck() for camera in CAMERAS}  # as the cameras' threads have them
+    stamps = {camera: StampCheck() for camera in CAMERAS}  # as in the cameras' threads
     clocks = {camera: DeviceClock() for camera in CAMERAS}
     for now_ns in range(START_NS, end_ns, PERIOD_NS // 2):
         if 0 < now_ns - onset_ns < way.held_ns:
@@ -185,7 +185,7 @@ def _without_vibration(places: FloatArray) -> FloatArray:
 
 
 def _judged(measurement: Measurement, truth: FloatArray, now_ns: int) -> Judgement:
-    """Against where the machine was at the time that fits best, of those that a reader may be shown."""
+    """Judge against the machine's position at the best-fitting time among those that may be displayed."""
     if not measurement.valid:
         return judge(measurement, None)
     values, sigma = arrays(measurement)

@@ -1,6 +1,6 @@
-"""The units of the campaign: in what circumstances each measures, and its calibration.
+"""Units of the campaign: the conditions under which each measures, and its calibration.
 
-Scans and calibrations are kept outside the tree, and made again when their code changes.
+Scans and calibrations are stored outside the tree, and made again when their code changes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hw_sim.stage import Stage
 from hw_sim.unit import CAMERAS, EXPOSURES_MS, Unit, UnitConfig
 
 RECORDED = "unit-a"
-"""The recorded unit of ../shared/data; all others are simulated."""
+"""Recorded unit of ../shared/data; all others are simulated."""
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT.parent / "shared/data" / RECORDED
@@ -43,10 +43,10 @@ _REFERENCE = Laser()
 
 @dataclass(frozen=True, slots=True)
 class UnitSpec:
-    """A simulated unit: what it is, and how its measuring differs from its calibration.
+    """A simulated unit, and the differences between its measuring and its calibration.
 
-    ``flat``: calibrated through a recorded flat. ``light`` is the laser's power when it measures, relative to
-    the calibration's; ``lux_of`` the ambient light at ``t_s`` of an episode, where it changes.
+    ``flat``: calibrated with a recorded flat. ``light`` is the laser's power while measuring, relative to the
+    calibration; ``lux_of`` is the ambient light at ``t_s`` of an episode, if it changes.
     """
 
     name: str
@@ -61,18 +61,18 @@ class UnitSpec:
 
     @property
     def exposure_ms(self) -> float:
-        """Brings the laser's spot to three quarters of full scale."""
+        """Exposure time that brings the laser's spot to three quarters of full scale."""
         return EXPOSURES_MS["front"] * _REFERENCE.peak_mw_per_mm2 / self.config.laser.peak_mw_per_mm2
 
     @property
     def measuring(self) -> UnitConfig:
-        """The unit as it measures."""
+        """Configuration of the unit while it measures."""
         laser = replace(self.config.laser, power_mw=self.config.laser.power_mw * self.light)
         return replace(self.config, laser=laser, lux=self.lux, vibration=self.vibration, dust=self.dust)
 
 
 def _switched(t_s: float) -> float:
-    """Lights that are switched between 0 and 1000 lx."""
+    """Ambient light that is switched from 0 to 1000 lx."""
     return 0.0 if t_s < 0.25 else 1000.0
 
 
@@ -102,13 +102,13 @@ NAMES = (*SIMULATED, RECORDED)
 
 
 def cache_folder() -> Path:
-    """The folder of scans and calibrations."""
+    """Folder of scans and calibrations."""
     base = os.environ.get("ALTD_CAMPAIGN_CACHE") or os.environ.get("XDG_CACHE_HOME")
     return Path(base or Path.home() / ".cache") / "altd-campaign"
 
 
 def calibrated(name: str) -> Calibration:
-    """The calibration of a unit; made, and kept, when there is none of this code."""
+    """Calibration of a unit; made and stored if there is none of this code."""
     scan, flat = _scan_of(name)
     kept_name = name if name == RECORDED else scan.parent.name
     file = cache_folder() / f"{kept_name}-{_CODE}.json"
@@ -121,7 +121,7 @@ def calibrated(name: str) -> Calibration:
 
 
 def _scan_of(name: str) -> tuple[Path, Path | None]:
-    """The folders of a unit's scan and of its flat, recorded when they are not there."""
+    """Folders of a unit's scan and of its flat, recorded if missing."""
     if name == RECORDED:
         return RECORDINGS / "scan", None
     spec = SIMULATED[name]
@@ -132,7 +132,7 @@ def _scan_of(name: str) -> tuple[Path, Path | None]:
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir(parents=True)
         _record(spec, draft)
-        if kept.exists():  # another process was faster
+        if kept.exists():  # another process has recorded it meanwhile
             shutil.rmtree(draft)
         else:
             draft.rename(kept)
@@ -152,7 +152,7 @@ def _record(spec: UnitSpec, place: Path) -> None:
 
 
 def hash_of(paths: Iterable[Path]) -> str:
-    """Of the content of Python files and folders of them."""
+    """Hash of the content of Python files, and of those in folders."""
     digest = hashlib.sha256()
     for path in paths:
         for file in sorted(path.glob("**/*.py")) if path.is_dir() else [path]:
@@ -161,13 +161,13 @@ def hash_of(paths: Iterable[Path]) -> str:
 
 
 _CODE = hash_of(ROOT / "altd" / part for part in _CALIBRATES)
-"""Of the code as it was when this process read it."""
+"""Hash of the calibrating code when this process was started."""
 
 
 def chain_of(
     calibration: Calibration, measuring: Measuring, installation: Installation | None = None
 ) -> MeasuringChain:
-    """A chain as the daemon makes it."""
+    """Measuring chain as the daemon makes it."""
     views = [View(name, name) for name in calibration.target_names]
     instrument = BeamInstrument(calibration, measuring, installation)
     return MeasuringChain(views, calibration, measuring, instrument)

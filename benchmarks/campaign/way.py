@@ -1,4 +1,4 @@
-"""A way to disturb measurements: what it does to light, to grey values and to the stream of frames."""
+"""A way to disturb measurements: its effect on light, on grey values and on the stream of frames."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CAMERAS = ("front", "rear")
 
 @dataclass(slots=True)
 class Shot:
-    """One frame on its way to the chain: ``k`` counts the episode's exposures."""
+    """One frame on its way to the chain; ``k`` counts the episode's exposures."""
 
     camera: str
     k: int
@@ -33,14 +33,14 @@ class OnLight(Protocol):
     """Changes the light of frame set ``since`` after the onset."""
 
     def __call__(self, scene: Scene, since: int) -> Scene:
-        """The disturbed scene."""
+        """Return the disturbed scene."""
 
 
 class OnPixels(Protocol):
-    """Changes grey values; ``before`` is the camera's frame before this one, None for the first."""
+    """Changes grey values; ``before`` is the camera's previous frame, None for the first."""
 
     def __call__(self, pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        """The disturbed frame."""
+        """Return the disturbed frame."""
 
 
 OnStream = Callable[[list[Shot], int], list[Shot]]
@@ -49,11 +49,11 @@ OnStream = Callable[[list[Shot], int], list[Shot]]
 
 @dataclass(frozen=True, slots=True)
 class Spoil:
-    """One way with its parameters drawn; what it does not touch is None.
+    """One way with its parameters drawn; None for what it does not change.
 
-    ``cameras`` are those whose light and pixels are disturbed. ``varies``: its light is another one at each
-    exposure. ``no_beam``: no laser is left that could be measured, any number is wrong. ``undetectable`` says
-    on which units it cannot be detected.
+    ``cameras`` are the cameras whose light and pixels are disturbed. ``varies``: its light differs at each
+    exposure. ``no_beam``: no laser is left to measure, so any value is wrong. ``undetectable`` gives the
+    reason why it cannot be detected on a unit, if so.
     """
 
     note: str
@@ -67,63 +67,63 @@ class Spoil:
 
 
 class Draw:
-    """The parameters of one episode, from its own random numbers."""
+    """Draws the parameters of one episode, from its own random numbers."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
 
     def uniform(self, low: float, high: float) -> float:
-        """Even between two numbers."""
+        """Draw a number uniformly between two limits."""
         return float(self.rng.uniform(low, high))
 
     def log(self, low: float, high: float) -> float:
-        """Even in the logarithm: as many small ones as large ones."""
+        """Draw a number uniformly in its logarithm: as many small ones as large ones."""
         return math.exp(self.uniform(math.log(low), math.log(high)))
 
     def whole(self, low: int, high: int) -> int:
-        """A whole number, both ends included."""
+        """Draw an integer, both ends included."""
         return int(self.rng.integers(low, high + 1))
 
     def angle(self) -> float:
-        """Any direction, radians."""
+        """Draw a direction, radians."""
         return self.uniform(-math.pi, math.pi)
 
     def of(self, *choices: str) -> str:
-        """One of several."""
+        """Draw one of several choices."""
         return choices[int(self.rng.integers(len(choices)))]
 
     def sign(self) -> int:
-        """-1 or 1."""
+        """Draw -1 or 1."""
         return 1 if self.rng.random() < 0.5 else -1
 
     def targets(self) -> frozenset[str]:
-        """Front, rear or both."""
+        """Draw front, rear or both."""
         return frozenset(CAMERAS if self.rng.random() < 1 / 3 else (self.of(*CAMERAS),))
 
     def one(self) -> frozenset[str]:
-        """Front or rear."""
+        """Draw front or rear."""
         return frozenset((self.of(*CAMERAS),))
 
     def seed(self) -> int:
-        """For random numbers that must be the same at each frame set."""
+        """Draw a seed for random numbers that must be the same at each frame set."""
         return int(self.rng.integers(1 << 31))
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A named way. ``moving``: only a moving beam shows it. ``invisible``: why physics hides it, its size."""
+    """A named way. ``moving``: only a moving beam reveals it. ``invisible``: why physics hides it, size."""
 
     name: str
     kind: str
     make: Callable[[Draw], object]
-    """Draws the parameters: a ``Spoil``, or what the modules ``times`` and ``numbers`` have of their own."""
+    """Draws the parameters: a ``Spoil``, or the types of the modules ``times`` and ``numbers``."""
     moving: bool = False
     invisible: str = ""
 
 
 @dataclass(slots=True)
 class Registry:
-    """The ways of one kind, in the order in which they are written."""
+    """Ways of one kind, in the order of their definition."""
 
     kind: str
     ways: list[Way] = field(default_factory=list)
@@ -131,7 +131,7 @@ class Registry:
     def add(
         self, *, moving: bool = False, invisible: str = ""
     ) -> Callable[[Callable[[Draw], Spoil]], Callable[[Draw], Spoil]]:
-        """A decorator that enters a function under its own name."""
+        """Return a decorator that registers a function under its own name."""
 
         def enter(make: Callable[[Draw], Spoil]) -> Callable[[Draw], Spoil]:
             self.ways.append(Way(make.__name__, self.kind, make, moving, invisible))
@@ -141,7 +141,7 @@ class Registry:
 
 
 def both(first: Spoil, second: Spoil) -> Spoil:
-    """Two ways at once, the first one's light first; each on its own cameras."""
+    """Combine two ways, the first one's light first; each on its own cameras."""
     parts = (first, second)
 
     def light(scene: Scene, since: int) -> Scene:
@@ -162,7 +162,7 @@ def both(first: Spoil, second: Spoil) -> Spoil:
 
 
 def _streams(parts: Sequence[Spoil]) -> OnStream:
-    """Grey values and streams of several ways, one after the other."""
+    """Apply grey values and streams of several ways, one after another."""
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
         for part in parts:
@@ -175,7 +175,7 @@ def _streams(parts: Sequence[Spoil]) -> OnStream:
 
 
 def spoil_pixels(spoil: Spoil, shots: Sequence[Shot], onset: int) -> None:
-    """Change the grey values of the shots from ``onset`` on, each with what its camera had before."""
+    """Change the grey values of the shots from ``onset`` on, each with its camera's previous frame."""
     if spoil.pixels is None:
         return
     before: dict[str, PixelArray] = {}
@@ -187,7 +187,7 @@ def spoil_pixels(spoil: Spoil, shots: Sequence[Shot], onset: int) -> None:
 
 
 def showing(shots: Sequence[Shot], onset: int, source: Callable[[Shot], tuple[str, int]]) -> list[Shot]:
-    """The shots; from ``onset`` on they show what ``source`` names by camera and exposure, if it is there."""
+    """Replace pictures from ``onset`` on by those at the camera and exposure of ``source``, if they exist."""
     pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
     return [
         replace(shot, pixels=pictures.get(source(shot), shot.pixels)) if shot.k >= onset else shot
@@ -196,7 +196,7 @@ def showing(shots: Sequence[Shot], onset: int, source: Callable[[Shot], tuple[st
 
 
 def grey(picture: npt.ArrayLike, like: PixelArray) -> PixelArray:
-    """Whole grey values of the depth of another frame."""
+    """Convert to integer grey values of the same depth as another frame."""
     if like.dtype == np.uint8:
         return np.ascontiguousarray(picture, np.uint8)
     return np.ascontiguousarray(picture, np.uint16)

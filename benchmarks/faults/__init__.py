@@ -1,1 +1,1 @@
-"""The fault suite: the whole daemon on a clock that is set, disturbed, and judged on every interface."""
+"""The fault suite: the whole daemon on a stepped clock, disturbed, and judged on every interface."""

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.faults`` (``make faults``): the whole daemon, disturbed; all it shows, judged."""
+"""``python -m benchmarks.faults`` (``make faults``): disturb the whole daemon and judge all its outputs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from hw_sim.ports import free_port
 
 UNITS = ("flat", "plain", "bits-12", "shaking", "ellipse", "dusty")
 _PAIRS = 5
-"""Of so many runs one has two faults at once."""
+"""One of this number of runs has two faults at once."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run, print the table; 1 when a detectable fault let a wrong value be shown, or no reason, or lasted."""
+    """Run, print the table; return 1 if a detectable fault gave a wrong value or no reason, or lasted."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
     parser.add_argument("--runs", type=int, default=40, help="on the set clock (default 40)")
     parser.add_argument("--real", type=int, default=0, help="of each fault of a process, in real time (0)")
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _runs(options: argparse.Namespace) -> Iterator[Run]:
-    """All runs in order; those of an earlier call come from the file of results."""
+    """All runs in order; runs of an earlier call are read from the file of results."""
     faults, units = chosen(options.only), options.units.split(",")
     known = {}
     if options.results is not None and options.results.exists():
@@ -98,7 +98,7 @@ def _run(
     rigs: dict[str, SimulatedRig],
     broker_port: int,
 ) -> Run:
-    """One run from a seed of its own; faults come in turn, a second one is drawn."""
+    """Run once with its own seed; faults alternate, a second one is drawn."""
     rng = np.random.default_rng([seed, number])
     unit = units[int(rng.integers(len(units)))]
     if unit not in rigs:
@@ -111,7 +111,7 @@ def _run(
         others = [fault for fault in faults if fault is not together[0]]
         together.append(others[int(rng.integers(len(others)))])
     made = drawn(together, rigs[unit], rng)
-    with interfaces(1) as places:  # on new ports: another program may have taken those of the run before
+    with interfaces(1) as places:  # on new ports: another program may have taken the previous ones
         del places.tables["opcua"]
         places.tables["mqtt"]["port"] = broker_port
         if not BROKER:

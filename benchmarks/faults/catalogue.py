@@ -1,4 +1,4 @@
-"""All faults by name: the campaign's ways, and those of ports, network and clock around the daemon.
+"""All faults by name: the campaign's ways, and faults of ports, network and clock around the daemon.
 
 A fault of the second kind is an asynchronous generator: it begins with its first step, makes a step with each
 exposure, and ends when it is closed.
@@ -27,7 +27,7 @@ Act = Callable[[LiveUnit, Wires, Draw], AsyncGenerator[None]]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault: a way of the campaign, or an act around the daemon.
+    """A fault: a way of the campaign, or an action around the daemon.
 
     ``is_blind``: nothing can be measured while it lasts, so a reason is due within a second.
     """
@@ -184,9 +184,9 @@ _GROUPS = {
     "light": ("spots", "surfaces", "ambient"),
     "geometry": ("cameras",),
 }
-"""The campaign's kinds of ways; the others disturb nothing, or files."""
+"""Kinds of the campaign's ways that are used; the others disturb nothing, or files."""
 _OF_CAMERA = ("exchanged", "one_for_both", "mirrored", "flipped", "upside_down")
-"""Of the kind ``cameras``, the ways in which no camera has moved."""
+"""Ways of the kind ``cameras`` in which no camera has moved."""
 _BLIND = ("frozen", "loop", "inverted", "camera_unplugged", *_OF_CAMERA)
 
 
@@ -203,16 +203,16 @@ def _faults() -> Iterator[Fault]:
 
 
 def summary_of(of: Callable[..., object]) -> str:
-    """The first line of a docstring."""
+    """First line of a docstring."""
     return (of.__doc__ or "").strip().splitlines()[0]
 
 
 FAULTS = {fault.name: fault for fault in _faults()}
-"""Every fault that runs on the set clock; those in real time are in ``real``."""
+"""All faults that run on the stepped clock; faults in real time are in ``real``."""
 
 
 def chosen(names: str) -> list[Fault]:
-    """The faults of these names or groups, comma-separated; all where there is none. Raises BadInputError."""
+    """Faults with these names or groups, comma-separated; all if empty. Raises BadInputError."""
     found = []
     for name in names.split(",") if names else FAULTS:
         of_name = [fault for fault in FAULTS.values() if name in (fault.name, fault.group)]

@@ -1,4 +1,4 @@
-"""One run: undisturbed exposures, disturbed ones, undisturbed ones, through the daemon and onto its wires."""
+"""One run of undisturbed, disturbed and undisturbed exposures, through the daemon to its interfaces."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from hw_sim.beam import BeamPose
 from hw_sim.measure import random_poses
 
 BEFORE, BACK = 22, 80
-"""Exposures before the onset, and within which the unit must be back."""
+"""Exposures before the onset, and maximum number of exposures until recovery."""
 _STEADY_NS = 250 * MS
 _SHORTEST, _LONGEST = 20, 40
-"""Exposures of a fault without an end of its own."""
+"""Minimum and maximum number of exposures of a fault without its own end."""
 _TRANSFER_NS = 5 * MS
 _READ_AFTER_NS = 25 * MS
 _START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
@@ -42,7 +42,7 @@ _START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A run's faults with their parameters: at most what the three kinds of them need."""
+    """Faults of a run with their parameters, by the three kinds."""
 
     names: tuple[str, ...]
     note: str
@@ -84,7 +84,7 @@ def drawn(faults: Sequence[Fault], rig: SimulatedRig, rng: np.random.Generator) 
 
 
 class _Film:
-    """The frames of one run, and when they arrive; the beam's truth."""
+    """Frames of one run with their arrival times, and the beam's truth."""
 
     def __init__(self, rig: SimulatedRig, faults: Drawn, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -123,7 +123,7 @@ class _Film:
         return SimulatedClip(rig, BeamPose(float(x), float(y)), speed, 0, self.length, rng)
 
     def _shots(self) -> list[Shot]:
-        """The frames up to the end of the fault, disturbed."""
+        """Frames up to the end of the fault, disturbed."""
         spoil, shots = self.faults.spoil, list[Shot]()
         lit: dict[str, Scene] = {}
         for k in range(self.end):
@@ -147,7 +147,7 @@ class _Film:
         ]
 
     def frame(self, one: Delivery) -> Frame | None:
-        """A frame as its driver hands it over; None: the driver gives it no time."""
+        """Frame as its driver delivers it; None if the driver assigns no time to it."""
         k = (one.true_ns - START_NS) // PERIOD_NS
         pixels = self.pixels.get((one.camera, k))
         if pixels is None:
@@ -159,11 +159,11 @@ class _Film:
         return Frame(one.camera, one.sequence, t_ns, pixels, self.bits, exposure_ms=1.0)
 
     def error_of(self, one: Published, t_ns: float, now_ns: int) -> FloatArray:
-        """The error of a value at ``t_ns``, shown at ``now_ns``: x and y in mm, yaw and pitch in °.
+        """Error of a value at ``t_ns``, shown at ``now_ns``: x and y in mm, yaw and pitch in °.
 
-        Where the fault is one of times, the value may be of any time of which a reader may be shown one.
+        For a fault of times, the value may be from any time that may be displayed.
         """
-        assert one.values is not None  # noqa: S101  the judge has asked
+        assert one.values is not None  # noqa: S101  checked by the judge
         if self.faults.spoil.no_beam and self.onset_ns <= t_ns + PERIOD_NS / 2 < self.end_ns:
             return np.full(4, np.inf)
         if self.faults.times:
@@ -179,7 +179,7 @@ class _Film:
 
 
 def _window_means(truth: FloatArray) -> FloatArray:
-    """The path of the window's mean about each exposure: without the vibration, as far as it averages."""
+    """Path of the window's mean about each exposure: vibration is averaged as in a window."""
     padded = np.pad(truth, ((WINDOW // 2, WINDOW - WINDOW // 2 - 1), (0, 0)), mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0).mean(axis=-1))
 
@@ -187,7 +187,7 @@ def _window_means(truth: FloatArray) -> FloatArray:
 def run_episode(
     rig: SimulatedRig, faults: Drawn, rng: np.random.Generator, places: Interfaces, has_broker: bool
 ) -> Result:
-    """Run a daemon through the faults and judge all that its interfaces show."""
+    """Run a daemon through the faults and judge the outputs of all its interfaces."""
     film = _Film(rig, faults, rng)
     with (
         tempfile.TemporaryDirectory(prefix="altd-faults-") as folder,

@@ -1,4 +1,4 @@
-"""Compares all that a unit's interfaces show with the truth."""
+"""Compares the outputs of all interfaces of a unit with the truth."""
 
 from __future__ import annotations
 
@@ -16,56 +16,56 @@ from benchmarks.campaign.ways.times import PERIOD_NS
 from benchmarks.faults.wires import Published
 
 WINDOW = 20
-"""The default of ``[measuring] window``."""
+"""Default of ``[measuring] window``."""
 LIMITS = np.array([0.15, 0.15, 0.03, 0.03])
-"""Mm, mm, °, °."""
+"""Error limits in mm, mm, °, °."""
 MAX_REASON_S, MAX_BACK_S = 1.0, 3.0
 MAX_AGE_S = 1.0 + (WINDOW + 2) / 2 * PERIOD_NS * 1e-9
-"""The default of ``stale_after_s``, from the window's last exposure, and one interval."""
+"""Default of ``stale_after_s``, counted from the window's last exposure, and one interval."""
 _CLOCK_SET = timedelta(seconds=1)
 POLLED = ("http", "local", "modbus")
-"""Wires that are asked at each exposure: they time reason and recovery."""
+"""Interfaces that are polled at each exposure; reason and recovery are timed by them."""
 
 
 @dataclass(slots=True)
 class Result:
-    """The sums of one run. Errors are the largest of values that were shown, in mm, ° and sigmas."""
+    """Sums of one run. Errors are the largest ones of displayed values, in mm, ° and sigmas."""
 
     judged: Counter[str] = field(default_factory=Counter)
-    """By wire."""
+    """Number of judged messages by interface."""
     reasons: Counter[str] = field(default_factory=Counter)
     valid: int = 0
     beyond_sigmas: int = 0
     beyond_limits: int = 0
     stale: int = 0
     contradicting: int = 0
-    """Numbers without the flag, or the flag without numbers or time."""
+    """Values without the valid flag, or the flag without values or time."""
     no_reason: int = 0
     unanswered: int = 0
-    """Requests of a polled wire."""
+    """Requests to a polled interface without an answer."""
     worst_mm: float = 0.0
     worst_deg: float = 0.0
     worst_sigmas: float = 0.0
     reason_s: float | None = None
-    """From the onset until every polled wire was invalid with a reason; None: that never was."""
+    """Time from the onset until every polled interface was invalid with a reason; None: never."""
     back_s: float = math.inf
-    """From the end until every polled wire was valid, and stayed so."""
+    """Time from the end until every polled interface was valid, and remained so."""
     was_invalid: bool = False
-    """No wire showed a value before the onset: the beam lies on something that the unit refuses."""
+    """Whether no interface showed a value before the onset: the unit refuses the beam at this position."""
 
     @property
     def is_back(self) -> bool:
-        """Whether the unit measured again in time, where it measured before."""
+        """Whether the unit measured again in time, provided that it measured before."""
         return self.was_invalid or self.back_s <= MAX_BACK_S
 
     @property
     def wrong(self) -> int:
-        """Values that no reader may be shown, those above five sigmas aside."""
+        """Number of values that must not be shown, except those above five sigmas."""
         return self.beyond_limits + self.stale + self.contradicting
 
 
 class Judge:
-    """Judges what is shown. ``error_of`` gives the error of a value at its time, ns, from the truth.
+    """Judges displayed messages. ``error_of`` returns the error of a value at its time, ns, from the truth.
 
     The fault lasts from ``onset_ns`` to ``end_ns``; the process is stopped for ``held_ns`` of it.
     """
@@ -85,7 +85,7 @@ class Judge:
         self._utc_zeros: list[datetime] = []
 
     def take(self, shown: Sequence[Published], now_ns: int, utc_zero: datetime) -> None:
-        """Judge what all wires show at an instant; ``utc_zero`` is UTC at 0 by the computer's clock."""
+        """Judge all messages shown at an instant; ``utc_zero`` is UTC at 0 by the computer's clock."""
         result = self.result
         if not self._utc_zeros or abs(self._utc_zeros[-1] - utc_zero) > _CLOCK_SET:
             self._utc_zeros.append(utc_zero)
@@ -115,8 +115,8 @@ class Judge:
                 result.back_s = (now_ns - self.end_ns) * 1e-9
 
     def _judge(self, one: Published, now_ns: int) -> None:
-        assert one.values is not None  # noqa: S101  asked before
-        assert one.sigma is not None  # noqa: S101  they come together
+        assert one.values is not None  # noqa: S101  checked by the caller
+        assert one.sigma is not None  # noqa: S101  set together with the values
         result = self.result
         result.valid += 1
         if one.wire in POLLED and one.age_s is not None:
@@ -124,11 +124,11 @@ class Judge:
         elif one.utc is None:
             result.contradicting += 1
             return
-        else:  # after a clock was set there are values with the time of before
+        else:  # after the clock was set, some values still have the previous time
             labels = ((one.utc - zero).total_seconds() * 1e9 for zero in self._utc_zeros)
             t_ns = min(labels, key=lambda label_ns: abs(label_ns - now_ns))
         if one.wire == "mqtt" and one.age_s is not None:
-            # the clock is set while a message waits for its broker: it counts as read when it was sent
+            # the clock may be set while a message waits for its broker: it counts as read when it was sent
             now_ns = round(t_ns + one.age_s * 1e9)
         result.stale += now_ns - t_ns > MAX_AGE_S * 1e9
         error = self._error_of(one, t_ns, now_ns)
@@ -141,5 +141,5 @@ class Judge:
 
 
 def exposures_ns(t_ns: float, frames: int) -> FloatArray:
-    """The exposures of a mean over so many, whose middle is at ``t_ns``."""
+    """Exposure times of a mean over ``frames`` exposures with their middle at ``t_ns``."""
     return np.asarray(t_ns + PERIOD_NS * (np.arange(frames) - (frames - 1) / 2))

@@ -1,4 +1,4 @@
-"""The whole daemon on a clock that is set: cameras that deliver what an episode has, and its interfaces."""
+"""The whole daemon on a stepped clock: cameras that deliver an episode's frames, and its interfaces."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _POLL_S = 0.0002
 
 
 class LiveClock(SteppedClock):
-    """A stepped clock on which threads wait too; ``utc_step`` is what the computer's clock was set by."""
+    """A stepped clock for waiting threads too; ``utc_step`` is the step of the computer's clock."""
 
     def __init__(self, now_ns: int) -> None:
         super().__init__(now_ns)
@@ -41,18 +41,18 @@ class LiveClock(SteppedClock):
         self._waiting: dict[int, int] = {}
 
     def utc(self, t_ns: int) -> datetime:
-        """UTC of a monotonic instant, as the computer's clock has it now."""
+        """UTC of a monotonic instant by the computer's clock."""
         return super().utc(t_ns) + self.utc_step
 
     def wait(self, stop: Stop, seconds: float) -> None:
-        """Block a thread until time was set so far."""
+        """Block a thread until the time has been set that far."""
         due_ns = self.monotonic_ns() + round(seconds * 1e9)
         with self.passed:
             while not stop.is_set() and self.is_before(due_ns):
                 self.passed.wait(0.05)
 
     def is_before(self, due_ns: int) -> bool:
-        """Whether a thread still has to wait; it is counted as waiting. ``passed`` is held."""
+        """Whether a thread must still wait, in which case it is counted as waiting. ``passed`` is held."""
         self._waiting[threading.get_ident()] = due_ns
         if self.monotonic_ns() < due_ns and not self.has_ended:
             return True
@@ -60,29 +60,29 @@ class LiveClock(SteppedClock):
         return False
 
     def is_busy(self) -> None:
-        """The thread that calls has something to do. ``passed`` is held."""
+        """Mark the calling thread as busy. ``passed`` is held."""
         self._waiting.pop(threading.get_ident(), None)
 
     def is_held(self, threads: int) -> bool:
-        """Whether so many threads wait for a later time."""
+        """Whether this number of threads waits for a later time."""
         with self.passed:
             return sum(due_ns > self.monotonic_ns() for due_ns in self._waiting.values()) >= threads
 
     async def set(self, t_ns: int, *, at_one_blow: bool = False) -> None:
-        """Let time pass, for tasks and for threads."""
+        """Advance the time, for tasks and for threads."""
         await self.pass_to(t_ns, at_one_blow=at_one_blow)
         with self.passed:
             self.passed.notify_all()
 
     def end(self) -> None:
-        """Let all threads go."""
+        """Release all threads."""
         with self.passed:
             self.has_ended = True
             self.passed.notify_all()
 
 
 class EpisodeCamera:
-    """``altd.ports.Camera``: delivers what it is given, and may be unplugged."""
+    """Camera (``altd.ports.Camera``) that delivers the frames given to it; it may be unplugged."""
 
     playback, waits, exposure_range = False, False, None
     origin = Origin.SIMULATED
@@ -95,14 +95,14 @@ class EpisodeCamera:
         self._clock = clock
 
     def open(self) -> None:
-        """It is there unless it was unplugged."""
+        """Open the camera; raises CameraError if it is unplugged."""
         if self.is_unplugged:
             raise CameraNotFoundError("no such device")
         self.frames.clear()
         self.is_open = True
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next frame that was given."""
+        """Return the next frame given to the camera."""
         clock = self._clock
         due_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
         with clock.passed:
@@ -116,17 +116,17 @@ class EpisodeCamera:
             return self.frames.popleft()
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """It has none to set."""
+        """Raise CameraError: the exposure is not settable."""
         raise CameraError("not settable")
 
     def close(self) -> None:
-        """Lose all that arrives until it is opened again."""
+        """Close the camera; frames that arrive before it is reopened are lost."""
         self.is_open = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveUnit:
-    """The daemon's cameras and its clock. ``wires`` are the places of its interfaces."""
+    """The daemon's cameras and its clock. ``wires`` are the addresses of its interfaces."""
 
     daemon: Daemon
     clock: LiveClock
@@ -136,7 +136,7 @@ class LiveUnit:
     _is_done: Callable[[], bool]
 
     async def deliver(self, *frames: Frame) -> None:
-        """Hand over frames and wait until the daemon has done all that it does with them."""
+        """Deliver frames and wait until the daemon has processed them."""
         with self.clock.passed:
             for frame in frames:
                 camera = self.cameras[frame.camera]
@@ -146,7 +146,7 @@ class LiveUnit:
         await self.settle()
 
     async def settle(self) -> None:
-        """Wait until cameras' threads wait for a later time, and every frame set was measured."""
+        """Wait until the cameras' threads wait for a later time and every frame set is measured."""
         give_up_s = time.monotonic() + _PATIENCE_S
         quiet = 0
         while quiet < 2:
@@ -168,7 +168,7 @@ async def live_unit(
     now_ns: int,
     measuring: Measuring,
 ) -> AsyncIterator[LiveUnit]:
-    """A daemon that serves on ``wires``, with default settings beside these; it measures when this yields."""
+    """Run a daemon with interfaces on ``wires``; settings without a parameter here are the defaults."""
     clock, socket = LiveClock(now_ns), telegram.with_name("altd.sock")
     port, *lines = wires.tables["serial"]
     tables = {**wires.tables, "serial": [{**port, "device": telegram}, *lines]}
@@ -181,7 +181,7 @@ async def live_unit(
         task = asyncio.create_task(daemon.run(), name="daemon")
         try:
             async with asyncio.timeout(_PATIENCE_S):
-                while not clock.is_held(len(CAMERAS)) and not task.done():  # noqa: ASYNC110  of threads
+                while not clock.is_held(len(CAMERAS)) and not task.done():  # noqa: ASYNC110  threads
                     await asyncio.sleep(0.001)
             if task.done():
                 task.result()
@@ -194,7 +194,7 @@ async def live_unit(
 
 
 class _WatchedPairs(FramePairs):
-    """The daemon's frame pairs, which tell how many were taken to be located."""
+    """Frame pairs of the daemon that count how many were taken for locating."""
 
     made: ClassVar[_WatchedPairs]
     taken = 0
@@ -204,7 +204,7 @@ class _WatchedPairs(FramePairs):
         _WatchedPairs.made = self
 
     def take(self) -> list[Pair[Frame]]:
-        """As the daemon takes them."""
+        """Take the pairs and count them."""
         pairs = super().take()
         self.taken += len(pairs)
         return pairs
@@ -212,9 +212,9 @@ class _WatchedPairs(FramePairs):
 
 @contextlib.contextmanager
 def _watched(daemon: Daemon) -> Iterator[Callable[[], bool]]:
-    """Whether every frame set that waits was taken, located and measured.
+    """Yield a function that returns whether every waiting frame set was taken, located and measured.
 
-    Nothing that a daemon shows tells that: its frame pairs and its chain are watched.
+    No output of the daemon shows that, so its frame pairs and its chain are observed.
     """
     measured, add = [0], daemon.chain.add
 

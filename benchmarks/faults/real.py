@@ -36,14 +36,14 @@ _BEFORE_S, _LASTS_S, _STEADY_S = 1.0, 3.0, 0.5
 _START_S, _BACK_S = 60.0, 60.0
 _READ_INTERVAL_S = 0.05
 _ANSWER_S = 0.5
-"""A controller that waits longer for an answer uses no number of it."""
+"""Time after which a controller discards an answer."""
 _SLICE_S, _SHARE = 0.1, 0.25
-"""A control group with a quarter of a processor runs so of each tenth of a second."""
+"""Period and share of a simulated control group with a quarter of a processor."""
 
 
 @dataclass(slots=True)
 class _Process:
-    """The daemon's process, to be started again, and its folder, a small disk where that is possible."""
+    """The daemon's process, which can be restarted, and its folder, on a small disk if possible."""
 
     command: list[str]
     folder: Path
@@ -128,7 +128,7 @@ FAULTS = {fault.__name__: fault for fault in (kill_9, stopped, memory, disk_full
 
 
 def run_real(name: str) -> Result:
-    """Let a fault last three seconds, and judge all that is shown; raises BadInputError where it cannot."""
+    """Let a fault last three seconds and judge all outputs; raises BadInputError if it cannot be produced."""
     with contextlib.ExitStack() as parts:
         folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-faults-")))
         save_calibration(calibrated(UNIT), folder / "calibration.json")
@@ -149,11 +149,11 @@ def run_real(name: str) -> Result:
 
 
 async def _watched(unit: _Process, wires: Wires, name: str) -> Result:
-    """Read as a controller does, from the first valid value until the unit is back after the fault."""
+    """Read as a controller does, from the first valid value until the recovery after the fault."""
     truth = make_unit(_SEED, drive=True)
 
     def error_of(one: Published, t_ns: float, _now_ns: int) -> FloatArray:
-        assert one.values is not None  # noqa: S101  the judge has asked
+        assert one.values is not None  # noqa: S101  checked by the judge
         poses = [truth.truth(round(at_ns)) for at_ns in exposures_ns(t_ns, one.frames)]
         places = [(pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg) for pose in poses]
         return np.asarray(np.abs(np.mean(places, axis=0) - one.values))
@@ -162,7 +162,7 @@ async def _watched(unit: _Process, wires: Wires, name: str) -> Result:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and not (until_back and judge.back_ns is not None):
             asked_ns = time.monotonic_ns()
-            shown = [replace(one, age_s=None) for one in await wires.read()]  # on one computer UTC is better
+            shown = [replace(one, age_s=None) for one in await wires.read()]  # same computer: UTC is better
             utc_zero = datetime.now(UTC) - timedelta(seconds=time.monotonic())
             judge.take(shown, asked_ns, utc_zero)
             await asyncio.sleep(_READ_INTERVAL_S)

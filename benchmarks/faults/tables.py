@@ -27,7 +27,7 @@ _GROUPS = {
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: its faults, the parameters drawn, why it is undetectable (empty: it is not), the result."""
+    """One run: its faults, their parameters, the reason if it is undetectable (else empty), the result."""
 
     number: int
     unit: str
@@ -39,17 +39,17 @@ class Run:
 
     @property
     def row(self) -> str:
-        """The row of the table that it belongs to."""
+        """Name of the table row that contains the run."""
         return self.names[0] if len(self.names) == 1 else PAIRS
 
     def as_json(self) -> str:
-        """For the file of results."""
+        """JSON text for the file of results."""
         result = {part.name: getattr(self.result, part.name) for part in fields(self.result)}
         return json.dumps({part.name: getattr(self, part.name) for part in fields(self)} | {"result": result})
 
     @classmethod
     def of_json(cls, line: str) -> Run:
-        """The output of ``as_json``."""
+        """Parse the output of ``as_json``."""
         told = json.loads(line)
         result = Result(**told["result"])
         result.judged, result.reasons = Counter(result.judged), Counter(result.reasons)
@@ -57,7 +57,7 @@ class Run:
 
 
 def failures(run: Run) -> list[str]:
-    """The failures of the unit in a run whose faults can be detected, in words."""
+    """Failures of the unit in a run with detectable faults, as text."""
     result, found = run.result, []
     if run.undetectable:
         return []
@@ -76,7 +76,7 @@ def failures(run: Run) -> list[str]:
 
 
 def _cells(name: str, runs: Sequence[Run]) -> tuple[str, ...]:
-    """One row: sums, and the worst of each kind."""
+    """Cells of one row: sums, and the worst value of each kind."""
     results = [run.result for run in runs]
     reasons = [each.reason_s for each in results if each.reason_s is not None]
     return (
@@ -94,13 +94,13 @@ def _cells(name: str, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def _rows(runs: Sequence[Run]) -> dict[str, tuple[str, ...]]:
-    """The rows of these runs, by name in the order of the catalogue."""
+    """Rows of these runs, by name in the order of the catalogue."""
     names = {run.row for run in runs}
     return {name: _cells(name, [run for run in runs if run.row == name]) for name in _GROUPS if name in names}
 
 
 def totals(runs: Sequence[Run]) -> Iterator[str]:
-    """The figures of the contract."""
+    """Totals of the suite's criteria."""
     told = [run for run in runs if not run.undetectable]
     judged: Counter[str] = sum((run.result.judged for run in runs), Counter())
     wires = ", ".join(f"{wire} {count:,}" for wire, count in judged.most_common())
@@ -122,7 +122,7 @@ def totals(runs: Sequence[Run]) -> Iterator[str]:
 
 
 def text(runs: Sequence[Run]) -> Iterator[str]:
-    """The table with columns under each other, the totals, and each run that failed."""
+    """Table with aligned columns, the totals, and each failed run."""
     table = [HEAD, *_rows([run for run in runs if not run.undetectable]).values()]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for name, *others in table:
@@ -189,7 +189,7 @@ In `tests/system/`, most of them against real parts:
 
 
 def write_page(path: Path, runs: Sequence[Run], command: str) -> None:
-    """Write the page; raises BadInputError when the disk refuses."""
+    """Write the page; raises BadInputError if the file cannot be written."""
     told = [run for run in runs if not run.undetectable]
     units = ", ".join(sorted({run.unit for run in runs if run.number >= 0}))
     listed = "\n".join(f"- {line}" for line in totals(runs))

@@ -1,4 +1,4 @@
-"""Readers of every interface, as independent clients have them: what each one publishes."""
+"""Readers of every interface, written as independent clients, and the published content."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from benchmarks.wire_errors.polled import raw_terminal
 
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 DAY = date(2026, 11, 20)
-"""Of every run, which lasts less: a telegram has a time and no date."""
+"""Date of every run, which is shorter than a day: a telegram has a time and no date."""
 _ORIGINS = ("rehearsal", "simulated", "calibration_simulated")
-"""Warnings that every measurement of this suite has: no reason why one is invalid."""
+"""Warnings of every measurement of this suite; they are not reasons for an invalid one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The content of one answer or message: numbers as of ``utc``, or why there are none.
+    """Content of one answer or message: values at ``utc``, or the reasons for having none.
 
-    ``contradicts``: it is marked invalid and has a number, or valid and lacks one. ``frames`` were averaged.
+    ``contradicts``: it is marked invalid and has a value, or valid and lacks one. ``frames`` were averaged.
     """
 
     wire: str
@@ -47,7 +47,7 @@ class Published:
     contradicts: bool = False
 
     @classmethod
-    def of(  # noqa: PLR0913  as it is shown
+    def of(  # noqa: PLR0913  fields of the message
         cls,
         wire: str,
         valid: bool,
@@ -58,7 +58,7 @@ class Published:
         frames: int,
         age_s: float | None = None,
     ) -> Published:
-        """Numbers count whatever ``valid`` says; an unknown sigma is as good as none."""
+        """Make it from its fields; values count regardless of ``valid``, an unknown sigma is NaN."""
         known = {number is not None for number in numbers}
         return cls(
             wire,
@@ -73,7 +73,7 @@ class Published:
 
 
 def of_json(wire: str, text: bytes) -> Published:
-    """A measurement of HTTP, the local socket or MQTT (``docs/http.md``)."""
+    """Parse a measurement of HTTP, the local socket or MQTT (``docs/http.md``)."""
     told = json.loads(text)
     numbers, sigmas = ([of.get(key) for key in KEYS] for of in (told, told["sigma"]))
     utc = None if told["time"] is None else datetime.fromisoformat(told["time"])
@@ -83,7 +83,7 @@ def of_json(wire: str, text: bytes) -> Published:
 
 
 def of_registers(registers: bytes) -> Published:
-    """The header and the values of a Modbus answer from address 0 (``docs/modbus.md``)."""
+    """Parse the header and the values of a Modbus answer from address 0 (``docs/modbus.md``)."""
     status, *reasons = struct.unpack_from(">H2x3H", registers)
     age_ms, frames = struct.unpack_from(">HH", registers, 12)
     utc_s, utc_ms = struct.unpack_from(">IH", registers, 20)
@@ -98,7 +98,7 @@ def of_registers(registers: bytes) -> Published:
 
 
 def of_telegram(reading: Reading) -> Published:
-    """A telegram, of any mode; one that the reader refuses counts as none."""
+    """Convert a telegram of any mode; a refused telegram has no values."""
     numbers, sigmas = ([getattr(reading, before + key) for key in KEYS] for before in ("", "sigma_"))
     utc = None if reading.time is None else datetime.combine(DAY, reading.time, UTC)
     valid = reading.mode != "V" and not reading.fault
@@ -107,7 +107,7 @@ def of_telegram(reading: Reading) -> Published:
 
 
 class TelegramLine:
-    """The reader of the telegram, on a port that can be unplugged; ``device`` is the unit's end."""
+    """Reader of the telegram, on a port that can be unplugged; ``device`` is the unit's end."""
 
     def __init__(self, device: Path) -> None:
         self.device = device
@@ -117,18 +117,18 @@ class TelegramLine:
 
     @property
     def line(self) -> int:
-        """The far end; -1: it is unplugged."""
+        """Descriptor of the far end; -1 if unplugged."""
         return self._ends[0]
 
     def plug(self) -> None:
-        """Let the port be there."""
+        """Plug the port in."""
         self._ends = raw_terminal()
         os.set_blocking(self.line, False)
         self.device.symlink_to(os.ttyname(self._ends[1]))
         self._reader = Reader()
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Unplug the cable."""
         self.device.unlink()
         for end in self._ends:
             os.close(end)
@@ -140,14 +140,14 @@ class TelegramLine:
             self.unplug()
 
     def restart(self) -> None:
-        """Read again, with an empty buffer as ``docs/telegram.md`` demands."""
+        """Restart reading, with an empty buffer as ``docs/telegram.md`` requires."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 os.read(self.line, 65536)
         self._reader, self.is_read = Reader(), True
 
     def read(self) -> list[Published]:
-        """The telegrams that have come."""
+        """Telegrams received since the last call."""
         if not self.is_read or self.line < 0:
             return []
         data = b""
@@ -160,9 +160,9 @@ Link = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 class Wires:
-    """One client of each interface. ``read`` returns what all show now, and what has come since.
+    """One client of each interface. ``read`` returns their current and newly received messages.
 
-    HTTP answers once on a connection, Modbus keeps it.
+    HTTP uses a new connection for each request, Modbus keeps its connection.
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class Wires:
 
     @property
     def serial_lines(self) -> list[int]:
-        """The far ends of the serial lines: of the telegram, and of Modbus RTU."""
+        """Far ends of the serial lines of the telegram and of Modbus RTU."""
         return [line for line in (self.telegram.line, *self._places.rtu) if line >= 0]
 
     def reset(self) -> None:
@@ -191,7 +191,7 @@ class Wires:
         self._modbus = self._beside = None
 
     async def read(self) -> list[Published]:
-        """Ask HTTP, the local socket and Modbus; take what telegram and MQTT have sent."""
+        """Poll HTTP, the local socket and Modbus; take received telegrams and MQTT messages."""
         asked = (
             _get("http", asyncio.open_connection(HOST, self._places.http_port)),
             _get("local", asyncio.open_unix_connection(self._socket)),
@@ -202,7 +202,7 @@ class Wires:
         return [*shown, *self.telegram.read(), *came]
 
     async def _answered(self, ask: Awaitable[Published]) -> Published | None:
-        """An answer; None, and a new connection: there is none, or none in time."""
+        """Return an answer; None, after a reset of the connections, if there is none in time."""
         try:
             async with asyncio.timeout(self._within_s):
                 return await ask
@@ -219,7 +219,7 @@ class Wires:
         return of_registers(answer[9:])
 
     async def ask_again(self, copies: int) -> None:
-        """Send each request so many times at once on another connection; what is answered counts too."""
+        """Send each request ``copies`` times at once on another connection; the answers count too."""
         if self._beside is None:
             self._beside = await asyncio.open_connection(HOST, self._places.modbus_port)
         reader, writer = self._beside
@@ -235,9 +235,9 @@ class Wires:
 async def wires_of(
     places: Interfaces, telegram: TelegramLine, socket: Path, has_broker: bool
 ) -> AsyncIterator[Wires]:
-    """Clients of all interfaces; without a broker none of MQTT."""
+    """Clients of all interfaces; without a broker there is none for MQTT."""
     wires = Wires(places, telegram, socket)
-    for line in places.rtu:  # a full line would stop the unit as well, which runs in this process
+    for line in places.rtu:  # a full line would also stop the unit, which runs in this process
         os.set_blocking(line, False)
     async with contextlib.AsyncExitStack() as parts:
         parts.callback(wires.reset)

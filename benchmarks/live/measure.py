@@ -1,6 +1,6 @@
-"""``python -m benchmarks.live.measure`` (``make bench-live``): the whole unit on GigE Vision, well and ill.
+"""``python -m benchmarks.live.measure`` (``make bench-live``): the whole unit on GigE Vision, with faults.
 
-To be run in a network namespace of its own, where it may add addresses and links: ``unshare -rn``.
+It must run in its own network namespace, where it may add addresses and links: ``unshare -rn``.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hw_sim.gige.command import make_unit
 
 _VALID_TIMEOUT_S = 30.0
 _WARM_SHARE = 1 / 6
-"""Of the time, in which buffers fill up."""
+"""Share of the time in which buffers fill up."""
 _MIN_GROWTH_S = 600.0
 
 
@@ -80,7 +80,7 @@ def _undisturbed(folder: Path, calibration: Path, seconds: float) -> tuple[Stead
 
 
 def _faults(folder: Path, calibration: Path) -> Iterator[Recovery]:
-    """Each fault on the same daemon, one after the other."""
+    """Measure each fault on the same daemon, one after another."""
     print(_FAULT_HEAD, flush=True)
     with (
         Camera(folder, "front", FRONT) as front,

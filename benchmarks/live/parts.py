@@ -1,4 +1,4 @@
-"""The processes of a unit on a real wire: cameras that can be disturbed, the daemon, and its reader."""
+"""Processes of a unit on a real wire: cameras that can be disturbed, the daemon, and its reader."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SEED = 1
 FRONT, REAR = "127.0.0.1", "127.0.0.2"
 LINKED = "10.77.0.2"
-"""The front camera's address where it has a link of its own."""
+"""Address of the front camera on its own link."""
 _UNITS_END = "10.77.0.1"
 _READY = "Ctrl-C ends it"
 _START_TIMEOUT_S = 20.0
@@ -29,18 +29,18 @@ _DAEMON_CORE = min(os.sched_getaffinity(0))
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A process of the unit, its output in a file."""
+    """A process of the unit, with its output in a file."""
 
     process: subprocess.Popen[bytes]
     log: Path
 
     @property
     def output(self) -> str:
-        """All that it wrote so far."""
+        """Complete output so far."""
         return self.log.read_text()
 
     def await_text(self, word: str, timeout_s: float = _START_TIMEOUT_S) -> None:
-        """Wait until it has written ``word``; raises RuntimeError with what it wrote instead."""
+        """Wait until the output contains ``word``; raises RuntimeError with the actual output."""
         deadline_s = time.monotonic() + timeout_s
         while word not in self.output:
             if self.process.poll() is not None or time.monotonic() > deadline_s:
@@ -48,7 +48,7 @@ class Running:
             time.sleep(0.01)
 
     def send(self, number: signal.Signals) -> None:
-        """Send it a signal."""
+        """Send a signal to the process."""
         self.process.send_signal(number)
 
     def cpu_s(self) -> float:
@@ -57,7 +57,7 @@ class Running:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def end(self) -> None:
-        """Ask it to end; kill it when it does not."""
+        """Request the process to end; kill it if it does not."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGCONT)
             self.process.terminate()
@@ -70,7 +70,7 @@ class Running:
 
 @contextlib.contextmanager
 def running(command: Sequence[str | Path], log: Path) -> Iterator[Running]:
-    """A process for the length of a ``with``."""
+    """Run a process within the block."""
     with log.open("ab") as output:
         process = subprocess.Popen(  # noqa: S603  our own programs
             [str(part) for part in command],
@@ -87,12 +87,12 @@ def running(command: Sequence[str | Path], log: Path) -> Iterator[Running]:
 
 
 def cameras_command(seed: int, *more: str) -> list[str]:
-    """Serve the unit of ``seed`` as GigE Vision cameras."""
+    """Command that serves the unit of ``seed`` as GigE Vision cameras."""
     return [sys.executable, "-m", "hw_sim", "gige", "--seed", str(seed), *more]
 
 
 def daemon_command(config: Path) -> list[str]:
-    """The daemon as it runs on a unit: on a processor that nothing else here uses.
+    """Command of the daemon as on a unit, on a processor that nothing else here uses.
 
     A real camera takes no time of the unit's processor, nor does a controller.
     """
@@ -102,7 +102,7 @@ def daemon_command(config: Path) -> list[str]:
 
 @contextlib.contextmanager
 def off_the_daemons_core() -> Iterator[None]:
-    """Our process and those that it starts leave the daemon's processor alone, where there is another."""
+    """Keep this process and its children off the daemon's processor, if there is another one."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, allowed - {_DAEMON_CORE} or allowed)
     try:
@@ -112,7 +112,7 @@ def off_the_daemons_core() -> Iterator[None]:
 
 
 def calibrate(seed: int, folder: Path) -> Path:
-    """The calibration of the unit of ``seed`` by its own scan and flat, as ``make demo`` does it."""
+    """Calibrate the unit of ``seed`` from its own scan and flat, as ``make demo`` does."""
     scan, flat, calibration = folder / "scan", folder / "flat", folder / "calibration.json"
     for arguments in (
         ("hw_sim", "scan", "--seed", str(seed), "-o", scan),
@@ -128,7 +128,7 @@ def calibrate(seed: int, folder: Path) -> Path:
 def write_config(
     path: Path, serial: str, calibration: Path, addresses: Sequence[str], ports: Ports, more: str = ""
 ) -> Path:
-    """The settings of a unit with two GigE Vision cameras, front and rear, and ``more`` tables."""
+    """Write the settings of a unit with two GigE Vision cameras, front and rear, and ``more`` tables."""
     front, rear = (
         f'driver = "aravis"\ndevice = "{address}"\nexposure.exposure_ms = {EXPOSURES_MS[name]}'
         for name, address in zip(("front", "rear"), addresses, strict=True)
@@ -142,7 +142,7 @@ def write_config(
 
 
 class Camera(contextlib.AbstractContextManager["Camera"]):
-    """One camera in a process of its own, to be killed, stopped and started."""
+    """One camera in a separate process, which can be killed, stopped and started."""
 
     def __init__(self, folder: Path, name: str, address: str) -> None:
         self._command = cameras_command(SEED, "--only", name, f"--{name}", address)
@@ -154,30 +154,30 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         self._life.close()
 
     def start(self) -> float:
-        """Serve; returns when the camera was there, monotonic s."""
+        """Start serving; return when the camera was available, monotonic s."""
         self._log.write_bytes(b"")
         self._running = self._life.enter_context(running(self._command, self._log))
         self._running.await_text(_READY)
         return time.monotonic()
 
     def kill(self) -> None:
-        """Gone from one instant to the next."""
+        """Kill the process without notice."""
         self._running.process.kill()
         self._running.process.wait()
 
     def stop(self) -> None:
-        """There, but dead: nothing is answered."""
+        """Suspend the process: nothing is answered."""
         self._running.send(signal.SIGSTOP)
 
     def go_on(self) -> float:
-        """Alive again; returns since when, monotonic s."""
+        """Resume the process; return when, monotonic s."""
         self._running.send(signal.SIGCONT)
         return time.monotonic()
 
 
 @contextlib.contextmanager
 def both_cameras(folder: Path, *more: str) -> Iterator[Running]:
-    """Both in one process, once they serve."""
+    """Serve both cameras in one process; yield when they are available."""
     with running(cameras_command(SEED, *more), folder / "cameras.log") as cameras:
         cameras.await_text(_READY)
         yield cameras
@@ -185,7 +185,7 @@ def both_cameras(folder: Path, *more: str) -> Iterator[Running]:
 
 @contextlib.contextmanager
 def camera_behind_link(folder: Path) -> Iterator[Running]:
-    """The front camera in a namespace of its own, at the far end of a pair of virtual Ethernet cards."""
+    """Serve the front camera in its own namespace, at the far end of a pair of virtual Ethernet cards."""
     serve = cameras_command(SEED, "--only", "front", "--front", LINKED)
     setup = f"ip link set lo up; until ip address add {LINKED}/24 dev far 2>/dev/null; do sleep 0.05; done"
     shell = f'{setup}; ip link set far up; exec "$@"'
@@ -199,7 +199,7 @@ def camera_behind_link(folder: Path) -> Iterator[Running]:
 
 
 def set_link(state: str) -> float:
-    """Pull the front camera's link (``down``) or put it back (``up``); returns when, monotonic s."""
+    """Disconnect the front camera's link (``down``) or reconnect it (``up``); return when, monotonic s."""
     ip("link", "set", "near", state)
     return time.monotonic()
 
@@ -208,7 +208,7 @@ def set_link(state: str) -> float:
 def measuring_daemon(
     folder: Path, calibration: Path, addresses: tuple[str, str], more: str = ""
 ) -> Iterator[tuple[Running, Watch]]:
-    """The daemon on the cameras at these addresses, with ``more`` tables, and a client that reads from it."""
+    """Run the daemon on the cameras at these addresses, with ``more`` tables, and a client that reads it."""
     ports = Ports.free()
     config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, ports, more)
     log = folder / "altd.log"
@@ -220,5 +220,5 @@ def measuring_daemon(
 
 
 def ip(*arguments: str) -> None:
-    """Change the network; raises CalledProcessError."""
+    """Change the network configuration; raises CalledProcessError."""
     subprocess.run(["ip", *arguments], check=True)  # noqa: S603, S607

@@ -1,6 +1,6 @@
-"""A unit that measures undisturbed: losses, how evenly values come, what they cost, how true they are.
+"""A unit that measures undisturbed: losses, intervals between values, cost, and errors.
 
-``python -m benchmarks.live.steady`` is the same unit without a wire, at the same time.
+``python -m benchmarks.live.steady`` runs the same unit without a wire, at the same time.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 @dataclass(frozen=True, slots=True)
 class Truthfulness:
-    """Rms of the errors against the scene's truth, and in units of the published sigma, by quantity."""
+    """RMS of the errors against the scene's truth, and relative to the published sigma, by quantity."""
 
     rms: dict[str, float]
     rms_in_sigmas: dict[str, float]
 
 
 def truthfulness(unit: Unit, measurements: Iterable[dict[str, Any]]) -> Truthfulness:
-    """The errors of measurements against where the machine was, without its vibration, at their times."""
+    """Errors of measurements against the machine's position, without its vibration, at their times."""
     errors: dict[str, list[float]] = {name: [] for name in QUANTITIES}
     ratios: dict[str, list[float]] = {name: [] for name in QUANTITIES}
     for one in measurements:
@@ -66,16 +66,16 @@ _FULL_WINDOW_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Steady:
-    """One undisturbed run. An interval is from one measurement's arrival at a reader to the next one's.
+    """One undisturbed run. An interval is the time between arrivals of two successive measurements.
 
-    ``lost`` is what the unit itself counts of each kind: exposures that a camera did not deliver, frames that
-    the daemon dropped or that came late. ``unpaired`` are exposures of one camera alone.
+    ``lost`` are the unit's own counters: exposures that a camera did not deliver, frames that the daemon
+    dropped or that were late. ``unpaired`` are exposures of one camera alone.
     """
 
     seconds: float
     measurements: int
     invalid: dict[str, int]
-    """Measurements that were not valid, by their reasons."""
+    """Numbers of invalid measurements by their reasons."""
     lost: dict[str, int]
     unpaired: int
     interval_p50_ms: float
@@ -87,11 +87,11 @@ class Steady:
     modbus_p99_ms: float
     lag_ms: float
     process: list[ProcessSample]
-    """Of the daemon, twelve or more of the time."""
+    """Samples of the daemon's process, at least twelve over the run."""
 
 
 def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) -> Steady:
-    """Watch a daemon that is measuring already for ``seconds``."""
+    """Observe a daemon that is already measuring for ``seconds``."""
     time.sleep(_FULL_WINDOW_S)
     before = watch.status()["components"]
     first, cpu_s, began_s = len(watch.seen), daemon.cpu_s(), time.monotonic()
@@ -123,7 +123,7 @@ def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) ->
 
 
 def _samples(daemon: Running, seconds: float) -> Iterator[ProcessSample]:
-    """Let the seconds pass; a sample at the beginning, and after each twelfth or minute of them."""
+    """Wait for ``seconds``; yield a sample at the beginning, and after each twelfth or minute."""
     began_s, interval_s = time.monotonic(), min(60.0, seconds / 12)
     for due_s in np.arange(0.0, seconds + interval_s / 2, interval_s):
         time.sleep(max(began_s + due_s - time.monotonic(), 0.0))
@@ -141,10 +141,10 @@ def _increase(before: Mapping[str, Any], after: Mapping[str, Any], component: st
 
 
 def main() -> int:
-    """Measure without a wire so long, and say how true it was, as JSON: arguments CONFIG SEED SECONDS.
+    """Measure without a wire and print the errors as JSON: arguments CONFIG SEED SECONDS.
 
-    The drive and the vibration of a simulated unit are functions of the machine's clock: this daemon, whose
-    cameras are handed to it, sees the very scene that the one on the wire sees.
+    The drive and the vibration of a simulated unit are functions of the machine's clock. This daemon, which
+    gets its cameras directly, therefore measures the same scene as the daemon on the wire.
     """
     config, seed, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     unit = make_unit(seed, drive=True)
@@ -154,7 +154,7 @@ def main() -> int:
 
 
 async def _measured(config_file: Path, unit: Unit, seconds: float) -> list[dict[str, Any]]:
-    """The valid measurements of so many seconds."""
+    """Valid measurements within the duration."""
     with_faces = load_config(config_file)
     config = with_faces.model_copy(update={"cameras": {}, "http": None, "modbus_tcp": None})
     cameras = {camera.name: camera for camera in make_cameras(unit)}

@@ -1,6 +1,6 @@
-"""A controller's view of the unit: each measurement of the stream, and Modbus's answers meanwhile.
+"""A controller's view of the unit: each measurement of the stream, and Modbus answers at the same time.
 
-Also when the cameras have faults as in the tunnel: the time to their detection and to the recovery.
+It also covers faults of the cameras as in the tunnel: the times to detection and to recovery.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class Ports:
 
     @classmethod
     def free(cls) -> Self:
-        """Ports that are free at the moment."""
+        """Ports that are currently free."""
         return cls(free_port(), free_port())
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A measurement as the stream gave it, and when it arrived on the monotonic clock."""
+    """A measurement of the stream, and its arrival on the monotonic clock."""
 
     arrived_s: float
     measurement: dict[str, Any]
@@ -48,13 +48,13 @@ class Received:
 
     @property
     def reasons(self) -> frozenset[str]:
-        """Its status codes, less those that say where it comes from."""
+        """Status codes without those of its origin."""
         return frozenset(self.measurement["status"]) - {"playback", "simulated"}
 
 
 @dataclass(slots=True)
 class Polled:
-    """Modbus answers: when asked, how long the answer took, the status word."""
+    """Modbus answers: time of the request, response time, status word."""
 
     asked_s: list[float] = field(default_factory=list)
     took_s: list[float] = field(default_factory=list)
@@ -62,7 +62,7 @@ class Polled:
 
 
 class Watch:
-    """``with Watch(ports) as watch``: two threads that listen until the end."""
+    """``with Watch(ports) as watch``: two threads that read until the end."""
 
     def __init__(self, ports: Ports) -> None:
         self.seen: list[Received] = []
@@ -87,7 +87,7 @@ class Watch:
             thread.join()
 
     def first(self, wanted: Callable[[Received], bool], since_s: float, timeout_s: float) -> Received:
-        """The first measurement that arrived after ``since_s`` and is wanted; raises TimeoutError."""
+        """First measurement that arrived after ``since_s`` and is ``wanted``; raises TimeoutError."""
         deadline_s = time.monotonic() + timeout_s
         examined = 0
         while self.failure is None and time.monotonic() < deadline_s:
@@ -102,7 +102,7 @@ class Watch:
         raise TimeoutError(f"not within {timeout_s:g} s; the last measurement was {last}") from self.failure
 
     def status(self) -> dict[str, Any]:
-        """The unit's reports on its components."""
+        """Status of the unit with its components."""
         connection = http.client.HTTPConnection(_HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
         try:
             connection.request("GET", "/api/status")
@@ -151,7 +151,7 @@ _RECOVERY_TIMEOUT_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """One fault. Times are those of a reader of the stream.
+    """One fault. Times are those at a reader of the stream.
 
     ``invalid_after_s`` counts from the fault, ``valid_after_s`` from the camera's return; the slowest answer
     of Modbus is that of the whole time between fault and recovery.
@@ -174,7 +174,7 @@ def measure_fault(
     restore: Callable[[], float],
     lasts_s: float,
 ) -> Recovery:
-    """Inject a fault, restore, wait for recovery; ``restore`` returns the time of its return, s."""
+    """Inject a fault, restore, wait for recovery; ``restore`` returns the time of the camera's return, s."""
     watch.first(lambda seen: seen.valid, time.monotonic(), _RECOVERY_TIMEOUT_S)
     injected_s = time.monotonic()
     inject()

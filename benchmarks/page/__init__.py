@@ -1,1 +1,1 @@
-"""The unit's page in a browser: memory over an hour, and time to show a year."""
+"""The unit's page in a browser: memory over an hour, and the time to show a year."""

@@ -1,4 +1,4 @@
-"""The page in Chromium, of the whole daemon: ``python -m benchmarks.page`` (``make bench-page``)."""
+"""The whole daemon's page in Chromium: ``python -m benchmarks.page`` (``make bench-page``)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _CLICK = """async name => {
 
 @dataclass(frozen=True, slots=True)
 class ShownTrend:
-    """One click: until all was drawn, and how much of that the unit took to answer."""
+    """One click: time until everything was drawn, and the unit's part of it."""
 
     total_ms: float
     answer_ms: float
@@ -53,7 +53,7 @@ class ShownTrend:
 
 
 async def click_often(browser: Browser, material: Material, folder: Path, times: int) -> list[ShownTrend]:
-    """A year on a unit that has just started; before the first click the computer forgets its file."""
+    """Show a year on a unit that has just started; the computer drops its file before the first click."""
     file = folder / FILE_NAME
     make_history(file, int(time.time()) // 3600 * 3600, unit=make_config().unit.serial)
     async with served_unit(material, folder) as unit:
@@ -72,7 +72,7 @@ async def click_often(browser: Browser, material: Material, folder: Path, times:
 
 
 async def _click(page: Page) -> ShownTrend:
-    """Raises RuntimeError when a plot stays empty."""
+    """Click and wait for the plots; raises RuntimeError if a plot stays empty."""
     seen = await page.evaluate(_CLICK, _SPAN)
     if seen["plots"] != seen["wanted"]:
         raise RuntimeError(f"{seen['plots']} of {seen['wanted']} plots are drawn")
@@ -80,7 +80,7 @@ async def _click(page: Page) -> ShownTrend:
 
 
 def _forget(file: Path) -> None:
-    """Let the kernel drop what it keeps of a file (posix_fadvise(2))."""
+    """Let the kernel drop its cache of a file (posix_fadvise(2))."""
     with file.open("rb") as opened:
         os.posix_fadvise(opened.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
@@ -88,11 +88,11 @@ def _forget(file: Path) -> None:
 _PAIRS = 200
 _CLICKS = 20
 _EVERY = 6
-"""Of so many samples one is printed."""
+"""One of this number of samples is printed."""
 
 
 async def show_a_year(material: Material) -> None:
-    """Print how long a year's trend takes."""
+    """Print the time to show a year's trend."""
     with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
         async with chromium() as browser:
             cold, *shown = await click_often(browser, material, Path(folder), _CLICKS)
@@ -106,7 +106,7 @@ async def show_a_year(material: Material) -> None:
 
 
 async def keep_open(material: Material, seconds: float, is_spoilt: bool) -> bool:
-    """Print how the page's memory went; returns whether something grew."""
+    """Print the course of the page's memory; return whether any quantity grew."""
     print("".join(f"{name:>13}" for name in ("t_s", *QUANTITIES)), flush=True)
     taken: list[Sample] = []
     with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
@@ -131,7 +131,7 @@ def _spread(values: list[float]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure; 1 when the page's memory grew."""
+    """Measure; return 1 if the page's memory grew."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="for which the page is kept open")
     parser.add_argument(

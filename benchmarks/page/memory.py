@@ -1,8 +1,8 @@
-"""The memory that the page takes over time, while its views are visited in turn, and how fast that grows.
+"""Memory of the page over time, while its views are visited in turn, and its growth.
 
-Chromium is driven by its own protocol alone (Chrome DevTools Protocol, domains 1.3). Playwright lets the
-process that draws a page keep the answers that the page gets (``Network.enable``), which looks as if the page
-itself took more and more memory.
+Chromium is driven only by its own protocol (Chrome DevTools Protocol, domains 1.3). Playwright lets the
+process that draws a page keep the page's network responses (``Network.enable``), which looks like growing
+memory of the page itself.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NOTEWORTHY_SHARE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """Per hour, with its standard error; ``median`` and ``highest`` of the values themselves."""
+    """Slope per hour, with its standard error; ``median`` and ``highest`` of the values themselves."""
 
     per_h: float
     sigma_per_h: float
@@ -38,14 +38,14 @@ class Slope:
 
     @property
     def grows(self) -> bool:
-        """Whether it grows beyond chance, and by more than 1 % of its median an hour."""
+        """Whether the growth is significant, and more than 1 % of the median per hour."""
         return self.per_h > max(_SIGMAS * self.sigma_per_h, _NOTEWORTHY_SHARE * self.median)
 
 
 def slope_of(t_s: Sequence[float], values: Sequence[float]) -> Slope:
-    """The straight line of least squares through the means of up to ten spans; it takes six values at least.
+    """Least-squares line through the means of up to ten spans; at least six values are required.
 
-    Neighbouring values are no chance of their own: a heap fills and is emptied. So the scatter of means about
+    Successive values are not independent: a heap fills and is emptied. Therefore the scatter of means about
     the line gives the standard error (GUM, H.3.3), not that of single values.
     """
     if len(values) < 6:
@@ -66,16 +66,16 @@ _MAX_MESSAGE_BYTES = 16 * 2**20
 
 
 class DevTools:
-    """One client of the protocol; it has one question under way at a time and hears no events."""
+    """One client of the protocol; it has one request at a time and receives no events."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
         self._number = 0
         self._page: str | None = None
-        """The session with the page, once there is one."""
+        """Session with the page, once there is one."""
 
     async def open(self, url: str, before: str = "") -> None:
-        """Open the page that this client asks from now on; ``before`` is a program that runs first in it."""
+        """Open the page for all later requests; ``before`` is a program that runs first in it."""
         target = await self.send("Target.createTarget", {"url": "about:blank"})
         attached = await self.send("Target.attachToTarget", {"targetId": target["targetId"], "flatten": True})
         self._page = attached["sessionId"]
@@ -86,7 +86,7 @@ class DevTools:
         await self.send_to_page("Page.navigate", {"url": url})
 
     async def evaluate(self, expression: str) -> Any:
-        """The value of an expression in the page; raises RuntimeError when it fails there."""
+        """Value of an expression in the page; raises RuntimeError if it fails there."""
         told = await self.send_to_page("Runtime.evaluate", {"expression": expression, "returnByValue": True})
         if "exceptionDetails" in told:
             raise RuntimeError(f"{expression}: {told['exceptionDetails']}")
@@ -99,11 +99,11 @@ class DevTools:
                 await asyncio.sleep(0.1)
 
     async def send(self, method: str, params: dict[str, Any] | None = None) -> Any:
-        """The browser's answer; raises RuntimeError with its complaint."""
+        """Send a request to the browser and return its response; raises RuntimeError with its error."""
         return await self._ask({"method": method, "params": params or {}})
 
     async def send_to_page(self, method: str, params: dict[str, Any] | None = None) -> Any:
-        """The page's answer; raises RuntimeError with its complaint."""
+        """Send a request to the page and return its response; raises RuntimeError with its error."""
         return await self._ask({"method": method, "params": params or {}, "sessionId": self._page})
 
     async def _ask(self, question: dict[str, Any]) -> Any:
@@ -121,7 +121,7 @@ class DevTools:
 
 @contextlib.asynccontextmanager
 async def devtools(width: int, height: int) -> AsyncIterator[DevTools]:
-    """A browser that lives as long as the block lasts; raises SystemExit where there is none."""
+    """Run a browser within the block; raises SystemExit if there is none."""
     with tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True) as profile:
         words = ["--headless=new", "--no-sandbox", "--no-first-run", "--remote-debugging-port=0"]
         words += [f"--user-data-dir={profile}", f"--window-size={width},{height}"]
@@ -136,7 +136,7 @@ async def devtools(width: int, height: int) -> AsyncIterator[DevTools]:
 
 
 async def _address(profile: Path) -> str:
-    """The port that the browser listens on, from the file that it writes; raises TimeoutError."""
+    """Address with the port that the browser listens on, from its file; raises TimeoutError."""
     async with asyncio.timeout(_PATIENCE_S):
         while True:
             with contextlib.suppress(FileNotFoundError, ValueError):
@@ -147,7 +147,7 @@ async def _address(profile: Path) -> str:
 
 INTERVAL_S = 30.0
 SETTLE_S = 600.0
-"""So long the page fills its own memory of ten minutes; what grows later grows without limit."""
+"""Time in which the page fills its own memory of ten minutes; later growth has no limit."""
 
 _SIZE = 1280, 900
 _LOOK_S = 1.5
@@ -170,7 +170,7 @@ _DEFECT = """globalThis.EventSource = class extends EventSource {
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The page with its pictures, after a forced garbage collection."""
+    """State of the page with its pictures, after a forced garbage collection."""
 
     t_s: float
     heap_mb: float
@@ -179,16 +179,16 @@ class Sample:
     renderer_mb: float
     """Proportional set size of the process that draws the page."""
     browser_mb: float
-    """The same of all of the browser's processes."""
+    """Proportional set size of all of the browser's processes."""
 
 
 QUANTITIES = tuple(field.name for field in fields(Sample))[1:]
 
 
 async def samples(http_port: int, seconds: float, is_spoilt: bool) -> AsyncIterator[Sample]:
-    """A sample each half minute, or oftener in a short run; between two all views are looked at.
+    """Yield a sample each half minute, or more often in a short run; all views are visited in between.
 
-    ``is_spoilt``: the page keeps every measurement and a listener for it indefinitely, on purpose.
+    ``is_spoilt``: the page intentionally keeps every measurement and a listener for it indefinitely.
     """
     async with devtools(*_SIZE) as browser:
         await browser.open(f"http://127.0.0.1:{http_port}/", before=_DEFECT if is_spoilt else "")
@@ -205,14 +205,14 @@ async def samples(http_port: int, seconds: float, is_spoilt: bool) -> AsyncItera
 
 
 def slopes(taken: list[Sample], seconds: float) -> dict[str, Slope]:
-    """The course of each quantity once the page's own memory was full."""
+    """Slope of each quantity once the page's own memory was full."""
     settled = [sample for sample in taken if sample.t_s > min(SETTLE_S, seconds / 6)]
     t_s = [sample.t_s for sample in settled]
     return {name: slope_of(t_s, [getattr(sample, name) for sample in settled]) for name in QUANTITIES}
 
 
 async def _look_around(browser: DevTools) -> None:
-    """Through all views, and back to the first one, which has the pictures."""
+    """Visit all views, and return to the first one, which has the pictures."""
     for title in ("Drive", "Trends", _SPAN, "Events", "Unit", "Overview"):
         await browser.evaluate(_CLICK % json.dumps(title))
         await asyncio.sleep(_LOOK_S)
@@ -223,7 +223,7 @@ async def _sample(browser: DevTools, t_s: float) -> Sample:
     told = await browser.send_to_page("Performance.getMetrics")
     metrics = {each["name"]: each["value"] for each in told["metrics"]}
     alive = await processes(browser)
-    # a browser keeps an empty renderer in readiness: the page's is the one that has worked
+    # a browser keeps an empty renderer ready: the page's renderer is the one with CPU time
     drawing = max((each for each in alive if each.kind == "renderer"), key=lambda each: each.cpu_s)
     return Sample(
         t_s,

@@ -1,1 +1,1 @@
-"""Errors put on the wires between a unit and the reader of ``docs/proof.md``: which ones it finds."""
+"""Errors on the wires between a unit and the reader of ``docs/proof.md``, and which of them it detects."""

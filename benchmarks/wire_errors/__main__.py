@@ -1,4 +1,4 @@
-"""``python -m benchmarks.wire_errors`` (``make bench-wires``): errors on every wire, and which are found."""
+"""``python -m benchmarks.wire_errors`` (``make bench-wires``): errors on every wire, and their detection."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def text(tallies: Sequence[Tally]) -> Iterable[str]:
 
 
 def passed(tallies: Iterable[Tally]) -> int:
-    """Errors that the reader took for good messages."""
+    """Number of errors that the reader accepted as good messages."""
     return sum(tally.passed for tally in tallies)
 
 
 def write_page(path: Path, tallies: Sequence[Tally], command: str) -> None:
-    """The page; raises BadInputError when it cannot be written."""
+    """Write the page; raises BadInputError if it cannot be written."""
     try:
         path.write_text(page(tallies, command), encoding="utf-8")
     except OSError as error:
@@ -40,7 +40,7 @@ def write_page(path: Path, tallies: Sequence[Tally], command: str) -> None:
 
 
 def page(tallies: Sequence[Tally], command: str) -> str:
-    """The page as Markdown; its third line is the headline."""
+    """Page as Markdown; its third line is the headline."""
     injected, missed = sum(tally.injected for tally in tallies), passed(tallies)
     good = sum(tally.good for tally in tallies)
     refused = sum(sum(tally.good_refused.values()) for tally in tallies)
@@ -97,7 +97,7 @@ def _by(counts: Counter[str], numbered: bool = True) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run, print the table; 1 when an error passed for a good message."""
+    """Run and print the table; return 1 if an error was accepted as a good message."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.wire_errors", description=__doc__)
     parser.add_argument("--count", type=int, default=1000, help="of each error on each wire")
     parser.add_argument("--seed", type=int, default=1)

@@ -1,4 +1,4 @@
-"""The errors of IEC 61784-3, 5.3, as the changes that a line makes to the messages that are put into it.
+"""Errors of IEC 61784-3, 5.3, as changes that a line makes to the messages sent on it.
 
 Content is corrupted so that the wire's own checks still pass: only the CRC-32 can detect it.
 """
@@ -22,14 +22,14 @@ _FOREIGN_SENTENCE = b"$GPGGA,081530.12,4717.11,N,00833.91,E,1,08,1.01,499.6,M,48
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """A kind of content: ``spoil`` turns bits round, ``imitate`` makes another without a new CRC-32."""
+    """A kind of content: ``spoil`` inverts bits, ``imitate`` makes other content without a new CRC-32."""
 
     spoil: Change
     imitate: Change
 
 
 def turned(content: bytes, chance: Random) -> bytes:
-    """With one bit, a few or many turned round; at least one."""
+    """Content with one, a few or many inverted bits."""
     spoilt = bytearray(content)
     bits = chance.choice((1, 1, 2, 3, 8, 32, 100))
     for place in chance.sample(range(8 * len(content)), bits):
@@ -38,7 +38,7 @@ def turned(content: bytes, chance: Random) -> bytes:
 
 
 def _turned_text(content: bytes, chance: Random) -> bytes:
-    """The same of a line of text, which stays one line."""
+    """Line of text with inverted bits, which stays one line."""
     while True:
         spoilt = turned(content, chance)
         if not set(_BREAKS_THE_LINE) & set(spoilt):
@@ -46,7 +46,7 @@ def _turned_text(content: bytes, chance: Random) -> bytes:
 
 
 def _with_checksums(telegram: bytes) -> bytes:
-    """Every sentence with the checksum that it should have."""
+    """Telegram with a correct checksum in every sentence."""
 
     def summed(found: re.Match[bytes]) -> bytes:
         return b"$%s*%02X" % (found[1], reduce(xor, found[1], 0))
@@ -57,12 +57,12 @@ def _with_checksums(telegram: bytes) -> bytes:
 def _spoilt_telegram(content: bytes, chance: Random) -> bytes:
     while True:
         spoilt = _with_checksums(turned(content, chance))
-        if spoilt != content:  # else it was a checksum that was turned and made good again
+        if spoilt != content:  # else only a checksum was inverted, and then corrected
             return spoilt
 
 
 def _imitated_block(content: bytes, chance: Random) -> bytes:
-    """Another place of the beam under this unit's name, or what some other device has at these addresses."""
+    """Another beam position under this unit's name, or registers of some other device at these addresses."""
     if chance.random() < 0.5:
         return content[:60] + struct.pack(">f", chance.uniform(-70, 70)) + content[64:]
     return chance.choice((bytes(160), b"\xff" * 160, chance.randbytes(160)))
@@ -88,19 +88,19 @@ JSON = Payload(_turned_text, _imitated_json)
 
 
 LIMIT_S = 0.15
-"""The oldest value that the reader may use."""
+"""Maximum age of a value that the reader may use."""
 
 HOLD_S = 0.2
-"""For how long a delayed message is held."""
+"""Time for which a delayed message is held."""
 
 _KEPT = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """The message that the line delivers, after a while; None: nothing, though something is due.
+    """Message that the line delivers after ``hold_s``; None: nothing, although a message is due.
 
-    ``is_spoilt``: this is the error that the reader has to find.
+    ``is_spoilt``: this is the error that the reader has to detect.
     """
 
     content: bytes | None
@@ -110,7 +110,7 @@ class Delivery:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The far end of the line: this unit, another one, and the content of their messages."""
+    """Far end of the line: this unit, another one, and the content of their messages."""
 
     unit: Callable[[], bytes]
     other: Callable[[], bytes]
@@ -120,18 +120,18 @@ class Line:
 
 
 Error = Callable[[Line], Iterator[Delivery]]
-"""Deliveries without end, good and corrupted by turns."""
+"""Endless deliveries, alternately good and corrupted."""
 
 
 def corruption(line: Line) -> Iterator[Delivery]:
-    """Bits turned round; the wire's own checksum is made to fit."""
+    """Bits inverted; the wire's own checksum is corrected."""
     while True:
         yield Delivery(line.unit())
         yield Delivery(line.payload.spoil(line.unit(), line.chance), True)
 
 
 def repetition(line: Line) -> Iterator[Delivery]:
-    """The message before, once more."""
+    """The previous message, once more."""
     while True:
         message = line.unit()
         yield Delivery(message)
@@ -139,7 +139,7 @@ def repetition(line: Line) -> Iterator[Delivery]:
 
 
 def loss(line: Line) -> Iterator[Delivery]:
-    """No answer; on a wire without requests the message after it has to show the loss."""
+    """No answer; on a wire without requests the message after it has to reveal the loss."""
     while True:
         yield Delivery(line.unit())
         lost = line.unit()
@@ -147,7 +147,7 @@ def loss(line: Line) -> Iterator[Delivery]:
 
 
 def insertion(line: Line) -> Iterator[Delivery]:
-    """A message of a while ago, of this session and with a CRC that fits."""
+    """An earlier message of this session, with a matching CRC."""
     said: deque[bytes] = deque(maxlen=_KEPT)
     said.append(line.unit())
     while True:
@@ -166,14 +166,14 @@ def wrong_order(line: Line) -> Iterator[Delivery]:
 
 
 def delay(line: Line) -> Iterator[Delivery]:
-    """A message that is held on its way."""
+    """A message that is held in transfer."""
     while True:
         yield Delivery(line.unit())
         yield Delivery(line.unit(), True, HOLD_S)
 
 
 def masquerade(line: Line) -> Iterator[Delivery]:
-    """A sender that does as if it was the unit, and knows nothing of the CRC-32."""
+    """A sender that imitates the unit without a new CRC-32."""
     while True:
         yield Delivery(line.unit())
         yield Delivery(line.payload.imitate(line.unit(), line.chance), True)

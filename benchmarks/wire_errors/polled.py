@@ -1,7 +1,7 @@
-"""The wires between the unit and the reader, with a proxy on each that hands over what the error leaves.
+"""Wires between the unit and the reader, with a proxy on each that delivers what the error leaves.
 
-Modbus TCP and RTU: the reader asks the proxy, which asks the unit. The telegram and the JSON stream: what the
-unit sends unasked runs through the proxy to the reader.
+Modbus TCP and RTU: the reader polls the proxy, which polls the unit. The telegram and the JSON stream: the
+unit's unsolicited messages pass through the proxy to the reader.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from hw_sim.inclinometer import crc
 
 UNIT_ID = 1
 READ = struct.pack(">BHH", 4, 200, 80)
-"""The request for the checked block."""
+"""Request for the checked block."""
 
 _ANSWER_BYTES = 2 + 160
 _UPSTREAM_TIMEOUT_S = 5.0
 
 
 class Client(Protocol):
-    """Asks for the block and gets its 160 bytes, or None when none come in time."""
+    """Requests the block and returns its 160 bytes, or None if none arrive in time."""
 
     def ask(self, timeout_s: float) -> bytes | None:
-        """The block."""
+        """Request the block."""
 
     def close(self) -> None:
         """Release the wire."""
 
 
 class TcpClient:
-    """A Modbus TCP client, with a new connection after each time-out."""
+    """A Modbus TCP client, with a new connection after each timeout."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -50,7 +50,7 @@ class TcpClient:
         self._transaction = 0
 
     def ask(self, timeout_s: float) -> bytes | None:
-        """The block of one answer, which has to be that to this request."""
+        """Request the block; the answer must match this request."""
         if self._connection is None:
             self._connection = socket.create_connection(("127.0.0.1", self._port))
         self._transaction = (self._transaction + 1) % 0x10000
@@ -78,7 +78,7 @@ class RtuClient:
         self._descriptor = descriptor
 
     def ask(self, timeout_s: float) -> bytes | None:
-        """The block of one answer; what was left over of an earlier one is thrown away."""
+        """Request the block; remains of an earlier answer are discarded."""
         while select.select([self._descriptor], [], [], 0)[0]:
             os.read(self._descriptor, 4096)
         os.write(self._descriptor, _framed(READ))
@@ -91,11 +91,11 @@ class RtuClient:
         return heard[3:-2] if _framed(heard[1:-2]) == heard else b""
 
     def close(self) -> None:
-        """The descriptor is the caller's."""
+        """Do nothing: the descriptor is the caller's."""
 
 
 def tcp_proxy(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> int:
-    """The port at which a thread answers with these deliveries; puts first whether each is corrupted."""
+    """Answer with these deliveries in a thread; return its port. Puts first whether each is corrupted."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
@@ -114,7 +114,7 @@ def tcp_proxy(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> int:
 
 
 def rtu_proxy(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> int:
-    """The reader's descriptor of a pseudo terminal at whose other end a thread answers."""
+    """Answer in a thread at a pseudo terminal's far end; return the reader's descriptor."""
     ours, theirs = raw_terminal()
 
     def serve() -> None:
@@ -131,7 +131,7 @@ def rtu_proxy(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> int:
 
 
 def fetch(client: Client) -> Callable[[], bytes]:
-    """Asks a unit until it answers."""
+    """Return a function that polls a unit until it answers."""
 
     def ask() -> bytes:
         for _ in range(10):
@@ -144,7 +144,7 @@ def fetch(client: Client) -> Callable[[], bytes]:
 
 
 def raw_terminal() -> tuple[int, int]:
-    """Both ends of a pseudo terminal that hands bytes on as they are."""
+    """Both ends of a pseudo terminal that transfers bytes unchanged."""
     ours, theirs = os.openpty()
     tty.setraw(ours)
     tty.setraw(theirs)
@@ -168,7 +168,7 @@ _TIMEOUT_S = 60.0
 
 
 class Newest:
-    """Messages that come in a thread; who takes gets what came since, old ones of long ago are dropped."""
+    """Messages received in a thread, in their order; ``drop`` discards the waiting ones."""
 
     def __init__(self, messages: Iterator[bytes]) -> None:
         self._queue: queue.Queue[bytes] = queue.Queue()
@@ -180,17 +180,17 @@ class Newest:
             self._queue.put(message)
 
     def take(self) -> bytes:
-        """The next message."""
+        """Return the next message."""
         return self._queue.get(timeout=_TIMEOUT_S)
 
     def drop(self) -> None:
-        """Lose the messages that wait."""
+        """Discard the waiting messages."""
         while not self._queue.empty():
             self._queue.get_nowait()
 
 
 def telegrams(descriptor: int) -> Iterator[bytes]:
-    """The telegrams that a unit writes to a terminal, each with three sentences."""
+    """Yield the telegrams that a unit writes to a terminal, each with three sentences."""
     heard = b""
     while True:
         heard += os.read(descriptor, 4096)
@@ -201,7 +201,7 @@ def telegrams(descriptor: int) -> Iterator[bytes]:
 
 
 def stream(port: int) -> Iterator[bytes]:
-    """The JSON objects of a unit's stream, as a browser gets them."""
+    """Yield the JSON objects of a unit's stream, as received by a browser."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=_TIMEOUT_S)
     connection.request("GET", "/api/stream")
     yield from _data_of(connection.getresponse())
@@ -214,7 +214,7 @@ def _data_of(lines: http.client.HTTPResponse) -> Iterator[bytes]:
 
 
 class Relay:
-    """Hands deliveries over one by one: the next only when the reader has judged the last."""
+    """Delivers messages one by one: the next only after the reader has judged the last."""
 
     def __init__(
         self, deliveries: Iterator[Delivery], source: Newest, write: Callable[[bytes], None]
@@ -236,7 +236,7 @@ class Relay:
 
 
 def telegram_wire() -> tuple[Callable[[bytes], None], Iterator[bytes]]:
-    """A pseudo terminal: how the relay writes a telegram, and what a reader reads up to a silence."""
+    """Pseudo terminal: a function that writes a telegram, and a reader's data up to each silence."""
     ours, theirs = raw_terminal()
 
     def received() -> Iterator[bytes]:
@@ -253,7 +253,7 @@ def telegram_wire() -> tuple[Callable[[bytes], None], Iterator[bytes]]:
 
 
 def stream_wire() -> tuple[Callable[[bytes], None], Iterator[bytes]]:
-    """A TCP connection with server-sent events: how the relay writes one, and what an HTTP client reads."""
+    """TCP connection with server-sent events: a function that writes one, and an HTTP client's data."""
     listener = socket.create_server(("127.0.0.1", 0))
     client = http.client.HTTPConnection("127.0.0.1", listener.getsockname()[1], timeout=_TIMEOUT_S)
     client.request("GET", "/api/stream")

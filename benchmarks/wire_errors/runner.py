@@ -1,4 +1,4 @@
-"""Runs every error on every wire, and counts what the reader's checks find."""
+"""Runs every error on every wire, and counts which the reader's checks detect."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ PROOF_CODE = Path(__file__).parents[2] / "docs" / "proof" / "check.py"
 
 
 def reader() -> Any:
-    """The definitions of ``docs/proof/check.py``; nothing of altd is in it.
+    """Definitions of ``docs/proof/check.py``; it contains nothing of altd.
 
-    That is ``Check``, ``from_block``, ``from_telegram`` and ``from_json``.
+    These are ``Check``, ``from_block``, ``from_telegram`` and ``from_json``.
     """
     source = PROOF_CODE.read_text(encoding="utf-8")
     names: dict[str, Any] = {}
@@ -59,7 +59,7 @@ _MAX_STALL_S = 60.0
 
 @dataclass(slots=True)
 class Tally:
-    """One error on one wire: what was found by which check, what was not, and good messages refused."""
+    """One error on one wire: detections by check, undetected errors, and good messages refused."""
 
     wire: str
     error: str
@@ -70,7 +70,7 @@ class Tally:
     good_refused: Counter[str] = field(default_factory=Counter)
 
     def add(self, is_spoilt: bool, fault: str, lost: int) -> None:
-        """The reader's verdict on one delivery; ``lost``: of the messages before it."""
+        """Add the reader's verdict on one delivery; ``lost``: number of messages lost before it."""
         if not is_spoilt:
             self.good += 1
             if fault:
@@ -110,13 +110,13 @@ class Unit:
         self._ports = json.loads(self._process.stdout.readline())
 
     def client(self, wire: str, unit: int, place: int) -> Client:
-        """A Modbus client of a unit."""
+        """Modbus client of a unit."""
         if wire == "Modbus TCP":
             return TcpClient(self._ports[unit]["tcp"])
         return RtuClient(self._terminals[unit, "rtu"][place][0])
 
     def messages(self, wire: str, unit: int, place: int) -> Iterator[bytes]:
-        """The messages that a unit sends unasked."""
+        """Unsolicited messages of a unit."""
         if wire == "telegram":
             return telegrams(self._terminals[unit, "telegram"][place][0])
         return stream(self._ports[unit]["http"])
@@ -127,7 +127,7 @@ class Unit:
 
 
 def run(count: int, seed: int, show: Callable[[str], None]) -> list[Tally]:
-    """Every error ``count`` times on every wire, all at the same time."""
+    """Run every error ``count`` times on every wire, all at the same time."""
     unit = Unit()
     tallies = [Tally(wire, error) for wire in WIRES for error in ERRORS]
     failed: list[BaseException] = []
@@ -174,7 +174,7 @@ def _polled(unit: Unit, tally: Tally, count: int, seed: int) -> None:
     while tally.injected < count:
         answer = asking.ask(_POLL_TIMEOUT_S)
         is_spoilt = truth.get(timeout=_MAX_STALL_S)
-        # a message that repeats, overtakes or follows one that was too slow is no such error
+        # a message that repeats, overtakes or follows a late one is not such an error
         if is_told or not is_spoilt:
             tally.add(is_spoilt, *(("time-out", 0) if answer is None else judge(answer)))
         is_told = answer is not None or is_spoilt
@@ -206,7 +206,7 @@ _OF_PUSHED: dict[str, tuple[Payload, Callable[[], tuple[Callable[[bytes], None],
 
 
 def _judge(read: str) -> Judge:
-    """The reader of the page for the first unit."""
+    """Reader of the page for the first unit."""
     code = reader()
     check = code.Check(zlib.crc32(SERIALS[0].encode()), LIMIT_S)
 

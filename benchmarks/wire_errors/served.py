@@ -1,7 +1,7 @@
-"""Two units that differ only in their serial numbers, each with all its interfaces, in a process of its own.
+"""Two units that differ only in their serial numbers, each with all its interfaces, in a separate process.
 
-``python -m benchmarks.wire_errors.served PORTS`` takes the serial ports of both as JSON and says, as one line
-of JSON, on which TCP ports they serve. It ends when its standard input does.
+``python -m benchmarks.wire_errors.served PORTS`` takes the serial ports of both as JSON and prints their TCP
+ports as one line of JSON. It ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class _Unit:
         yield from self.serial
 
     async def measure(self) -> None:
-        """Publish measurements that differ, without end."""
+        """Publish differing measurements without end."""
         sequence = 0
         while True:
             sequence += 1

@@ -17,14 +17,14 @@ REASONS = dict(zip((*range(1, 13), *range(20, 30)), WORDS.split(), strict=True))
 
 
 class Target:
-    """``values``: x, y in mm, yaw, pitch in degrees, or None. Times are ms of a clock that is never set."""
+    """Values x, y in mm, yaw, pitch in degrees, or None. Times are ms of a monotonic clock."""
 
     def __init__(self, unit, limit_ms, rehearsal):
         self.unit, self.limit_ms, self.rehearsal, self.until_ms = unit, limit_ms, rehearsal, 0.0
         self.session = self.refusal = self.published = self.values = None
 
     def update(self, registers, now_ms, acknowledged):
-        """Take the 80 registers of an answer, none if there is none; return the fault or "good"."""
+        """Process the 80 registers of an answer, empty if there is none; return the fault or "good"."""
         self.values = self.values if now_ms < self.until_ms else None
         if len(registers) != 80:
             return "no answer"
@@ -50,7 +50,7 @@ class Target:
         is_known = age_ms != 0xFFFFFFFF
         if not self.refusal and is_known and age_ms + self.delay_ms > self.limit_ms:
             return "late"
-        self.values = None  # the faults above keep the last values until their time is over
+        self.values = None  # the faults above keep the last values until these expire
         if self.refusal or now_ms - self.changed_ms > self.limit_ms:
             return self.refusal or "stopped"
         if status & 0x3000 and not self.rehearsal:

@@ -13,16 +13,16 @@ from paho.mqtt.client import CallbackAPIVersion, Client, MQTTv5
 
 
 class Target:
-    """``values``: x, y in mm, yaw, pitch in degrees, or None. ``now_ms`` is of a clock that is never set."""
+    """Values x, y in mm, yaw, pitch in degrees, or None. ``now_ms`` is ms of a monotonic clock."""
 
     def __init__(self, unit, limit_ms, rehearsal):
         self.unit, self.limit_ms, self.rehearsal, self.until_ms = unit, limit_ms, rehearsal, 0.0
         self.session = self.refusal = self.published = self.changed_ms = self.values = None
 
     def update(self, data, retained, now_ms, utc_ms, acknowledged):
-        """Take a message of `measurement` or `availability`, or None; return the fault or "good"."""
+        """Process a message of `measurement` or `availability`, or None; return the fault or "good"."""
         self.values = self.values if now_ms < self.until_ms and data != b"offline" else None
-        if data in (None, b"online", b"offline") or retained:  # the unit retains no number
+        if data in (None, b"online", b"offline") or retained:  # the unit never retains measurements
             return "offline" if data == b"offline" else "retained" if retained else "no answer"
         try:
             told = json.loads(data if data.endswith(b', "crc32": "%08X"}' % crc32(data[:-22])) else b"")
@@ -50,7 +50,7 @@ class Target:
         old_ms = age_ms + max(self.delay_ms, utc_ms - sent_ms)
         if not self.refusal and old_ms > self.limit_ms:
             return "late"
-        self.values = None  # the faults above, but for offline, keep the last values until their time is over
+        self.values = None  # the faults above, except offline, keep the last values until these expire
         if self.refusal or now_ms - self.changed_ms > self.limit_ms:
             return self.refusal or "stopped"
         if not (live or self.rehearsal):

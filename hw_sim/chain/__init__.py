@@ -1,1 +1,1 @@
-"""A row of electro-active glass targets on one laser beam, a camera each (thesis ch. 4)."""
+"""A row of electro-active glass targets on one laser beam, each with its own camera (thesis ch. 4)."""

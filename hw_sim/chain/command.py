@@ -1,4 +1,4 @@
-"""``python -m hw_sim chain``: the scans of a row of glass targets, and rounds in which a place moves."""
+"""``python -m hw_sim chain``: record scans of a row of glass targets, and rounds in which a place moves."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hw_sim.chain.row import FPS, Row, RowConfig
 
 EXPOSURES = 4
 STEP_MM = (0.32, -0.24)
-"""By which t3 moves in the middle of the rounds."""
+"""Displacement of t3 (x, y) in the middle of the rounds, mm."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the row on the command line."""
+    """Add the command-line arguments of the row."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="new or empty folder")
     parser.add_argument("--seed", type=natural, default=1, help="selects the row (default: 1)")
     parser.add_argument("--rounds", type=at_least_one, default=16, help="rounds (default: 16)")
@@ -54,13 +54,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _drifting(share: float) -> BeamPose:
-    """A beam that drifts by 2 mm and 0.1 mrad in x, half of it in y."""
+    """Pose of a beam that drifts by 2 mm and 0.1 mrad in x, and by half of that in y."""
     way = 0.5 - 0.5 * math.cos(math.pi * share)
     return BeamPose(2.0 * way, way, 1e-4 * way, 0.5e-4 * way)
 
 
 def _stuck(text: str, names: tuple[str, ...]) -> dict[str, str]:
-    """The glass and its state."""
+    """Parse the name of a glass and the state in which it is stuck."""
     if not text:
         return {}
     name, _, state = text.partition("=")
@@ -72,7 +72,7 @@ def _stuck(text: str, names: tuple[str, ...]) -> dict[str, str]:
 
 
 def _settings(config: RowConfig) -> str:
-    """``altd.toml`` of the row."""
+    """Text of ``altd.toml`` for the row."""
     text = f'[unit]\nserial = "{config.serial}"\ncalibration = "chain.json"\ninstrument = "chain"\n\n'
     text += f'[chain]\nstable = ["{config.names[0]}", "{config.names[-1]}"]\nalarm_mm = 0.3\n'
     for name, z_mm in zip(config.names, config.z_mm, strict=True):

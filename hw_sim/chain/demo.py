@@ -26,22 +26,22 @@ from hw_sim.ports import free_port
 SETTINGS = ChainSettings(stable=("t1", "t5"), baseline_rounds=3, exposures=3, settle_s=0.35, alarm_mm=0.3)
 STEP_MM = (0.32, -0.24)
 STEP_S = 25.0
-"""The displacement of t3, and its time."""
+"""Time at which t3 moves, s."""
 DRIFT_S = 600.0
 STUCK = "t4"
 STUCK_ROUNDS = range(13, 16)
-"""The rounds in which a glass does not turn clear."""
+"""Rounds in which a glass does not turn clear."""
 LOCALHOST = "127.0.0.1"
 _OF_DEMO = {Reason.SIMULATED, Reason.REHEARSAL}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the demo on the command line."""
+    """Add the command-line arguments of the demo."""
     add_demo_arguments(parser, "selects the row (default: 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show the demo until its time is over or a signal; raises BadInputError."""
+    """Run the demo until its duration is over or a signal arrives; raises BadInputError."""
     return run_until_stopped(partial(_demo, arguments))
 
 
@@ -63,7 +63,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
         cameras = live.cameras()
         known_by = calibration_of_instrument(config, cameras)
         daemon = Daemon(config, known_by, cameras, rehearsal=True, switches=live)
-        assert config.http is not None  # noqa: S101  it was just made
+        assert config.http is not None  # noqa: S101  created above
         print(f"Page: http://{LOCALHOST}:{config.http.port}   Ctrl-C ends the demo.")
         print(
             f"At {STEP_S:.0f} s t3 moves by {math.hypot(*STEP_MM):.1f} mm; later the glass of {STUCK} sticks."
@@ -78,7 +78,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
 def config_of(
     row: RowConfig, calibration: Path, http_port: int, settings: ChainSettings = SETTINGS
 ) -> Config:
-    """The settings of a row, with its interfaces on this machine only."""
+    """Config of a row, with its interfaces on this machine only."""
     return Config(
         unit=Unit(serial=row.serial, calibration=calibration, instrument="chain"),
         targets=tuple(
@@ -91,13 +91,13 @@ def config_of(
 
 
 def _drifting(t_s: float) -> BeamPose:
-    """A beam that drifts by 2 mm and 0.1 mrad within ten minutes."""
+    """Pose of a beam that drifts by 2 mm and 0.1 mrad within ten minutes."""
     way = 0.5 - 0.5 * math.cos(math.pi * t_s / DRIFT_S)
     return BeamPose(2.0 * way, way, 1e-4 * way, 0.5e-4 * way)
 
 
 async def _show(daemon: Daemon, live: LiveRow) -> None:
-    """A line a round: displacements, the largest of their errors and sigmas, reasons."""
+    """Print a line for each round: displacements, their largest error and sigma, reasons."""
     cursor, rounds = daemon.board.cursor(), 0
     while True:
         measurement = await cursor.next()

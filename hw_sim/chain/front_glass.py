@@ -1,4 +1,4 @@
-"""A unit whose front target is an electro-active glass: its switch, and its frames while that switches."""
+"""A unit with an electro-active glass as front target: its switch, and its frames during switching."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from altd.records import Frame
 from hw_sim.unit import CAMERAS, FRONT, Unit
 
 MARGIN_S = 0.012
-"""From the edge of a visit to the middle of an exposure that lies in it."""
+"""Minimum time between either end of a visit and the middle of an exposure that counts for it."""
 
 
 class FrontGlass:
-    """``altd.ports.Switches`` of a unit in real time."""
+    """Switch of a unit in real time, see ``altd.ports.Switches``."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
 
     def open(self) -> None:
-        """The glass is without voltage."""
+        """Remove the voltage from the glass."""
         self.show("")
 
     def show(self, opaque: str) -> None:
-        """Voltage on the glass unless the front target is to be opaque; empty: none."""
+        """Apply voltage to the glass unless the front target is to be opaque or ``opaque`` is empty."""
         assert self._unit.glass is not None  # noqa: S101  the unit has one
         self._unit.glass.switch(opaque in ("", FRONT), time.monotonic_ns() * 1e-9)
 
     def close(self) -> None:
-        """The glass is without voltage."""
+        """Remove the voltage from the glass."""
         self.show("")
 
 
 def switched_frames(
     unit: Unit, frame_sets: int, chance: np.random.Generator, exposures: int = 5, settle_s: float = 0.5
 ) -> Iterator[Frame]:
-    """Frames of both cameras while front and rear target are shown in turn, each round in an order by chance.
+    """Frames of both cameras while front and rear target are shown in turn, in random order in each round.
 
     A frame is marked with the opaque target once the glass has settled.
     """

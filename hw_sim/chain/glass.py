@@ -6,22 +6,22 @@ import math
 from dataclasses import dataclass
 
 TRANSMISSION = 0.73
-"""Of the beam through a clear glass, as for SGG PrivaLite."""
+"""Share of the beam that passes a clear glass, as for SGG PrivaLite."""
 MILKY_TRANSMISSION = 0.004
-"""Of the collimated beam through a milky glass: nearly all light is scattered."""
+"""Share of the collimated beam that passes a milky glass: nearly all light is scattered."""
 HAZE = 0.05
-"""Light that a clear glass scatters to its camera, as a share of a milky one's."""
+"""Light that a clear glass scatters to its camera, as a share of a milky glass."""
 TO_CLEAR_S, TO_MILKY_S = 0.010, 0.060
-"""Time constants; vendors state some 10 ms to clear and 100 ms to cloud."""
+"""Time constants of switching; vendors state some 10 ms to clear and 100 ms to cloud."""
 
 
 @dataclass(frozen=True, slots=True)
 class GlassConfig:
     """A glass and its faults.
 
-    ``wedge_rad`` (x, y) is the angle by which it deflects the beam, ``shift_mm`` (x, y) by how much a tilted
-    plate displaces it, on all planes behind. ``stuck`` is ``opaque`` or ``clear``: it does not switch
-    from ``fault_s`` on. ``slow`` multiplies its time constants.
+    ``wedge_rad`` (x, y) is the angle by which it deflects the beam, ``shift_mm`` (x, y) the displacement of
+    the beam by the tilted plate, on all planes behind it. ``stuck`` is ``opaque`` or ``clear``: the glass
+    does not switch from ``fault_s`` on. ``slow`` multiplies its time constants.
     """
 
     transmission: float = TRANSMISSION
@@ -42,12 +42,12 @@ class Glass:
         self._t_s = 0.0
 
     def switch(self, opaque: bool, t_s: float) -> None:
-        """Take the voltage off (opaque) or apply it, at ``t_s``."""
+        """Remove the voltage (opaque) or apply it, at ``t_s``."""
         self._milky = self.milky(t_s)
         self._t_s, self._goal = t_s, float(opaque)
 
     def milky(self, t_s: float) -> float:
-        """The state at ``t_s``, from 0 (clear) to 1 (milky); before the last switching, that at it."""
+        """State at ``t_s``, 0 (clear) to 1 (milky); before the last switching, the state at switching."""
         t_s = max(t_s, self._t_s)
         if self.config.stuck and t_s >= self.config.fault_s:
             return float(self.config.stuck == "opaque")
@@ -55,11 +55,11 @@ class Glass:
         return self._goal + (self._milky - self._goal) * math.exp(-(t_s - self._t_s) / constant_s)
 
     def transmission(self, t_s: float) -> float:
-        """Share of the collimated beam behind it: log-linear in the scatterers that are turned."""
+        """Share of the collimated beam behind the glass: log-linear in the share of scattering particles."""
         milky = self.milky(t_s)
         share: float = self.config.transmission ** (1.0 - milky) * MILKY_TRANSMISSION**milky
         return share
 
     def brightness(self, t_s: float) -> float:
-        """Light that its camera gets of the beam, as a share of a milky glass's."""
+        """Light of the beam that the camera receives, as a share of a milky glass."""
         return self.config.haze + (1.0 - self.config.haze) * self.milky(t_s)

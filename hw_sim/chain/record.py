@@ -20,11 +20,11 @@ from hw_sim.stage import STAGE_SIGMA_MM
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm", "opaque")
 SETTLE_S = 0.5
-"""From the switch of a glass to its first exposure: eight time constants."""
+"""Time from switching a glass to its first exposure: eight time constants."""
 
 
 class _Recorder:
-    """Writes rows and frames, and keeps the time."""
+    """Writes rows and frames, and counts the time."""
 
     def __init__(self, folder: Path, row: Row, kind: str, targets: Sequence[str], note: str) -> None:
         if folder.exists() and any(folder.iterdir()):
@@ -56,19 +56,19 @@ class _Recorder:
         self._table.writerow(COLUMNS)
 
     def write(self, camera: str, pixels: PixelArray, at: tuple[object, object], opaque: str) -> None:
-        """One frame of the present exposure."""
+        """Write one frame of the current exposure."""
         file = f"{camera}/{self.sequence:06d}.png"
         png = cv2.imencode(".png", np.asarray(pixels), STORED)[1]
         (self.folder / file).write_bytes(png.tobytes())
         self._table.writerow((self.sequence, f"{self.t_s:.6f}", camera, file, "off", *at, opaque))
 
     def advance(self, s: float = 1.0 / FPS) -> None:
-        """The next exposure."""
+        """Proceed to the next exposure."""
         self.sequence += 1
         self.t_s += s
 
     def close(self) -> None:
-        """Finish the table."""
+        """Close the table."""
         self._file.close()
 
 
@@ -85,7 +85,7 @@ def _recorder(folder: Path, row: Row, kind: str, targets: Sequence[str], note: s
 
 
 def record_scans(folder: Path, row: Row, exposures: int = 2) -> list[Path]:
-    """One scan a target, on 7 × 5 nodes of 72 × 48 mm around its middle; the folders, in beam order."""
+    """Record one scan for each target, 7 × 5 nodes on 72 × 48 mm; return the folders in beam order."""
     rng = np.random.default_rng([row.config.seed, 28])
     paths = []
     for name in row.config.names:
@@ -112,10 +112,10 @@ def record_rounds(  # noqa: PLR0913  the timing of a round
     settle_s: float = SETTLE_S,
     own_only: bool = False,
 ) -> dict[str, list[dict[str, tuple[float, float]]]]:
-    """Monitoring: ``rounds`` visits of all targets, frames of all cameras in every exposure.
+    """Record ``rounds`` visits of all targets, with frames of all cameras in every exposure.
 
-    ``own_only``: frames of the opaque target's camera alone. Returns the truth, round by round: where the
-    beam met each target (``spot``) and how far its place had moved (``moved``), in the middle of its
+    ``own_only``: frames of the opaque target's camera alone. Returns the truth, round by round: the position
+    of the beam on each target (``spot``) and the displacement of its place (``moved``), in the middle of its
     exposures.
     """
     names = row.config.names

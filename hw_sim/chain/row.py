@@ -1,4 +1,4 @@
-"""The row: beam, places in the rock, glasses and cameras; a frame of a camera at a time."""
+"""The row: beam, places in the rock, glasses and cameras; it renders one camera frame at a time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hw_sim.targets import speckle
 WIDTH_PX, HEIGHT_PX = 320, 240
 FPS = 20.0
 PEAK_SHARE = 0.7
-"""Of a full well: each camera's exposure suits the light that reaches its target."""
+"""Peak signal as a share of the full well: each camera's exposure suits the light that reaches its target."""
 AMBIENT_E = 250.0
 SPECKLE_CONTRAST = 0.16
 PSF_SIGMA_PX = 0.74
@@ -33,7 +33,7 @@ Place = Callable[[float], tuple[float, float]]
 
 
 def at_rest(_t_s: float) -> tuple[float, float]:
-    """A place that does not move."""
+    """Displacement of a place that does not move."""
     return 0.0, 0.0
 
 
@@ -60,12 +60,12 @@ class RowConfig:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The targets' names in beam order."""
+        """Names of the targets in beam order."""
         return tuple(f"t{number}" for number in range(1, len(self.z_mm) + 1))
 
     @property
     def serial(self) -> str:
-        """The unit's serial number."""
+        """Serial number of the unit."""
         return f"SIM-CHAIN-{self.seed}"
 
 
@@ -79,7 +79,7 @@ class _Camera:
 
 
 class Row:
-    """See ``RowConfig``."""
+    """A row as described by ``RowConfig``."""
 
     def __init__(self, config: RowConfig) -> None:
         self.config = config
@@ -101,12 +101,12 @@ class Row:
         self._sensor = Sensor(8)
 
     def switch(self, opaque: str, t_s: float) -> None:
-        """Switch that glass opaque and all others clear; empty: all clear."""
+        """Switch this glass opaque and all others clear; all clear if ``opaque`` is empty."""
         for name, glass in self.glasses.items():
             glass.switch(name == opaque, t_s)
 
     def spot_mm(self, name: str, t_s: float) -> tuple[float, float]:
-        """The beam on a target in the target's own frame, which moves with the rock."""
+        """Position of the beam on a target in the target's own frame, which moves with the rock."""
         config = self.config
         at_mm = config.z_mm[config.names.index(name)]
         x_mm, y_mm = config.beam(t_s).at(at_mm)
@@ -120,7 +120,7 @@ class Row:
         return x_mm - dx_mm, y_mm - dy_mm
 
     def power(self, name: str, t_s: float) -> float:
-        """Power that reaches a target, as a share of what reaches it through clear glasses."""
+        """Power that reaches a target, relative to the power through clear glasses."""
         share = self.config.laser_share if t_s >= self.config.fault_s else 1.0
         for before in self.config.names[: self.config.names.index(name)]:
             glass = self.glasses[before]
@@ -130,7 +130,7 @@ class Row:
         return share
 
     def expose(self, camera: str, t_s: float) -> PixelArray:
-        """The frame of a target's camera."""
+        """Frame of a target's camera."""
         name = camera
         if self.config.swapped and camera in self.config.swapped:
             name = next(other for other in self.config.swapped if other != camera)
@@ -138,7 +138,7 @@ class Row:
         return self.picture(name, self.spot_mm(name, t_s), share)
 
     def picture(self, name: str, spot_mm: tuple[float, float], share: float) -> PixelArray:
-        """A frame of a spot at a place of the target, of ``share`` of the usual light."""
+        """Frame with a spot at this position of the target, with ``share`` of the usual light."""
         camera = self._cameras[name]
         z_mm = self.config.z_mm[self.config.names.index(name)]
         radius_mm = WAIST_MM * math.hypot(1.0, z_mm / RAYLEIGH_MM)
@@ -154,7 +154,7 @@ class Row:
 
 
 def _make_camera(rng: np.random.Generator) -> _Camera:
-    """A camera that sees about 90 × 68 mm from one side, with its target's texture and hot pixels."""
+    """Draw a camera that views about 90 × 68 mm from one side, with its target's texture and hot pixels."""
     yaw, pitch, roll = np.radians(rng.uniform((7.0, -3.0, -1.0), (12.0, 3.0, 1.0))).tolist()
     k1, k2 = rng.uniform((-0.25, 0.03), (-0.15, 0.08)).tolist()
     lens = Lens(

@@ -1,1 +1,1 @@
-"""The simulated unit as hardware: its cameras on the network, by GigE Vision."""
+"""The simulated unit as hardware: its cameras on the network over GigE Vision."""

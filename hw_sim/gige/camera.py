@@ -19,7 +19,7 @@ from hw_sim.unit import EXPOSURES_MS, Unit
 GENICAM = Path(__file__).with_name("genicam.xml")
 
 PIXEL_FORMATS: Mapping[int, int] = {8: 0x01080001, 10: 0x01100003, 12: 0x01100005, 16: 0x01100007}
-"""The Pixel Format Naming Convention's numbers of Mono8 to Mono16, by their bits of grey."""
+"""Pixel formats Mono8 to Mono16 of the Pixel Format Naming Convention, by their bits of grey."""
 
 _BITS = {pixel_format: bits for bits, pixel_format in PIXEL_FORMATS.items()}
 
@@ -30,7 +30,7 @@ by whole milliseconds and spins for the rest of the last one: 10 % of a core."""
 GAIN_STEPS_PER_DB = 1000
 
 USUAL_CELSIUS = 38.0
-"""Inside a camera that is at work in a room."""
+"""Temperature inside a camera at work in a room."""
 
 _EXPOSURES_US = round(1000 * EXPOSURE_RANGE.shortest_ms), round(1000 * EXPOSURE_RANGE.longest_ms)
 _GAINS = 0, round(GAIN_STEPS_PER_DB * EXPOSURE_RANGE.largest_gain_db)
@@ -38,12 +38,12 @@ _GAINS = 0, round(GAIN_STEPS_PER_DB * EXPOSURE_RANGE.largest_gain_db)
 # GigE Vision's bootstrap registers: address, or address and size of a text
 _VENDOR, _MODEL, _INFO, _VERSION, _USER_ID = (0x48, 32), (0x68, 32), (0xA8, 48), (0x88, 32), (0xE8, 16)
 
-# ArvFakeCamera's own
+# registers of ArvFakeCamera
 _WIDTH, _HEIGHT, _SENSOR_WIDTH, _SENSOR_HEIGHT = 0x100, 0x104, 0x11C, 0x118
 _GAIN, _EXPOSURE_US, _PIXEL_FORMAT, _FRAME_PERIOD_US = 0x110, 0x120, 0x128, 0x138
 _TRIGGER_MODE = 0x300
 
-# fields of this camera only
+# registers of this camera only
 _LINE1_MODE, _LINE1_SOURCE, _USER_OUTPUTS = 0x4004, 0x4014, (0x4020, 0x4024)
 _TEMPERATURE = 0x4028
 _OUTPUT = 1
@@ -53,7 +53,7 @@ _SOURCE_USER_OUTPUT0 = 1
 class GigeCamera:
     """A camera of ``unit``, served at ``address`` until ``close``; ``fail`` is called with later errors.
 
-    The exposure begins at the frame's timestamp and the frame leaves once it has ended. Line1 switches the
+    The exposure begins at the frame's timestamp and the frame is sent once it has ended. Line1 switches the
     LEDs around the camera's own target. Raises BadInputError.
     """
 
@@ -93,7 +93,7 @@ class GigeCamera:
         self._wake_up = WakeUp(address, lambda: self._camera.read(_FRAME_PERIOD_US))
 
     def set_temperature(self, celsius: float) -> None:
-        """Let it be so warm inside."""
+        """Set the temperature inside the camera."""
         (register,) = struct.unpack(">I", struct.pack(">f", celsius))
         self._camera.write(_TEMPERATURE, register)
 
@@ -103,14 +103,14 @@ class GigeCamera:
         self._camera.close()
 
     def _expose(self, buffer: FrameBuffer) -> None:
-        """Fill the frame with what the unit's camera sees, in the time that the exposure takes."""
+        """Fill the frame from the unit's camera, in the time that the exposure takes."""
         unit, name = self._unit, self._name
         bits = _BITS.get(buffer.pixel_format)
         columns = slice(buffer.x_px, buffer.x_px + buffer.width_px)
         rows = slice(buffer.y_px, buffer.y_px + buffer.height_px)
         on_chip = 0 <= columns.start < columns.stop <= WIDTH_PX and 0 <= rows.start < rows.stop <= HEIGHT_PX
         if bits is None or not on_chip:
-            self._camera.set_packet_loss(1.0)  # no chip can do that: a client wrote it into the registers
+            self._camera.set_packet_loss(1.0)  # impossible on a sensor: a client wrote it into the registers
             return
         exposure_us = self._clamped(_EXPOSURE_US, buffer.exposure_us, _EXPOSURES_US)
         gain = self._clamped(_GAIN, buffer.gain_raw, _GAINS)
@@ -132,13 +132,13 @@ class GigeCamera:
         time.sleep(max(begin_monotonic_ns + 1000 * exposure_us - time.monotonic_ns(), 0) * 1e-9)
 
     def _begin_ns(self, timestamp_ns: int) -> int:
-        """When the exposure begins: without a trigger by the chip's crystal, not by when a thread woke up."""
+        """Begin of the exposure; untriggered, it follows the sensor's crystal, not a thread's wake-up."""
         if self._camera.read(_TRIGGER_MODE):
             return timestamp_ns
         return timestamp_ns - timestamp_ns % (1000 * self._camera.read(_FRAME_PERIOD_US))
 
     def _clamped(self, register: int, value: int, limits: tuple[int, int]) -> int:
-        """The value of a register within the camera's limits; the register is set to what was clamped."""
+        """Value of a register within the camera's limits; if clamped, the register is set to it."""
         clamped = min(max(value, limits[0]), limits[1])
         if clamped != value:
             self._camera.write(register, clamped)
@@ -156,5 +156,5 @@ class GigeCamera:
 
 
 def serial_of(unit: Unit, name: str) -> str:
-    """The serial number of one of a unit's cameras."""
+    """Serial number of one of a unit's cameras."""
     return f"{unit.config.serial}-{name}"

@@ -37,7 +37,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def add_addresses(parser: argparse.ArgumentParser) -> None:
-    """The addresses of the cameras."""
+    """Add the addresses of the cameras."""
     for name in CAMERAS:
         parser.add_argument(
             f"--{name}",
@@ -49,7 +49,7 @@ def add_addresses(parser: argparse.ArgumentParser) -> None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the cameras on the command line."""
+    """Add the command-line arguments of the cameras."""
     add_addresses(parser)
     parser.add_argument(
         "--only", choices=CAMERAS, help="serve this camera only; the other can be another process"
@@ -99,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve until the time is over or a signal comes; raises BadInputError."""
+    """Serve until the duration is over or a signal arrives; raises BadInputError."""
     unit = make_unit(arguments.seed, arguments.fps, drive=arguments.drive)
     x_mm, y_mm, yaw_deg, pitch_deg = arguments.pose
     unit.place(BeamPose(x_mm, y_mm, math.tan(math.radians(yaw_deg)), math.tan(math.radians(pitch_deg))))
@@ -145,14 +145,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def make_unit(seed: int, fps: float = 20.0, *, drive: bool = False) -> Unit:
-    """The unit that is served. One made elsewhere of the same has the same truth at every instant."""
+    """Make the served unit. Another one with the same arguments has the same truth at every instant."""
     if drive:
         return Unit(UnitConfig(seed=seed, fps=fps, drive=SLOW_DRIVE, vibration=Vibration()))
     return Unit(UnitConfig(seed=seed, fps=fps))
 
 
 def _listen(unit: Unit) -> None:
-    """Let each line on standard input say which faults are present, none on an empty one."""
+    """Set the faults from each line on standard input; an empty line clears them."""
     for line in sys.stdin:
         try:
             faults = parse_faults(line.strip().split(",") if line.strip() else ())
@@ -164,24 +164,24 @@ def _listen(unit: Unit) -> None:
 
 
 class _End:
-    """When to end, and with which failure."""
+    """End of the program, with its failure if any."""
 
     def __init__(self) -> None:
         self.failure: BaseException | None = None
         self._come = threading.Event()
 
     def fail(self, error: BaseException) -> None:
-        """End with a camera's failure; the first one counts."""
+        """End with a camera's failure; only the first is kept."""
         self.failure = self.failure or error
         self._come.set()
 
     def wait(self, seconds: float | None) -> None:
-        """Until the end has come or so long."""
+        """Wait for the end, or for this time."""
         self._come.wait(seconds)
 
     @contextlib.contextmanager
     def by_signals(self) -> Iterator[None]:
-        """Signals bring the end while this is open."""
+        """Let signals end the program within the block."""
 
         def signalled(_number: int, _frame: FrameType | None) -> None:
             self._come.set()

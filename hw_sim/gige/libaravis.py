@@ -1,7 +1,7 @@
-"""The part of Aravis 0.8 that is a GigE Vision camera, by ctypes: control, registers and stream are Aravis'.
+"""The part of Aravis 0.8 that is a GigE Vision camera, by ctypes: it does control, registers and stream.
 
-PyGObject would not do: the introspection data of 0.8 say that the callback is done with when the call that
-sets it returns, and it is freed.
+PyGObject is unsuitable: the introspection data of 0.8 state that the callback is finished when the call that
+sets it returns, so it is freed.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ LIBRARIES = ("libaravis-0.8.so.0", "libgobject-2.0.so.0")
 DEBIAN_PACKAGE = "libaravis-0.8-0"
 
 MAX_SERIAL_LENGTH = 15
-"""Bytes of a serial number: the register has 16, the last of them 0."""
+"""Maximum length of a serial number, bytes: the register has 16, the last of them 0."""
 
 _G_TYPE_DOUBLE = 15 << 2
 _FILL = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_uint32, c_uint32, c_uint32)
 
 
 class _GValue(ctypes.Structure):
-    """GObject's GValue: a type and room for a value."""
+    """GObject's GValue: a type and memory for a value."""
 
     _fields_ = (("type", c_size_t), ("data", c_uint64 * 2))
 
 
 @dataclass(frozen=True, slots=True)
 class FrameBuffer:
-    """A frame that Aravis is about to send: what the registers ask for, and the memory for its pixels.
+    """A frame that Aravis is about to send: the settings of the registers, and the memory for its pixels.
 
-    ``timestamp_ns`` is when Aravis began it, on the realtime clock in whole microseconds.
+    ``timestamp_ns`` is the time when Aravis began it, on the realtime clock in whole microseconds.
     """
 
     buffer: int
@@ -55,8 +55,8 @@ class FrameBuffer:
     def pixels(self, dtype: type[np.uint8 | np.uint16]) -> npt.NDArray[np.uint8 | np.uint16]:
         """The memory, (rows, columns), to be written before the callback returns.
 
-        The caller has made sure that ``dtype`` is as long as the pixel format says and that the size is sane:
-        Aravis multiplies width and height in 32 bits.
+        The caller must check that ``dtype`` has the size of the pixel format and that the picture size is
+        sane: Aravis multiplies width and height in 32 bits.
         """
         length = self.width_px * self.height_px * np.dtype(dtype).itemsize
         start = _aravis().arv_buffer_get_data(self.buffer, None)
@@ -64,14 +64,14 @@ class FrameBuffer:
         return np.ndarray((self.height_px, self.width_px), dtype, memory)
 
     def stamp(self, timestamp_ns: int) -> None:
-        """Let the frame carry another time."""
+        """Set another timestamp for the frame."""
         _aravis().arv_buffer_set_timestamp(self.buffer, timestamp_ns)
 
 
 class GvCamera:
-    """A running ArvGvFakeCamera. It answers and sends from a thread of its own until ``close``.
+    """A running ArvGvFakeCamera. It responds and sends from its own thread until ``close``.
 
-    Raises BadInputError without the library or when Aravis will not serve at ``address``.
+    Raises BadInputError without the library or if Aravis cannot serve at ``address``.
     """
 
     def __init__(self, address: str, serial: str, genicam: Path) -> None:
@@ -91,7 +91,7 @@ class GvCamera:
     ) -> None:
         """Let ``fill`` write each frame before it is sent, in the camera's thread.
 
-        What it raises cannot cross Aravis and goes to ``fail``.
+        Exceptions cannot cross Aravis and are passed to ``fail``.
         """
 
         def filled(
@@ -104,30 +104,30 @@ class GvCamera:
             except BaseException as error:
                 fail(error)
 
-        self._callback = _FILL(filled)  # to be kept as long as Aravis may call it
+        self._callback = _FILL(filled)  # kept as long as Aravis may call it
         _aravis().arv_fake_camera_set_fill_pattern(self._registers, self._callback, None)
 
     def read(self, address: int) -> int:
-        """A register, 32 bits."""
+        """Read a register, 32 bits."""
         value = c_uint32()
         _aravis().arv_fake_camera_read_register(self._registers, address, ctypes.byref(value))
         return value.value
 
     def write(self, address: int, value: int) -> None:
-        """Set a register, 32 bits."""
+        """Write a register, 32 bits."""
         _aravis().arv_fake_camera_write_register(self._registers, address, value)
 
     def write_text(self, address: int, size: int, text: str) -> None:
-        """Set a text of ``size`` bytes at most, the last of them 0."""
+        """Write a text of ``size`` bytes at most, the last of them 0."""
         data = text.encode()[: size - 1].ljust(size, b"\0")
         _aravis().arv_fake_camera_write_memory(self._registers, address, size, data)
 
     def set_trigger_poll_rate(self, times_a_second: float) -> None:
-        """Set how often it polls for a software trigger."""
+        """Set the rate at which the camera polls for a software trigger."""
         _aravis().arv_fake_camera_set_trigger_frequency(self._registers, times_a_second)
 
     def set_packet_loss(self, share: float) -> None:
-        """Let this share of the packets be lost on their way, from the frame that is being filled on."""
+        """Set the share of lost packets, from the frame being filled on."""
         gobject = _gobject()
         value = _GValue()
         gobject.g_value_init(ctypes.byref(value), _G_TYPE_DOUBLE)
@@ -135,12 +135,12 @@ class GvCamera:
         gobject.g_object_set_property(self._camera, b"gvsp-lost-ratio", ctypes.byref(value))
 
     def close(self) -> None:
-        """Stop serving; waits for a frame that is being filled."""
+        """Stop serving, after the frame being filled."""
         if self._camera is None:
             return
-        with self._filling:  # GObject hangs when a property is set while the last reference is given up
+        with self._filling:  # GObject hangs if a property is set while the last reference is released
             self._closing = True
-            self.set_packet_loss(1.0)  # nothing that was not filled
+            self.set_packet_loss(1.0)  # sends no unfilled frame
         _gobject().g_object_unref(self._camera)
         self._camera = None
 
@@ -156,7 +156,7 @@ def _frame_buffer(buffer: int, exposure_us: int, gain_raw: int, pixel_format: in
 
 @functools.cache
 def _aravis() -> ctypes.CDLL:
-    """Libaravis, its functions declared; raises BadInputError that names the Debian package."""
+    """Libaravis with its functions declared; raises BadInputError that names the Debian package."""
     library = _load(LIBRARIES[0])
     for name, result, *arguments in (
         ("gv_fake_camera_new_full", c_void_p, c_char_p, c_char_p, c_char_p),
@@ -179,7 +179,7 @@ def _aravis() -> ctypes.CDLL:
 
 @functools.cache
 def _gobject() -> ctypes.CDLL:
-    """GObject, which Aravis is built on."""
+    """GObject, the basis of Aravis."""
     library = _load(LIBRARIES[1])
     library.g_value_init.argtypes = [POINTER(_GValue), c_size_t]
     library.g_value_init.restype = c_void_p

@@ -1,6 +1,6 @@
-"""An address for a camera: one that this machine has, with GigE Vision's port free on it.
+"""An address for a camera: one of this machine, with GigE Vision's port free on it.
 
-All of 127.0.0.0/8 is this machine, but Aravis serves only where an interface has the very address.
+All of 127.0.0.0/8 is this machine, but Aravis serves only where an interface has that exact address.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from pathlib import Path
 from altd.errors import BadInputError
 
 GVCP_PORT = 3956
-"""GigE Vision's control port; a camera has no other."""
+"""GigE Vision's control port; cameras use no other."""
 
 
 @contextlib.contextmanager
 def camera_address(address: str) -> Iterator[None]:
     """Make sure that a camera can be served at ``address``.
 
-    One of 127.0.0.0/8 that ``lo`` lacks is added for as long as it is needed, where we may. Raises
+    An address of 127.0.0.0/8 that ``lo`` lacks is added while it is needed, if permitted. Raises
     BadInputError.
     """
     _check_port_free(address)
@@ -43,7 +43,7 @@ def keep_discovery_on_loopback() -> None:
     """Let this process's cameras answer only clients that look for cameras on ``lo``.
 
     Aravis listens to broadcasts on every network. A client that has found a camera on a network card waits
-    there for frames, which come on ``lo``; and other computers of the network need not see it.
+    there for frames, which arrive on ``lo``; and other computers of the network need not find it.
     """
     for entry in Path("/proc/self/fd").iterdir():
         if not entry.is_socket():
@@ -65,7 +65,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 def _check_port_free(address: str) -> None:
-    """Aravis does not report that another process answers at the port."""
+    """Check that the port is free; Aravis does not report another process at the port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, GVCP_PORT))

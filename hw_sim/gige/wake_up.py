@@ -1,8 +1,8 @@
 """Keeps Aravis' camera to its frame period.
 
-Its loop (0.8.26) waits for the rest of the period by an unsigned difference. In one frame of some thousand
-the next instant has just passed, the difference is enormous, and the loop sleeps as long as it ever does,
-100 ms: two frames are left out, which no chip does. A packet on its control port wakes it up.
+Its loop (0.8.26) computes the wait for the rest of the period as an unsigned difference. In one frame of some
+thousand the next instant has just passed, the difference is enormous, and the loop sleeps for its maximum of
+100 ms: two frames are skipped, which no real sensor does. A packet on its control port wakes it up.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from collections.abc import Callable
 from hw_sim.gige.loopback import GVCP_PORT
 
 DELAY_S = 0.001
-"""After the exposure's instant: by then a loop that is awake has begun it."""
+"""Delay after the exposure's instant: by then a loop that is awake has begun the exposure."""
 
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 1)
-"""GVCP's question who is there, which changes nothing."""
+"""GVCP's discovery request, which changes nothing."""
 
 
 class WakeUp:
-    """Wakes the camera at ``address`` just after each whole ``period_us`` of the realtime clock."""
+    """Wakes the camera at ``address`` just after each multiple of ``period_us`` on the realtime clock."""
 
     def __init__(self, address: str, period_us: Callable[[], int]) -> None:
         self._address = address
@@ -44,8 +44,8 @@ class WakeUp:
             while not self._ended.wait(self._until_next_s()):
                 try:
                     link.send(_DISCOVERY)
-                    link.recv(1024)  # the answer to the last one
-                except OSError:  # no camera there yet, or no longer
+                    link.recv(1024)  # response to the previous request
+                except OSError:  # no camera yet, or no longer
                     continue
 
     def _until_next_s(self) -> float:

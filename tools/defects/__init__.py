@@ -1,1 +1,1 @@
-"""Whether the unit tests see a defect in each room of altd; no part of altd."""
+"""Check that the unit tests detect a defect in each package of altd; not part of altd."""

@@ -1,4 +1,4 @@
-"""``python -m tools.defects``: one defect after the other, in a copy of altd that the unit tests run on."""
+"""``python -m tools.defects``: run the unit tests on a copy of altd with one defect at a time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
 
 def main() -> int:
-    """Print what caught each defect; 1 when one was not caught."""
+    """Print the tests that caught each defect; return 1 if a defect was not caught."""
     parser = argparse.ArgumentParser(prog="python -m tools.defects", description=__doc__)
     parser.add_argument("rooms", nargs="*", help="only defects of these rooms; without: all")
     rooms = parser.parse_args().rooms
@@ -33,9 +33,9 @@ def main() -> int:
 
 
 def _caught_by(defect: Defect) -> list[str]:
-    """The unit tests that fail with the defect: those of its own room, else of any."""
+    """Return the unit tests that fail with the defect: of its own package if any, else of all."""
     with tempfile.TemporaryDirectory(prefix="altd-defect-", dir=ROOT.parent) as name:
-        copy = Path(name)  # beside the project: the tests' ../shared is there too
+        copy = Path(name)  # next to the project, so that the tests find ../shared
         ignored = shutil.ignore_patterns(".*", "__pycache__", "build", "dist")
         shutil.copytree(ROOT, copy, ignore=ignored, dirs_exist_ok=True)
         file = copy / defect.file

@@ -1,4 +1,4 @@
-"""One defect a room, each a line as a person might get it wrong."""
+"""One defect for each package of altd, each a plausible programming mistake in one line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Defect:
-    """A defect, and the text of a file that it replaces."""
+    """A defect and the text that it replaces in a file."""
 
     what: str
     file: str
@@ -16,7 +16,7 @@ class Defect:
 
     @property
     def room(self) -> str:
-        """The package or module of altd that has it."""
+        """Package or module of altd that contains the defect."""
         return self.file.split("/")[1].removesuffix(".py")
 
 

@@ -1,1 +1,1 @@
-"""Whether all that altd runs on goes with its own licence, Apache-2.0: ``python -m tools.licences``."""
+"""Check that the licences of all packages fit altd's, Apache-2.0: ``python -m tools.licences``."""

@@ -1,4 +1,4 @@
-"""``python -m tools.licences [FOLDER]``: a line and status 1 for what does not go with Apache-2.0."""
+"""``python -m tools.licences [FOLDER]``: one line for each licence problem; the exit status is then 1."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tools.licences.installed import NotAsLockedError, run_time_packages
 
 
 def main(project: Path) -> int:
-    """Look at the project in a folder."""
+    """Check the licences of the project in a folder."""
     try:
         packages = run_time_packages(project)
     except NotAsLockedError as error:

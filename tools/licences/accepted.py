@@ -1,4 +1,4 @@
-"""Licences that go with Apache-2.0, and findings by reading where a package does not state its own."""
+"""Licences compatible with Apache-2.0, and manual findings on packages whose metadata state no licence."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ ACCEPTED = frozenset(
         "Bitstream-Charter",  # a font
         "CC0-1.0",
         "FTL",
-        "GPL-3.0-or-later WITH GCC-exception-3.1",  # the exception: what GCC compiled may have any licence
+        "GPL-3.0-or-later WITH GCC-exception-3.1",  # with the exception, GCC's output may have any licence
         "IJG",
         "MIT",
         "MIT-0",
         "MIT-CMU",
         "MIT-Modern-Variant",
-        "OFL-1.1",  # fonts, which may be passed on with any program
+        "OFL-1.1",  # fonts that may be distributed with any program
         "OpenSSL",
         "PSF-2.0",
         "Qhull",
@@ -33,19 +33,20 @@ ACCEPTED = frozenset(
         "libtiff",
     }
 )
-"""A distributor of altd with such a part keeps its notices, and altd stays under Apache-2.0 as a whole.
+"""Licences of which a distributor keeps the notices, while altd as a whole stays under Apache-2.0.
 
-A licence that asks for more than notices (LGPL, MPL) is none of them: it is accepted for one package, with a
-reason that holds for that one.
+Licences with further conditions (LGPL, MPL) are not listed: each is accepted for a single package, with a
+reason that applies to that package.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """The licence of a package whose metadata do not give it as an SPDX expression.
+    """Licence of a package whose metadata do not give it as an SPDX expression.
 
-    ``declared`` is what they say, as ``Package.declared`` has it: a release that says something else is read
-    again. ``requires`` is what it needs; asked for only where the package is not installed.
+    ``declared`` is the statement of the metadata, as in ``Package.declared``: if a release states something
+    else, its licence must be checked again. ``requires`` lists its dependencies; used only if the package is
+    not installed.
     """
 
     declared: str
@@ -56,7 +57,7 @@ class Stated:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Why a package under a licence that asks for more than notices is used all the same."""
+    """Reason why a package is used although its licence has conditions beyond notices."""
 
     licences: frozenset[str]
     reason: str
@@ -64,11 +65,11 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Something of another licence that the wheel of a package brings along, or that its metadata name.
+    """Component under another licence that the wheel of a package contains or its metadata name.
 
     ``files`` are patterns of paths below ``site-packages``; ``component`` is its name in the metadata (a list
-    of parts in CycloneDX, or ``Name:`` in a licence file). ``reason``: why it is accepted, where its licence
-    alone is not enough. What is not ``is_bundled`` is named in the metadata only, the wheel does not have it.
+    of parts in CycloneDX, or ``Name:`` in a licence file). ``reason``: why it is accepted, if its licence
+    alone is not enough. If not ``is_bundled``, only the metadata name it and the wheel does not contain it.
     """
 
     package: str
@@ -271,8 +272,8 @@ PARTS = (
     Part("pillow", "X11 libraries", "X11", ("pillow.libs/libxcb-*", "pillow.libs/libXau-*"), "libxcb"),
     Part("pillow", "Zstandard", "BSD-3-Clause OR GPL-2.0-only", ("pillow.libs/libzstd-*",)),
 )
-"""Contents of the wheels on PyPI for x86_64, where a file or a licence needs a word; other parts are in
-the wheels' own lists, which are read too."""
+"""Components of the PyPI wheels for x86_64 whose file or licence needs an explanation. The other components
+are in the wheels' own lists, which are also read."""
 
 TEXTS = {
     ("asyncua", "LGPL"): "its own",
@@ -282,4 +283,4 @@ TEXTS = {
     ("opencv-python-headless", "LGPL"): "FFmpeg's; another is of Qt, which only wheels with windows have",
     ("opencv-python-headless", "MPL"): "libsrt's, which only the wheels for macOS have",
 }
-"""Whole texts of such licences in a package's licence files, and whose they are."""
+"""Owners of the complete LGPL, GPL and MPL texts in a package's licence files, by package and licence."""

@@ -1,4 +1,4 @@
-"""Packages, and parts that they bring along, whose licences do not go with Apache-2.0."""
+"""Find packages and bundled components whose licences are not compatible with Apache-2.0."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _CLASSIFIERS = {
     "MIT License": {"MIT"},
     "Python Software Foundation License": {"PSF-2.0"},
 }
-"""The licences that a classifier can mean; the first three leave versions or variants open."""
+"""Licences that a classifier can mean; the first three do not determine a version or variant."""
 _EXACT = ("MIT License",)
 
 
 def licence_of(package: Package) -> str | None:
-    """The SPDX expression of a package; None when its metadata hold no expression, or contradict each other.
+    """SPDX expression of a package; None if its metadata state none or contradict each other.
 
-    It comes from the metadata: the expression, else the field when that is one, else a classifier that has
-    only one meaning. Where there are classifiers too, each must fit. For a package in ``STATED`` that is the
-    answer, as long as its metadata are unchanged.
+    It is taken from the metadata: the expression, else the licence field if that is an SPDX expression, else
+    a classifier with only one meaning. If there are classifiers too, each must match. For a package in
+    ``STATED`` that entry is the result, as long as the package's metadata are unchanged.
     """
     if package.name in STATED:
         stated = STATED[package.name]
@@ -40,7 +40,7 @@ def licence_of(package: Package) -> str | None:
 
 
 def faults(packages: Iterable[Package]) -> Iterator[str]:
-    """One line for each thing that is wrong."""
+    """Yield one line for each problem."""
     for package in packages:
         yield from _licence_faults(package)
         if package.is_installed:
@@ -96,12 +96,12 @@ def _component_faults(package: Package, component: Component, known: dict[str, s
 
 
 def _is_same_licence(known: str, declared: str) -> bool:
-    """Whether it is the licence it was, where SPDX has a name for it."""
+    """Whether the licence is unchanged; always true if SPDX has no name for it."""
     return is_own_text(known) or canonical(declared) == known
 
 
 def _outdated_faults(package: Package) -> Iterator[str]:
-    """Remarks on a package that are no longer true, by the wheels for x86_64."""
+    """Yield outdated entries about a package, judged by its wheel for x86_64."""
     if platform.machine() != "x86_64":
         return
     there = {component.name for component in package.components}

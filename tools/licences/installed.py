@@ -1,4 +1,4 @@
-"""The packages that altd runs on, and their metadata."""
+"""Packages that altd needs at run time, and their metadata."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tools.licences.accepted import STATED
 
 LOCKS = ("requirements.lock", "aravis.lock")
 _DEVELOPMENT_EXTRAS = ("docs", "test")
-"""Extras of ``pyproject.toml`` that work on altd needs, and a unit does not."""
+"""Extras of ``pyproject.toml`` for development only."""
 _LOCK_ENVIRONMENT = {
     "implementation_name": "cpython",
     "os_name": "posix",
@@ -29,7 +29,7 @@ _LOCK_ENVIRONMENT = {
     "python_version": "3.11",
     "sys_platform": "linux",
 }
-"""The platform for which the locks are resolved: the same answer on every machine."""
+"""Platform for which the locks are resolved, so that the result is the same on every machine."""
 _CLASSIFIER = re.compile(r"License :: (?:OSI Approved :: )?(.+)")
 _LICENCE_FILE_PATH = re.compile(
     r".*/[^/]*(licen[cs]e|copying|notice)[^/]*(?<!\.py)(?<!\.pyc)|[^/]+\.dist-info/licenses/.+", re.IGNORECASE
@@ -38,17 +38,17 @@ _TEXTS = {
     kind: re.compile(rf"^[#\s]*{title},?[\s_*]+Version", re.MULTILINE | re.IGNORECASE)
     for kind, title in {
         "AGPL": "GNU Affero General Public License",
-        "GPL": "GNU General Public License[ \t]*$",  # on a line of its own: a mention is none
+        "GPL": "GNU General Public License[ \t]*$",  # on a line of its own: ignores mere mentions
         "LGPL": "GNU (Lesser|Library) General Public License",
         "MPL": "Mozilla Public License",
     }.items()
 }
-"""First words of the whole texts."""
+"""Patterns of the title lines of complete licence texts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """A part of a package that its metadata name, with the licence as they give it."""
+    """Component that a package's metadata name, with the licence stated there."""
 
     name: str
     licence: str
@@ -56,11 +56,11 @@ class Component:
 
 @dataclass(slots=True)
 class Package:
-    """One that altd runs on. Where it is not installed, what it says is what was read in it before.
+    """Package that altd needs at run time. If it is not installed, the data are those of ``STATED``.
 
-    ``line`` is the licence field, or its first line and "…" where it is a whole text; ``libraries`` are the
-    compiled ones that its wheel brings along, as paths below ``site-packages``; ``texts`` the kinds of
-    licences whose whole texts are among its licence files.
+    ``line`` is the licence field, or its first line and "…" if it holds a complete text; ``libraries`` are
+    the compiled libraries in its wheel, as paths below ``site-packages``; ``texts`` are the kinds of licences
+    whose complete texts are among its licence files.
     """
 
     name: str
@@ -77,19 +77,19 @@ class Package:
 
     @property
     def declared(self) -> str:
-        """Its licence as its metadata declare it, in one line."""
+        """Licence as the metadata declare it, in one line."""
         declared = [part for part in (self.expression, self.line) if part]
         return "; ".join([*declared, *self.classifiers])
 
 
 class NotAsLockedError(Exception):
-    """The environment is not that of the locks, in one line."""
+    """The environment does not match the locks; the message is one line."""
 
 
 def run_time_packages(project: Path) -> list[Package]:
-    """All that altd needs to run, with every extra that a unit may have, by name; ``needed_by`` may be altd.
+    """All packages that altd needs with every extra of a unit, by name; ``needed_by`` may contain altd.
 
-    Raises NotAsLockedError when one is missing, or there in another version than the project's lock has.
+    Raises NotAsLockedError if a package is missing or its version differs from the project's lock.
     """
     about = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     extras = about.get("optional-dependencies", {})
@@ -129,7 +129,7 @@ def _locked_package(name: str, locked: dict[str, dict[str, str]]) -> Package:
     try:
         package = _package(name, distribution(name))
     except PackageNotFoundError:
-        if name in locked["requirements.lock"] or name not in STATED:  # those of aravis.lock must be compiled
+        if name in locked["requirements.lock"] or name not in STATED:  # aravis.lock packages are compiled
             raise NotAsLockedError(f"{name} {version} is not installed: make venv") from None
         requires = tuple(map(Requirement, STATED[name].requires))
         return Package(name, version, line=STATED[name].declared, requires=requires, is_installed=False)
@@ -169,7 +169,7 @@ def _text(installed: Distribution, path: str) -> str:
 
 
 def _in_cyclonedx(text: str) -> Iterator[Component]:
-    """The parts in a CycloneDX list, but for those copied from a system: ``libraries`` has their files."""
+    """Yield the components of a CycloneDX list, except system copies: ``libraries`` has their files."""
     listed: list[dict[str, Any]] = json.loads(text).get("components", [])
     for part in listed:
         if part.get("purl", "").startswith(("pkg:rpm/", "pkg:deb/", "pkg:pypi/", "pkg:apk/")):
@@ -182,7 +182,7 @@ def _in_cyclonedx(text: str) -> Iterator[Component]:
 
 
 def _in_licence_file(text: str) -> Iterator[Component]:
-    """The parts in a licence file that names them by ``Name:`` and ``License:``, as numpy's does."""
+    """Yield the components that a licence file lists by ``Name:`` and ``License:``, as numpy's does."""
     for entry in re.split(r"^(?=Name: )", text, flags=re.MULTILINE)[1:]:
         named = re.match(r"Name: (.+)", entry)
         licence = re.search(r"^License:[ \t]*(.*)$", entry, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""``docs/licences.md`` of the locks and the packages: ``python -m tools.licences.licence_page``."""
+"""``docs/licences.md`` from the locks and the packages: ``python -m tools.licences.licence_page``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tools.markdown import wrapped
 
 
 def page(packages: Iterable[Package]) -> str:
-    """The page for the person who passes altd on, or must say what is in it."""
+    """Page for distributors of altd, who must state its components."""
     packages = list(packages)
     versions = {package.name: package.version for package in packages}
     parts = [part for part in PARTS if part.package in versions]
@@ -62,7 +62,7 @@ def _purpose(package: Package) -> str:
 
 
 def _part_rows(parts: Iterable[Part]) -> list[tuple[str, ...]]:
-    """A row for the parts that have the same licence and note, unless the list below has the note."""
+    """One row for components with the same licence and note; a note that the list below has is omitted."""
     names: dict[tuple[str, str], list[str]] = {}
     for part in parts:
         if part.is_bundled:

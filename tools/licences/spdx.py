@@ -1,4 +1,4 @@
-"""SPDX licence expressions (ISO/IEC 5962, annex D), as far as the question whether one is accepted goes."""
+"""SPDX licence expressions (ISO/IEC 5962, annex D), as far as needed to decide on acceptance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from packaging.licenses import InvalidLicenseExpression, canonicalize_license_ex
 
 
 def canonical(text: str) -> str | None:
-    """An expression in its one spelling; None when the text is none."""
+    """Canonical spelling of an expression; None if the text is not a valid expression."""
     try:
         return canonicalize_license_expression(text)
     except InvalidLicenseExpression:
@@ -17,7 +17,7 @@ def canonical(text: str) -> str | None:
 
 
 def is_accepted(expression: str, accepted: Container[str]) -> bool:
-    """Whether accepted licences fulfil it: each part of an AND, one of an OR. False where it is none."""
+    """Whether accepted licences fulfil it: each part of an AND, one of an OR. False if invalid."""
     spelled = canonical(expression)
     if spelled is None:
         return False
@@ -25,19 +25,19 @@ def is_accepted(expression: str, accepted: Container[str]) -> bool:
 
 
 def is_own_text(expression: str) -> bool:
-    """Whether it means a text that SPDX has no name for."""
+    """Whether it refers to a text without an SPDX name."""
     return expression.startswith("LicenseRef-")
 
 
 def names(expression: str) -> set[str]:
-    """The licences in an expression, each with its exception."""
+    """Licences in an expression, each with its exception."""
     joined = canonicalize_license_expression(expression).replace(" WITH ", "_WITH_")
     words = set(re.findall(r"[^\s()]+", joined)) - {"AND", "OR"}
     return {word.replace("_WITH_", " WITH ") for word in words}
 
 
 def _any_of(words: list[str], accepted: Container[str]) -> bool:
-    """The words, of which the next is the last, up to a bracket's end; AND binds more strongly than OR."""
+    """Evaluate the words up to a closing bracket, the next word last; AND binds tighter than OR."""
     goes_with = _all_of(words, accepted)
     while words and words[-1] == "OR":
         words.pop()

@@ -1,4 +1,4 @@
-"""``docs/architecture.svg``, the unit, the daemon and its clients: ``python -m tools.pages.architecture``."""
+"""``docs/architecture.svg``: the unit, the daemon and its clients; ``python -m tools.pages.architecture``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CLIENTS = (
 
 
 def picture() -> str:
-    """The drawing as SVG; its white background keeps it legible on a dark page."""
+    """Drawing as SVG; its white background keeps it legible on a dark page."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" '
         'font-family="DejaVu Sans, Helvetica, Arial, sans-serif" font-size="14">',

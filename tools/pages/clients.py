@@ -11,7 +11,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def page() -> str:
-    """The page for a programmer of a controller."""
+    """Page for controller programmers."""
     python = _excerpt("python/read_modbus.py", "    while True:")
     block = _excerpt("structured_text/altd_target.st", "PROGRAM GUIDANCE")
     return wrapped(f"""# Client examples
@@ -139,7 +139,7 @@ It follows the same rules, with these differences:
 
 
 def _excerpt(path: str, start: str) -> str:
-    """A program from the line that begins with ``start``."""
+    """Excerpt of a program, beginning at the line that starts with ``start``."""
     text = (EXAMPLES / path).read_text(encoding="utf-8")
     lines = text[text.index(f"\n{start}") + 1 :].splitlines()
     indent = len(start) - len(start.lstrip())

@@ -45,7 +45,7 @@ PAGES = {
     "chain": "chain.md",
     "chain-demo": "chain.md",
 }
-"""The page that explains a command."""
+"""Page that explains each command."""
 
 EXIT_STATUS = {
     "0": "good",
@@ -65,11 +65,11 @@ _EXIT_1 = {
     "doctor": "something is wrong",
     "backup": "a file is not in the archive; it is listed",
 }
-"""Meaning of exit status 1 of a command, besides its meaning for all."""
+"""Meaning of exit status 1 of a command, in addition to its general meaning."""
 
 
 def page() -> str:
-    """The page that lists all commands with their options."""
+    """Page that lists all commands with their options."""
     altd = "\n".join(_command(name, "altd", module.SUMMARY, module) for name, module in COMMANDS.items())
     simulator = "\n".join(
         _command(name, _SIMULATOR, summary, module)
@@ -105,24 +105,24 @@ Further commands, whose options `--help` lists:
 
 
 class _Arguments(argparse.ArgumentParser):
-    """Keeps what a command adds, by name."""
+    """Parser that records the arguments a command adds, in order."""
 
     def __init__(self) -> None:
         self.added: list[tuple[tuple[str, ...], dict[str, Any]]] = []
         super().__init__(add_help=False)
 
     def add_argument(self, *names: str, **settings: Any) -> argparse.Action:
-        """As argparse does."""
+        """Record the argument and add it as argparse does."""
         self.added.append((names, settings))
         return super().add_argument(*names, **settings)
 
     def add_mutually_exclusive_group(self, **_settings: Any) -> Any:
-        """The page lists the arguments of a group as all others."""
+        """Return the parser itself: the page lists arguments of a group like all others."""
         return self
 
 
 def arguments_of(module: Any) -> list[tuple[str, tuple[str, ...], tuple[str, ...], str]]:
-    """Of each argument of a command: title, names, choices and help."""
+    """Title, names, choices and help of each argument of a command."""
     arguments = _Arguments()
     module.add_arguments(arguments)
     return [
@@ -155,7 +155,7 @@ def _command(name: str, program: str, summary: str, module: Any) -> str:
 
 
 def _values(names: tuple[str, ...], settings: dict[str, Any]) -> str:
-    """The text after a name, or in a place."""
+    """Text of the values after an option, or of a positional argument."""
     if "action" in settings and settings["action"] != "append":
         return ""
     one = settings.get("metavar") or "|".join(map(str, settings.get("choices", ())))

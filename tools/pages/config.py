@@ -153,10 +153,10 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
 )
 
 _COMMON = (LiveCameraSettings, SerialPortSettings)
-"""Models whose keys are not listed again below those that inherit them."""
+"""Models whose keys are listed once, not again below the models that inherit them."""
 
 _TAGS = ("driver", "speaks")
-"""The keys that say which table it is: they come first."""
+"""Keys that select the kind of a table; they are listed first."""
 
 _SPOILT = """\
 [unit]
@@ -196,7 +196,7 @@ def _complaints() -> tuple[str, ...]:
 
 
 def page() -> str:
-    """The page in Markdown."""
+    """Page in Markdown."""
     covered = {model for _, model, _ in TABLES}
     missing = {m for f in Config.model_fields.values() for m in _models(f.annotation)} - covered
     assert not missing, f"no section of this page for {missing}"  # noqa: S101
@@ -234,7 +234,7 @@ def _lines() -> Iterator[str]:
 
 
 def _rows(model: type[Table]) -> Iterator[str]:
-    """A row for each key that is not in a table above; keys without text join a row of the same values."""
+    """Yield a row for each key not listed above; keys without text join a row of equal values."""
     inherited = {name for base in _COMMON if base in model.__mro__[1:] for name in base.model_fields}
     own = {name for name in model.model_fields if name in model.__annotations__ or name not in inherited}
     groups: list[tuple[list[str], str, str, str]] = []
@@ -253,7 +253,7 @@ def _rows(model: type[Table]) -> Iterator[str]:
 
 @cache
 def _meanings(model: type[Table]) -> dict[str, str]:
-    """The docstrings of a model's keys: pydantic would read them at each start of altd, in 0.1 s."""
+    """Docstrings of a model's keys; reading them through pydantic would cost 0.1 s at each start of altd."""
     found = {}
     for base in reversed(model.__mro__[: model.__mro__.index(Table)]):
         (of_class,) = ast.parse(inspect.getsource(base)).body
@@ -266,7 +266,7 @@ def _meanings(model: type[Table]) -> dict[str, str]:
 
 
 def _linked(text: str) -> str:
-    """A docstring in Markdown, with the pages that it names as links."""
+    """Docstring as Markdown; the pages it names become links."""
     text = " ".join(text.replace("``", "`").split())
     return re.sub(r"`([a-z-]+)\.md`", r"[\1](\1.md)", text)
 
@@ -289,7 +289,7 @@ def _default(field: FieldInfo) -> str:
 
 
 def _value(field: FieldInfo) -> str:
-    """The type in TOML's words, with its limits."""
+    """Type and limits of a key, in TOML terms."""
     text = expected(field.annotation, field.metadata, lambda value: f"`{value}`")
     text = text.replace("text of small letters, digits and _, a letter first, 1 to 32 characters", "*name*")
     text = re.sub(r"number from (\S+) to below (\S+)", r"number \1…<\2", text)

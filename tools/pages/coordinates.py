@@ -1,6 +1,6 @@
 """``docs/coordinates.svg``, the unit frame and its signs: ``python -m tools.pages.coordinates``.
 
-Every point is one of the unit frame in mm (``docs/conventions.md``) under a projection, so the drawing cannot
+Every point is projected from unit-frame coordinates in mm (``docs/conventions.md``), so the drawing cannot
 contradict the signs that it shows.
 """
 
@@ -16,7 +16,7 @@ WIDTH_PX, HEIGHT_PX = 960, 760
 DISTANCE_MM = 280.0
 HALF_X_MM, HALF_Y_MM = 70.0, 55.0
 SX, SY = 0.10, 0.09
-"""Slopes of the drawn beam: yaw 5.7°, pitch 5.1°, far beyond a real one so that they can be seen."""
+"""Slopes of the drawn beam: yaw 5.7°, pitch 5.1°, exaggerated so that they are visible."""
 X_MM, Y_MM = 18.0, 14.0
 
 _ARROW, _DASHED = 'marker-end="url(#a)"', 'stroke-dasharray="4 4"'
@@ -24,7 +24,7 @@ BEAM, AXIS, GLASS, METAL, TEXT, GREY = "#d0342c", "#2f7d4f", "#8fb6d6", "#8a949e
 
 
 def picture() -> str:
-    """The drawing as SVG."""
+    """Drawing as SVG."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" '
         'font-family="DejaVu Sans, Helvetica, Arial, sans-serif" font-size="14">',
@@ -46,7 +46,7 @@ def _beam(z_mm: float) -> Point:
 
 
 def _axonometric(point: Point) -> tuple[float, float]:
-    """Seen from the right, from behind and from above."""
+    """Project a point as viewed from the right, from behind and from above."""
     azimuth, elevation, scale = math.radians(24), math.radians(16), 1.15
     x, y, z = point
     u = x * math.sin(azimuth) + z * math.cos(azimuth)
@@ -118,7 +118,7 @@ def _front() -> Iterable[str]:
 
 
 def _plane(title: str, origin: tuple[float, float], axis: int, name: str, *meaning: str) -> Iterable[str]:
-    """The plane of one axis and z; z points up in the view from above, right in the one from the side."""
+    """Draw the plane of an axis and z; z points up in the view from above, right in the side view."""
     from_above = axis == 0
 
     def at(point: Point) -> tuple[float, float]:

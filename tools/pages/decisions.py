@@ -1,4 +1,4 @@
-"""``docs/decisions/README.md`` from the decisions beside it: ``python -m tools.pages.decisions``."""
+"""``docs/decisions/README.md`` from the decisions in its folder: ``python -m tools.pages.decisions``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FORM = re.compile(
 
 
 def page(folder: Path = FOLDER) -> str:
-    """The page in Markdown; raises ValueError for a file without the form or with a wrong number."""
+    """Page in Markdown; raises ValueError for a file with a wrong form or number."""
     return _HEAD + "".join(_items(folder))
 
 

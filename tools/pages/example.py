@@ -1,4 +1,4 @@
-"""The measurement that the pages of all interfaces show, so that a reader can compare them."""
+"""The example measurement on the pages of all interfaces, so that readers can compare them."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ MEASURED = Measurement(
 
 SERIAL = "ALT-0007"
 AGE_S = 0.52
-"""Since the middle of its exposures, when it is shown."""
+"""Age of the example when it is shown: time since the middle of its exposures, s."""
 STAMP = Stamp(Identity(unit_number(SERIAL), 0x5C1E90A7), 4711, 345_678)
-"""Of the message in which the pages show it."""
+"""Stamp of the message in which the pages show the example."""
 NAMEPLATE = Nameplate(unit=STAMP.identity.unit, serial=SERIAL, firmware="0.1.0", calibrated=date(2026, 11, 2))
 
 
@@ -66,12 +66,12 @@ class _Standing:
 
 
 def clock() -> Clock:
-    """The clock of that moment."""
+    """Clock at the moment of the example."""
     return _Standing()
 
 
 def board() -> Board:
-    """A board with the measurement on it."""
+    """Board with the example measurement."""
     board = Board(clock(), 1.0, QUANTITIES, STAMP.identity)
     board.publish(MEASURED)
     return board

@@ -1,4 +1,4 @@
-"""``docs/http.md`` from what is served: ``python -m tools.pages.http``."""
+"""``docs/http.md`` from the HTTP interface: ``python -m tools.pages.http``."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _rate(rate: Rate) -> str:
 
 
 def page() -> str:
-    """The page for programs that read the unit over the network."""
+    """Page for programs that read the unit over the network."""
     paths = "".join(f"| `{path.path}` | {path.gives} |\n" for path in PATHS)
     line = checked_line(board(), MEASURED, STAMP)
     return wrapped(f"""# HTTP

@@ -61,10 +61,10 @@ EXAMPLE = Snapshot(
     age_s=0.52,
     published=141,
 )
-"""The measurement that the page shows."""
+"""Example measurement that the page shows."""
 
 SHOWN = FLOAT_BLOCK[:7]
-"""The values of the example."""
+"""Registers of the values in the example."""
 
 COUNTED = (
     (11, "whole frames on the line"),
@@ -115,14 +115,14 @@ COMMANDS = (
 (PLACE_1,) = (row for row in NEAR.rows if row.name == "place1_reason")
 (PLACE_9,) = (row for row in FAR.rows if row.name == "place9_reason")
 ROW_HEAD, PLACE = NEAR.rows.index(PLACE_1), len(NEAR.rows) // PLACES_AT_ONCE
-"""Rows before the first place, and of each."""
+"""Number of rows before the first place, and number of rows of each place."""
 
 (STATE,) = (row for row in checked_block.ROWS if row.name == "state")
-"""The register of the unit's signal."""
+"""Register of the unit's state."""
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Page as Markdown."""
     tcp, rtu = ModbusTcpSettings(), ModbusRtuPortSettings.model_fields
     baud, parity, stop_bits = (rtu[key].default for key in ("baud", "parity", "stop_bits"))
     float_end = FLOATS + 2 * len(FLOAT_BLOCK)
@@ -388,7 +388,7 @@ address) instead of the role.
 
 
 def mbpoll_lines() -> list[str]:
-    """The output of mbpoll for the example's floating point values."""
+    """Output lines of mbpoll for the example's floating point values."""
     words = image(EXAMPLE)
     return [f"[{row.address}]: \t{_float32(words[row.address : row.address + 2]):g}" for row in SHOWN]
 
@@ -400,12 +400,12 @@ def _set_when(row: StatusBit) -> str:
 
 
 def _of_valid() -> list[StatusBit]:
-    """The bits that a valid measurement may have."""
+    """Status bits that a valid measurement may have."""
     return [row for row in STATUS_BITS if row.warnings]
 
 
 def _of_both() -> list[StatusBit]:
-    """Those of them that an invalid one may have for a reason that is no warning."""
+    """Bits of ``_of_valid`` that an invalid measurement may also have for a reason that is not a warning."""
     return [row for row in _of_valid() if len(row.warnings) < len(row.reasons)]
 
 
@@ -428,7 +428,7 @@ def _float32(words: list[int]) -> float:
 
 
 def _durations(lengths: Iterable[int]) -> str:
-    """The duration of a read of so many registers: 8 bytes there, 5 + 2n back, a silence after each."""
+    """Time to read n registers: a request of 8 bytes, a response of 5 + 2n, and a silence after each."""
 
     def ms(registers: int, baud: int) -> int:
         return round(1000 * ((13 + 2 * registers) * BITS_PER_CHARACTER / baud + 2 * silence_s(baud)))
@@ -441,12 +441,12 @@ def _durations(lengths: Iterable[int]) -> str:
 
 
 def register_table(rows: Iterable[Register]) -> str:
-    """A row a register."""
+    """Table with one row for each register."""
     return _rows((str(row.address), row.name, row) for row in rows)
 
 
 def grouped_table(rows: Iterable[Register]) -> str:
-    """A row for registers of one type, unit and meaning."""
+    """Table with one row for all registers of the same type, unit and meaning."""
     groups: dict[tuple[Type, str, str], list[Register]] = {}
     for row in rows:
         groups.setdefault((row.type, row.unit, row.meaning), []).append(row)

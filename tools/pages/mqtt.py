@@ -1,4 +1,4 @@
-"""``docs/mqtt.md`` from what is published: ``python -m tools.pages.mqtt``."""
+"""``docs/mqtt.md`` from the published messages: ``python -m tools.pages.mqtt``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TYPES = {
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Page as Markdown."""
     shown = board()
     shared = set(summary_model(QUANTITIES).model_fields) & set(Birth.model_fields)
     summary = json.loads(with_proof(summary_of([MEASURED], shown, clock()), shown, STAMP))
@@ -175,7 +175,7 @@ To remove the device, remove the key and send an empty retained message:
 
 
 def _keys(model: type[BaseModel], without: Collection[str] = ()) -> str:
-    """A table of the keys of a payload; quantities are shown apart."""
+    """Table of the keys of a payload, without the quantities, which are shown separately."""
     rows = [
         f"| `{name}` | {_type(about)} | {about.get('description', '')} |"
         for name, about in model.model_json_schema(mode="serialization")["properties"].items()

@@ -10,7 +10,7 @@ from altd.publish.mqtt.messages import schema_of
 
 
 def page() -> str:
-    """The JSON Schema of all payloads."""
+    """JSON Schema of all payloads."""
     return json.dumps(schema_of(QUANTITIES), indent=1) + "\n"
 
 

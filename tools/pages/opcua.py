@@ -21,7 +21,7 @@ from tools.pages.example import SERIAL
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Page as Markdown."""
     return wrapped(f"""\
 # OPC UA
 

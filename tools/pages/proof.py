@@ -15,7 +15,7 @@ from tools.pages.telegram import sentence_table
 
 
 def page() -> str:
-    """The page for a programmer of a controller."""
+    """Page for controller programmers."""
     unit = unit_number(SERIAL)
     first, last = checked_block.FIRST, checked_block.FIRST + checked_block.SIZE - 1
     covered = 2 * checked_block.SIZE - 4

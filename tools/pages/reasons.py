@@ -27,7 +27,7 @@ _MEANS = {
 
 
 def page() -> str:
-    """The page for users of a status, for the plant and for the technician."""
+    """Page for users of a status, at the plant and in maintenance."""
     signals = "".join(f"| {signal.number} | `{signal}` | {_MEANS[signal]} |\n" for signal in by_severity())
     return wrapped(f"""# Reasons and states
 

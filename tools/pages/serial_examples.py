@@ -1,4 +1,4 @@
-"""The measurement and the unit that the pages show."""
+"""Example measurement and unit state on the pages of the serial interfaces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SPOT_LOST = replace(
 
 
 class _TwoHoursLater:
-    """The clock of a unit that has been up for a while."""
+    """Clock of a unit that has been running for two hours."""
 
     def __init__(self) -> None:
         self.now_ns = 0
@@ -48,7 +48,7 @@ class _TwoHoursLater:
 
 
 def health() -> Health:
-    """A unit whose beam was blocked a moment ago, while all of its parts work."""
+    """Health of a unit whose beam was blocked a moment ago; all its components work."""
     clock = _TwoHoursLater()
     unit = Health(clock)
     unit.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02, workshop, stage 2"}

@@ -1,4 +1,4 @@
-"""``docs/sparkplug.md`` from what is published: ``python -m tools.pages.sparkplug``."""
+"""``docs/sparkplug.md`` from the published messages: ``python -m tools.pages.sparkplug``."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _metrics() -> str:
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Page as Markdown."""
     topic = f"{NAMESPACE}/line-4/{{}}/{SERIAL}".format
     silent = f"{1.5 * KEEP_ALIVE_S:g} s"
     return wrapped(f"""\

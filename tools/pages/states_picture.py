@@ -1,4 +1,4 @@
-"""``docs/states.svg``: the states, their causes and what leads from one to another, made from the code.
+"""``docs/states.svg``: the states, their causes and their transitions, from the code.
 
 ``python -m tools.pages.states_picture``
 """
@@ -23,22 +23,22 @@ _COLOURS = {
     Signal.MAINTENANCE_REQUIRED: ("#1565c0", "#ffffff"),
     Signal.GOOD: ("#2e7d32", "#ffffff"),
 }
-"""Those of NE 107: red, orange, yellow, blue, green. Each box has its name too."""
+"""Colours of NE 107: red, orange, yellow, blue, green. Each box also shows the name of its state."""
 
 
 def causes_of(signal: Signal) -> list[Kind]:
-    """The causes of a signal, the measurement's reasons first."""
+    """Causes of a signal, reasons of the measurement first."""
     kinds: list[Kind] = [*Reason, *Condition]
     return [kind for kind in kinds if signal_of(kind) is signal]
 
 
 def by_severity() -> list[Signal]:
-    """The worst first."""
+    """Signals, most severe first."""
     return sorted(Signal, key=lambda signal: -signal.severity)
 
 
 def picture() -> str:
-    """The SVG, with a line end behind its last line."""
+    """SVG text, with a newline at its end."""
     shapes: list[str] = []
     top_px = _TOP_PX
     middles: dict[Signal, int] = {}

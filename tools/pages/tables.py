@@ -1,4 +1,4 @@
-"""``docs/tables.md`` from the columns: ``python -m tools.pages.tables``."""
+"""``docs/tables.md`` from the column definitions: ``python -m tools.pages.tables``."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ measured. In JSON, `dx_mm` and `dy_mm` are also in each target's object. `--plot
 
 
 def page() -> str:
-    """The page in Markdown."""
+    """Page in Markdown."""
     return wrapped("\n".join(_lines()).rstrip() + "\n")
 
 

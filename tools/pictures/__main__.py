@@ -1,4 +1,4 @@
-"""Pictures of the demos, their pages and the report: demo.svg and .png files of ``docs``."""
+"""Pictures of the demos, their pages and the report: demo.svg and .png files in ``docs``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TITLE = (
 
 
 def main() -> int:
-    """Make all pictures; raises CalledProcessError and TimeoutError when a program does not do its part."""
+    """Make all pictures; raises CalledProcessError or TimeoutError if a program fails."""
     draw_planar(_FOLDER / "planar.png")
     with terminal(f"{sys.executable} -m hw_sim planar", _COLUMNS, _ROWS) as demo:
         demo.await_text("http://127.0.0.1", timeout_s=120.0)
@@ -53,7 +53,7 @@ def main() -> int:
 
 
 def _record_demo(demo: Terminal) -> Iterator[Still]:
-    """The beam moves, is blocked, and is back."""
+    """Yield screens of the demo: the beam moves, is blocked, and returns."""
     for key, seconds in (("", 5.0), ("b", 4.0), ("c", 7.0)):
         if key:
             demo.press(key)
@@ -64,7 +64,7 @@ def _record_demo(demo: Terminal) -> Iterator[Still]:
 
 
 def _draw_report(folder: Path, picture: Path) -> None:
-    """The first two sheets of the report on a simulated unit with a flat, beside each other."""
+    """Draw the first two sheets of the report on a simulated unit with a flat, side by side."""
     simulator, altd = [sys.executable, "-m", "hw_sim"], [sys.executable, "-m", "altd.cli"]
     scan, flat, report = folder / "scan", folder / "flat", folder / "report"
     _run([*simulator, "scan", "-o", scan, "--seed", "1"])

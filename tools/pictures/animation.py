@@ -1,4 +1,4 @@
-"""Screens of a terminal, one after the other, as an animated SVG: sharp at any size, small, no script."""
+"""Convert successive terminal screens to an animated SVG: sharp at any size, small, without a script."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from html import escape
 from tools.pictures.terminal import Run, Screen
 
 _LETTER_WIDTH, _LINE_HEIGHT, _MARGIN = 7.2, 16, 12
-"""px, of a monospaced font of 12 px."""
+"""Sizes for a monospaced font of 12 px, px."""
 _COLOURS = {"31": "#f47067", "32": "#57ab5a"}
 _INK, _DIM, _GROUND = "#d6dde6", "#8b949e", "#161b22"
 
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """A screen, and how long it is shown."""
+    """A screen and its display time."""
 
     screen: Screen
     seconds: float
 
 
 def animated_svg(stills: Sequence[Still], columns: int, rows: int, title: str) -> str:
-    """The SVG; it starts again at its end. Lines that stay are drawn once, over the time that they stay."""
+    """The SVG, which repeats indefinitely. Unchanged lines are drawn once for their whole time."""
     whole_s = sum(still.seconds for still in stills)
     width = columns * _LETTER_WIDTH + 2 * _MARGIN
     height = rows * _LINE_HEIGHT + 2 * _MARGIN
@@ -55,7 +55,7 @@ def animated_svg(stills: Sequence[Still], columns: int, rows: int, title: str) -
 
 
 def _intervals(stills: Sequence[Still], row: int) -> list[tuple[tuple[Run, ...], float, float]]:
-    """The text of a row, and from when to when it is shown, s."""
+    """Texts of a row, each with the start and end of its display, s."""
     intervals: list[tuple[tuple[Run, ...], float, float]] = []
     at_s = 0.0
     for still in stills:
@@ -69,7 +69,7 @@ def _intervals(stills: Sequence[Still], row: int) -> list[tuple[tuple[Run, ...],
 
 
 def _rule(name: str, begin: float, end: float) -> str:
-    """Seen from ``begin`` to ``end``, per cent of the whole."""
+    """CSS rule that shows an element from ``begin`` to ``end``, in per cent of the animation."""
     steps = [f"{begin:.2f}%{{visibility:visible}}"]
     if begin > 0:
         steps.insert(0, "0%{visibility:hidden}")

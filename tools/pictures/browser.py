@@ -1,4 +1,4 @@
-"""A screenshot of a page in this machine's Chromium."""
+"""Screenshots with the Chromium of this machine."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _PIXELS_PER_CSS_PIXEL = 1.5
 
 
 def screenshot(address: str, picture: Path, width: int, height: int, after_s: float) -> None:
-    """Write a PNG of the page some seconds after it was opened; ``width`` and ``height`` in CSS px.
+    """Write a PNG of the page ``after_s`` seconds after opening it; ``width`` and ``height`` in CSS px.
 
-    Raises ``playwright.sync_api.Error`` when the browser does not do its part.
+    Raises ``playwright.sync_api.Error`` if the browser fails.
     """
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])

@@ -1,4 +1,4 @@
-"""``docs/planar.png``: a simulated plate as its camera sees it, and the LEDs that altd finds."""
+"""``docs/planar.png``: a simulated plate in the camera's picture, and the LEDs that altd finds."""
 
 from __future__ import annotations
 

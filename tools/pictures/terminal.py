@@ -1,4 +1,4 @@
-"""A program in a real terminal (tmux), watched: what its screen shows, and keys for it."""
+"""Run a program in a real terminal (tmux), read its screen and send keys to it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 _SGR = re.compile(r"\x1b\[([0-9;]*)m")
-"""Select graphic rendition (ECMA-48, 8.3.117)."""
+"""Control sequence SGR, select graphic rendition (ECMA-48, 8.3.117)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Letters that look alike, from a column on; ``style`` holds the parameters of SGR."""
+    """Characters of the same style, starting at a column; ``style`` holds the parameters of SGR."""
 
     column: int
     text: str
@@ -24,11 +24,11 @@ class Run:
 
 
 Screen = tuple[tuple[Run, ...], ...]
-"""The lines of a screen."""
+"""Lines of a screen."""
 
 
 class Terminal:
-    """A terminal of so many columns and rows that runs a program."""
+    """A terminal that runs a program."""
 
     def __init__(self, socket: str) -> None:
         self._socket = socket
@@ -38,19 +38,19 @@ class Terminal:
         self._tmux("send-keys", key)
 
     def resize(self, columns: int, rows: int) -> None:
-        """Make it as large as that."""
+        """Set the size of the terminal."""
         self._tmux("resize-window", "-x", str(columns), "-y", str(rows))
 
     def text(self) -> str:
-        """The text on the screen now."""
+        """Current text on the screen."""
         return self._tmux("capture-pane", "-p")
 
     def screen(self) -> Screen:
-        """The same with its looks."""
+        """Current text on the screen with its styles."""
         return parse_screen(self._tmux("capture-pane", "-p", "-e"))
 
     def await_text(self, wanted: str, timeout_s: float) -> None:
-        """Wait until the screen shows it; raises TimeoutError with what it shows instead."""
+        """Wait until the screen shows ``wanted``; raises TimeoutError with the text shown instead."""
         deadline_s = time.monotonic() + timeout_s
         while wanted not in (shown := self.text()):
             if time.monotonic() > deadline_s:
@@ -62,14 +62,14 @@ class Terminal:
 
 
 def tmux(socket: str, *command: str) -> str:
-    """A command to the server behind a socket's name; raises CalledProcessError."""
+    """Send a command to the tmux server of a socket name; raises CalledProcessError."""
     whole = ["tmux", "-L", socket, "-f", "/dev/null", *command]
     return subprocess.run(whole, check=True, capture_output=True, text=True).stdout  # noqa: S603
 
 
 @contextlib.contextmanager
 def terminal(command: str, columns: int, rows: int) -> Iterator[Terminal]:
-    """A program in a terminal of its own, that is gone at the end."""
+    """Run a program in a new terminal, which is closed at the end."""
     socket = f"altd-{secrets.token_hex(4)}"
     tmux(socket, "new-session", "-d", "-x", str(columns), "-y", str(rows), command)
     try:
@@ -77,12 +77,12 @@ def terminal(command: str, columns: int, rows: int) -> Iterator[Terminal]:
     finally:
         with contextlib.suppress(
             subprocess.CalledProcessError
-        ):  # the program has ended, and with it the server
+        ):  # the program has ended, and the server with it
             tmux(socket, "kill-server")
 
 
 def parse_screen(text: str) -> Screen:
-    """Lines of text with control sequences SGR between the letters, and no others."""
+    """Parse lines of text that contain no control sequences other than SGR."""
     lines, style = [], frozenset[str]()
     for line in text.split("\n"):
         runs, style = _runs(line, style)
@@ -91,7 +91,7 @@ def parse_screen(text: str) -> Screen:
 
 
 def _runs(line: str, style: frozenset[str]) -> tuple[tuple[Run, ...], frozenset[str]]:
-    """A line's runs of letters, and the looks that the next line begins with."""
+    """Runs of a line, and the style at the start of the next line."""
     runs, column, at = [], 0, 0
     for match in [*_SGR.finditer(line), None]:
         text = line[at : match.start() if match else len(line)]
@@ -108,7 +108,7 @@ def _runs(line: str, style: frozenset[str]) -> tuple[tuple[Run, ...], frozenset[
 def _styled(style: frozenset[str], parameters: Sequence[str]) -> frozenset[str]:
     for parameter in parameters:
         style = frozenset() if parameter in ("", "0") else style | {parameter}
-        if parameter == "39":  # the usual colour
+        if parameter == "39":  # default colour
             style = frozenset(each for each in style if not each.startswith("3"))
         if parameter == "22":  # neither bold nor dim
             style -= {"1", "2", "22"}

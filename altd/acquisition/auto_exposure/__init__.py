@@ -1,1 +1,1 @@
-"""The next exposure and gain of a camera, and how they are applied."""
+"""Choice and application of a camera's next exposure time and gain."""

@@ -1,8 +1,8 @@
-"""Exposure of one camera: how bright its spot is, what it should be set to, setting it, marking its frames.
+"""Exposure control of one camera: sample the brightness, choose and apply a setpoint, mark affected frames.
 
-Two threads of the camera use one ``ExposureControl``. The one that locates spots calls ``sample``, which
-replaces ``setpoint``; the one that acquires frames calls ``opened``, ``apply`` and ``mark``. What one of them
-wants of the other are frozen records, replaced as a whole; so are the ``figures`` that health shows.
+Two threads of the camera use one ``ExposureControl``. The locating thread calls ``sample``, which replaces
+``setpoint``; the acquiring thread calls ``opened``, ``apply`` and ``mark``. They exchange frozen records,
+each replaced as a whole; so are the ``figures`` that health shows.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from altd.ports import Camera, CameraRefusedError, ExposureRange
 from altd.records import Frame, NoSpot, Spot
 
 MAX_MARKED_FRAMES = 4
-"""So many frames after a change have an unknown exposure, unless they carry it: one or two wait in a driver's
-buffers or are just being exposed."""
+"""Maximum number of frames after a change whose exposure is unknown, unless they carry it. One or two are in
+a driver's buffers or being exposed at the change."""
 _EXPOSURE_TIME_TOLERANCE = 0.05
-"""Relative, of an exposure time that a frame carries."""
+"""Relative tolerance of an exposure time that a frame carries."""
 _GAIN_TOLERANCE_DB = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """The camera took a setting."""
+    """A setting that the camera accepted."""
 
     setting: Setting
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """The camera did not take a setting and keeps the previous one. ``complaint`` says why."""
+    """A setting that the camera refused; it keeps the previous one. ``complaint`` is the reason."""
 
     complaint: str
 
 
 @dataclass(frozen=True, slots=True)
 class ExposureFigures:
-    """A camera's exposure in health, of the last frame that carries it; None: that is not known."""
+    """Exposure of a camera in health, from its last sampled frame; None: not known."""
 
     exposure_control: str
     level: float
@@ -55,17 +55,17 @@ class ExposureFigures:
 
 @dataclass(frozen=True, slots=True)
 class _Ability:
-    """The possible settings of the open camera: none without ``limits`` or when it refuses."""
+    """Possible settings of the open camera: none without ``limits`` or if it refuses settings."""
 
     limits: ExposureRange | None = None
     refuses: bool = False
 
 
 class ExposureControl:
-    """One camera's control; it outlives the camera, which gets the setpoint again when it is opened again.
+    """Exposure control of one camera; it outlives the open camera, and reapplies the setpoint on reopening.
 
-    ``setpoint`` may be replaced at any time. It stays what the config says unless ``sample`` is called and
-    the control is ``auto``. ``figures`` is None until a frame was sampled.
+    ``setpoint`` may be replaced at any time. It keeps the config's value unless ``sample`` is called and the
+    control is ``auto``. ``figures`` is None until the first frame is sampled.
     """
 
     def __init__(self, settings: ExposureSettings, fps: float, window: int) -> None:
@@ -80,19 +80,19 @@ class ExposureControl:
         self._gain_stays = False
         self._marks_left = 0
         self._rule: tuple[ExposureRange, ExposureRule] | None = None
-        """With the limits that it was made for."""
+        """The exposure rule and the limits it was made for."""
         self._changes = 0
 
     def sample(self, frame: Frame, found: Spot | NoSpot) -> None:
-        """Take a frame with what the localiser found in it; a setting that would do better is the setpoint.
+        """Sample the brightness of a frame in which ``found`` was located; update the setpoint if needed.
 
-        Frames under LEDs or of a change tell nothing.
+        Frames exposed under LEDs or during a change of exposure are ignored.
         """
         if frame.changing or frame.leds_on:
             return
         ability = self._ability
         brightness = sample_brightness(frame, found)
-        # without an exposure time the camera reports nonsense, or reports nothing and was never set
+        # the camera reports an invalid exposure time, or reports none and was never set
         exposed = frame.exposure_ms is not None and frame.exposure_ms > 0
         if (
             self._settings.control == "auto"
@@ -115,18 +115,18 @@ class ExposureControl:
         )
 
     def opened(self, camera: Camera) -> None:
-        """The camera was opened: whatever was set before is set again."""
+        """Read the limits of the camera, which was just opened, and let the setpoint be applied again."""
         able = None if self._settings.control == "camera" else camera.exposure_range
         self._ability = _Ability(None if able is None else limits_of(self._settings, able, self._fps))
         self._requested, self._applied, self._marks_left = None, None, 0
 
     @property
     def is_due(self) -> bool:
-        """Whether there is a setpoint that the camera was not asked for yet."""
+        """Whether the setpoint was not yet requested from the camera."""
         return self._ability.limits is not None and self.setpoint != self._requested
 
     def apply(self, camera: Camera) -> Applied | Refused:
-        """Set the camera to the setpoint, between two frames; raises CameraError when the camera fails."""
+        """Set the camera to the setpoint, between two frames; raises CameraError if the camera fails."""
         limits = self._ability.limits
         assert limits is not None  # noqa: S101  it is due
         self._requested = setting = self.setpoint
@@ -143,9 +143,9 @@ class ExposureControl:
         return Applied(setting)
 
     def mark(self, frame: Frame) -> Frame:
-        """The frame with what it was exposed with, and with ``changing`` until that is certain.
+        """Return the frame with its exposure time and gain, and with ``changing`` until they are certain.
 
-        The first frame after a change is always marked: a window must see where it lies.
+        The first frame after a change is always marked, so that a window can locate the change.
         """
         setting = self._applied
         if setting is None:
@@ -162,7 +162,7 @@ class ExposureControl:
         )
 
     def _is_exposed_with(self, setting: Setting, frame: Frame) -> bool:
-        """Whether a frame tells that it was exposed so; one that tells nothing does not."""
+        """Whether a frame carries this setting; False for a frame without an exposure time."""
         if frame.exposure_ms is None:
             return False
         if frame.gain_db is None:

@@ -1,4 +1,4 @@
-"""The brightness of a frame, and its camera's next exposure and gain (docs/cameras.md)."""
+"""Brightness of a frame, and the next exposure time and gain of its camera (docs/cameras.md)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray, Spot
 
 LOW, HIGH = 0.35, 0.8
-"""The band of levels, shares of full scale, in which exposure is left alone."""
+"""Limits of the band of levels, as shares of full scale, in which exposure is not changed."""
 TARGET = math.sqrt(LOW * HIGH)
-"""The target of the control: the geometric middle of the band."""
+"""Target level of the control: the geometric mean of the band's limits."""
 
 CLIPPED_FROM = 0.995
 """Share of full scale from which a pixel counts as clipped."""
@@ -27,25 +27,25 @@ CLIPPED_FROM = 0.995
 _PERCENTILE = 0.98
 _CELL_PX = 8
 _CLIPPED_CELL = 0.1
-"""Share of a cell's pixels: the dots of a window cover a fifth of it, a hot pixel a sixty-fourth."""
+"""Share of clipped pixels in a clipped cell: the dots of a window cover a fifth, a hot pixel 1/64."""
 
 _MIN_AGREEING = 3
-"""Exposures that must agree while nothing valid is measured: one may be a flash."""
+"""Number of exposures that must agree while nothing valid is measured: a single one may be a flash."""
 _ABSENCE_WINDOWS = 2
-"""A spot that is gone is waited for so long; most come back as they were."""
+"""Number of windows to wait for a lost spot; most return unchanged."""
 _SEARCH_FACTOR = 4.0
 _OVEREXPOSED_FACTOR = 1 / 4
-"""``saturated`` is said from 1.8-fold over-exposure on at the earliest, so this leaves 0.45 at least."""
+"""Factor after ``saturated``; that needs at least 1.8-fold over-exposure, so at least 0.45 remains."""
 _CLIPPED_FACTOR = HIGH / 2
-"""A clipped spot that is found is over-exposed about twofold at most: this brings it to 0.4 to 0.8."""
+"""Factor for a located but clipped spot; over-exposed about twofold at most, it gets 0.4 to 0.8."""
 _MAX_BACKGROUND = 0.5
-"""A search makes no background brighter than this."""
+"""Maximum level of the background during a search."""
 _MIN_LEVEL = 0.01
-"""Level that is taken for the least, so that a black frame does not ask for infinitely more."""
+"""Minimum level used in divisions, so that a black frame does not request an infinite exposure."""
 _MIN_CHANGE = 1.05
-"""Factor; a change by less is none."""
+"""Minimum factor of a change; smaller changes are not made."""
 _READOUT_SHARE = 0.1
-"""Of the time between two frames, what a camera may need beside the exposure."""
+"""Share of the time between two frames that a camera may need in addition to the exposure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,27 +57,28 @@ class Setting:
 
     @property
     def light(self) -> float:
-        """The quantity that grey values follow: the equivalent exposure time without gain, ms."""
+        """Equivalent exposure time without gain, ms: grey values are proportional to it."""
         return self.exposure_ms * _factor(self.gain_db)
 
 
 class Content(Enum):
-    """The contents of a frame that decide on its exposure."""
+    """Content of a frame, as far as it matters for exposure control."""
 
     SPOT = auto()
     OVEREXPOSED = auto()
-    """Saturated, or something else that is no spot and is clipped."""
+    """A saturated spot, or another clipped object."""
     NOTHING = auto()
-    """Laser off or spot too dark."""
+    """No spot: the laser is off or the spot is too dark."""
     OTHER = auto()
-    """Something that is no usable spot for a reason that exposure does not mend."""
+    """An unusable spot that another exposure would not make usable."""
 
 
 @dataclass(frozen=True, slots=True)
 class BrightnessSample:
-    """The brightness of one frame, and what it holds.
+    """Brightness and content of one frame.
 
-    ``level`` is a share of full scale, the background in it: that of the spot, or of the brightest place.
+    ``level`` is the brightness of the spot or else of the brightest cell, as a share of full scale, including
+    the background.
     """
 
     content: Content
@@ -85,11 +86,11 @@ class BrightnessSample:
 
 
 def sample_brightness(frame: Frame, spot: Spot | NoSpot) -> BrightnessSample:
-    """The brightness of a frame, by what the localiser found in it.
+    """Return the brightness of a frame, given the localiser's result.
 
-    The level of a spot is the 98th percentile of a square as wide as half its 1/e² diameter: a Gaussian fades
-    there to 0.78 at the corners, so on a plate as on the dots of a window (a fifth of the area) that is the
-    peak, and neither a hot pixel nor a grain of speckle is.
+    The level of a spot is the 98th percentile of a square as wide as half its 1/e² diameter. A Gaussian falls
+    there to 0.78 at the corners. So the level is the peak, both on a plate and on the dots of a window (a
+    fifth of the area), and neither a hot pixel nor a grain of speckle determines it.
     """
     pixels, full = frame.pixels, frame.full_scale
     if isinstance(spot, Spot):
@@ -105,7 +106,7 @@ def sample_brightness(frame: Frame, spot: Spot | NoSpot) -> BrightnessSample:
 
 
 def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> ExposureRange:
-    """The limits by the config, the camera, and the time between two frames."""
+    """Return the exposure limits set by the config, the camera, and the time between two frames."""
     longest_ms = min(control.longest_ms, camera.longest_ms, (1 - _READOUT_SHARE) * 1000 / fps)
     return ExposureRange(
         shortest_ms=min(max(control.shortest_ms, camera.shortest_ms), longest_ms),
@@ -116,7 +117,7 @@ def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> E
 
 
 def setting_for(light: float, limits: ExposureRange) -> Setting:
-    """Exposure first, gain only where the longest exposure does not do; as near as the limits allow."""
+    """Return the setting nearest to ``light`` within the limits; gain only beyond the longest exposure."""
     exposure_ms = light / _factor(limits.smallest_gain_db)
     exposure_ms = min(max(exposure_ms, limits.shortest_ms), limits.longest_ms)
     gain_db = 20 * math.log10(light / exposure_ms)
@@ -125,18 +126,18 @@ def setting_for(light: float, limits: ExposureRange) -> Setting:
 
 @dataclass(frozen=True, slots=True)
 class _Demand:
-    """Light that would do better, and how many exposures in a row must ask for more, or for less."""
+    """Requested light, ms, and the number of consecutive exposures that must request a change that way."""
 
     light: float
     exposures: int
 
 
 class ExposureRule:
-    """One camera's rule: brightness samples in, settings out.
+    """Exposure rule of one camera: brightness samples in, settings out.
 
-    ``window`` is the number of exposures that one measurement averages. While all is well a change needs
-    that many exposures out of the band, so it disturbs no more than one window of several. Until the level
-    has once been in the band again nothing valid is lost, and three do.
+    ``window`` is the number of exposures that one measurement averages. In normal operation a change needs
+    that many exposures outside the band, so it disturbs at most one of several windows. After a change, three
+    suffice until the level is in the band again, because no valid measurement is lost.
     """
 
     def __init__(self, limits: ExposureRange, window: int) -> None:
@@ -148,7 +149,7 @@ class ExposureRule:
         self._count = 0
 
     def next(self, sample: BrightnessSample, present: Setting) -> Setting | None:
-        """The next setting after a frame exposed with ``present`` that shows ``sample``; None: no change."""
+        """Return the setting that follows from ``sample``, exposed with ``present``; None: no change."""
         demand = self._demand(sample, present.light)
         if demand is None:
             self._count = 0
@@ -160,7 +161,7 @@ class ExposureRule:
             return None
         setting = setting_for(demand.light, self._limits)
         if 1 / _MIN_CHANGE < setting.light / present.light < _MIN_CHANGE:
-            return None  # as far as it goes
+            return None  # already at the limit
         self._count, self._settled = 0, False
         return setting
 
@@ -181,16 +182,16 @@ class ExposureRule:
         return None
 
     def _darker(self, light: float) -> _Demand:
-        """Back to where the spot was good, when that is darker: a search ends with a spot far too bright."""
+        """Return to the light of the last good spot if that is less: a search may end with far too much."""
         good = self._good_light
         if good is not None and good * _MIN_CHANGE < light:
             return _Demand(good, _MIN_AGREEING)
         return _Demand(light * _OVEREXPOSED_FACTOR, _MIN_AGREEING)
 
     def _searched(self, light: float, level: float) -> _Demand:
-        """Up only, for a spot too bright would be seen; and to rest where the limits or the background end.
+        """Search upwards only, for a too bright spot would be found, up to the limits or the background's.
 
-        A spot that was good is waited for first.
+        Wait for a previously good spot first.
         """
         most = light * _MAX_BACKGROUND / max(level, _MIN_LEVEL)
         exposures = max(_ABSENCE_WINDOWS * self._window, _MIN_AGREEING) if self._settled else _MIN_AGREEING
@@ -202,12 +203,12 @@ def _factor(gain_db: float) -> float:
 
 
 def _is_clipped_somewhere(pixels: PixelArray, full: int) -> bool:
-    """Whether more is clipped than hot pixels."""
+    """Whether more than hot pixels is clipped."""
     _, clipped = cv2.threshold(pixels, math.ceil(CLIPPED_FROM * full) - 1, 255, cv2.THRESH_BINARY)
     return bool(_cells(np.asarray(clipped)).max() >= _CLIPPED_CELL * 255)
 
 
 def _cells(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Means over cells of 8 × 8 px."""
+    """Return the means over cells of 8 × 8 px."""
     size = max(pixels.shape[1] // _CELL_PX, 1), max(pixels.shape[0] // _CELL_PX, 1)
     return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))

@@ -1,1 +1,1 @@
-"""Roll from an inclinometer: read in a thread of its own, judged, and put beside what the beam says."""
+"""Roll from an inclinometer: read in a separate thread, judged, and added to the beam's measurement."""

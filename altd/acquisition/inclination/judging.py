@@ -1,4 +1,4 @@
-"""Whether an inclinometer's readings can be believed, and how far. Pure."""
+"""Plausibility and uncertainty of an inclinometer's readings. Pure."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from altd.records.sensors import Quality, SensorValue, within_half_turn
 
 _MIN_READINGS = 4
 _MAX_READINGS = 10
-"""The span from which noise is estimated: the last two seconds."""
+"""Maximum number of readings from which noise is estimated: the last two seconds."""
 _MIN_SAME = 3
-"""Readings equal to the one before; fewer show nothing, whatever time is between them."""
+"""Minimum number of repeated readings for a frozen sensor; fewer prove nothing, however long they take."""
 _MAX_STILL_S = 60.0
-"""The angle alone may stay on one digit for so long while the rest moves: its axis may have died alone."""
+"""Maximum time for which the angle alone may stay constant: later, its axis counts as dead."""
 _POSSIBLE_C = (-40.0, 85.0)
-"""Temperatures at which such sensors work; the unit is for -10 to +60 °C."""
+"""Operating temperatures of such sensors, °C; the unit is specified for -10 to +60 °C."""
 
 
 class InclinationJudge:
     """Judges one reading after the other; remembers the last seconds.
 
-    ``noise_deg`` is the scatter of a reading, None before there are enough; ``longest_still_s`` the longest
-    time for which nothing of what was read moved.
+    ``noise_deg`` is the standard deviation of a reading, None before there are enough readings.
+    ``longest_still_s`` is the longest time for which no value of the readings changed.
     """
 
     def __init__(self, settings: InclinometerSettings, accuracy: InclinometerAccuracy) -> None:
@@ -37,14 +37,14 @@ class InclinationJudge:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the readings: another sensor may have come."""
+        """Forget the readings: the sensor may have been exchanged."""
         self._rolls_deg: deque[float] = deque(maxlen=_MAX_READINGS)
         self._last: InclinometerReading | None = None
         self._moved_ns = self._roll_moved_ns = self._same = 0
         self._has_moved = False
 
     def roll(self, reading: InclinometerReading) -> SensorValue:
-        """Roll as the unit publishes it, or why it cannot be believed."""
+        """Return roll as the unit publishes it, or the reason why it is not credible."""
         roll_deg = within_half_turn(
             self._settings.sign_roll * reading.roll_deg + self._settings.offset_roll_deg
         )
@@ -76,14 +76,14 @@ class InclinationJudge:
         )
 
     def gravity_pitch_deg(self, reading: InclinometerReading) -> float | None:
-        """The unit's pitch against gravity; None: the sensor has one axis."""
+        """Return the unit's pitch against gravity, degrees; None: the sensor has one axis."""
         if reading.pitch_deg is None:
             return None
         settings = self._settings
         return within_half_turn(settings.sign_pitch * reading.pitch_deg + settings.offset_pitch_deg)
 
     def _stillness(self, reading: InclinometerReading) -> str:
-        """The reading that did not change for too long, in words; empty: none."""
+        """Return, as text, which reading did not change for too long; empty: none."""
         last, self._last = self._last, reading
         self._same += 1
         self._has_moved |= last is not None and reading.words != last.words
@@ -104,16 +104,16 @@ class InclinationJudge:
         return self._accuracy.from_c <= reading.temperature_c <= self._accuracy.to_c
 
     def _sigma_deg(self, reading: InclinometerReading, noise_deg: float) -> float:
-        """One sigma: limits of error count as evenly spread between them, a/√3 (GUM 4.3.7)."""
+        """Return one sigma; error limits count as a uniform distribution between them, a/√3 (GUM 4.3.7)."""
         known = self._accuracy
         limit_deg = known.limit_deg if self._is_at_its_best(reading) else known.limit_elsewhere_deg
         return math.sqrt((limit_deg**2 + known.cross_axis_deg**2) / 3 + known.step_deg**2 / 12 + noise_deg**2)
 
 
 def _noise(angles_deg: Sequence[float]) -> float | None:
-    """The standard deviation of a reading, from second differences: steady turning is no noise.
+    """Return the standard deviation of a reading, from second differences: steady rotation is not noise.
 
-    Of independent readings with standard deviation s they have √6 · s.
+    Second differences of independent readings with standard deviation s have standard deviation √6 · s.
     """
     if len(angles_deg) < _MIN_READINGS:
         return None

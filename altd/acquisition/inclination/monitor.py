@@ -1,11 +1,11 @@
 """The inclinometer's task: reads it indefinitely, and adds its newest roll to each measurement.
 
-A failing sensor ends nothing else: its calls block in a thread of their own, and a measurement gets the last
+A failing sensor affects nothing else: its calls block in a separate thread, and a measurement gets the last
 reading without waiting.
 
 The beam's pitch in the unit and the unit's pitch against gravity add up to the beam's own inclination, which
-stays while the machine moves. ``PitchDivergence`` compares it with what it was: refraction, or a laser that
-moved, changes it slowly.
+stays constant while the machine moves. ``PitchDivergence`` compares it with an earlier mean: refraction or a
+moved laser changes it slowly.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
 
 MEAN_S = 600.0
-"""The time over which the reference and the current inclination are averaged: shorter is vibration."""
+"""Averaging time of the reference and of the current inclination: shorter changes are vibration."""
 MAX_GAP_S = 600.0
-"""A beam that was away for longer may be another one, of a laser that was set up again: a new reference."""
+"""Maximum gap between two samples; after a longer one, perhaps with another laser, the reference is new."""
 INTERVAL_S = 1.0
-"""From one sample to the next; further ones between them say nothing more."""
+"""Minimum time between two samples; more samples add no information."""
 
 
 class PitchDivergence:
-    """The change of the beam's inclination since the first ten minutes."""
+    """Change of the beam's inclination relative to its mean over the first ten minutes."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
@@ -49,7 +49,7 @@ class PitchDivergence:
         self._samples = 0
 
     def add(self, t_ns: int, inclination_deg: float) -> None:
-        """A sample of the beam's inclination against gravity."""
+        """Add a sample of the beam's inclination against gravity."""
         since_s = math.inf if self._last_ns is None else (t_ns - self._last_ns) * 1e-9
         if since_s < INTERVAL_S:
             return
@@ -64,7 +64,7 @@ class PitchDivergence:
             self._now_deg += (1.0 - math.exp(-since_s / MEAN_S)) * (inclination_deg - self._now_deg)
 
     def divergence_deg(self, now_ns: int) -> float | None:
-        """The current inclination minus the reference; None: not known yet, or too old."""
+        """Return the current inclination minus the reference; None: not known yet, or too old."""
         if self._last_ns is None or (self._last_ns - self._begin_ns) * 1e-9 < MEAN_S:
             return None
         if (now_ns - self._last_ns) * 1e-9 > MAX_GAP_S:
@@ -75,23 +75,23 @@ class PitchDivergence:
 log = logging.getLogger("altd")
 
 ROLL = "roll_deg"
-"""The quantity that an inclinometer measures."""
+"""Key of the quantity that an inclinometer measures."""
 
 _CALL_TIMEOUT_S = 1.0
-"""A reading takes a tenth of a second, a failed one half a second; after this long the port hangs."""
+"""Maximum time of a call. A reading takes 0.1 s, a failed one 0.5 s; after this time the port hangs."""
 _OPEN_TIMEOUT_S = 10.0
-"""A USB adapter is asked for everything over its bus."""
+"""Maximum time of opening the port: for a USB adapter, every request goes over its bus."""
 _CLOSE_TIMEOUT_S = 1.0
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 1.0
-"""A person who plugs a cable in waits for the result."""
+"""Minimum and maximum time before reopening; short, for the person who has just plugged in a cable."""
 _MAX_FAILURES = 3
-"""In a row; then the port is opened again."""
+"""Number of consecutive failures after which the port is reopened."""
 
 
 class InclinationMonitor:
-    """Reads one inclinometer. ``complete`` adds to a measurement what it says.
+    """Reads one inclinometer. ``complete`` adds its roll to a measurement.
 
-    ``installation`` turned the beam's pitch into what the controller wants, and is undone here.
+    ``installation`` converted the beam's pitch for the controller; the comparison of pitch reverts that.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class InclinationMonitor:
         clock: Clock,
     ) -> None:
         self.quantities = quantities.with_sensor(ROLL)
-        """The quantities of the unit's instrument, and roll from this sensor."""
+        """Quantities of the unit's instrument, and roll from this sensor."""
         self._driver = driver
         self._settings = settings
         self._installation = installation
@@ -113,14 +113,14 @@ class InclinationMonitor:
         self._judge = InclinationJudge(settings, driver.accuracy)
         self._said = SensorValue(Quality.STARTING, "the inclinometer was not read so far")
         self._failure: SensorValue | None = None
-        """Why nothing follows what was said last; None: something does."""
+        """The failure since the last reading; None: the last call succeeded."""
         self._logged: Quality | None = None
         self._divergence = PitchDivergence()
         self._gravity_pitch_deg: float | None = None
-        """Of the newest reading that can be believed."""
+        """Pitch against gravity of the newest reading; None: it is not credible or has no pitch."""
 
     def complete(self, measurement: Measurement) -> Measurement:
-        """The measurement with roll as it is known now."""
+        """Return the measurement with the current roll."""
         now_ns = self._clock.monotonic_ns()
         said = self._said.at(now_ns)
         if said.value is not None:
@@ -157,7 +157,7 @@ class InclinationMonitor:
             await thread.end(self._driver.close, _CLOSE_TIMEOUT_S)
 
     async def _read_on(self, thread: DeviceThread) -> None:
-        """Read again and again; raises what makes it worth opening the port again."""
+        """Read at intervals; raises errors after which the port must be reopened."""
         failures = 0
         due_ns = self._clock.monotonic_ns()
         while True:
@@ -176,7 +176,7 @@ class InclinationMonitor:
             await self._clock.sleep((due_ns - now_ns) * 1e-9)
 
     def _compare_pitch(self, measurement: Measurement, gravity_pitch_deg: float, now_ns: int) -> None:
-        """The beam's own inclination is its pitch in the unit and the unit's against gravity together."""
+        """Add a sample of the beam's inclination: its pitch in the unit plus the unit's against gravity."""
         if not measurement.valid or (pitch_deg := measurement.number("pitch_deg")) is None:
             return
         optical_deg = self._installation.sign_pitch * (pitch_deg - self._installation.offset_pitch_deg)
@@ -203,7 +203,7 @@ class InclinationMonitor:
         self._report(said)
 
     def _fail(self, error: Exception) -> None:
-        """A single answer that is lost leaves what was said until that is too old; all else ends it now."""
+        """Note a failure; after a lost or disturbed response, keep the last reading until it is too old."""
         said = _in_words(error)
         self._component.count("failures")
         self._failure = said
@@ -213,7 +213,7 @@ class InclinationMonitor:
             self._report(said)
 
     def _report(self, said: SensorValue) -> None:
-        """Health, and a line in the log when it changes."""
+        """Report to health, and write a line to the log when the quality changes."""
         known = said.value is not None
         starting = said.quality is Quality.STARTING
         state = State.OK if known else State.STARTING if starting else State.FAILED

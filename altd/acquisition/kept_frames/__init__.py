@@ -1,1 +1,1 @@
-"""The frames of the last seconds: in memory, and on the disk after a fault or on request."""
+"""Frames of the last seconds: in memory, and on the disk after a fault or on request."""

@@ -32,20 +32,20 @@ Result = TypeVar("Result")
 
 _LOOK_INTERVAL_S = 0.25
 _GRAVE = (Signal.FAILURE, Signal.OUT_OF_SPECIFICATION)
-"""An intended state, such as a self-check, is no fault; nor is required maintenance alone."""
+"""Signals of faults to record; an intended state, such as a self-check, or maintenance alone is no fault."""
 _MAX_PAUSE_S = 0.1
 _DISK_TIMEOUT_S = 120.0
-"""A recording is written at half a core's pace: seconds."""
+"""Maximum time of a disk operation. Writing a recording on half a core takes seconds."""
 _READ_TIMEOUT_S = 10.0
-"""A file is read in milliseconds."""
+"""Maximum time of reading a file, which normally takes milliseconds."""
 _END_TIMEOUT_S = 1.0
 _MAX_WAITING = 4
-"""Recordings that are asked for or under way at a time; only the one under way holds frames."""
+"""Maximum number of recordings requested or being written; only the one being written holds frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The source of recordings: the cameras' newest frames, their pairing, and the unit."""
+    """Source of recordings: the cameras' newest frames, their pairing, and the unit."""
 
     ring: FrameRing
     cameras: Mapping[str, Camera]
@@ -56,8 +56,8 @@ class Source:
 class FrameKeeper:
     """Keeps recordings of one unit.
 
-    ``state`` tells what is wrong now; ``note`` is called with each recording that was kept, or with the
-    reason why there is none.
+    ``state`` returns the unit's current state and causes. ``note`` is called with a text and the kept
+    recording, or None if it could not be kept; the text then has the reason.
     """
 
     def __init__(
@@ -82,18 +82,18 @@ class FrameKeeper:
         self._waiting = 0
         self._recordings: tuple[KeptRecording, ...] = ()
         self._known: set[str] = set()
-        """Grave causes that were there at the last look."""
+        """Causes with a signal of ``_GRAVE`` at the last check."""
         self._kept_ns: dict[str, int] = {}
-        """When a recording of a cause was begun last."""
+        """Time of the last recording by cause."""
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
     def recordings(self) -> Sequence[KeptRecording]:
-        """The kept recordings, the newest first."""
+        """The kept recordings, newest first."""
         return self._recordings
 
     async def run(self) -> None:
-        """Look for faults until cancelled."""
+        """Check for new faults and record them until cancelled."""
         self._disk = disk = DeviceThread("kept-frames")
         try:
             await self._open()
@@ -111,22 +111,22 @@ class FrameKeeper:
             await disk.end(lambda: None, _END_TIMEOUT_S)
 
     async def keep(self, why: str) -> KeptRecording:
-        """Write the last seconds, up to now; raises NotKeptError."""
+        """Write the frames of the last seconds, up to now; raises NotKeptError."""
         now_ns = self._clock.monotonic_ns()
         return await self._keep(why, now_ns - self._before_ns, now_ns)
 
     async def mark(self, name: str, is_marked: bool) -> KeptRecording:
-        """Mark a recording, so that it stays, or take its mark away; raises NotKeptError."""
+        """Mark a recording, so that it is never removed, or unmark it; raises NotKeptError."""
         kept = await self._on_disk(partial(self._store.mark, name, is_marked))
         self._recordings = tuple(kept if each.name == name else each for each in self._recordings)
         return kept
 
     async def files(self, name: str) -> Sequence[str]:
-        """The files of a recording, by their paths in it; raises NotKeptError."""
+        """Return the files of a recording, as paths relative to it; raises NotKeptError."""
         return await _beside(partial(self._store.files, name))
 
     async def content(self, name: str, file: str) -> bytes | None:
-        """One of them, None when it is gone; raises NotKeptError."""
+        """Return the content of one of these files; None: it is gone. Raises NotKeptError."""
         return await _beside(partial(self._store.content, name, file))
 
     @property
@@ -142,7 +142,7 @@ class FrameKeeper:
             self._say()
 
     def _new_fault(self) -> str:
-        """The worst cause that was not there at the last look and is not recorded yet; empty: none."""
+        """Return the worst cause that is new since the last check and not yet recorded; empty: none."""
         causes = [shown for shown in self._state().causes if shown.is_active and shown.signal in _GRAVE]
         before, self._known = self._known, {_key(shown) for shown in causes}
         now_ns = self._clock.monotonic_ns()
@@ -150,7 +150,7 @@ class FrameKeeper:
         for why in map(_key, causes):
             last_ns = self._kept_ns.get(why)
             if why not in before and (last_ns is None or now_ns - last_ns >= again_ns):
-                # one recording shows all that went wrong at that moment
+                # one recording covers all causes of that moment
                 self._kept_ns |= dict.fromkeys(self._known, now_ns)
                 return why
         return ""
@@ -187,9 +187,9 @@ class FrameKeeper:
         return kept
 
     def _write(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:
-        """In the disk's thread: pair the frames and write them.
+        """Pair the frames and write them, in the disk's thread.
 
-        They are taken from the ring only here, so that no two recordings hold frames at a time.
+        Frames are taken from the ring only here, so that two recordings never hold frames at a time.
         """
         ring = self._source.ring
         frames = ring.between(since_ns, until_ns)
@@ -217,7 +217,7 @@ class FrameKeeper:
         return Written(writer.exposures, writer.length_s)
 
     def _pairs(self, frames: deque[Frame]) -> Iterator[Pair[Frame]]:
-        """The exposures; a frame is released once yielded. Those of a change of exposure are left out."""
+        """Yield the frame sets, without frames of a change of exposure; a frame is released once yielded."""
         measuring = self._source.measuring
         pairer: Pairer[Frame] = Pairer(
             tuple(self._source.cameras), measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
@@ -229,7 +229,7 @@ class FrameKeeper:
         yield from pairer.flush()
 
     async def _on_disk(self, call: Callable[[], Result]) -> Result:
-        """Have the disk's thread do something; NotKeptError when that fails or the disk hangs."""
+        """Make a call in the disk's thread; raises NotKeptError if it fails or the disk hangs."""
         if self._disk is None:
             raise NotKeptError("the unit starts")
         try:
@@ -253,9 +253,9 @@ class FrameKeeper:
 
 
 async def _beside(call: Callable[[], Result]) -> Result:
-    """The disk's answer while a recording may be written; raises NotKeptError, also for a disk that hangs.
+    """Read from the disk while a recording may be written; raises NotKeptError, also if the disk hangs.
 
-    In a thread that ends with it: one that hangs holds neither the loop nor the end of the process.
+    The call has its own thread; if it hangs, it blocks neither the loop nor the end of the process.
     """
     try:
         async with asyncio.timeout(_READ_TIMEOUT_S):

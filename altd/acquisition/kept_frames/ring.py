@@ -1,4 +1,4 @@
-"""The newest frames of all cameras in memory, as many as a bound allows."""
+"""The newest frames of all cameras in memory, up to a limit."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class _Kept:
 
 
 class FrameRing:
-    """Keeps frames for a while.
+    """Keeps the newest frames.
 
-    Nothing is copied: a frame is frozen and owns its pixels. ``max_bytes`` bounds the pixels that are kept,
-    ``length_ns`` how far they reach back; ``identity`` tells which camera delivers now.
+    Nothing is copied: a frame is frozen and owns its pixels. ``max_bytes`` limits the kept pixels,
+    ``length_ns`` their age; ``identity`` returns the identity of the camera that delivers now.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class FrameRing:
 
     @property
     def nbytes(self) -> int:
-        """The memory of the kept pixels."""
+        """Memory of the kept pixels, bytes."""
         return self._bytes
 
     def keep(self, frame: Frame) -> None:
@@ -46,7 +46,7 @@ class FrameRing:
         kept = _Kept(frame, self._identity(frame.camera))
         with self._lock:
             if self._kept and frame.t_ns < self._kept[-1].frame.t_ns - self._length_ns:
-                self._clear()  # a recording that is played again: what was before is not what came before
+                self._clear()  # a recording is being repeated: the kept frames do not precede this one
             self._kept.append(kept)
             self._bytes += frame.pixels.nbytes
             while self._kept and (
@@ -55,10 +55,10 @@ class FrameRing:
                 self._bytes -= self._kept.popleft().frame.pixels.nbytes
 
     def between(self, since_ns: int, until_ns: int) -> deque[Frame]:
-        """The kept frames of these instants, in the order in which they came.
+        """Return the kept frames between these instants, in the order of delivery.
 
-        Of each camera those that the newest of them shows to be of one camera: one that was exchanged
-        meanwhile is not told from the other in a recording.
+        If a camera was exchanged meanwhile, only frames since then are returned: a recording cannot
+        distinguish the two cameras.
         """
         with self._lock:
             kept = [each for each in self._kept if since_ns <= each.frame.t_ns <= until_ns]

@@ -1,4 +1,4 @@
-"""Recordings on the unit's disk, in a bounded space: the oldest go first, marked ones stay."""
+"""Recordings on the unit's disk, in limited space: the oldest are removed first, marked ones never."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _DAMAGED = f"unknown: {_ABOUT_FILE} is damaged"
 _UNDER_WAY = ".under-way-"
 _NAME = re.compile(r"[0-9A-Za-z_-]{1,120}")
 MIN_FREE_BYTES = 200 << 20
-"""Left free on the disk, for the history and whatever else the unit writes."""
+"""Minimum free space on the disk, for the history and other files of the unit."""
 _FILE = re.compile(r"(?:[0-9A-Za-z_-]{1,64}/)?[0-9A-Za-z_-][0-9A-Za-z_.-]{0,63}")
-"""A file of a recording; whatever else lies in its folder is none of it."""
+"""Path of a file of a recording; other files in its folder are ignored."""
 _MAX_FILE_BYTES = 64 << 20
 _MAX_WHY_CHARACTERS = 200
 _MAX_SECONDS = 1e6
@@ -40,23 +40,23 @@ _MAX_SAME_NAME = 100
 _BLOCK_BYTES = 4096
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
-"""Of a file system without locks: there two daemons do not see each other."""
+"""Errors of a file system without locks, where two daemons cannot detect each other."""
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """The length of a recording, once it is written."""
+    """Length of a written recording."""
 
     exposures: int
     seconds: float
 
 
 class RecordingStore:
-    """The recordings in ``folder``, which may take ``max_bytes`` together. Its calls block.
+    """The recordings in ``folder``, with ``max_bytes`` in total. The calls block.
 
-    A recording is written beside the others and gets its name when it is complete; until then its writer
-    holds the lock of its folder (flock(2)), which ends with the process. Each has a number, which identifies
-    the oldest: with a clock that is not set, the name of the newest holds a day of long ago.
+    A recording is written under a temporary name and renamed when complete. Until then its writer holds the
+    lock of its folder (flock(2)), which ends with the process. Each recording has a number, which identifies
+    the oldest: if the clock was not set, the newest recording has an old date in its name.
 
     The contents of the folder are not trusted. A recording is a folder with a ``kept.json``; if that file is
     not plausible, its contents are ignored and the recording is kept. The bytes of a recording are counted,
@@ -68,7 +68,7 @@ class RecordingStore:
         self._max_bytes = max_bytes
 
     def open(self) -> tuple[KeptRecording, ...]:
-        """Make the folder, remove what a daemon that was killed left half done; the recordings there are."""
+        """Create the folder, remove unfinished recordings of a killed daemon; return the recordings."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._remove_unfinished()
@@ -77,26 +77,26 @@ class RecordingStore:
             raise self._refused(error) from error
 
     def recordings(self) -> tuple[KeptRecording, ...]:
-        """The kept recordings, the newest first; files that altd did not write are skipped."""
+        """Return the kept recordings, newest first; files that altd did not write are skipped."""
         newest_first = sorted(self._numbered(), key=lambda each: (each[0], each[1].name), reverse=True)
         return tuple(kept for _, kept in newest_first)
 
     def folder_of(self, name: str) -> Path:
-        """The folder of a recording; raises NotKeptError when there is none of that name."""
+        """Return the folder of a recording; raises NotKeptError for an unknown name."""
         path = self._folder / name
         if not _NAME.fullmatch(name) or path.is_symlink() or not os.path.lexists(path / _ABOUT_FILE):
             raise NotKeptError("there is no such recording")
         return path
 
     def files(self, name: str) -> list[str]:
-        """The files of a recording, by their paths in it, the header last; raises NotKeptError."""
+        """Return the files of a recording as relative paths, the header last; raises NotKeptError."""
         folder = self.folder_of(name)
         found = (entry.path for entry in _entries(folder) if entry.is_file(follow_symlinks=False))
         names = (Path(path).relative_to(folder).as_posix() for path in found)
         return sorted(filter(_FILE.fullmatch, names), key=lambda name: (name == HEADER_FILE, name))
 
     def content(self, name: str, file: str) -> bytes | None:
-        """One of ``files``; None: it is gone."""
+        """Return the content of one of ``files``; None: it cannot be read."""
         path = Path(name, file)
         if not (_NAME.fullmatch(name) and _FILE.fullmatch(file)):
             return None
@@ -107,7 +107,7 @@ class RecordingStore:
             return None
 
     def mark(self, name: str, is_marked: bool) -> KeptRecording:
-        """Mark a recording, or take its mark away."""
+        """Mark or unmark a recording; raises NotKeptError."""
         path = self.folder_of(name)
         if (found := self._read(name)) is None:
             raise NotKeptError("the recording cannot be read")
@@ -121,9 +121,9 @@ class RecordingStore:
     def add(
         self, why: str, start: datetime | None, max_bytes: int, write: Callable[[Path], Written]
     ) -> KeptRecording:
-        """Have a recording of up to ``max_bytes`` written, after room was made for it.
+        """Make room for up to ``max_bytes`` and have ``write`` write a recording.
 
-        Raises NotKeptError where there is no room or the disk refuses, and then nothing of it remains.
+        Raises NotKeptError if there is no room or the disk refuses; then nothing of the recording remains.
         """
         under_way = self._under_way()
         try:
@@ -154,13 +154,13 @@ class RecordingStore:
         return kept
 
     def _remove_unfinished(self) -> None:
-        """Remove unfinished recordings without a writer; another daemon may be writing here."""
+        """Remove unfinished recordings without a writer; another daemon may be writing one."""
         for left in self._folder.glob(f"{_UNDER_WAY}*"):
             with suppress(OSError), _locked(left):
                 shutil.rmtree(left, ignore_errors=True)
 
     def _make_room(self, max_bytes: int) -> None:
-        """Remove the oldest unmarked recordings until there is room; none if that would not be enough."""
+        """Remove the oldest unmarked recordings until there is room; remove none if that is not enough."""
         there = self.recordings()
         free = shutil.disk_usage(self._folder).free - MIN_FREE_BYTES
         lacking = max(sum(kept.bytes for kept in there) + max_bytes - self._max_bytes, max_bytes - free)
@@ -180,7 +180,7 @@ class RecordingStore:
             needed = f"there is no room for up to {max_bytes >> 20} MB"
             raise NotKeptError("the disk is nearly full" if free < max_bytes else f"{needed}: {held}")
         for name in going:
-            left = self._under_way()  # a power cut meanwhile leaves nothing that is not counted
+            left = self._under_way()  # after a power cut meanwhile, the next start removes the rest
             (self._folder / name).rename(left)
             shutil.rmtree(left)
 
@@ -197,12 +197,12 @@ class RecordingStore:
         raise NotKeptError(f"there are {_MAX_SAME_NAME} recordings of the name {base}")
 
     def _numbered(self) -> list[tuple[int, KeptRecording]]:
-        """The kept recordings, each with its number."""
+        """Return the kept recordings, each with its number."""
         found = (self._read(path.name) for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
         return [each for each in found if each is not None]
 
     def _read(self, name: str) -> tuple[int, KeptRecording] | None:
-        """Number and facts of a recording; None: there is none. 0 where the file has no number."""
+        """Return number (0 if the file has none) and facts of a recording; None: there is no recording."""
         about: object = None
         try:
             with _entered(self._folder, Path(name)) as folder:
@@ -223,7 +223,7 @@ class RecordingStore:
 
 
 def _believed(facts: Mapping[str, object]) -> tuple[int, str, str, float, int] | None:
-    """Number, why, start, seconds and exposures of a ``kept.json``; None where one of them cannot be."""
+    """Return number, why, start, seconds and exposures of a ``kept.json``; None: one is not plausible."""
     number, why, start = facts.get("number", 0), facts.get("why"), facts.get("start") or ""
     seconds, exposures = facts.get("seconds"), facts.get("exposures")
     if not (isinstance(why, str) and len(why) <= _MAX_WHY_CHARACTERS and one_line(why) == why):
@@ -235,12 +235,12 @@ def _believed(facts: Mapping[str, object]) -> tuple[int, str, str, float, int] |
     if not (isinstance(number, int) and isinstance(exposures, int) and isinstance(seconds, int | float)):
         return None
     if not (0 <= number <= _MAX_NUMBER and 0 <= exposures <= _MAX_NUMBER and 0 <= seconds <= _MAX_SECONDS):
-        return None  # NaN, too
+        return None  # also for NaN
     return number, why, start, float(seconds), exposures
 
 
 def _is_utc(text: str) -> bool:
-    """Whether it is a time as ``utc_text`` writes it."""
+    """Whether ``text`` is a time as ``utc_text`` writes it."""
     try:
         return utc_text(datetime.fromisoformat(text)) == text
     except (ValueError, OverflowError):
@@ -249,7 +249,7 @@ def _is_utc(text: str) -> bool:
 
 @contextmanager
 def _entered(folder: Path, below: Path) -> Iterator[int]:
-    """The descriptor of a folder below ``folder``; raises OSError, also where a link is on the way to it."""
+    """Open a folder below ``folder``, yield its descriptor; raises OSError, also for a link on the path."""
     descriptor = os.open(folder, _FOLDER)
     try:
         for name in below.parts:
@@ -263,7 +263,7 @@ def _entered(folder: Path, below: Path) -> Iterator[int]:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's lock; raises OSError, BlockingIOError while another holds it."""
+    """Hold a folder's lock; raises OSError, BlockingIOError while another process holds it."""
     descriptor = os.open(folder, _FOLDER | os.O_NOFOLLOW)
     try:
         try:
@@ -282,7 +282,7 @@ def _write_about(path: Path, number: int, kept: KeptRecording) -> None:
 
 
 def _bytes_of(folder: Path) -> int:
-    """The size of a folder on the disk, in whole blocks: some file systems count them only later."""
+    """Return the size of a folder in whole blocks, bytes: some file systems report used blocks only later."""
     sizes = (entry.stat(follow_symlinks=False).st_size for entry in _entries(folder))
     return sum(_BLOCK_BYTES * -(-size // _BLOCK_BYTES) for size in sizes)
 

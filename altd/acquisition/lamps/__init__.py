@@ -1,1 +1,1 @@
-"""Frame LEDs and indicators held at their setpoints."""
+"""Control of frame LEDs and indicators."""

@@ -1,4 +1,4 @@
-"""Lamps of any kind held open and at their setpoint, and opened again when they are lost; the frame LEDs."""
+"""Controller that keeps lamps of any kind open and at their setpoint, and reopens them; the frame LEDs."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ log = logging.getLogger("altd")
 Setpoint = TypeVar("Setpoint")
 
 CALL_TIMEOUT_S = 1.0
-"""A driver's call takes microseconds on a chip, milliseconds in a camera; one that takes longer hangs."""
+"""Maximum time of a driver's call, which takes microseconds on a chip and milliseconds in a camera."""
 
 REFRESH_INTERVAL_S = 1.0
-"""The setpoint is applied again so often: a chip that went away is noticed while nothing changes."""
+"""Interval at which an unchanged setpoint is reapplied, so that the loss of a chip is detected."""
 
 MIN_BACKOFF_S = 0.2
 MAX_BACKOFF_S = 5.0
 _HEARTBEAT_S = MAX_BACKOFF_S + 5 * CALL_TIMEOUT_S
-"""Lamps are heard of after each try, which takes three calls at most, and each pause."""
+"""Maximum silence of live lamps: they report after each attempt, of at most three calls, and each pause."""
 
 
 _CAMERAS_POLL_INTERVAL_S = 0.05
 
 
 class Openable(Protocol):
-    """The methods that lamps of all kinds have."""
+    """Methods common to lamps of all kinds."""
 
     def open(self) -> None:
-        """Open them, dark; raises LampsError."""
+        """Open the lamps, dark; raises LampsError."""
 
     def close(self) -> None:
-        """Darken and release them."""
+        """Darken and release the lamps."""
 
 
 class LampController(Generic[Setpoint]):
-    """Controls one driver's lamps. ``show`` applies a setpoint; ``dark`` is the one that they open with.
+    """Controls one driver's lamps. ``show`` applies a setpoint; ``dark`` is the setpoint of opened lamps.
 
-    A failing driver ends nothing else: the failure is reported in health, and the lamps are closed and opened
-    again, at growing intervals, indefinitely. After a failure the setpoint is ``dark`` again.
+    A failing driver affects nothing else: the failure is reported in health, and the lamps are closed and
+    reopened, at growing intervals, indefinitely. After a failure the setpoint is ``dark`` again.
     """
 
     def __init__(
@@ -65,25 +65,25 @@ class LampController(Generic[Setpoint]):
         self._waiting: list[asyncio.Future[None]] = []
         self._backoff_s = MIN_BACKOFF_S
         self.last_failure = ""
-        """The latest since the start, also if a later try succeeded; empty: none."""
+        """Latest failure since the start, even if a later attempt succeeded; empty: none."""
 
     def request(self, setpoint: Setpoint) -> None:
-        """Change the setpoint; health says when it cannot be applied."""
+        """Change the setpoint; health reports if it cannot be applied."""
         if setpoint != self._setpoint:
             self._setpoint = setpoint
             self._changed.set()
 
     @property
     def complaint(self) -> str:
-        """Why the lamps cannot be switched now; empty: they can."""
+        """Reason why the lamps cannot be switched now; empty: they can."""
         if self._component.state is State.OK:
             return ""
         return self._component.message or "the lamps are not open yet"
 
     async def apply(self, setpoint: Setpoint) -> None:
-        """Change the setpoint; returns once it is applied, raises LampsError when it cannot be.
+        """Change the setpoint; return once it is applied, raise LampsError if it cannot be.
 
-        When the daemon ends and gives up the lamps, waiting calls are cancelled: no lamp has failed.
+        When the daemon ends, waiting calls are cancelled: no lamp has failed.
         """
         if complaint := self.complaint:
             raise LampsError(complaint)
@@ -94,9 +94,10 @@ class LampController(Generic[Setpoint]):
         await applied
 
     async def run(self, cameras: Iterable[Component] = ()) -> None:
-        """Control the lamps until cancelled; then they are dark.
+        """Control the lamps until cancelled; then darken them.
 
-        ``cameras`` are those whose outputs switch them: they are opened once each has delivered or failed.
+        ``cameras`` are the cameras whose outputs switch the lamps; the lamps are opened once each camera has
+        delivered or failed.
         """
         for camera in cameras:
             while camera.state is State.STARTING:
@@ -121,7 +122,7 @@ class LampController(Generic[Setpoint]):
                 log.warning("%s: the driver does not come back; they may stay lit", self._component.name)
 
     async def _apply_setpoints(self, thread: DeviceThread) -> None:
-        """Apply the setpoint when it changes, and at intervals, until that fails."""
+        """Apply the setpoint at each change and at intervals, until that fails."""
         while True:
             self._changed.clear()
             count = len(self._waiting)
@@ -162,12 +163,12 @@ def _complaint_of(error: Exception) -> str:
 
 
 class FrameLamps(LampController[bool]):
-    """The daemon's frame LEDs, all lit or all dark. When they are lost while lit, they come back dark."""
+    """The daemon's frame LEDs, all lit or all dark. If they are lost while lit, they are reopened dark."""
 
     def __init__(self, lamps: Lamps, component: Component, clock: Clock) -> None:
         super().__init__(lamps, lamps.switch, False, component, clock)
 
     @property
     def is_starting(self) -> bool:
-        """Whether they were not opened yet, nor has that failed."""
+        """Whether the LEDs have been neither opened nor reported as failed."""
         return self._component.state is State.STARTING

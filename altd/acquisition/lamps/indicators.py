@@ -1,4 +1,4 @@
-"""The lamps on the housing, for the technician beside the unit (App. A.1.4)."""
+"""Indicator lamps on the housing, for a technician at the unit (App. A.1.4)."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from altd.status.board import Board
 from altd.status.health import Component, Health, State
 
 UPDATE_INTERVAL_S = 0.08
-"""Between two updates of the lamps, and the duration of a flash of Data: short, yet seen."""
+"""Time between two updates of the lamps, and duration of a Data flash: short, but visible."""
 
 BLINK_HALF_PERIOD_NS = 500_000_000
 """Half a period of blinking: 1 Hz, all lamps in step."""
 
 WARM_UP_S = 2.0
-"""A daemon that started less than this ago is warming up, whatever else it reports: cameras open slowly."""
+"""Time after its start for which a daemon without a valid measurement is warming up: cameras open slowly."""
 
 
 class Validity(Enum):
-    """The validity of the measurement, as far as a lamp can show it."""
+    """Validity of the measurement, as far as a lamp can show it."""
 
     VALID = auto()
     WARNED = auto()
@@ -33,14 +33,14 @@ class Validity(Enum):
 
 
 class Light(Enum):
-    """The state of one lamp."""
+    """State of one lamp."""
 
     DARK = auto()
     BLINKS = auto()
     STEADY = auto()
 
     def lit_at(self, t_ns: int) -> bool:
-        """Whether it shines at an instant of the monotonic clock."""
+        """Whether the lamp is lit at an instant of the monotonic clock."""
         return self is Light.STEADY or (self is Light.BLINKS and t_ns // BLINK_HALF_PERIOD_NS % 2 == 0)
 
 
@@ -53,7 +53,7 @@ OK_LIGHT = {
 
 
 def validity_of(measurement: Measurement | None, running_s: float) -> Validity:
-    """The validity of what is on the board (None: nothing yet), so long after the daemon's start."""
+    """Return the validity of the board's measurement (None: none yet), ``running_s`` after the start."""
     if measurement is not None and measurement.valid:
         return Validity.WARNED if measurement.status else Validity.VALID
     status = measurement.status if measurement is not None else ()
@@ -64,7 +64,7 @@ def validity_of(measurement: Measurement | None, running_s: float) -> Validity:
 
 
 def error_light(validity: Validity, needs_attention: bool) -> Light:
-    """The state of the lamp Error; ``needs_attention``: a cause other than the measurement needs a person."""
+    """Return the state of the lamp Error; ``needs_attention``: a cause besides the measurement does."""
     if validity is Validity.INVALID:
         return Light.STEADY
     return Light.BLINKS if needs_attention else Light.DARK
@@ -72,13 +72,13 @@ def error_light(validity: Validity, needs_attention: bool) -> Light:
 
 @dataclass(slots=True)
 class DataFlash:
-    """Data shines for one tick after data was given and is dark for one at least: a stream is a flicker."""
+    """The lamp Data: lit for one tick after data was sent, then dark for at least one; a stream flickers."""
 
     _seen: int = 0
     _lit: bool = False
 
     def lit(self, given: int) -> bool:
-        """Whether it shines in this tick, after data was given so often altogether."""
+        """Return whether the lamp is lit in this tick; ``given`` is the total number of deliveries so far."""
         self._lit = given > self._seen and not self._lit
         if self._lit:
             self._seen = given
@@ -86,7 +86,7 @@ class DataFlash:
 
 
 class IndicatorPanel:
-    """The lamps on the housing, following board and health."""
+    """The indicator lamps, which follow board and health."""
 
     def __init__(
         self, indicators: Indicators, board: Board, health: Health, component: Component, clock: Clock
@@ -101,7 +101,7 @@ class IndicatorPanel:
         self._flash = DataFlash()
 
     async def run(self) -> None:
-        """Follow until cancelled; then all are dark."""
+        """Update the lamps until cancelled; then darken them."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._controller.run(), name="indicator-controller")
             await self._follow()

@@ -1,1 +1,1 @@
-"""The calibration scan: the stage moves, the cameras record."""
+"""The calibration scan: the stage moves the beam, the cameras record."""

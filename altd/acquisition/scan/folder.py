@@ -1,8 +1,8 @@
-"""The folder of an unfinished scan: its contents are complete, and list what is done.
+"""The folder of an unfinished scan: its committed contents are complete and list the finished nodes.
 
-It is called DIR.unfinished, and becomes DIR at the end, so half a scan cannot be mistaken for a whole one.
-After each node, of a flat after each 64, ``scan.json`` is replaced; it says how much of the table counts.
-Data behind that, left by an interruption, is cut off when the scan is resumed.
+It is named DIR.unfinished and renamed to DIR at the end, so a partial scan cannot be mistaken for a complete
+one. After each node, or every 64 nodes of a flat, ``scan.json`` is replaced; it has the committed length of
+the table. Data beyond that length, left by an interruption, is cut off when the scan is resumed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SpotPx = tuple[float, float]
 class DoneNode(BaseModel):
     """A node whose frames are kept: the position of the stage, and the mean spot per camera, px.
 
-    A node in the margin of a flat may be without spots.
+    A node in the margin of a flat may have no spots.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -58,7 +58,7 @@ class DoneNode(BaseModel):
 
 
 class State(BaseModel):
-    """``scan.json``."""
+    """Content of ``scan.json``."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -75,7 +75,7 @@ class State(BaseModel):
 
 
 class ScanFolder:
-    """The folder of a scan. Raises BadInputError when it can neither begin nor be resumed there."""
+    """The folder of a scan. Raises BadInputError if a scan can neither start nor be resumed there."""
 
     def __init__(
         self,
@@ -119,9 +119,9 @@ class ScanFolder:
         return state
 
     def _check_frames(self, state: State) -> None:
-        """Cut off what does not count, and check every frame that does."""
+        """Cut off uncommitted data, and check every committed frame."""
         table = self.path / FRAMES_FILE
-        read_head(table, 1)  # a regular file, or it is named here
+        read_head(table, 1)  # raises an error that names the table if it is not a regular file
         try:
             os.truncate(table, state.table_bytes)
         except OSError as error:
@@ -136,7 +136,7 @@ class ScanFolder:
         note: str,
         position_mm: tuple[float, float] | None,
     ) -> None:
-        """Write frame sets; they count from the next ``commit`` on. Raises OSError when the disk refuses."""
+        """Write frame sets; the next ``commit`` makes them part of the scan. Raises OSError if that fails."""
         writer = self._writer or self._open(frame_sets, unit, note)
         for pair in frame_sets:
             t_s = self._t_s(pair.t_ns)
@@ -147,20 +147,20 @@ class ScanFolder:
             self.state.last_t_s = t_s
 
     def commit(self) -> None:
-        """Make what was written count; raises OSError."""
+        """Make the written frame sets part of the scan; raises OSError."""
         if self._writer is not None:
             self.state.table_bytes = self._writer.synced()
             state = self.state.model_dump_json(indent=1, exclude_none=True) + "\n"
             replace_file(self.path / STATE_FILE, state.encode())
 
     def finish(self) -> None:
-        """Close, and give the folder its name; raises OSError."""
+        """Close the folder and rename it to its final name; raises OSError."""
         self.commit()
         self.close()
         self.path.replace(self._output)
 
     def close(self) -> None:
-        """Release it; harmless when done twice."""
+        """Close the recording; harmless if called twice."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
@@ -186,7 +186,7 @@ class ScanFolder:
         self._first_ns = frame_sets[0].t_ns
         if state.table_bytes:
             self._writer = RecordingWriter(self.path, header, state.table_bytes)
-            # the pause, as far as the clock knows it
+            # the pause, if both start times are known
             paused_s = (start - state.start).total_seconds() if start and state.start else 0.0
             self._first_s = max(paused_s, state.last_t_s + 1 / FPS)
         else:

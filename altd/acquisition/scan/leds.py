@@ -1,4 +1,4 @@
-"""The frame LEDs of a scan, and the self-check that its first LED pairs are."""
+"""The frame LEDs of a scan, and the self-check made from its first LED pairs."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from altd.records import Frame
 
 @dataclass(frozen=True, slots=True)
 class KnownUnit:
-    """The unit as it was calibrated before: what LED pairs are held against. ``targets`` is by camera."""
+    """Previous calibration of the unit, the reference for LED pairs. ``targets`` is by camera."""
 
     calibration: Calibration
     judge: CheckJudge
     targets: Mapping[str, str]
 
     def check(self, pairs: Sequence[Pair[Frame]], cameras: Sequence[Camera]) -> Judged:
-        """Judge pairs of one check, all exposures complete; takes 10 to 50 ms a target.
+        """Judge the pairs of one check, all exposures complete; takes 10 to 50 ms per target.
 
-        A camera that is known to be another one was not calibrated, and moved against nothing.
+        The verdict is unknown if a camera is not the calibrated one: its drift has no reference.
         """
         for camera in cameras:
             target = self.calibration.target(self.targets[camera.name])
@@ -42,7 +42,7 @@ class KnownUnit:
 
 @dataclass(frozen=True, slots=True)
 class ScanLeds:
-    """The frame LEDs, and the unit as it was before, or in words why it is not known."""
+    """The frame LEDs, and the previous calibration, or the reason why there is none."""
 
     lamps: Lamps
     known: KnownUnit | str

@@ -18,7 +18,8 @@ from altd.vision.settings import SpotSettings
 SpotPx = tuple[float, float]
 
 MAX_SCATTER_PX = 1.0
-"""Exposures of a stage at rest scatter by a tenth of this; further apart it still moves, or is shaken."""
+"""Maximum distance of a spot from the mean of its node. Exposures at rest scatter by a tenth of this; with
+more, the stage still moves or vibrates."""
 
 
 _SAME_MM = 1e-6
@@ -26,22 +27,22 @@ _SAME_MM = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class NodeSpots:
-    """A node that can be used: the mean spot of each camera, px."""
+    """A usable node: the mean spot of each camera, px."""
 
     px: Mapping[str, SpotPx]
 
 
 @dataclass(frozen=True, slots=True)
 class BadNode:
-    """A node that cannot: what is wrong with its first bad camera, in words."""
+    """An unusable node: the fault of its first bad camera, as text."""
 
     complaint: str
 
 
 def judge(frame_sets: Sequence[Pair[Frame]]) -> NodeSpots | BadNode:
-    """Whether the frame sets of a node can be used.
+    """Judge whether the frame sets of a node can be used.
 
-    Every frame must have one good spot (``calibration.scan_nodes``), and those of a camera must agree.
+    Every frame must have one good spot (``calibration.scan_nodes``), and the spots of a camera must agree.
     """
     means: dict[str, SpotPx] = {}
     for camera in {camera: None for pair in frame_sets for camera in pair.items}:
@@ -63,7 +64,7 @@ def judge(frame_sets: Sequence[Pair[Frame]]) -> NodeSpots | BadNode:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One place of the grid, mm in the unit frame."""
+    """One point of the grid, mm in the unit frame."""
 
     column: int
     row: int
@@ -75,7 +76,7 @@ class Node:
 
 
 def nodes_of(scan: Scan) -> tuple[Node, ...]:
-    """The grid's nodes in the order in which the stage visits them."""
+    """Return the nodes of the grid in the order in which the stage visits them."""
     nodes = []
     for row in range(scan.rows):
         back = scan.order == "serpentine" and row % 2 == 1
@@ -88,7 +89,7 @@ def nodes_of(scan: Scan) -> tuple[Node, ...]:
 
 
 class Raster(Scan):
-    """The scan of a flat made with the laser: over a grid and beyond it, in steps smaller than the spot."""
+    """Scan of a flat made with the laser: over a grid and a margin, in steps smaller than the spot."""
 
     columns: int
     rows: int
@@ -97,9 +98,9 @@ class Raster(Scan):
 
     @classmethod
     def over(cls, grid: Scan) -> Raster:
-        """One exposure at each place, ``flat_margin_mm`` beyond the grid too, and no LEDs.
+        """Return the raster over a grid and ``flat_margin_mm`` beyond it: one exposure per node, no LEDs.
 
-        Raises BadInputError for a turned unit: its positions are those of another frame.
+        Raises BadInputError for a turned unit: its positions are in another frame.
         """
         if grid.turned_deg:
             raise BadInputError("[scan] turned_deg", "a flat is recorded with the unit as it is: set 0")
@@ -113,7 +114,7 @@ class Raster(Scan):
         return cls(columns=columns, rows=rows, pitch_mm=pitch_mm, exposures=1, led_pairs=0, grid=grid, **same)
 
     def is_margin(self, node: Node) -> bool:
-        """Whether a node lies beyond the grid, where its spot need not be whole."""
+        """Whether a node is outside the grid, where its spot may be incomplete."""
         grid = self.grid
         half_x_mm, half_y_mm = ((lines - 1) / 2 * grid.pitch_mm for lines in (grid.columns, grid.rows))
         x_mm, y_mm = abs(node.x_mm - grid.centre_x_mm), abs(node.y_mm - grid.centre_y_mm)
@@ -121,14 +122,14 @@ class Raster(Scan):
 
 
 Facts = dict[str, str | int | float]
-"""Settings by the name that they have in the config."""
+"""Settings by their config keys."""
 
 
 def fingerprint(config: Config) -> Facts:
-    """The properties that two parts of one scan must share.
+    """Return the settings that must be equal in all parts of one scan.
 
-    How the stage is reached, how fast it goes, and how patient the scan is may change in between; where the
-    nodes and the stage's coordinates lie may not.
+    The stage's connection, its speed, and the scan's times and retries may change in between. The positions
+    of the nodes and the stage's coordinates may not.
     """
     facts: Facts = {"unit.serial": config.unit.serial}
     for target in config.targets:

@@ -1,7 +1,7 @@
-"""The calibration scan: the stage carries the beam from node to node, and what the cameras see is kept.
+"""The calibration scan: the stage moves the beam from node to node, and the cameras' frames are kept.
 
-A flat made with the laser (``calibration.laser_flat``) is a scan in steps smaller than the spot, beyond the
-grid as well: there the spot need not be whole.
+A flat made with the laser (``calibration.laser_flat``) is a scan in steps smaller than the spot, which also
+covers a margin around the grid: there the spot may be incomplete.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ from altd.selfcheck.records import Verdict
 Result = TypeVar("Result")
 
 MAX_SHIFT_PX = 1.0
-"""A resumed scan looks at its last node again; a spot further than this from where it was is no longer the
-same stage, laser and cameras."""
+"""Maximum shift of a spot when a resumed scan exposes its last node again. After a larger shift, stage, laser
+or cameras are no longer as before."""
 MAX_LOST_IN_A_ROW = 10
-"""A flat does without a place at which the spot is bad; so many one after another have another cause."""
+"""Consecutive refused nodes that stop a flat: it can omit single nodes, but this many have another cause."""
 _NODES_PER_COMMIT = 64
-"""Of a flat: its state is long, so writing it after each node would take longer than exposing."""
+"""Nodes of a flat per commit: its state is long, and writing it each time takes longer than exposing."""
 
 
 class ScanStoppedError(Exception):
-    """The scan cannot continue; what was done is kept, and the sentence says where it stopped and why."""
+    """The scan cannot continue; finished nodes are kept, and the message names the place and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """A finished scan: its exposures, and the nodes that it does without, each with the reason."""
+    """A finished scan: its exposures, and the nodes that it omits, each with the reason."""
 
     exposures: int
     refused: tuple[str, ...]
@@ -62,16 +62,16 @@ class ProgressReporter(Protocol):
     """Receives the progress of the scan."""
 
     def say(self, line: str) -> None:
-        """Something that a person wants to know even afterwards."""
+        """Report a message to be kept after the scan."""
 
     def progress(self, done: int, total: int, doing: str) -> None:
-        """The nodes done, the nodes in all, and the present step."""
+        """Report the finished nodes, the total of nodes, and the current step."""
 
 
 class Scanner:
-    """One scan. The cameras of ``frame_sets``, ``stage``, ``leds`` and ``switches`` are chosen by the caller.
+    """One scan. The caller chooses the cameras of ``frame_sets``, ``stage``, ``leds`` and ``switches``.
 
-    The cameras' exposure holds still from node to node. With ``switches`` each target is shown in turn at
+    The cameras' exposure stays constant from node to node. With ``switches`` each target is shown in turn at
     each node, and only its own camera's frames are kept.
     """
 
@@ -85,7 +85,7 @@ class Scanner:
         progress: ProgressReporter,
         switches: Switches | None = None,
     ) -> None:
-        """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
+        """Raises BadInputError if ``output`` is in use or contains the beginning of another scan."""
         self._config = config.scan
         self._raster = config.scan if isinstance(config.scan, Raster) else None
         self._lost_in_a_row = 0
@@ -111,10 +111,10 @@ class Scanner:
         self._doing = "getting ready"
 
     async def run(self) -> ScanResult:
-        """Scan to the end, or resume a scan that was interrupted.
+        """Scan to the end, or resume an interrupted scan.
 
-        Cancellation stops the stage; what was kept until then stays. Raises ScanStoppedError, BadInputError
-        for a stage that is not there, and a camera driver's own failure.
+        Cancellation stops the stage; nodes kept until then remain. Raises ScanStoppedError, BadInputError
+        for a missing stage, and a camera driver's own failure.
         """
         try:
             lamps = self._leds.lamps if self._leds else None
@@ -153,7 +153,7 @@ class Scanner:
 
     @asynccontextmanager
     async def _ready_stage(self) -> AsyncIterator[None]:
-        """Wait for the cameras, then make the stage ready; at the end it is released."""
+        """Wait for the cameras, then open and home the stage; release it at the end."""
         self._tell("waiting for the cameras")
         await self._frame_sets.after(self._clock.monotonic_ns(), 1)
         try:
@@ -167,7 +167,7 @@ class Scanner:
 
     @asynccontextmanager
     async def _ready(self, name: str, lamps: Lamps | Switches | None) -> AsyncIterator[None]:
-        """Take control of lamps or switches, without voltage; at the end they are released so."""
+        """Open lamps or switches without voltage; release them without voltage at the end."""
         if lamps is None:
             yield
             return
@@ -179,7 +179,7 @@ class Scanner:
             await asyncio.shield(asyncio.to_thread(lamps.close))
 
     async def _expose(self, node: Node) -> None:
-        """Go to a node and keep its exposures, or refuse it after as many tries as there may be."""
+        """Move to a node and keep its exposures, or refuse it after the configured retries."""
         self._tell(f"node {node}")
         await self._go(node.x_mm, node.y_mm)
         position_mm = await self._in_thread(self._stage.position)
@@ -209,7 +209,7 @@ class Scanner:
             )
 
     def _check_sufficient(self, node: Node, complaint: str) -> None:
-        """Raise ScanStoppedError where the nodes that are not refused cannot suffice."""
+        """Raise ScanStoppedError if the nodes that are not refused cannot suffice."""
         state = self._folder.state
         refused = [n for n in self._nodes if _key(n) in state.refused and _key(n) not in state.nodes]
         left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
@@ -220,9 +220,9 @@ class Scanner:
             )
 
     async def _led_pairs(self, when: Literal["before", "after"]) -> None:
-        """Reference exposures with the beam in the middle of the grid, LEDs off and on in turn.
+        """Record reference exposures with the beam at the grid's centre, LEDs off and on in turn.
 
-        Those before the grid are a self-check; raises ScanStoppedError where it forbids the scan.
+        The pairs before the grid are a self-check; raises ScanStoppedError if it forbids the scan.
         """
         leds, state = self._leds, self._folder.state
         if leds is None or not self._config.led_pairs or when in state.led_pairs:
@@ -245,7 +245,7 @@ class Scanner:
         self._folder.commit()
 
     async def _self_check(self, known: KnownUnit | str, pairs: Sequence[Pair[Frame]]) -> None:
-        """Report whether the cameras are where they were calibrated; raise ScanStoppedError if not."""
+        """Report the self-check; raise ScanStoppedError for a bad verdict with ``when_bad = "stop"``."""
         if isinstance(known, str):
             self._progress.say(f"no self-check: {known}")
             return
@@ -262,7 +262,7 @@ class Scanner:
         )
 
     async def _check_nothing_moved(self) -> None:
-        """Raise ScanStoppedError unless the spots of the last node that has some are where they were."""
+        """Raise ScanStoppedError if the spots of the last node with spots have moved."""
         done = {key: node for key, node in self._folder.state.nodes.items() if node.spots_px}
         if not done:
             return
@@ -284,7 +284,7 @@ class Scanner:
         await self._in_thread(self._stage.move_to, x_mm, y_mm)
 
     async def _of_all_targets(self, count: int) -> list[Pair[Frame]]:
-        """So many exposures that show each target: all at once, or with switches one target after another."""
+        """Return ``count`` exposures of each target: all at once, or with switches one target at a time."""
         if self._switches is None:
             return await self._settled(count)
         exposures: list[Pair[Frame]] = []
@@ -298,7 +298,7 @@ class Scanner:
         return exposures
 
     async def _settled(self, count: int) -> list[Pair[Frame]]:
-        """Exposures that begin once stage and lamps have settled."""
+        """Return ``count`` exposures that begin after stage and lamps have settled."""
         await self._clock.sleep(self._config.settle_s)
         return await self._frame_sets.after(self._clock.monotonic_ns(), count)
 
@@ -315,22 +315,22 @@ class Scanner:
         self._progress.progress(len(self._folder.state.nodes), len(self._nodes), doing)
 
     async def _in_thread(self, call: Callable[..., Result], *arguments: object) -> Result:
-        """A blocking call; cancellation stops the stage and waits until it is at rest."""
+        """Make a blocking call; cancellation stops the stage and waits until the call has ended."""
         work = asyncio.ensure_future(asyncio.to_thread(call, *arguments))
         try:
             return await asyncio.shield(work)
         except asyncio.CancelledError:
             self._stage.stop()
             await asyncio.wait({work})
-            work.exception()  # the stop made it fail
+            work.exception()  # retrieve the failure that the stop caused
             raise
 
 
 def _key(node: Node) -> str:
-    """A node's name in ``scan.json``."""
+    """Return the name of a node in ``scan.json``."""
     return f"{node.column},{node.row}"
 
 
 def _largest_shift(before: Mapping[str, SpotPx], now: Mapping[str, SpotPx]) -> tuple[float, str]:
-    """The largest distance between two looks at the same spots, px, and whose it is."""
+    """Return the largest shift between two measurements of the same spots, px, and its camera."""
     return max((math.dist(before[camera], now[camera]), camera) for camera in before)

@@ -1,1 +1,1 @@
-"""The self-check in the daemon: when the frame LEDs are lit, which frames that concerns, and what follows."""
+"""The self-check in the daemon: its schedule, the frames under lit LEDs, and the effect on measurements."""

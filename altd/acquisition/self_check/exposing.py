@@ -1,4 +1,4 @@
-"""The frames of one check: with the LEDs off, on, and off again."""
+"""Acquires the frames of one check: with the LEDs off, on, and off again."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from altd.ports import Clock, LampsError
 from altd.selfcheck.lights import have_one_exposure
 
 _TIMEOUT_FACTOR = 3.0
-"""A check may take so many times as long as its exposures and their switching."""
+"""Maximum duration of a check, as a multiple of its exposures' duration."""
 _SWITCHING_S = 2.0
-"""For the lamps to answer, and a camera that is late."""
+"""Additional time of a check for the lamps to respond, and for a late camera."""
 _FIRST_STAGE = "off, before they were lit"
 
 
 class CheckFailedError(Exception):
-    """A check that came to no frames; the sentence says why.
+    """A check ended without its frames; the message has the reason.
 
-    ``has_begun``: the LEDs were to be lit. Before that it is the cameras that do not deliver.
+    ``has_begun``: the check reached the switching of the LEDs. If not, the cameras did not deliver.
     """
 
     def __init__(self, sentence: str, has_begun: bool = True) -> None:
@@ -30,7 +30,7 @@ class CheckFailedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class CheckFrames:
-    """By camera: frames with the LEDs off, then on, then off again."""
+    """Frames by camera with the LEDs off, then on, then off again."""
 
     before: Taken
     lit: Taken
@@ -38,7 +38,7 @@ class CheckFrames:
 
     @property
     def have_one_exposure(self) -> bool:
-        """Whether no camera's exposure was set between its frames."""
+        """Whether no camera's exposure changed between its frames."""
         return all(
             have_one_exposure((*frames, *self.lit[camera], *self.after[camera]))
             for camera, frames in self.before.items()
@@ -46,7 +46,7 @@ class CheckFrames:
 
 
 class CheckExposer:
-    """Lights the LEDs for ``exposures`` exposures of every camera, ``fps`` a second."""
+    """Lights the LEDs for ``exposures`` exposures of every camera, at ``fps`` exposures per second."""
 
     def __init__(
         self, lamps: FrameLamps, leds: LedLog, frames: MarkedFrames, clock: Clock, exposures: int, fps: float
@@ -59,11 +59,11 @@ class CheckExposer:
         self._timeout_s = _SWITCHING_S + _TIMEOUT_FACTOR * (3 * exposures + 4) / fps
 
     async def expose(self) -> CheckFrames:
-        """The frames of a check; however it ends, the LEDs are dark or about to be.
+        """Acquire and return the frames of a check; at any end the LEDs are dark or being darkened.
 
-        Starts over when a camera's exposure was set meanwhile, as after a start. Raises CheckFailedError.
+        Starts over if a camera's exposure changed meanwhile, as after a start. Raises CheckFailedError.
         """
-        if complaint := self._lamps.complaint:  # nothing is lit: no exposure is to be left out for it
+        if complaint := self._lamps.complaint:  # the LEDs are not lit, so all exposures can be measured
             raise CheckFailedError(f"the frame LEDs could not be switched: {complaint}")
         stage = _FIRST_STAGE
         try:
@@ -104,6 +104,6 @@ class CheckExposer:
         self._leds.done()
 
     def _give_up(self) -> None:
-        """Darken the LEDs without waiting for it: the daemon may be ending."""
+        """Darken the LEDs without waiting: the daemon may be ending."""
         self._lamps.request(False)
         self._leds.lost()

@@ -1,4 +1,4 @@
-"""Which frames fell under the frame LEDs: each is marked on its way and kept for a check that asks for it."""
+"""Marks frames that were exposed under the frame LEDs, and keeps frames for a waiting check."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from altd.ports import Clock
 from altd.records import Frame
 
 MARGIN_NS = 10_000_000
-"""The times of frames and of switching lie on one clock, but a camera's own is known to milliseconds only."""
+"""Margin at both ends of an exposure: the time of a camera's own clock is known to milliseconds only."""
 DARK_AFTER_FAILURE_NS = 1_000_000_000
-"""Lines of unresponsive LEDs are released, which darkens them, within this time. From then on exposures are
-measured again: should the LEDs still shine, the locator sees them."""
+"""Time within which lines of unresponsive LEDs are released, which darkens the LEDs. Exposures after it are
+measured again; if the LEDs are still lit, the locator detects them."""
 _REMEMBERED = 8
 
 
 class Light(Enum):
-    """The state of the frame LEDs during an exposure."""
+    """State of the frame LEDs during an exposure."""
 
     OFF = auto()
     ON = auto()
     SWITCHED = auto()
-    """They may have been on for a part of it."""
+    """The LEDs may have been on for a part of the exposure."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Switching:
-    """Unknown from ``begin_ns`` to ``end_ns``, then on or off. ``end_ns`` None: under way."""
+    """One switching: state unknown from ``begin_ns`` to ``end_ns`` (None: not ended), then ``on`` or off."""
 
     on: bool
     begin_ns: int
@@ -39,43 +39,43 @@ class _Switching:
 
 
 class LedLog:
-    """When the frame LEDs were switched. One task writes it; any thread may ask of a frame.
+    """Log of the switchings of the frame LEDs. One task writes it; any thread may call ``of``.
 
-    ``period_ns`` of a camera is the time from frame to frame, which no exposure exceeds: it counts where a
-    frame does not tell its exposure.
+    ``period_ns`` of a camera is the time from frame to frame, which no exposure exceeds; it is used for
+    frames without an exposure time.
     """
 
     def __init__(self, clock: Clock, period_ns: Mapping[str, int]) -> None:
         self._clock = clock
         self._period_ns = period_ns
         self._switchings: tuple[_Switching, ...] = ()
-        """The last ones, oldest first; replaced, never changed."""
+        """The last switchings, oldest first; the tuple is replaced, never changed."""
 
     @property
     def last_switched_ns(self) -> int | None:
-        """When the LEDs were last known to be switched, or were still being; None: never."""
+        """End of the last switching; the current time while LEDs are lit or being switched; None: never."""
         if not self._switchings:
             return None
         last = self._switchings[-1]
         return self._clock.monotonic_ns() if last.end_ns is None or last.on else last.end_ns
 
     def begin(self, on: bool) -> None:
-        """The LEDs are about to be switched."""
+        """Note that the LEDs are about to be switched."""
         begun = _Switching(on, self._clock.monotonic_ns())
         self._switchings = (*self._switchings, begun)[-_REMEMBERED:]
 
     def done(self) -> None:
-        """They have been."""
+        """Note that the LEDs have been switched."""
         self._end(self._switchings[-1].on, self._clock.monotonic_ns())
 
     def lost(self) -> None:
-        """Their state is unknown; the driver is about to release them."""
+        """Note that the state of the LEDs is unknown and the driver is about to release them."""
         if not self._switchings or self._switchings[-1].end_ns is not None:
             self.begin(False)
         self._end(False, self._clock.monotonic_ns() + DARK_AFTER_FAILURE_NS)
 
     def of(self, frame: Frame) -> Light:
-        """The state of the LEDs while a frame was exposed."""
+        """Return the state of the LEDs during the exposure of a frame."""
         half_ns = self._half_ns(frame) + MARGIN_NS
         begin_ns, end_ns = frame.t_ns - half_ns, frame.t_ns + half_ns
         light = Light.OFF
@@ -88,7 +88,7 @@ class LedLog:
         return light
 
     def _half_ns(self, frame: Frame) -> int:
-        """From the middle of an exposure to its ends."""
+        """Return the time from the middle of an exposure to its ends, ns; one period if it is unknown."""
         if frame.exposure_ms is None:
             return self._period_ns[frame.camera]
         return round(0.5e6 * frame.exposure_ms)
@@ -99,12 +99,12 @@ class LedLog:
 
 
 Taken = Mapping[str, tuple[Frame, ...]]
-"""Frames of one light by camera, oldest first."""
+"""Frames with one state of the LEDs by camera, oldest first."""
 
 
 @dataclass(slots=True)
 class _Order:
-    """Frames that a check waits for: ``count`` of each camera that began after ``after_ns``."""
+    """Frames that a check waits for: ``count`` of each camera with a time after ``after_ns``."""
 
     light: Light
     count: int
@@ -118,9 +118,9 @@ class _Order:
 
 
 class MarkedFrames:
-    """Marks frames with ``leds_on`` as the log of the LEDs says. To be made within the event loop.
+    """Marks frames with ``leds_on`` according to the log of the LEDs. Create it within the event loop.
 
-    A frame is marked also where the LEDs were only being switched: it is neither on nor off.
+    A frame exposed while the LEDs were being switched is marked too: it is neither on nor off.
     """
 
     def __init__(self, leds: LedLog, cameras: Iterable[str]) -> None:
@@ -130,10 +130,10 @@ class MarkedFrames:
         self._order: _Order | None = None
         self._cameras = tuple(cameras)
         self.marked = {light: dict.fromkeys(self._cameras, 0) for light in (Light.ON, Light.SWITCHED)}
-        """Frames per camera that are not measured."""
+        """Number of unmeasured frames by state of the LEDs and camera."""
 
     def mark(self, frame: Frame) -> Frame:
-        """The frame, marked where it has to be, from the thread of its camera."""
+        """Return the frame, marked if necessary; called in the thread of its camera."""
         light = self._leds.of(frame)
         if light is not Light.OFF:
             self.marked[light][frame.camera] += 1
@@ -143,9 +143,9 @@ class MarkedFrames:
         return frame
 
     async def take(self, light: Light, count: int, after_ns: int) -> Taken:
-        """The next ``count`` frames of each camera that began after ``after_ns``; waits without limit.
+        """Return the next ``count`` frames of each camera after ``after_ns``; waits without limit.
 
-        Frames that were exposed while the camera was being set are passed over.
+        Frames during a change of the camera's exposure are skipped.
         """
         order = _Order(light, count, after_ns, self._loop.create_future(), {c: [] for c in self._cameras})
         with self._lock:
@@ -166,7 +166,7 @@ class MarkedFrames:
             if len(frames) < order.count:
                 frames.append(frame)
                 if order.is_filled:
-                    with contextlib.suppress(RuntimeError):  # the loop is closed: the process is going down
+                    with contextlib.suppress(RuntimeError):  # the loop is closed: the process is ending
                         self._loop.call_soon_threadsafe(_fill, order.filled)
 
 

@@ -16,17 +16,17 @@ from altd.selfcheck.verdict import SIGNIFICANT, Compensation, compensated, compe
 from altd.status.health import State
 
 MAX_UNCONFIRMED_INTERVALS = 3
-"""For so many intervals of the schedule a correction is trusted after the check that it comes from. By then
-some nine checks ended without a verdict: the current drift is unknown."""
+"""Intervals of the schedule for which a correction is applied after the check that it is based on. By then
+about nine checks have ended without a verdict: the current drift is unknown."""
 _AFTER_SHOCK = "the spots of all targets have jumped, and the check after it has not ended"
 _BEFORE_START = "the last check before this start found it bad, and none since says otherwise"
 
 
 class GeometryState:
-    """The unit's geometry as far as it is known. Before the first check nothing is valid.
+    """The known state of the unit's geometry. Before the first check no measurement is valid.
 
-    A check without a verdict takes nothing back: what was bad stays bad, and what was corrected is corrected
-    further, until a check says otherwise or the correction lapses.
+    A check without a verdict changes nothing: a bad geometry stays bad, and a correction continues until a
+    check has another verdict or the correction lapses.
     """
 
     def __init__(
@@ -51,23 +51,23 @@ class GeometryState:
 
     @property
     def verdict(self) -> Verdict | None:
-        """The last verdict that was one; None: there was none."""
+        """The last verdict other than unknown; None: none yet."""
         return None if self._known is None else self._known.verdict
 
     @property
     def awaits_first(self) -> bool:
-        """Whether nothing is valid because no check has ended yet."""
+        """Whether no measurement is valid because no check has ended yet."""
         return bool(self._pending)
 
     @property
     def correct(self) -> Callable[[MeanSpots], MeanSpots] | None:
-        """The correction of the mean spots for the drift; None: no correction."""
+        """Function that corrects the mean spots for the drift; None: no correction."""
         if self._compensation is None:
             return None
         return partial(compensated, compensation=self._compensation)
 
     def take(self, check: SelfCheck, slow_drift: str = "") -> None:
-        """A check has ended; ``slow_drift`` says in words what all of them together show."""
+        """Apply a completed check; ``slow_drift`` is the finding of all checks together, as text."""
         self._pending = ()
         is_unknown = check.verdict is Verdict.UNKNOWN
         is_all_known = check.is_whole and not is_unknown
@@ -80,20 +80,20 @@ class GeometryState:
         self._of_known = self._faults(check)
 
     def note_shock(self) -> None:
-        """The unit may have been struck: until a check has ended, what that moved is unknown."""
+        """Note that the unit may have been struck: until the next check, the geometry is unknown."""
         if self._settings.enabled:
             self._of_unknown = (self._fault_of_unknown(_AFTER_SHOCK),)
 
     def recall_bad(self) -> None:
-        """The last check before this start was bad; where one has had a verdict since, that counts."""
+        """Restore a bad verdict from before this start, unless a check has had a verdict since."""
         if self._known is None:
             self._known = SelfCheck(Verdict.BAD, {}, {}, (_BEFORE_START,))
             self._of_known = self._faults(self._known)
 
     def lapse(self) -> bool:
-        """Give up a correction that no check has confirmed for too long; whether that was now.
+        """End a correction that no check has confirmed for too long; return whether it ended now.
 
-        What it took out counts again, as it was found.
+        The faults of the last known check then apply without the correction.
         """
         if self._compensation is None or self._known is None:
             return False
@@ -106,7 +106,7 @@ class GeometryState:
         return True
 
     def transforms_after(self, check: SelfCheck) -> Mapping[str, Similarity]:
-        """The ``transforms`` that a check would bring, were it taken."""
+        """Return the ``transforms`` that would result from ``take`` with this check."""
         if self._changes_nothing(check):
             return self.transforms
         compensation, _ = self._compensation_of(check)
@@ -114,7 +114,7 @@ class GeometryState:
 
     @property
     def transforms(self) -> Mapping[str, Similarity]:
-        """By target, how the picture that is corrected has moved; empty: nothing is corrected."""
+        """Transforms of the image's movement by corrected target; empty: no correction."""
         return {} if self._compensation is None else self._compensation.transforms
 
     @property
@@ -124,13 +124,13 @@ class GeometryState:
 
     @property
     def state(self) -> State:
-        """The state of the self-check as a component: failed where it forbids all numbers."""
+        """State of the self-check as a component: failed if it forbids all numbers."""
         if any(not fault.reason.is_warning for fault in self.faults):
             return State.FAILED
         return State.DEGRADED if self.faults else State.OK
 
     def applied_to(self, measurement: Measurement) -> Measurement:
-        """A measurement with what is known of the geometry; without numbers where that forbids them."""
+        """Return a measurement with the faults of the geometry; without numbers if an error forbids them."""
         faults = self.faults
         if not faults:
             return measurement
@@ -140,7 +140,7 @@ class GeometryState:
         return replace(measurement, status=(*measurement.status, *faults))
 
     def _changes_nothing(self, check: SelfCheck) -> bool:
-        """Whether earlier knowledge stays in force; also a correction of which a check saw only a part."""
+        """Whether the earlier state remains: no verdict, or corrected and suspect from some targets only."""
         in_part = check.verdict is Verdict.SUSPECT and not check.is_whole
         return check.verdict is Verdict.UNKNOWN or (in_part and self._compensation is not None)
 
@@ -171,5 +171,5 @@ class GeometryState:
 
 
 def _is_proven(check: SelfCheck) -> bool:
-    """Whether the drift of any target is more than chance."""
+    """Whether the drift of any target is significant."""
     return any((target.significance or 0.0) > SIGNIFICANT for target in check.targets.values())

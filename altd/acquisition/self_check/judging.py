@@ -1,4 +1,4 @@
-"""From the frames of a check to its verdict."""
+"""Derives the verdict of a check from its frames."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ SpotPx = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A check's verdict, and what else was seen, in words."""
+    """A check's verdict, and other findings as text."""
 
     check: SelfCheck
     notes: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
-        """The verdict, and why, for a person."""
+        """Verdict and reasons as text."""
         because = "; ".join((*self.check.reasons, *self.notes))
         return f"{self.check.verdict}{f': {because}' if because else ''}"
 
 
 def unknown(*reasons: str) -> SelfCheck:
-    """A check without a verdict."""
+    """Return a check without a verdict."""
     return SelfCheck(Verdict.UNKNOWN, {}, {}, reasons)
 
 
 def limits_of(settings: SelfCheckSettings) -> Limits:
-    """The limits that the settings ask for."""
+    """Return the limits in the settings."""
     return Limits(
         suspect_mm=settings.suspect_mm,
         suspect_deg=settings.suspect_deg,
@@ -48,9 +48,9 @@ def limits_of(settings: SelfCheckSettings) -> Limits:
 
 
 class CheckJudge:
-    """Judges the frames of ``views``' cameras; holds nothing between two checks.
+    """Judges the frames of ``views``' cameras; keeps no state between checks.
 
-    The effect of a drift on a measurement is given with the signs of its installation.
+    The effect of a drift on a measurement has the signs of the installation.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class CheckJudge:
         self._installation = installation
 
     def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> Judged:
-        """The verdict; ``at`` is the place of the spot by target, ``previous`` the verdict before.
+        """Return the verdict; ``at`` is the position of the spot by target, ``previous`` the last verdict.
 
         A target with disturbed frames is skipped; the other targets count.
         """
@@ -96,6 +96,6 @@ class CheckJudge:
 
 
 def _installed(effects: Mapping[str, Value], installation: Installation) -> Mapping[str, Value]:
-    """Effects in the unit frame as a controller sees them, whose axes may be turned round."""
+    """Return effects in the unit frame with the signs of the controller, whose axes may be reversed."""
     signs = installation.signs
     return {key: replace(effect, value=signs[key] * effect.value) for key, effect in effects.items()}

@@ -1,4 +1,4 @@
-"""The history of the checks, kept in a file so that a unit which restarts every day finds a slow drift."""
+"""History of the checks, kept in a file so that a unit that restarts every day can detect a slow drift."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ Result = TypeVar("Result")
 
 FORMAT = "altd-self-check-history/1"
 SAVE_INTERVAL_S = 300.0
-"""A unit may check itself every ten seconds, and a memory card is worn by writing."""
+"""Minimum time between two writes: a unit may check itself every 10 s, and writing wears a memory card."""
 
 _MAX_BYTES = 1 << 20
 _DISK_TIMEOUT_S = 2.0
-"""The first verdict waits for so long at most, and the end of the daemon."""
+"""Maximum time for which the first verdict and the end of the daemon wait for the disk."""
 _NO_ANSWER = f"the disk does not answer within {_DISK_TIMEOUT_S:g} s"
 _MAX_CLOCK_ERROR = timedelta(days=1)
 
 
 @dataclass(frozen=True, slots=True)
 class HistoryFile:
-    """The file of one unit. ``path`` names it; a history is of one calibration and of no other."""
+    """History file of one unit at ``path``; a history is valid for one calibration only."""
 
     path: Path
     calibration: Calibration
 
     def load(self) -> History:
-        """Its contents; nothing where it does not exist yet or belongs to another calibration.
+        """Read the file; return an empty history if it is missing or belongs to another calibration.
 
         Raises BadInputError.
         """
@@ -68,7 +68,7 @@ class HistoryFile:
             raise BadInputError(self.path, str(error)) from error
 
     def save(self, history: History) -> None:
-        """Write the file whole or not at all; raises BadInputError."""
+        """Write the file completely or not at all; raises BadInputError."""
         references = _references_of(self.calibration)
         document = {"format": FORMAT, "references": references, **document_of(history)}
         document["checksum"] = checksum_of(document)
@@ -76,7 +76,7 @@ class HistoryFile:
 
 
 def _references_of(calibration: Calibration) -> str:
-    """The reference of the checks: which calibration, and where it saw the LEDs."""
+    """Return the checksum of the checks' reference: the calibration's identity and its LED positions."""
     return checksum_of(
         {
             "serial": calibration.unit_serial,
@@ -88,7 +88,7 @@ def _references_of(calibration: Calibration) -> str:
 
 
 class CheckMemory:
-    """One daemon's memory of its checks. A thread of its own waits for the disk."""
+    """One daemon's history of its checks. A separate thread waits for the disk."""
 
     def __init__(self, calibration: Calibration, clock: Clock) -> None:
         self._calibration = calibration
@@ -102,14 +102,14 @@ class CheckMemory:
         self._saved_was_bad = False
 
     def keep_in(self, path: Path, component: Component) -> None:
-        """Keep the history in a file from the first check on; ``component`` says how that does."""
+        """Keep the history in a file from the first check on; ``component`` reports its state."""
         self._kept, self._is_loaded = _Kept(HistoryFile(path, self._calibration), component), False
 
     async def add(self, check: SelfCheck, time: datetime | None) -> None:
-        """Take a check that ended at ``time``; one without a verdict is none.
+        """Add a check that ended at ``time``; a check without a verdict is ignored.
 
-        Of one at a time that cannot be the verdict counts, and nothing of what it found. Before the
-        calibration was made nothing was checked against it: then the clock was not set yet.
+        If the time is unknown or before the calibration, only the verdict counts and not the drift: the clock
+        was not set then.
         """
         if check.verdict is Verdict.UNKNOWN:
             return
@@ -125,14 +125,14 @@ class CheckMemory:
         self._history = self._history.with_check(check, time_s)
 
     async def was_bad(self) -> bool:
-        """Whether the last check with a verdict was bad, before this start or since, as far as is known."""
+        """Whether the last known check with a verdict was bad, before this start or since."""
         if not self._is_loaded:
             await self._load()
         return self._history.was_bad
 
     @property
     def slow_drift(self) -> str:
-        """The findings of all checks together, in words; empty: none."""
+        """Slow drift found from all checks together, as text; empty: none."""
         return "; ".join(
             f"{drift.target} drifts by {drift.px_per_day:.3f} px a day, "
             f"{drift.shift_px[0]:+.2f} {drift.shift_px[1]:+.2f} px so far"
@@ -140,9 +140,9 @@ class CheckMemory:
         )
 
     async def save(self) -> None:
-        """Write the history when that is due; a failed write is reported, and repeated at the next check.
+        """Write the history if due; a failed write is reported, and repeated at the next check.
 
-        A verdict that became bad, or is no longer bad, is written at once.
+        A change of the verdict to or from bad is written immediately.
         """
         kept, now_ns, was_bad = self._kept, self._clock.monotonic_ns(), self._history.was_bad
         if kept is None or not self._is_loaded:
@@ -156,12 +156,12 @@ class CheckMemory:
             self._saved_ns, self._saved_was_bad = now_ns, was_bad
 
     async def end(self) -> None:
-        """Let what is being written get to the disk."""
+        """Wait for a write in progress, and end the thread."""
         if self._kept is not None:
             await self._kept.end()
 
     async def _load(self) -> bool:
-        """Whether it is known what was there: a disk that hangs is asked again at the next check."""
+        """Load the history once; return False if the disk hangs: the next check tries again."""
         assert self._kept is not None  # noqa: S101  without a file there is nothing to load
         history = await self._kept.load()
         if history is None:
@@ -171,7 +171,7 @@ class CheckMemory:
 
 
 class _Kept:
-    """A history's file, asked within a time that a disk has to answer in."""
+    """File of a history, accessed with a timeout for the disk."""
 
     def __init__(self, file: HistoryFile, component: Component) -> None:
         self._file = file
@@ -180,7 +180,7 @@ class _Kept:
         component.set_state(State.OK, "no check yet")
 
     async def load(self) -> History | None:
-        """The contents of the file, nothing where it cannot be used; None: the disk does not answer."""
+        """Return the contents of the file, empty if it is unusable; None: the disk does not respond."""
         try:
             return await self._on_disk(self._file.load)
         except BadInputError as error:
@@ -191,7 +191,7 @@ class _Kept:
             return None
 
     async def save(self, history: History) -> bool:
-        """Whether the history is in the file now."""
+        """Write the history; return whether that succeeded."""
         try:
             await self._on_disk(partial(self._file.save, history))
         except BadInputError as error:
@@ -205,7 +205,7 @@ class _Kept:
         return True
 
     async def end(self) -> None:
-        """Let what is being written get to the disk."""
+        """Wait for a write in progress, and end the thread."""
         if self._thread is not None:
             await self._thread.end(lambda: None, _DISK_TIMEOUT_S)
 

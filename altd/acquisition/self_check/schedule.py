@@ -1,4 +1,4 @@
-"""When the next check is due, and why."""
+"""Determines when the next check is due, and its cause."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from enum import StrEnum
 from altd.ports import Clock
 
 REST_S = 5.0
-"""Between two checks, however often they are requested: each takes exposures from the measurement."""
+"""Minimum time between two checks, even on request: each takes exposures from the measurement."""
 FIRST_REPEAT_S = 10.0
-"""A check that is not good is repeated after this long, then at growing intervals."""
+"""Time after which a check that is not good is first repeated; the intervals then grow."""
 
 
 class Cause(StrEnum):
-    """The cause of a check."""
+    """Cause of a check."""
 
     START = "start"
     SCHEDULE = "schedule"
@@ -24,9 +24,9 @@ class Cause(StrEnum):
 
 
 class Schedule:
-    """At the start, every ``interval_s``, and soon after something asked for it.
+    """Schedule of checks: at the start, every ``interval_s``, and soon after a request or shock.
 
-    Not ``automatic``: only when asked.
+    Without ``automatic``, checks are made only on request.
     """
 
     def __init__(self, clock: Clock, interval_s: float, automatic: bool) -> None:
@@ -34,21 +34,21 @@ class Schedule:
         self._interval_s = interval_s
         self._automatic = automatic
         self._ended_ns: int | None = None
-        """When the last check ended; None: there was none."""
+        """End of the last check by the monotonic clock; None: no check yet."""
         self._repeat_s: float | None = None
         self._asked: Cause | None = None
         self._changed = asyncio.Event()
 
     def ask(self, cause: Cause) -> None:
-        """A check is wanted as soon as may be. A shock asks for none where nothing is automatic."""
+        """Request a check as soon as possible; without ``automatic``, a shock is ignored."""
         if cause is Cause.SHOCK and not self._automatic:
             return
         if self._asked is None or (cause is Cause.REQUEST and self._asked is not cause):
             self._asked = cause
-            self._changed.set()  # once: a flood of requests wakes no task
+            self._changed.set()  # once only: a flood of requests must not wake the task each time
 
     def ended(self, is_good: bool) -> None:
-        """A check has ended now; one that is not good is repeated."""
+        """Note that a check has ended now; a check that is not good is repeated."""
         self._ended_ns = self._clock.monotonic_ns()
         if is_good:
             self._repeat_s = None
@@ -56,7 +56,7 @@ class Schedule:
             self._repeat_s = min(2 * self._repeat_s if self._repeat_s else FIRST_REPEAT_S, self._interval_s)
 
     async def next(self) -> Cause:
-        """Wait until a check is due; returns what for."""
+        """Wait until a check is due; return its cause."""
         while True:
             self._changed.clear()
             cause, in_s = self._earliest()
@@ -74,7 +74,7 @@ class Schedule:
                 await asyncio.gather(*waiting, return_exceptions=True)
 
     def _earliest(self) -> tuple[Cause | None, float]:
-        """The cause of the next check, and in how many seconds it is due."""
+        """Return the cause of the next check (None: none is due), and the time until then in seconds."""
         if self._ended_ns is None:
             if self._asked is not None or self._automatic:
                 return self._asked or Cause.START, 0.0

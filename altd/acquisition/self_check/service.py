@@ -1,4 +1,4 @@
-"""The self-check of a running daemon: check after check, indefinitely, and the calls of the pipeline."""
+"""The self-check of a running daemon: runs checks indefinitely, and serves the pipeline's calls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from altd.status.services import SelfCheckReport, SelfCheckService
 
 @dataclass(frozen=True, slots=True)
 class Occasion:
-    """Which check it was, what for, when it ended, and how many exposures it took from the measurement."""
+    """Number, cause and end time of a check, and the number of exposures lost to the measurement."""
 
     number: int
     cause: Cause
@@ -38,7 +38,7 @@ class Occasion:
 
 
 def report_of(occasion: Occasion, judged: Judged) -> SelfCheckReport:
-    """The result of a check."""
+    """Return the report of a check."""
     check = judged.check
     return SelfCheckReport(
         occasion.number,
@@ -57,7 +57,7 @@ def report_of(occasion: Occasion, judged: Judged) -> SelfCheckReport:
 log = logging.getLogger("altd")
 
 HELD_BACK_NS = 2_000_000_000
-"""So long after the LEDs were lit a window may lack exposures because of them."""
+"""Time after a switching of the LEDs during which a window may lack exposures because of them."""
 _LAPSED = "nothing is corrected any more: no check has confirmed the drift for too long"
 _LAMPS_WITHIN_S = 3.0
 _LAMPS_ASKED_EVERY_S = 0.1
@@ -99,14 +99,14 @@ class SelfChecks:
         self._targets = targets
         self._at: dict[str, SpotPx] = {}
         self._is_valid = False
-        """The last measurement was valid."""
+        """Whether the last measurement was valid."""
         self._has_jumped = False
-        """There was a shock since the last check began."""
+        """Whether there was a shock since the last check began."""
         self._logged = ""
         service.open(partial(parts.schedule.ask, Cause.REQUEST))
 
     def look(self, located: Located) -> None:
-        """A frame was located: note the place of the spot, and whether all spots have jumped."""
+        """Note the position of a located spot, and detect a jump of all spots."""
         target = self._targets[located.camera]
         if isinstance(located.spot, Spot):
             self._at[target] = (located.spot.u_px, located.spot.v_px)
@@ -119,9 +119,9 @@ class SelfChecks:
             self._has_jumped = True
 
     def pass_on(self, measurement: Measurement) -> Measurement | None:
-        """A measurement as the geometry lets it be.
+        """Return a measurement with the faults of the geometry.
 
-        None: the window lacks but exposures that a check took; what is on the board holds, and ages.
+        None: only exposures taken by a check are missing; the measurement on the board remains, and ages.
         """
         if self._is_valid and self._lacks_exposures(measurement):
             return None
@@ -134,7 +134,7 @@ class SelfChecks:
         return passed
 
     async def run(self, exposer: CheckExposer, lamps: FrameLamps, frames: MarkedFrames) -> None:
-        """Check until cancelled."""
+        """Run checks until cancelled."""
         self._component.set_state(State.STARTING, "no check yet")
         try:
             await self._recall()
@@ -157,7 +157,7 @@ class SelfChecks:
             lost = _marked(frames) - lost_before
             occasion = Occasion(number, cause, self._clock.utc(self._clock.monotonic_ns()), lost)
             if self._geometry.awaits_first and not has_begun:
-                self._answer(occasion, judged)  # whatever the cause; the first check is still to come
+                self._answer(occasion, judged)  # independent of the cause; the first check is still due
                 continue
             await self.memory.add(judged.check, occasion.time)
             self._settle(occasion, judged)
@@ -165,14 +165,14 @@ class SelfChecks:
             await self._recall()
 
     async def _recall(self) -> None:
-        """A bad verdict from before this start stays bad until a check has a verdict."""
+        """Restore a bad verdict from before this start, until a check has a verdict."""
         if self._geometry.verdict is None and await self.memory.was_bad():
             self._geometry.recall_bad()
             if not self._geometry.awaits_first:
                 self._component.set_state(self._geometry.state, self._geometry.faults[0].detail)
 
     async def _lamps_open(self, lamps: FrameLamps) -> None:
-        """Wait for lamps that have not been tried yet, and a while for those that failed."""
+        """Wait for lamps that are starting, and up to ``_LAMPS_WITHIN_S`` for lamps that failed."""
         polls_left = round(_LAMPS_WITHIN_S / _LAMPS_ASKED_EVERY_S)
         while lamps.complaint and polls_left:
             await self._clock.sleep(_LAMPS_ASKED_EVERY_S)
@@ -187,23 +187,23 @@ class SelfChecks:
             return Judged(unknown(f"a defect: {type(error).__name__}: {error}"))
 
     def _answer(self, occasion: Occasion, judged: Judged) -> None:
-        """Tell that a check could not begin. Without frames nothing is measured either: it is tried again."""
+        """Report that a check could not begin; it is retried: nothing is measured without frames either."""
         report = report_of(occasion, judged)
         self._component.set_state(State.DEGRADED, report.sentence)
         self._service.publish(report)
 
     def _judged(self, frames: CheckFrames, at: Mapping[str, SpotPx]) -> Judged:
-        """The verdict, with all that takes long of what may follow from it; beside the loop."""
+        """Return the verdict and prepare its correction, which takes long; called in a separate thread."""
         judged = self._judge.judge(frames, at, self._geometry.verdict)
         self._correction.prepare(self._geometry.transforms_after(judged.check))
         return judged
 
     def _settle(self, occasion: Occasion, judged: Judged) -> None:
-        """Apply a check: to the measurements, to the waiting requests, and to the next check."""
+        """Apply a check to measurements and to the schedule of the next check, and publish its report."""
         check = judged.check
         self._geometry.take(check, self.memory.slow_drift)
         if self._has_jumped:
-            self._geometry.note_shock()  # the check after it is still to come
+            self._geometry.note_shock()  # the check after the shock is still due
         report = report_of(occasion, judged)
         self._correction.apply(self._geometry)
         self._component.count("checks")
@@ -228,6 +228,6 @@ class SelfChecks:
 
 
 def _marked(frames: MarkedFrames) -> int:
-    """Exposures that were not measured so far, of the camera that lost most."""
+    """Return the number of exposures not measured so far, of the camera with most of them."""
     lit, switched = frames.marked[Light.ON], frames.marked[Light.SWITCHED]
     return max(lit[camera] + switched[camera] for camera in lit)

@@ -1,1 +1,1 @@
-"""The print of a target, found in the frames of its own scan, where no flat was recorded."""
+"""Find the print of a target in the frames of its own scan, if no flat was recorded."""

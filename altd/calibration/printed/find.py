@@ -1,7 +1,7 @@
-"""From the frames of a scan to the model of the print that its spots lie on.
+"""Model the print under the spots of a scan from its frames.
 
-Printed dots are a lattice: two reciprocal vectors and a Fourier series say how much light each place sends
-to the camera. The lattice is regular in the plane of the print, so it also tells where the map bends.
+Printed dots form a lattice: two reciprocal vectors and a Fourier series describe the light that each place
+sends to the camera. The lattice is regular in the plane of the print, so it also shows where the map bends.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from altd.vision.settings import SpotSettings
 
 _RIDGE = 1e-6
 _MAX_WEAKENING = 40.0
-"""Radians² per px²: higher harmonics are weakened no further, or noise would replace them."""
+"""Limit in radians² per px²: higher harmonics are weakened no further, or noise would replace them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """F over the print's plane: ``mean``, then ``amplitudes``, a complex number a harmonic.
+    """F over the print's plane: ``mean``, then ``amplitudes``, one complex number per harmonic.
 
-    Lens and pixel blur the picture alike everywhere, ``blur_px``, so where the picture of the print is small
-    its harmonics are weaker; the amplitudes are those of the print itself.
+    Lens and pixel blur the whole picture equally, by ``blur_px``, so harmonics are weaker where the picture
+    of the print is small. The amplitudes are those of the print itself.
     """
 
     lattice: Lattice
@@ -40,11 +40,10 @@ class Series:
 
     @classmethod
     def fit(cls, lattice: Lattice, samples: Iterable[Sample], blurs_px: Sequence[float]) -> Series:
-        """Weighted least squares through all samples; of some blurs the one that fits best.
+        """Fit all samples by weighted least squares, with the blur of ``blurs_px`` that fits best.
 
-        Gone through once, by normal equations that are summed up sample after sample. One blur weakens a
-        harmonic alike in all of a sample, so a sample's equations without blur, scaled, are those of each
-        blur.
+        The samples are read once; their normal equations are summed. A blur weakens a harmonic equally in
+        the whole of a sample, so the equations of each blur are those without blur, scaled.
         """
         half = len(lattice.vectors)
         sums = [_Sums.empty(1 + 2 * half) for _ in blurs_px]
@@ -64,7 +63,7 @@ class Series:
 
     @property
     def contrast(self) -> float:
-        """The weaker of the two fundamental waves, over the mean."""
+        """Amplitude of the weaker of the two fundamental waves, over the mean."""
         fundamental = np.abs(self.lattice.harmonics).sum(axis=1) == 1
         return float(np.abs(self.amplitudes[fundamental]).min() / self.mean)
 
@@ -76,7 +75,7 @@ class Series:
         return response
 
     def offset_mm(self, sample: Sample) -> FloatArray:
-        """By how much (2,) a node's print lies off the series: F(x + offset) fits its light best."""
+        """Offset (2,) of a node's print from the series: F(x + offset) fits its light best."""
         amplitudes = _dimming(self.lattice, sample.metric[None], self.blur_px) * self.amplitudes
         normal, right = np.zeros((2, 2)), np.zeros(2)
         for part in sample.parts():
@@ -93,10 +92,10 @@ class Series:
 class _Sums:
     """Normal equations of least squares: their matrix (p, p), right-hand side (p,) and Σ weight · ratio².
 
-    They square the condition, which does no harm here: the waves of a lattice are nearly orthogonal over the
+    They square the condition, which is harmless here: the waves of a lattice are nearly orthogonal over the
     pixels of a scan, so the matrix, scaled to a diagonal of 1, has a condition of 1.0 to 1.2
-    (docs/decisions/0029-memory.md). Unscaled it has up to 10¹³: a blur leaves next to nothing of the highest
-    harmonics.
+    (docs/decisions/0029-memory.md). Unscaled, the condition is up to 10¹³, because a blur leaves almost
+    nothing of the highest harmonics.
     """
 
     normal: FloatArray
@@ -105,11 +104,11 @@ class _Sums:
 
     @classmethod
     def empty(cls, size: int) -> _Sums:
-        """Of nothing yet."""
+        """Return the equations of no sample."""
         return cls(np.zeros((size, size)), np.zeros(size), 0.0)
 
     def add(self, sample: Sample, waves: ComplexArray) -> None:
-        """Take in the pixels of a sample, at which the waves are (n, harmonics)."""
+        """Add the pixels of a sample, at which the waves are (n, harmonics)."""
         design = np.column_stack([np.ones(len(waves)), waves.real, -waves.imag])
         weighted = design * sample.weight[:, None]
         self.normal += weighted.T @ design
@@ -117,13 +116,13 @@ class _Sums:
         self.square += float(sample.weight @ np.square(sample.ratio))
 
     def add_scaled(self, other: _Sums, scale: FloatArray) -> None:
-        """Take in what others have summed up, its columns times ``scale`` (p,)."""
+        """Add the sums of ``other``, its columns times ``scale`` (p,)."""
         self.normal += other.normal * scale * scale[:, None]
         self.right += other.right * scale
         self.square += other.square
 
     def solved(self) -> tuple[FloatArray, float]:
-        """The solution (p,), and what it leaves over: Σ weight · rest²."""
+        """Return the solution (p,) and its remaining cost: Σ weight · rest²."""
         ridged = self.normal + _RIDGE * np.eye(len(self.right))
         scale = 1 / np.sqrt(ridged.diagonal())
         solution = scale * np.linalg.solve(ridged * scale * scale[:, None], self.right * scale)
@@ -131,7 +130,7 @@ class _Sums:
 
 
 def _dimming(lattice: Lattice, metrics: FloatArray, blur_px: float) -> FloatArray:
-    """By how much a Gaussian blur weakens each harmonic, (places, harmonics), at metrics (places, 2, 2)."""
+    """Factor of a Gaussian blur on each harmonic, (places, harmonics), at metrics (places, 2, 2)."""
     x, y = lattice.vectors.T
     squared = (
         metrics[:, 0, 0, None] * x * x + 2 * metrics[:, 0, 1, None] * x * y + metrics[:, 1, 1, None] * y * y
@@ -141,20 +140,20 @@ def _dimming(lattice: Lattice, metrics: FloatArray, blur_px: float) -> FloatArra
 
 
 _MIN_CONTRAST = 0.1
-"""Dots of 0.15 mm, 0.6 mm apart, still make 0.24 in a picture of 4 px/mm; the plain spot's own shape 0.02."""
+"""Minimum contrast: 0.15 mm dots, 0.6 mm apart, have 0.24 at 4 px/mm; the plain spot's own shape has 0.02."""
 _MIN_NODES = 12
 _BLURS_PX = 0.3, 0.5, 0.7, 0.9, 1.1
 _ITERATIONS = 2
 _CUBIC_TERMS = 10
-"""Of a cubic of two coordinates."""
+"""Number of terms of a cubic in two coordinates."""
 _CUBIC_UNIT_MM = 50.0
 _MIN_FIDUCIAL_SIGMA_MM = 0.002
-"""Print is no more regular than that, nor is a node's spread of dots over a bent picture."""
+"""Minimum sigma: neither print nor a node's spread of dots over a bent picture is more regular."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Print:
-    """The print that a scan shows: its lattice, the flat of its picture, its places at the nodes."""
+    """The print in a scan: its lattice, the flat of its picture, and its places at the nodes."""
 
     lattice: Lattice
     flat: Flat
@@ -165,7 +164,7 @@ class Print:
 class _Model:
     """A print on its plane.
 
-    ``series`` is how bright it is, ``bend`` (10, 2) by how much it lies off the map, as a cubic of the place.
+    ``series`` is its brightness, ``bend`` (10, 2) its offset from the map, as a cubic of the place.
     ``regular_mm`` (n, 2) are the nodes' coordinates on it, ``sigma_mm`` is their standard deviation.
     """
 
@@ -176,24 +175,24 @@ class _Model:
 
     @classmethod
     def first(cls, lattice: Lattice, samples: NodeCache[Sample], centres_mm: FloatArray) -> _Model:
-        """As if the map were true; the blur that fits best stays."""
+        """Build the first model, as if the map were true; later models keep its blur, which fits best."""
         series = Series.fit(lattice, samples, _BLURS_PX)
         return cls._through(series, np.zeros((_CUBIC_TERMS, 2)), samples, centres_mm)
 
     def next(self, samples: NodeCache[Sample], centres_mm: FloatArray) -> _Model:
-        """A better one, from samples that were taken through this one's flat."""
+        """Return a better model, from samples that were taken through this one's flat."""
         series = Series.fit(self.series.lattice, self._regular(samples), (self.series.blur_px,))
         return self._through(series, self.bend, self._regular(samples), centres_mm)
 
     def _regular(self, samples: NodeCache[Sample]) -> Iterator[Sample]:
-        """The samples where the print has them."""
+        """Yield the samples with their places on the print."""
         return (replace(sample, mm=self.moved(sample.mm)) for sample in samples)
 
     @classmethod
     def _through(
         cls, series: Series, bend: FloatArray, regular: Iterable[Sample], centres_mm: FloatArray
     ) -> _Model:
-        """The bend is the part of the nodes' offsets that a cubic explains; the rest is their error."""
+        """Build a model: its bend is the cubic part of the nodes' offsets, the rest is their error."""
         cubic = _cubic(centres_mm)
         off_mm = cubic @ bend + np.array([series.offset_mm(sample) for sample in regular])
         bend = np.asarray(np.linalg.lstsq(cubic, off_mm, rcond=None)[0])
@@ -202,7 +201,7 @@ class _Model:
         return cls(series, bend, centres_mm + off_mm, max(sigma_mm, _MIN_FIDUCIAL_SIGMA_MM))
 
     def moved(self, places_mm: FloatArray) -> FloatArray:
-        """The places on the print, (n, 2) mm, of the places (n, 2) of the map."""
+        """Places on the print, (n, 2) mm, of places (n, 2) mm of the map."""
         moved: FloatArray = places_mm + _cubic(places_mm) @ self.bend
         return moved
 
@@ -210,16 +209,16 @@ class _Model:
 def find_print(
     frame_of: Callable[[int], Frame], nodes_px: FloatArray, first_map: TensorMap, settings: SpotSettings
 ) -> Print | None:
-    """The print that the spots at a scan's nodes show; None when there is none or it is not regular.
+    """Find the print under the spots at a scan's nodes; None if there is none or it is not regular.
 
-    ``frame_of`` gives one exposure of a node by its number, ``nodes_px`` (n, 2) is where the spots are,
-    ``first_map`` a map that is good to a tenth of a dot pitch. No more than a bounded part of what the frames
-    show is held at a time; the rest is taken from them again.
+    ``frame_of`` returns one exposure of a node by its number, ``nodes_px`` (n, 2) are the spots' positions,
+    ``first_map`` is a map good to a tenth of a dot pitch. Memory is limited: only a part of the samples is
+    kept at a time; the rest is made again from the frames.
     """
     plane = Plane(first_map)
 
     def seen_through(flat: Flat | None) -> NodeCache[Sample]:
-        """The prints at the nodes, those that show any."""
+        """Return samples of the print at the nodes that have one."""
         return NodeCache(
             len(nodes_px),
             lambda node: sample_of(frame_of(node), plane, settings, flat),
@@ -238,7 +237,7 @@ def find_print(
     if model.series.contrast < _MIN_CONTRAST:
         return None
     for _ in range(_ITERATIONS):
-        del samples  # two of them at a time would be twice the memory
+        del samples  # two caches at a time would need twice the memory
         samples = seen_through(_flat(model, picture_mm))
         if len(samples) < _MIN_NODES:
             return None
@@ -254,10 +253,10 @@ def _cubic(mm: FloatArray) -> FloatArray:
 
 
 def _flat(model: _Model, picture_mm: FloatArray) -> Flat:
-    """F at every pixel of a picture whose pixels look at (rows, columns, 2) mm."""
+    """Compute F at every pixel of a picture whose pixels show the places (rows, columns, 2) mm."""
     by_v, by_u = (np.asarray(slope) for slope in np.gradient(picture_mm, axis=(0, 1)))
     metrics = by_u[..., :, None] * by_u[..., None, :] + by_v[..., :, None] * by_v[..., None, :]
     response = np.empty(picture_mm.shape[:2], np.float32)
-    for row, (mm, metric) in enumerate(zip(picture_mm, metrics, strict=True)):  # stays in the cache
+    for row, (mm, metric) in enumerate(zip(picture_mm, metrics, strict=True)):  # a row fits the cache
         response[row] = model.series.at(model.moved(mm), metric)
     return Flat.of(response, "print")

@@ -1,4 +1,4 @@
-"""The lattice on which a print's dots lie, from the spectra of what the spots of a scan show."""
+"""The lattice of a print's dots, from the spectra of the ground under the spots of a scan."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from altd.calibration.printed.sample import Sample
 from altd.records import ComplexArray, FloatArray
 
 _MIN_RADIANS_PER_MM, _MAX_RADIANS_PER_MM = 1.5, 13.0
-"""Hexagonal prints of 4.8 mm pitch down to 0.56 mm, square ones of 4.2 down to 0.48 mm."""
+"""Search range: hexagonal prints of 4.8 mm pitch down to 0.56 mm, square ones of 4.2 down to 0.48 mm."""
 _STEP_RADIANS_PER_MM = 0.12
 _MIN_SINE = 0.6
-"""Of the angle between the two vectors."""
+"""Minimum sine of the angle between the two vectors."""
 _SPECTRUM_NODES = 12
 
 _MIN_NODES_AT_ONCE = 3
 _MIN_NODES_FOR_NARROW = 8
 _WIDE_TURN, _NARROW_TURN = 0.06, 0.012
-"""Radians per mm: half a step of the spectra at first, then what a few nodes leave open."""
+"""Search ranges, radians per mm: half a step of the spectra, then the uncertainty after a few nodes."""
 _TURNS = 31
 _KNOWN_PER_NEW = 64
-"""So many times as many nodes as are new may be known: 127 are taken one by one."""
+"""Number of known nodes per node added at a time: the first 127 are added one by one."""
 _REFINEMENTS = 5
 _MOMENTS = 6
 _MIN_COHERENCE = 0.8
@@ -38,21 +38,22 @@ _HEXAGONAL_CELL = np.sqrt(3) / 2
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """A regular print: ``reciprocal`` (2, 2) radians per mm, one vector a row, any two that span it."""
+    """A regular print: ``reciprocal`` (2, 2), any two vectors that span it, one per row, radians per mm."""
 
     reciprocal: FloatArray
 
     @property
     def pitch_mm(self) -> float:
-        """The shortest step from dot to dot."""
+        """Shortest distance between dots."""
         a, b = 2 * np.pi * np.linalg.inv(self.reciprocal).T
         return min(float(np.hypot(*(h * a + k * b))) for h, k in ((1, 0), (0, 1), (1, 1), (1, -1)))
 
     @cached_property
     def harmonics(self) -> npt.NDArray[np.int_]:
-        """(harmonics, 2): h, k of one half of the reciprocal lattice's points around the middle.
+        """Indices h, k (harmonics, 2) of one half of the reciprocal lattice's points around the middle.
 
-        Those within a circle that holds the fifth ring of a hexagonal lattice: as many whatever the lattice.
+        They are within a circle that holds the fifth ring of a hexagonal lattice, scaled to the cell's area,
+        so their number hardly depends on the lattice.
         """
         span = np.arange(-2 * _ORDER, 2 * _ORDER + 1)
         h, k = (grid.ravel() for grid in np.meshgrid(span, span, indexing="ij"))
@@ -68,7 +69,7 @@ class Lattice:
         return vectors
 
     def waves(self, mm: FloatArray) -> ComplexArray:
-        """exp(i (h b₁ + k b₂)·x) at points (n, 2), (n, harmonics), by multiplication."""
+        """Compute exp(i (h b₁ + k b₂)·x) at points (n, 2), (n, harmonics), by multiplication."""
         highest = int(np.abs(self.harmonics).max())
         powers = np.empty((2, 2 * highest + 1, len(mm)), np.complex128)
         for wave, of_wave in zip(np.exp(1j * (mm @ self.reciprocal.T)).T, powers, strict=True):
@@ -82,7 +83,7 @@ class Lattice:
 
 
 class Samples(Protocol):
-    """The samples of some nodes, by number; each access may take as long as it takes to see a frame."""
+    """Samples of some nodes, by number; an access may take as long as the analysis of a frame."""
 
     def __len__(self) -> int: ...
 
@@ -90,10 +91,10 @@ class Samples(Protocol):
 
 
 def find_lattice(samples: Samples, centres_mm: FloatArray) -> Lattice | None:
-    """The two strongest reciprocal vectors, if all nodes, at centres (n, 2), agree on them; else None.
+    """Find the two strongest reciprocal vectors; None unless all nodes, at centres (n, 2), agree on them.
 
-    First in the inner nodes' spectra, then coherently from the middle outwards. Waves that move with the spot
-    belong to the beam (fringes, the shape of its profile) and are no print.
+    The inner nodes' spectra give a first estimate, refined coherently from the middle outwards. Waves that
+    move with the spot belong to the beam (fringes, the shape of its profile) and are no print.
     """
     outwards = np.argsort(np.hypot(*(centres_mm - centres_mm.mean(axis=0)).T))
     inner = [samples[index] for index in outwards[:_SPECTRUM_NODES].tolist()]
@@ -109,7 +110,7 @@ def find_lattice(samples: Samples, centres_mm: FloatArray) -> Lattice | None:
 
 
 def _strongest_two(samples: Sequence[Sample]) -> tuple[FloatArray, FloatArray]:
-    """The strongest wave of the summed spectra, and the strongest that runs another way."""
+    """Find the strongest wave of the summed spectra, and the strongest one in another direction."""
     along_x = np.arange(-_MAX_RADIANS_PER_MM, _MAX_RADIANS_PER_MM + 1e-9, _STEP_RADIANS_PER_MM)
     along_y = along_x[along_x > -1e-9]
     power = np.sum([np.abs(_spectrum(sample, along_x, along_y)) ** 2 for sample in samples], axis=0)
@@ -133,10 +134,10 @@ def _at_peak(power: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _propagated(vectors: FloatArray, samples: Iterable[Sample], centres_mm: FloatArray) -> FloatArray:
-    """Reciprocal vectors (2, 2) that were turned and stretched until the nodes agree on their phases.
+    """Turn and stretch reciprocal vectors (2, 2) until the nodes agree on their phases.
 
-    From the middle outwards, node after node, of many nodes ever more at a time: linear in their number. A
-    node's phases are measured once and then turned as its centre's do, which is good enough for a start.
+    Nodes are added from the middle outwards, the more are known the more at a time: linear in their number.
+    A node's phases are measured once and then turned like its centre's, sufficient for a first estimate.
     """
     vectors, coming = vectors.copy(), iter(samples)
     phasors = np.zeros((2, len(centres_mm)), np.complex128)
@@ -158,16 +159,16 @@ def _propagated(vectors: FloatArray, samples: Iterable[Sample], centres_mm: Floa
 
 
 def _moments(sample: Sample, vector: FloatArray, centre_mm: FloatArray) -> ComplexArray:
-    """A wave's sum over a sample, and its moments about the node's centre: all, x, y, xx, xy, yy."""
+    """Sum of a wave over a sample, and its moments about the node's centre: sum, x, y, xx, xy, yy."""
     x, y = (sample.mm - centre_mm).T
     light = _deviation(sample) * np.exp(-1j * (sample.mm @ vector))
     return np.asarray(np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y]) @ light)
 
 
 def _turned(moments: ComplexArray, centres_mm: FloatArray, turn: FloatArray) -> ComplexArray:
-    """The phases (n,) of nodes whose wave is turned by a little, as numbers of length 1.
+    """Phases (n,) of nodes whose wave is turned slightly, as numbers of length 1.
 
-    To the second order in ``turn``: after a thousandth of a radian per mm good to 1e-7 at 10 mm.
+    Second order in ``turn``: for a thousandth of a radian per mm, accurate to 1e-7 at 10 mm.
     """
     x, y = turn
     all_, by_x, by_y, xx, xy, yy = moments.T
@@ -177,9 +178,9 @@ def _turned(moments: ComplexArray, centres_mm: FloatArray, turn: FloatArray) -> 
 
 
 def _refined(vector: FloatArray, moments: ComplexArray, centres_mm: FloatArray) -> FloatArray | None:
-    """Turn and stretch a reciprocal vector by what is left of the phases of all nodes; None if they disagree.
+    """Turn and stretch a reciprocal vector by the remaining phases of all nodes; None if they disagree.
 
-    ``moments`` (n, 6) are those of the samples with this vector, ``centres_mm`` (n, 2) the nodes.
+    ``moments`` (n, 6) are the moments of the samples with this vector, ``centres_mm`` (n, 2) the nodes.
     """
     design = np.column_stack([np.ones(len(centres_mm)), centres_mm])
     turn = np.zeros(2)
@@ -193,7 +194,7 @@ def _refined(vector: FloatArray, moments: ComplexArray, centres_mm: FloatArray) 
 
 
 def _phasor(sample: Sample, vector: FloatArray) -> complex:
-    """The phase of one wave in a sample, as a number of length 1."""
+    """Phase of one wave in a sample, as a number of length 1."""
     total = np.sum(_deviation(sample) * np.exp(-1j * (sample.mm @ vector)))
     return complex(total / max(abs(total), 1e-12))
 

@@ -1,4 +1,4 @@
-"""The print under one spot of a scan, and the place on the target that each pixel sees."""
+"""The print under one spot of a scan, and the place on the target that each pixel shows."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _DEGREE = 8
 
 
 class Plane:
-    """The inverse of a map as one polynomial, quick for many pixels.
+    """The inverse of a map as one polynomial, fast for many pixels.
 
-    Good to nanometres over the nodes' rectangle and a margin of 8 mm around, where spots at the outer nodes
-    reach.
+    It is accurate to nanometres over the nodes' rectangle and a margin of 8 mm, which spots at the outer
+    nodes reach.
     """
 
     def __init__(self, fitted: TensorMap) -> None:
@@ -42,12 +42,12 @@ class Plane:
         self._coefficients[:, i, j] = np.linalg.lstsq(u[:, i] * v[:, j], mm, rcond=None)[0].T
 
     def to_mm(self, px: FloatArray) -> FloatArray:
-        """Points (n, 2) px as (n, 2) mm."""
+        """Convert points (n, 2) px to (n, 2) mm."""
         u, v = self._powers(px[:, 0], 0), self._powers(px[:, 1], 1)
         return np.stack([((u @ coefficients) * v).sum(axis=1) for coefficients in self._coefficients], axis=1)
 
     def grid_mm(self, rows: int, columns: int) -> FloatArray:
-        """All pixels of a picture as (rows, columns, 2) mm."""
+        """Places of all pixels of a picture, (rows, columns, 2) mm."""
         u = self._powers(np.arange(columns, dtype=np.float64), 0)
         v = self._powers(np.arange(rows, dtype=np.float64), 1)
         return np.stack([v @ coefficients.T @ u.T for coefficients in self._coefficients], axis=-1)
@@ -65,14 +65,14 @@ class Plane:
 _MIN_SHARE_OF_PEAK = 0.15
 _PART_PIXELS = 1 << 13
 _TEXTURE_SIGMA = 0.15
-"""Relative scatter that a pixel keeps beside the print: limits the weight of bright pixels."""
+"""Relative scatter of a pixel in addition to the print; limits the weight of bright pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """The lit pixels of one node.
 
-    ``mm`` (n, 2) is where on the target they look, ``ratio`` (n,) their light relative to that of the spot on
+    ``mm`` (n, 2) are their places on the target, ``ratio`` (n,) their light relative to that of the spot on
     even ground, ``weight`` (n,) the inverse of its variance, ``metric`` (2, 2) mm²/px² the scale there.
     """
 
@@ -83,20 +83,20 @@ class Sample:
 
     @property
     def nbytes(self) -> int:
-        """Its size in memory."""
+        """Size in memory, bytes."""
         return self.mm.nbytes + self.ratio.nbytes + self.weight.nbytes + self.metric.nbytes
 
     def parts(self) -> Iterator[Sample]:
-        """The same pixels, some thousand at a time: what is made of each is a hundred times as large."""
+        """Yield the pixels, some thousand at a time: data derived from each is a hundred times as large."""
         for start in range(0, len(self.ratio), _PART_PIXELS):
             part = slice(start, start + _PART_PIXELS)
             yield Sample(self.mm[part], self.ratio[part], self.weight[part], self.metric)
 
 
 def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | None) -> Sample | None:
-    """The sample of a frame; None where it has no spot, or none that a profile fits.
+    """Take the sample of a frame; None if it has no spot, or with a flat none that a profile fits.
 
-    Without a flat the light is taken relative to the smoothed spot, with one to the fitted profile.
+    The light is relative to the smoothed spot, with a flat to the fitted profile.
     """
     analysis = FrameAnalysis(frame, settings)
     patch = analysis.brightest_patch

@@ -31,10 +31,10 @@ from altd.records import FloatArray, TargetPoint
 
 COVERAGE = 0.95
 _MIN_CONTRIBUTION = 1e-9
-"""In mm or degrees: smaller ones are rounding of a term that plays no part."""
+"""Minimum contribution, mm or degrees; smaller ones are rounding of a term without effect."""
 _MAX_SHOWN_FREEDOM = 9999
 _LINES = 5
-"""Places, and slopes, along an axis."""
+"""Number of places, and of slopes, along an axis."""
 
 _TERMS = {
     "pattern": "print and speckle under the spot",
@@ -63,8 +63,8 @@ class Term:
     """One input of the measurement.
 
     ``value`` is its standard uncertainty in ``unit``, of ``distribution`` with ``degrees_of_freedom``
-    (infinite: stated). ``contributions`` are to the budget's quantities, in their units: the root mean square
-    over the beams.
+    (infinite: stated). ``contributions`` are its root mean square contributions, over the beams, to the
+    budget's quantities, in their units.
     """
 
     key: str
@@ -76,12 +76,12 @@ class Term:
 
     @property
     def name(self) -> str:
-        """The term for people."""
+        """Name of the term as printed."""
         return _TERMS[self.key]
 
     @property
     def sensitivities(self) -> tuple[float, ...]:
-        """Each contribution by the value, in the quantity's unit by the term's."""
+        """Each contribution divided by the value, in the quantity's unit per the term's."""
         return tuple(contribution / self.value for contribution in self.contributions)
 
 
@@ -89,7 +89,7 @@ class Term:
 class Budget:
     """All terms for the beams that reach the area with slopes up to the stated range.
 
-    ``not_stated`` are the keys of what counts as 0 because it was not stated.
+    ``not_stated`` are the keys of terms that count as 0 because they were not stated.
     """
 
     quantities: tuple[str, ...]
@@ -105,7 +105,7 @@ class Budget:
 
     @property
     def degrees_of_freedom(self) -> tuple[float, ...]:
-        """The effective ones, by Welch and Satterthwaite (GUM, G.2b)."""
+        """Effective degrees of freedom, by Welch and Satterthwaite (GUM, G.2b)."""
         effective = []
         for combined, column in zip(
             self.combined, zip(*(term.contributions for term in self.terms), strict=True), strict=True
@@ -120,12 +120,12 @@ class Budget:
 
     @property
     def coverage_factors(self) -> tuple[float, ...]:
-        """Of ``COVERAGE``, from Student's distribution (GUM, G.3)."""
+        """Coverage factors for ``COVERAGE``, from Student's distribution (GUM, G.3)."""
         return tuple(student_quantile((1 + COVERAGE) / 2, freedom) for freedom in self.degrees_of_freedom)
 
     @property
     def expanded(self) -> tuple[float, ...]:
-        """The expanded uncertainties."""
+        """Expanded uncertainty of each quantity."""
         return tuple(k * u for k, u in zip(self.coverage_factors, self.combined, strict=True))
 
     def as_object(self) -> dict[str, Any]:
@@ -160,9 +160,9 @@ class Budget:
 
 
 def student_quantile(probability: float, degrees_of_freedom: float) -> float:
-    """The quantile of Student's distribution by its expansion (Abramowitz and Stegun, 26.7.5).
+    """Quantile of Student's distribution by its expansion (Abramowitz and Stegun, 26.7.5).
 
-    Within 0.1 % for 97.5 % and six degrees of freedom or more.
+    It is accurate to 0.1 % for 97.5 % and six degrees of freedom or more.
     """
     x = NormalDist().inv_cdf(probability)
     if not math.isfinite(degrees_of_freedom):
@@ -176,9 +176,9 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
 
 
 def beams_of(calibration: Calibration, lines: int = _LINES) -> list[list[TargetPoint]]:
-    """The points of beams that are even over the first target and the stated range, and meet all targets.
+    """Points of beams spread evenly over the first target and the stated range that meet all targets.
 
-    A single target has its places instead. Raises ValueError when the targets have no area in common.
+    For a single target, its places are used. Raises ValueError when the targets have no common area.
     """
     x_mm, y_mm = (np.linspace(axis[0], axis[-1], lines) for axis in common_area(calibration.targets))
     places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
@@ -197,7 +197,7 @@ def beams_of(calibration: Calibration, lines: int = _LINES) -> list[list[TargetP
 def budget_of(
     calibration: Calibration, evidence: Sequence[TargetEvidence], exposures: int = EXPOSURES
 ) -> Budget:
-    """The budget of a measurement of so many exposures; raises ValueError as ``beams_of`` does."""
+    """Compute the budget of a measurement of ``exposures`` exposures; raises ValueError like ``beams_of``."""
     beams = beams_of(calibration)
     variances = [variances_of(calibration, beam, exposures) for beam in beams]
     quantities = OF_SPOT if len(calibration.targets) == 1 else OF_BEAM
@@ -220,7 +220,7 @@ def budget_of(
 
 
 def _degrees_of_freedom(calibration: Calibration, evidence: Sequence[TargetEvidence]) -> Mapping[str, float]:
-    """Of the terms that the scan shows: nodes and exposures, less what was fitted to them."""
+    """Degrees of freedom of the terms that the scan shows: nodes and exposures, less fitted parameters."""
     nodes, exposures = 0.0, 0.0
     for target, seen in zip(calibration.targets, evidence, strict=True):
         of_model = (c.parameters for c in seen.candidates if c.model == target.map.model)
@@ -230,7 +230,7 @@ def _degrees_of_freedom(calibration: Calibration, evidence: Sequence[TargetEvide
 
 
 def budget_section(budget: Budget) -> list[Block]:
-    """The budget as a table: a row a term, then combined and expanded uncertainty."""
+    """The budget as a table: one row per term, then combined and expanded uncertainty."""
     names = tuple(f"{name_of(key)}, {unit_of(key).strip()}" for key in budget.quantities)
 
     def numbers(values: Sequence[float]) -> tuple[str, ...]:

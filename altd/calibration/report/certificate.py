@@ -14,7 +14,7 @@ from altd.calibration.report.write import Source
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The correction that remains after the calibration file, which is 0, and its uncertainty by the budget.
+    """The correction that remains with the calibration file, which is 0, and its uncertainty by the budget.
 
     ``standard`` and ``expanded`` are in the unit at the end of ``key``.
     """
@@ -26,7 +26,7 @@ class Result:
 
     @property
     def name(self) -> str:
-        """The result for people."""
+        """Name of the result as printed."""
         return f"remaining correction of {name_of(self.key)}"
 
 

@@ -1,4 +1,4 @@
-"""Facts of a calibration certificate that only a person knows, from a TOML file (docs/calibrate.md)."""
+"""Facts of a calibration certificate that a person must supply, from a TOML file (docs/calibrate.md)."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Contact(Table):
     post_code: Text | None = None
     city: Text
     country: Country
-    """Two letters of ISO 3166."""
+    """Country code of two letters, ISO 3166."""
     code: Text | None = None
-    """Of an accredited laboratory: its code."""
+    """Code of an accredited laboratory."""
 
 
 class Operator(Table):
@@ -54,27 +54,27 @@ class Environment(Table):
 
     temperature_c: Annotated[float, Field(ge=-50, le=100)]
     temperature_expanded_k: Annotated[float, Field(gt=0, le=50)]
-    """Expanded uncertainty (k = 2) of the temperature, its change during the scan included."""
+    """Expanded uncertainty (k = 2) of the temperature, K, including its change during the scan."""
 
 
 class Equipment(Table):
-    """A measuring equipment, such as the stage or the laser."""
+    """An item of measuring equipment, such as the stage or the laser."""
 
     name: Text
     manufacturer: Text
     model: Text
     serial: Text
     certificate: Text | None = None
-    """Number of its calibration certificate; absent: not traceable."""
+    """Number of its calibration certificate; without one, it is not traceable."""
     calibrated_by: Text | None = None
     valid_until: date | None = None
 
 
 class Facts(Table):
-    """The whole file."""
+    """Contents of the file."""
 
     number: Text
-    """Of the certificate."""
+    """Number of the certificate."""
     performed: date
     valid_until: date | None = None
     procedure: Text = "altd: Calibrating a unit (docs/calibrate.md)"
@@ -87,7 +87,7 @@ class Facts(Table):
 
 
 def load_facts(path: Path) -> Facts:
-    """Read and check a file; raises BadInputError with one line for each fault, with line and key."""
+    """Read and check a file; raises BadInputError with a message for each fault, with its line and key."""
     content = read_file(path, _MAX_BYTES)
     try:
         document = parse_toml(content)
@@ -115,7 +115,7 @@ def load_facts(path: Path) -> Facts:
 
 
 def _keys_beside(keys: tuple[str | int, ...]) -> list[str]:
-    """The possible keys of the table that a key is in."""
+    """Possible keys of the table that contains a key."""
     tables: dict[str | int, type[Table]] = {
         "laboratory": Contact, "customer": Contact, "operator": Operator, "unit": UnitFacts,
         "environment": Environment, "equipment": Equipment,

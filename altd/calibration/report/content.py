@@ -1,4 +1,4 @@
-"""The contents of the report, in the order in which a person needs them."""
+"""The contents of the report, in the order in which a reader needs them."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from altd.recording.header import CameraHeader
 from altd.records import utc_text
 
 _PER_UNIT = 1000
-"""Pictures are in thousandths of a degree or of a millimetre."""
+"""Factor for pictures, which are in thousandths of a degree or of a millimetre."""
 
 
 def beam_section(prediction: Prediction, source: Source) -> list[Block]:
-    """Sigma of what is measured over the area, its causes and what averaging brings."""
+    """Section on the predicted sigma over the area, its causes and the effect of averaging."""
     targets, exposures = source.calibration.targets, prediction.exposures
     plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
     if prediction.quantities == OF_SPOT:
@@ -80,7 +80,7 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
 
 
 def _pair(prediction: Prediction, plane: Plane, *quantities: str) -> tuple[Picture, ...]:
-    """Sigma of quantities over the area, on one scale."""
+    """Pictures of the sigma of quantities over the area, on one scale."""
     sigmas = [_PER_UNIT * prediction.sigma[prediction.quantities.index(name)] for name in quantities]
     limits = float(np.nanmin(sigmas)), float(np.nanmax(sigmas))
     pictures = []
@@ -97,10 +97,10 @@ def _unit(quantity: str) -> str:
 
 
 def report_on(source: Source, budget: Budget | None = None, facts: Facts | None = None) -> Document:
-    """Compute, judge and arrange; ``budget`` is the calibration's where the caller needs it, too.
+    """Compute, judge and arrange the report; ``budget`` is the calibration's, if the caller has computed it.
 
-    With ``facts`` the report is a calibration certificate. Raises ValueError when the targets have no area
-    in common.
+    With ``facts`` the report is a calibration certificate. Raises ValueError when the targets have no common
+    area.
     """
     budget = budget or budget_of(source.calibration, source.evidence)
     prediction = predict(source.calibration)
@@ -133,7 +133,7 @@ def report_on(source: Source, budget: Budget | None = None, facts: Facts | None 
 
 
 def _origin(calibration: Calibration) -> list[Block]:
-    """Marks the report of a simulated unit, so that it is not mistaken for that of a real one."""
+    """Mark the report of a simulated unit, so that it is not mistaken for that of a real one."""
     if not calibration.simulated:
         return []
     names = " and ".join(target.name for target in calibration.targets if target.simulated)
@@ -192,7 +192,7 @@ def _left_out(source: Source) -> list[Block]:
 
 
 def _located(target: TargetCalibration) -> str:
-    """The method that locates the target's spots, in words."""
+    """Describe the method that locates the target's spots."""
     if target.flat is not None:
         return {
             "recording": "through a recorded flat",
@@ -207,7 +207,7 @@ def _located(target: TargetCalibration) -> str:
 
 
 def _described(camera: CameraHeader) -> str:
-    """Which camera it was and how it exposed, as far as the recording knows."""
+    """Describe a camera with its exposure time and gain, as far as they are recorded."""
     told = (
         camera.model,
         camera.serial and f"serial {camera.serial}",
@@ -220,7 +220,7 @@ def _described(camera: CameraHeader) -> str:
 
 
 def _recordings(source: Source) -> list[tuple[str, str]]:
-    """The source of the calibration: one recording, or several by their numbers."""
+    """Facts on the source of the calibration: one recording, or several by their numbers."""
     calibration, several = source.calibration, len(source.headers) > 1
     facts = [
         ("Recordings" if several else "Recording", calibration.recording_note),

@@ -1,8 +1,8 @@
 """A certificate as XML in the structure of the Digital Calibration Certificate, version 3.3.0.
 
 The elements are those of the namespaces https://ptb.de/dcc and https://ptb.de/si, in the order of their
-sequences. A complete unit's file is valid by the PTB's schemas of the certificate 3.3.0 and of D-SI 2.2.0,
-which are not part of this repository.
+sequences. A complete unit's file validates against the PTB's schemas of the certificate 3.3.0 and of D-SI
+2.2.0, which are not part of this repository.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Element = ElementTree.Element
 
 
 def dcc_xml(facts: Facts, source: Source, budget: Budget) -> bytes:
-    """The certificate as UTF-8 XML."""
+    """Render the certificate as UTF-8 XML."""
     ElementTree.register_namespace("dcc", DCC)
     ElementTree.register_namespace("si", SI)
     root = Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA_VERSION})

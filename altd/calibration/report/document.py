@@ -1,4 +1,4 @@
-"""The report before it is set: headings, words, tables and pictures, the same for HTML and PDF."""
+"""The report before its layout: headings, words, tables and pictures, the same for HTML and PDF."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 WIDTH_IN = 3.45
-"""Of every picture: two fill a sheet, one a phone, and the type in them is legible on either."""
+"""Width of every picture: two fill a sheet, one a phone, and the type in them is legible on either."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """Starts a section."""
+    """The heading of a section."""
 
     text: str
 
@@ -32,7 +32,7 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The verdict, for all to see."""
+    """A prominent message with a level, such as the verdict."""
 
     level: Level
     headline: str
@@ -41,9 +41,9 @@ class Banner:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """``columns`` are the headings, none for a list of names and values; ``shares`` of the width make 1.
+    """A table; ``columns`` are the headings, none for names and values; ``shares`` of the width sum to 1.
 
-    ``levels`` has one a row where rows are judged, else it is empty.
+    ``levels`` has one level per row if rows are judged, else it is empty.
     """
 
     columns: tuple[str, ...]
@@ -54,7 +54,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A drawing ``WIDTH_IN`` wide; ``words`` are for those who cannot see it."""
+    """A drawing ``WIDTH_IN`` wide; ``words`` is the alternative text."""
 
     words: str
     height_in: float
@@ -63,7 +63,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Pictures to be compared: beside each other where there is room."""
+    """Pictures to be compared, side by side if there is room."""
 
     pictures: tuple[Picture, ...]
     caption: str
@@ -74,7 +74,7 @@ Block = Heading | Words | Banner | Table | Row
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The whole report, on the calibration whose file carries ``checksum``.
+    """The whole report on the calibration whose file contains ``checksum``.
 
     ``mark`` is printed across every sheet; empty: no mark.
     """

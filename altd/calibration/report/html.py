@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: pictures inside, no script, no font, no link."""
+"""The report as one self-contained HTML page: pictures inside, no script, no font, no link."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from altd.calibration.report.verdict import Level
 from altd.calibration.report.write import meta_line
 
 MARKS = {Level.GOOD: "✓", Level.USABLE: "!", Level.BAD: "✗"}
-"""Beside colour and word, for those who see no colour."""
+"""Symbols in addition to colour and word, for readers who cannot see the colours."""
 
 _NOTHING_FROM_OUTSIDE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
@@ -83,7 +83,7 @@ figcaption { color: #444b54; font-size: .9rem; margin-top: .4rem; max-width: 46r
 
 
 def html_page(document: Document) -> bytes:
-    """Set the document as HTML, UTF-8."""
+    """Render the document as HTML, UTF-8."""
     with report_style():
         body = "\n".join(_block(block) for block in document.blocks)
     title, subtitle = escape(document.title), escape(document.subtitle)
@@ -108,7 +108,7 @@ def html_page(document: Document) -> bytes:
 
 
 def svg(picture: Picture) -> bytes:
-    """One drawing as SVG; to be called within ``report_style()``."""
+    """Render one drawing as SVG; call it within ``report_style()``."""
     figure = Figure(figsize=(WIDTH_IN, picture.height_in))
     picture.draw(Canvas(figure, WIDTH_IN, picture.height_in))
     file = io.BytesIO()

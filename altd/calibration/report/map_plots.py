@@ -1,4 +1,4 @@
-"""Drawings of how the map was chosen, what is uncertain of it and what makes sigma."""
+"""Drawings of the choice of the map, its uncertainty and the causes of sigma."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BUDGET_IN = 1.95
 
 
 def name_of(candidate: Candidate) -> str:
-    """The model with its degree along x and y."""
+    """Name of the model with its degree along x and y."""
     if candidate.degree is None:
         return candidate.model
     return f"{candidate.model.removesuffix('tensor')} {candidate.degree[0]} × {candidate.degree[1]}".strip()
@@ -42,7 +42,7 @@ def candidates(
     chosen: int | None,
     limits_px: tuple[float, float],
 ) -> Draw:
-    """Error against degree: the misfit falls, what noise leaves, ``noise_px``, grows (Sec. 3.5.6)."""
+    """Error against degree: the misfit falls, the noise left in the map, ``noise_px``, grows (Sec. 3.5.6)."""
     tensors = sum(c.model == "tensor" for c in tried)
     names = [name_of(c).replace(" × ", "×").replace("+", " + ") for c in tried]
 
@@ -118,7 +118,7 @@ def covariance(title: str, matrix_px2: FloatArray, largest_px2: float, symlog: b
 
 
 def _power(value: float) -> str:
-    """A power of ten in print."""
+    """A power of ten as printed."""
     if value == 0:
         return "0"
     raised = str(round(np.log10(abs(value)))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
@@ -132,7 +132,7 @@ def _decades(largest: float) -> list[float]:
 
 
 def budget(title: str, names: Sequence[str], shares: FloatArray, causes: Sequence[str]) -> Draw:
-    """The causes of the variance of each quantity, shares (quantities, causes)."""
+    """Shares (quantities, causes) of the causes in the variance of each quantity."""
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.axes(0.62, 0.62, 0.12, 0.28)
@@ -167,7 +167,7 @@ def budget(title: str, names: Sequence[str], shares: FloatArray, causes: Sequenc
 def averaging(
     title: str, exposures: FloatArray, sigmas: Sequence[tuple[str, FloatArray]], usual: int, label: str
 ) -> Draw:
-    """The benefit of longer averaging: sigma over the number of exposures."""
+    """Effect of averaging: sigma over the number of exposures."""
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.axes(0.5, 0.62, 0.12, 0.28)

@@ -1,4 +1,4 @@
-"""Fit of the maps to the nodes, the models that were tried, and the uncertainty of the maps."""
+"""Sections on the fit of the maps to the nodes, the models tried, and the uncertainty of the maps."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from altd.measuring.calibration import TargetCalibration
 _MAX_ARROW_MM = 20.0
 _MAX_DIFFERENCE_ARROW_MM = 15.0
 _MIN_MM, _MIN_PX2 = 1e-4, 1e-12
-"""The smallest scale: smaller values are drawn as if they were so large."""
+"""Minimum scale; smaller values are drawn as if they had this size."""
 
 
 def residuals(source: Source) -> list[Block]:
-    """Residual vectors of all targets on one scale, and the numbers that sum them up."""
+    """Section with residual vectors of all targets on one scale, and the numbers that summarise them."""
     plane = Plane([target.map.hull_mm for target in source.calibration.targets])
     offsets = [offsets_mm(target, seen.nodes_mm, seen.residuals_px) for target, seen in source.targets()]
     longest_mm = max(_MIN_MM, *(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets))
@@ -68,7 +68,7 @@ def residuals(source: Source) -> list[Block]:
 
 
 def models(source: Source) -> list[Block]:
-    """The candidates: error against degree."""
+    """Section on the candidates: error against degree."""
     noises = [
         np.array([noise_in_map_px(c, len(seen.nodes_mm), _noise_px(target, seen)) for c in shown])
         for target, seen in source.targets()
@@ -100,7 +100,7 @@ def models(source: Source) -> list[Block]:
 
 
 def _table_of_models(source: Source) -> Table:
-    """All candidates, a line each, with the numbers of each target."""
+    """All candidates, one line each, with the numbers of each target."""
     lines: dict[tuple[str, str], dict[str, str]] = {}
     for target, seen in source.targets():
         tried = _in_order(seen.candidates)
@@ -120,12 +120,12 @@ def _full_name(candidate: Candidate) -> str:
 
 
 def _in_order(tried: Sequence[Candidate]) -> list[Candidate]:
-    """Tensor polynomials first, each kind by the number of parameters."""
+    """Sort tensor polynomials first, and each kind by the number of parameters."""
     return sorted(tried, key=lambda c: (c.model != "tensor", c.parameters, c.degree or (0, 0)))
 
 
 def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates to draw: the best of the tensor polynomials of each sum of degrees."""
+    """Candidates to draw: the best tensor polynomial of each sum of degrees, and all other models."""
     best: dict[int, Candidate] = {}
     for candidate in tried:
         if candidate.model == "tensor" and candidate.degree is not None:
@@ -138,13 +138,13 @@ def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _chosen(target: TargetCalibration, tried: Sequence[Candidate]) -> int | None:
-    """Which candidate became the map: of its model the one with the map's left-out error."""
+    """Index of the candidate that became the map: of its model, the one with its leave-one-out rms."""
     same = [n for n, c in enumerate(tried) if c.model == target.map.model]
     return min(same, key=lambda n: abs(tried[n].leave_one_out_px - target.leave_one_out_px), default=None)
 
 
 def _noise_px(target: TargetCalibration, seen: TargetEvidence) -> float:
-    """The nodes' scatter about the map, stage and exposures included, which its own pattern does not hold."""
+    """Scatter of the nodes about the map, with stage and exposures, which the map's own noise excludes."""
     chosen = _chosen(target, seen.candidates)
     return (
         target.map.noise_px if chosen is None else own_noise_px(seen.candidates[chosen], len(seen.nodes_mm))
@@ -152,7 +152,7 @@ def _noise_px(target: TargetCalibration, seen: TargetEvidence) -> float:
 
 
 def cross_checks(source: Source) -> list[Block]:
-    """The distance between the map and the second, independent one over the area."""
+    """Section on the distance between the map and the second, independent one over the area."""
     targets = source.calibration.targets
     plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
     x_mm, y_mm = common_area(targets)
@@ -187,7 +187,7 @@ def cross_checks(source: Source) -> list[Block]:
 
 
 def covariances(source: Source) -> list[Block]:
-    """Covariance of the nodes and of the spectrum, as images."""
+    """Section with the covariances of the nodes and of the spectrum, as images."""
     of_nodes = [node_covariance_px2(target.map, seen.nodes_mm) for target, seen in source.targets()]
     of_spectra = [spectrum_covariance_px2(target.map) for target, _ in source.targets()]
     blocks: list[Block] = [Heading("Uncertainty of the map")]

@@ -1,4 +1,4 @@
-"""Repeatability of the spots, and the pictures of the cameras."""
+"""Sections on the repeatability of the spots, and with the pictures of the cameras."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.records import FloatArray, PixelArray
 
 _MAX_WIDTH_PX = 480
-"""More would make the page large and nothing clearer."""
+"""Maximum width of a picture; more would make the page large without more detail for the reader."""
 
 
 def scan_negatives(targets: Sequence[TargetFrames]) -> Mapping[str, PixelArray]:
-    """The brightest of what a target's camera saw at each pixel, as a negative, (rows, columns) uint8.
+    """Compute the maximum of a target's frames at each pixel, as a negative, (rows, columns) uint8.
 
-    By the targets' names. Of each node one exposure counts, of the LED reference those with LEDs on; large
-    pictures are made small. Raises BadInputError for a frame that cannot be decoded.
+    The result is by the targets' names. One exposure per node and the LED references with LEDs on count;
+    large pictures are reduced. Raises BadInputError for a frame that cannot be decoded.
     """
     brightest = {frames.name: _brightest(frames) for frames in targets}
     return {name: _negative(pixels) for name, pixels in brightest.items() if pixels is not None}
@@ -46,7 +46,7 @@ def _brightest(frames: Iterable[FrameRow]) -> PixelArray | None:
 
 
 def _negative(pixels: PixelArray) -> PixelArray:
-    """Light on dark becomes dark on light; the square root shows what is dim."""
+    """Turn light on dark into dark on light; the square root makes dim light visible."""
     width = min(_MAX_WIDTH_PX, pixels.shape[1])
     height = max(1, round(pixels.shape[0] * width / pixels.shape[1]))
     light = cv2.resize(pixels.astype(np.float64), (width, height), interpolation=cv2.INTER_AREA)
@@ -59,7 +59,7 @@ def _negative(pixels: PixelArray) -> PixelArray:
 _LEFT_IN, _BOTTOM_IN, _RIGHT_IN, _TOP_IN = 0.48, 0.42, 0.1, 0.28
 
 _HALO = [withStroke(linewidth=2.2, foreground="white")]
-"""Keeps marks legible where the picture is dark."""
+"""Outline that keeps marks legible where the picture is dark."""
 
 
 def height_in(size_px: tuple[int, int]) -> float:
@@ -130,7 +130,7 @@ def scatter(
     exposures: Sequence[int],
     scale: float,
 ) -> Draw:
-    """Repeatability at each node: an ellipse of 1 sigma, ``scale`` times as large as it is (Fig. 3.22)."""
+    """Repeatability at each node: an ellipse of 1 sigma, enlarged ``scale`` times (Fig. 3.22)."""
 
     def draw(canvas: Canvas) -> None:
         axes = _axes(canvas, title, size_px)
@@ -161,11 +161,11 @@ def scatter(
 
 
 _MAX_ELLIPSE_SHARE = 0.05
-"""Of the picture's width."""
+"""Maximum semi-axis of an ellipse, as a share of the picture's width."""
 
 
 def pictures(source: Source) -> list[Block]:
-    """Scatter at the nodes, spots and LEDs in the picture."""
+    """Sections on the scatter at the nodes, and on spots and LEDs in the picture."""
     seen_by, scatters = [], []
     widths = [target.width for target in source.calibration.targets]
     largest = max(_largest(seen.scatter_px) for _, seen in source.targets())

@@ -23,38 +23,38 @@ OF_BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 _QUANTITIES = {quantity.key: quantity for quantity in QUANTITIES.of_unit}
 
 CAUSES = ("pattern", "map", "scatter", "limits")
-"""The parts of sigma: print and speckle of a place, the uncertainty of the map, single exposures, and the
-stated limits of what the scan does not show."""
+"""The parts of sigma: print and speckle of a place, the uncertainty of the map, the scatter of single
+exposures, and the stated limits of effects that the scan does not show."""
 
 EXPOSURES = 20
-"""Exposures that the expected sigma is of: the default of ``measuring.window``."""
+"""Number of exposures for the predicted sigma: the default of ``measuring.window``."""
 
 MAX_STACKED = 500
-"""Nodes in the picture of their covariance, whose points grow with their square."""
+"""Maximum number of nodes in the picture of their covariance, whose points grow with its square."""
 
 GRID = 21, 17
-"""Places along x and y for which sigma is predicted; twice as many change its rms by less than 1 %."""
+"""Number of places along x and y for a prediction; twice as many change the rms of sigma by less than 1 %."""
 
 
 def name_of(key: str) -> str:
-    """The name of a quantity for people."""
+    """Name of a quantity as printed."""
     return _QUANTITIES[key].label
 
 
 def unit_of(key: str) -> str:
-    """A quantity's unit as it is written behind a number."""
+    """Unit of a quantity as printed after a number."""
     unit = _QUANTITIES[key].unit
     return unit if unit == "°" else f" {unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Predicted sigma of a beam normal to the targets, over the area that all targets have in common.
+    """Predicted sigma of a beam normal to the targets, over the area common to all targets.
 
-    ``quantities`` is ``OF_BEAM``, of a single target ``OF_SPOT``. ``x_mm`` (columns,) and ``y_mm`` (rows,)
-    are the places, ``sigma`` (quantities, rows, columns) is in the quantities' units, NaN outside. ``shares``
-    (quantities, causes) is what part of each one's variance, averaged over the area, comes from each of
-    ``CAUSES``; a row adds up to 1. ``exposures`` are averaged.
+    ``quantities`` is ``OF_BEAM``, or ``OF_SPOT`` for a single target. ``x_mm`` (columns,) and ``y_mm``
+    (rows,) are the places, ``sigma`` (quantities, rows, columns) is in the quantities' units, NaN outside.
+    ``shares`` (quantities, causes) are the shares of ``CAUSES`` in each variance, averaged over the area; a
+    row adds up to 1. ``exposures`` is the number of averaged exposures.
     """
 
     quantities: tuple[str, ...]
@@ -65,11 +65,11 @@ class Prediction:
     exposures: int
 
     def rms(self, quantity: str) -> float:
-        """Root of the mean variance over the area."""
+        """Rms of sigma over the area."""
         return float(np.sqrt(np.nanmean(np.square(self.sigma[self.quantities.index(quantity)]))))
 
     def rms_after(self, quantity: str, exposures: FloatArray) -> FloatArray:
-        """The rms if so many exposures (n,) were averaged: only the scatter falls with their number."""
+        """Rms of sigma for other numbers of exposures (n,): only the scatter falls with their number."""
         row = self.quantities.index(quantity)
         scatter = self.shares[row, CAUSES.index("scatter")]
         factor = np.sqrt(1 - scatter + scatter * self.exposures / exposures)
@@ -85,8 +85,8 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
     """Predict sigma from the maps and the repeatability, by the same formulas that a measurement uses.
 
     The scatter of single exposures counts as independent between the targets: a scan does not show how much
-    of it moves all spots together and so leaves yaw and pitch alone. Raises ValueError when the targets have
-    no area in common.
+    of it moves all spots together and so does not affect yaw and pitch. Raises ValueError when the targets
+    have no common area.
     """
     x_mm, y_mm = common_area(calibration.targets)
     quantities = OF_SPOT if len(calibration.targets) == 1 else OF_BEAM
@@ -111,9 +111,9 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
 def variances_of(
     calibration: Calibration, points: Sequence[TargetPoint], exposures: int
 ) -> dict[str, FloatArray]:
-    """The parts (4,) of the variances of a beam's ``OF_BEAM``, of a single target (2,) of its ``OF_SPOT``.
+    """Compute the parts, by cause, of the variances (4,) of ``OF_BEAM``, or (2,) of a single ``OF_SPOT``.
 
-    By cause; ``limits`` are split by their keys. They add up to the square of the published sigma.
+    ``limits`` are split by their keys. The parts add up to the square of the published sigma.
     """
     z_mm = [target.z_mm for target in calibration.targets]
     parts = _covariances_mm2(calibration.targets, points, exposures)
@@ -136,25 +136,25 @@ def variances_of(
 
 
 def own_noise_px(candidate: Candidate, nodes: int) -> float:
-    """The nodes' scatter about a candidate, from the definition of the cross-validation score."""
+    """Scatter of the nodes about a candidate, from the definition of the cross-validation score."""
     free = 1 - candidate.parameters / (2 * nodes)
     return candidate.gcv_px * float(np.sqrt(max(free, 0.0)))
 
 
 def noise_in_map_px(candidate: Candidate, nodes: int, noise_px: float) -> float:
-    """The effect of noise of ``noise_px`` at each of so many nodes on a candidate's map, rms over the hull.
+    """Effect of a noise of ``noise_px`` at each node on a candidate's map, rms over the hull.
 
-    A candidate's own ``map_sigma_px`` counts its misfit as noise, and so falls with it; at one noise for all
-    it grows with the degree, as in Sec. 3.5.6.
+    A candidate's own ``map_sigma_px`` counts its misfit as noise and so falls with it. With the same noise
+    for all candidates, it grows with the degree, as in Sec. 3.5.6.
     """
     own_px = own_noise_px(candidate, nodes)
     return candidate.map_sigma_px * noise_px / own_px if own_px > 0 else float("nan")
 
 
 def common_area(targets: Sequence[TargetCalibration]) -> tuple[FloatArray, FloatArray]:
-    """Places x (columns,) and y (rows,) over the rectangle that the targets' hulls have in common, mm.
+    """Places x (columns,) and y (rows,) over the rectangle common to the targets' hulls, mm.
 
-    Raises ValueError when they have none.
+    Raises ValueError when there is none.
     """
     low = np.max([target.map.hull_mm.min(axis=0) for target in targets], axis=0)
     high = np.min([target.map.hull_mm.max(axis=0) for target in targets], axis=0)
@@ -164,16 +164,16 @@ def common_area(targets: Sequence[TargetCalibration]) -> tuple[FloatArray, Float
 
 
 def difference_mm(target: TargetCalibration, other: TensorMap, points_mm: FloatArray) -> FloatArray:
-    """By how much another map of the target puts spots elsewhere, (n, 2) mm: other minus the target's own.
+    """Displacement (n, 2) mm of spots by another map of the target: other minus the target's own.
 
-    The spots are those that the target's own map has at points (n, 2) mm; to first order, which for maps that
-    differ by less than a millimetre is right to a few micrometres.
+    The target's own map puts the spots at points (n, 2) mm. The result is first-order, accurate to a few
+    micrometres for maps that differ by less than a millimetre.
     """
     return offsets_mm(target, points_mm, target.map.to_px(points_mm) - other.to_px(points_mm))
 
 
 def offsets_mm(target: TargetCalibration, nodes_mm: FloatArray, offsets_px: FloatArray) -> FloatArray:
-    """Offsets (n, 2) px in the picture at nodes (n, 2) mm, as (n, 2) mm on the target."""
+    """Convert offsets (n, 2) px in the picture at nodes (n, 2) mm to (n, 2) mm on the target."""
     _, jacobian, _ = target.inverse.to_mm(target.map.to_px(nodes_mm))
     offsets: FloatArray = np.einsum("nij,nj->ni", jacobian, offsets_px)
     return offsets
@@ -182,7 +182,7 @@ def offsets_mm(target: TargetCalibration, nodes_mm: FloatArray, offsets_px: Floa
 def node_covariance_px2(fitted: TensorMap, nodes_mm: FloatArray) -> FloatArray:
     """Covariance (n, n) of the mapped u of nodes (n, 2) mm, stacked column-wise: Eq. 3.53, Fig. 3.19.
 
-    Of more than ``MAX_STACKED`` nodes only every second, third … one is in it: no picture shows more.
+    Of more than ``MAX_STACKED`` nodes, it contains only every second, third …: no picture shows more.
     """
     stacked = nodes_mm[np.lexsort((nodes_mm[:, 1], np.rint(nodes_mm[:, 0])))]
     stacked = stacked[:: -(-len(stacked) // MAX_STACKED)]
@@ -199,7 +199,7 @@ def spectrum_covariance_px2(fitted: TensorMap) -> FloatArray:
 
 
 def points_of(target: TargetCalibration, points_mm: FloatArray) -> list[TargetPoint]:
-    """The points that spots at places (n, 2) mm of a target are measured at."""
+    """Measured points of spots at places (n, 2) mm of a target."""
     found, jacobian, covariance = target.inverse.to_mm(target.map.to_px(points_mm))
     return [
         TargetPoint(float(x), float(y), jacobian[n], covariance[n]) for n, (x, y) in enumerate(found.tolist())

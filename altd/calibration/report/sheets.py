@@ -1,4 +1,4 @@
-"""The report as a PDF: the document set on A4 sheets."""
+"""The report as a PDF: the document laid out on A4 sheets."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ _FILLS = {
     Level.USABLE: ("#fdf5e3", "#e69f00", "#8a5a00"),
     Level.BAD: ("#fcece3", "#d55e00", "#a84300"),
 }
-"""Ground, edge and words of a judgement."""
+"""Colours of background, edge and words at each level."""
 
 
 def pdf_sheets(document: Document, created: datetime) -> bytes:
-    """Set the document as PDF; ``created`` is the creation time in the file's metadata."""
+    """Render the document as PDF; ``created`` is the creation time in the file's metadata."""
     with report_style():
         setter = _Setter()
         setter.words(document.title, 17, bold=True)
@@ -57,7 +57,7 @@ def pdf_sheets(document: Document, created: datetime) -> bytes:
 
 
 class _Setter:
-    """Puts one thing under the other and begins a new sheet when there is no room."""
+    """Places items below each other and starts a new sheet when there is no room."""
 
     def __init__(self) -> None:
         self._sheets: list[Figure] = []
@@ -65,7 +65,7 @@ class _Setter:
         self._new_sheet()
 
     def pdf(self, title: str, mark: str, created: datetime) -> bytes:
-        """All sheets, numbered and marked."""
+        """Write all sheets, numbered and marked."""
         file = io.BytesIO()
         about = {"Title": title, "CreationDate": created, "Creator": "altd", "Producer": None}
         with PdfPages(file, metadata=about) as pdf:
@@ -79,7 +79,7 @@ class _Setter:
         return file.getvalue()
 
     def block(self, block: Block, following: Block | None) -> None:
-        """Set a block; a heading stays with what follows."""
+        """Place a block; a heading stays with the following block."""
         match block:
             case Heading(text):
                 self._heading(text, following)
@@ -93,11 +93,11 @@ class _Setter:
                 self._row(block)
 
     def gap(self, height_in: float) -> None:
-        """Leave room."""
+        """Leave vertical space."""
         self._y_in -= height_in
 
     def words(self, text: str, size: float, *, bold: bool = False, colour: str = INK) -> None:
-        """A paragraph over the whole width."""
+        """Place a paragraph over the whole width."""
         for line in _lines(text, size, _ROOM_IN, bold):
             self._need(_height_in(size))
             self._put(line, _MARGIN_IN, size, bold, colour)
@@ -167,7 +167,7 @@ class _Setter:
     def _line(
         self, table: Table, starts: list[float], row: tuple[str, ...], level: Level | None, *, head: bool
     ) -> None:
-        """One line of a table, as many lines of type as its longest cell needs."""
+        """Place one row of a table, with as many lines of type as its longest cell needs."""
         size = 7.5
         cells = list(row)
         if level is not None:
@@ -194,7 +194,7 @@ class _Setter:
         self._rule(QUIET if head else FAINT, self._y_in)
 
     def _row(self, row: Row) -> None:
-        """Two pictures beside each other, more of them below; the caption stays with the last."""
+        """Place two pictures side by side, more of them below; the caption stays with the last."""
         pairs = _pairs(row)
         for pair in pairs:
             height_in = _tallest_in(pair)
@@ -208,7 +208,7 @@ class _Setter:
             self.gap(0.06)
 
     def _picture(self, picture: Picture, left_in: float) -> None:
-        """Draw into the middle cell of a grid whose other cells are the room around it."""
+        """Draw into the middle cell of a grid whose other cells are the surrounding space."""
         right_in, below_in = _WIDTH_IN - left_in - WIDTH_IN, self._y_in - picture.height_in
         grid = self._sheets[-1].add_gridspec(
             3, 3, left=0, right=1, bottom=0, top=1, wspace=0, hspace=0,
@@ -219,7 +219,7 @@ class _Setter:
 
 
 def _mark(sheet: Figure, mark: str) -> None:
-    """Large and pale across the sheet, over its content; small and dark at its head."""
+    """Print the mark large and pale across the sheet, over its content, and small and dark at its head."""
     _, edge, dark = _FILLS[Level.BAD]
     middle: dict[str, Any] = {"ha": "center", "va": "center", "fontweight": "bold"}
     sheet.text(0.5, 0.5, mark, size=96, rotation=54, color=edge, alpha=0.14, zorder=1000, **middle)
@@ -227,7 +227,7 @@ def _mark(sheet: Figure, mark: str) -> None:
 
 
 def _height_of_few_in(table: Table) -> float:
-    """Room for a table that is to stay in one piece, or for the first lines of a longer one."""
+    """Height to reserve for a table that stays in one piece, or for the first lines of a longer one."""
     return 0.35 * (1 + min(len(table.rows), 3)) if len(table.rows) > 6 else 0.3 * (1 + len(table.rows))
 
 
@@ -249,7 +249,7 @@ def _height_in(size: float) -> float:
 
 @lru_cache(maxsize=1000)
 def _lines(text: str, size: float, room_in: float, bold: bool) -> tuple[str, ...]:
-    """The text broken between words, and within one that is wider than the room."""
+    """Break the text between words, and within a word that is wider than the room."""
     space_in = _width_in("n n", size, bold) - 2 * _width_in("n", size, bold)
     lines: list[str] = [""]
     used_in = 0.0
@@ -268,7 +268,7 @@ def _lines(text: str, size: float, room_in: float, bold: bool) -> tuple[str, ...
 
 
 def _broken(word: str, size: float, room_in: float, bold: bool) -> list[str]:
-    """A word in parts that fit, such as a checksum in a narrow column."""
+    """Break a word into parts that fit, such as a checksum in a narrow column."""
     parts = [word]
     while len(parts[-1]) > 1 and _width_in(parts[-1], size, bold) > room_in:
         long = parts.pop()

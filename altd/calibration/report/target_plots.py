@@ -1,4 +1,4 @@
-"""Drawings over the target, in mm, seen along the beam: x to the right, y up; what all drawings share."""
+"""Drawings over the target, in mm, seen along the beam: x to the right, y up; style of all drawings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from altd.records import FloatArray
 
 INK, QUIET, FAINT = "#1a1a1a", "#5f6670", "#d5d9de"
 BLUE, VERMILION, GREEN, ORANGE = "#0072b2", "#d55e00", "#009e73", "#e69f00"
-"""Okabe and Ito's colours, which colour-blind people tell apart."""
+"""Okabe and Ito's colours, which colour-blind readers can distinguish."""
 
 _STYLE: dict[str, Any] = {
-    "font.family": ["DejaVu Sans"],  # comes with matplotlib: the same on every computer
+    "font.family": ["DejaVu Sans"],  # shipped with matplotlib: the same on every computer
     "font.size": 7.5,
     "axes.titlesize": 8.5,
     "axes.titleweight": "bold",
@@ -64,7 +64,7 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def report_style() -> Iterator[None]:
-    """The report's own look, whatever matplotlib's settings on this computer are."""
+    """Apply the report's own style, independent of matplotlib's settings on this computer."""
     with matplotlib.style.context(["default", _STYLE]), catch_warnings():
         filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # a note may be in any language
         yield
@@ -79,7 +79,7 @@ class Canvas:
     height_in: float
 
     def axes(self, left_in: float, bottom_in: float, right_in: float, top_in: float) -> Axes:
-        """Axes with these margins."""
+        """Add axes with these margins."""
         axes: Axes = self.figure.add_axes(
             (
                 left_in / self.width_in,
@@ -95,14 +95,14 @@ _LEFT_IN, _BOTTOM_IN, _RIGHT_IN, _TOP_IN = 0.48, 0.42, 0.1, 0.28
 _BAR_IN = 0.52
 _AROUND_MM = 12.0
 _MIN_SPAN_SHARE = 0.05
-"""A colour scale spans at least this share of its largest value."""
+"""Minimum span of a colour scale, as a share of its largest value."""
 
 Draw = Callable[[Canvas], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Raster:
-    """Values (rows, columns, …) over a target's plane: a row for each y, a column for each x."""
+    """Values (rows, columns, …) over a target's plane: one row per y, one column per x."""
 
     x_mm: FloatArray
     y_mm: FloatArray
@@ -110,20 +110,20 @@ class Raster:
 
 
 class Plane:
-    """The part of a target's plane that all drawings of it show, and so their height."""
+    """The part of a target's plane that all its drawings show; it determines their height."""
 
     def __init__(self, hulls_mm: Sequence[FloatArray], around_mm: float = _AROUND_MM) -> None:
         corners = np.vstack(hulls_mm)
         self.low, self.high = corners.min(axis=0) - around_mm, corners.max(axis=0) + around_mm
 
     def height_in(self, bar: bool = False) -> float:
-        """Height of a drawing ``WIDTH_IN`` wide in which a mm is as long along x as along y."""
+        """Height of a drawing ``WIDTH_IN`` wide with the same scale along x and y."""
         width_in = WIDTH_IN - _LEFT_IN - _RIGHT_IN - (_BAR_IN if bar else 0)
         across, up = self.high - self.low
         return float(width_in * up / across) + _BOTTOM_IN + _TOP_IN
 
     def axes(self, canvas: Canvas, title: str, bar: bool = False) -> Axes:
-        """Axes in mm of the unit frame."""
+        """Add axes in mm of the unit frame."""
         axes = canvas.axes(_LEFT_IN, _BOTTOM_IN, _RIGHT_IN + (_BAR_IN if bar else 0), _TOP_IN)
         axes.set_xlim(self.low[0], self.high[0])
         axes.set_ylim(self.low[1], self.high[1])
@@ -137,7 +137,7 @@ class Plane:
 
 
 def nice_length(longest: float) -> float:
-    """1, 2 or 5 times a power of ten, the largest that is not longer."""
+    """Return the largest 1, 2 or 5 times a power of ten that is not longer."""
     if not longest > 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(longest))
@@ -165,7 +165,7 @@ def arrows(
 def vectors(
     plane: Plane, title: str, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
 ) -> Draw:
-    """Arrows (n, 2) at places (n, 2), as long as drawn; ``key`` is the scale arrow's length and its words."""
+    """Arrows (n, 2) at places (n, 2), in drawn length; ``key`` is the scale arrow's length and its words."""
     return lambda canvas: _vectors(plane.axes(canvas, title), plane, places_mm, arrows_mm, key)
 
 
@@ -179,7 +179,7 @@ def _vectors(
 
 
 def differences(plane: Plane, title: str, over: Raster, largest_mm: float, scale: float) -> Draw:
-    """Offsets (rows, columns, 2) in mm of another map's places: colour for length, and some arrows."""
+    """Offsets (rows, columns, 2) in mm of another map: colour for length, and some arrows."""
 
     def draw(canvas: Canvas) -> None:
         axes = plane.axes(canvas, title, bar=True)
@@ -222,7 +222,7 @@ def _quiver(axes: Axes, places_mm: FloatArray, arrows_mm: FloatArray, colour: st
 
 
 def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
-    """A scale arrow in the title's line, where no other arrow comes."""
+    """Draw a scale arrow in the title's line, where there are no other arrows."""
     right = plane.high[0]
     top = plane.high[1] + 0.045 * (plane.high[1] - plane.low[1])
     axes.annotate(
@@ -233,7 +233,7 @@ def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
 
 
 def colour_scale(canvas: Canvas, axes: Axes, coloured: ContourSet | AxesImage, unit: str) -> Colorbar:
-    """A colour scale at the right edge, as high as the axes."""
+    """Add a colour scale at the right edge, as high as the axes."""
     box = axes.get_position()
     inch = 1 / canvas.width_in
     bar = canvas.figure.add_axes((box.x1 + 0.07 * inch, box.y0, 0.1 * inch, box.height))

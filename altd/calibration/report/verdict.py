@@ -1,4 +1,4 @@
-"""Whether a calibration is good, by which numbers, what limits it and what to do: in plain words."""
+"""Judge a calibration in plain words: criteria, limiting causes and remedies."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 
 _GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
 _GOOD_MM, _USABLE_MM = 0.0120, 0.0500
-"""Good is what a unit with strong speckle reaches, usable what the thesis reached (Tables 3.1 and 3.4)."""
+"""Limits of predicted sigma: a unit with strong speckle reaches good, the thesis usable (Tables 3.1, 3.4)."""
 
 _GOOD_NODES_MM, _USABLE_NODES_MM = 0.020, 0.0714
-"""Mean distance of the nodes from the map; usable is Table 3.3, semi-transparent target."""
+"""Limits of the nodes' mean distance from the map; usable is Table 3.3, semi-transparent target."""
 
 _GOOD_SCATTER_PX, _USABLE_SCATTER_PX = 0.0747, 0.20
-"""Scatter of single exposures at one node; good is Table 3.3."""
+"""Limits of the scatter of single exposures at one node; good is Table 3.3."""
 
 _GOOD_OUTLIER, _USABLE_OUTLIER = 4.5, 6.0
-"""Error of the worst node in the map of the others, over the rms of all: of 60 nodes with normal errors
-one goes beyond 4.5 once in four hundred calibrations."""
+"""Limits of the worst node's leave-one-out residual over the rms of all: of 60 nodes with normal errors,
+one exceeds 4.5 once in four hundred calibrations."""
 
 _MAX_EXCLUDED_SHARE = 0.1
 _MIN_LEDS = 3
-"""Fewer do not tell a shift of the picture from a turn and a change of scale."""
+"""Minimum number of LEDs; fewer do not separate a shift of the picture from rotation and scale."""
 
 
 class Level(IntEnum):
@@ -40,13 +40,13 @@ class Level(IntEnum):
 
     @property
     def word(self) -> str:
-        """For people."""
+        """Name of the level as printed."""
         return ("good", "usable", "not good")[self]
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One number that was judged: its value and what was wanted, in words; what to do when it is not good."""
+    """One judged number: its value and the wanted one, in words, and the remedy if it is not good."""
 
     name: str
     value: str
@@ -70,7 +70,7 @@ class Verdict:
 
     @property
     def headline(self) -> str:
-        """One sentence."""
+        """The verdict in one sentence or two."""
         return {
             Level.GOOD: "This calibration is good.",
             Level.USABLE: "This calibration can be used, but it is not as good as it should be.",
@@ -84,7 +84,7 @@ class Verdict:
 
 
 def judge(calibration: Calibration, evidence: Sequence[TargetEvidence], prediction: Prediction) -> Verdict:
-    """Judge a calibration by what its scan shows."""
+    """Judge a calibration by its maps, its evidence and its predicted sigma."""
     limit, advice = _limit(prediction, calibration.targets)
     checks = [
         *_predictions(prediction, calibration.targets),
@@ -221,14 +221,14 @@ _ADVICE = {
 
 
 def _main_causes(prediction: Prediction) -> list[str]:
-    """The causes that have a third of the variance or more, the largest first."""
+    """Causes with at least a third of the variance, the largest first; the largest if there are none."""
     shares = prediction.shares.mean(axis=0)
     order = np.argsort(shares)[::-1]
     return [CAUSES[n] for n in order if shares[n] >= 1 / 3] or [CAUSES[order[0]]]
 
 
 def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str:
-    """The remedies for the main causes; a flat comes first where a target has none that was recorded."""
+    """Remedies for the main causes; if pattern is one, first a flat for targets without a recorded one."""
     causes = _main_causes(prediction)
     words = [_ADVICE[cause] for cause in causes]
     without = [target.name for target in targets if target.flat is None or target.flat.source == "print"]
@@ -238,7 +238,7 @@ def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str
 
 
 def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tuple[str, str]:
-    """The limits of the measurement, and ways to improve it."""
+    """Sentences on the shares of the variance, and on ways to reduce the uncertainty."""
     shares = prediction.shares.mean(axis=0)
     order = np.argsort(shares)[::-1]
     named = ", ".join(f"{_CAUSE_WORDS[CAUSES[n]]} {100 * shares[n]:.0f} %" for n in order)
@@ -246,5 +246,5 @@ def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tupl
 
 
 def _level(value: float, good: float, usable: float) -> Level:
-    """NaN is bad."""
+    """Level of a value; NaN is bad."""
     return Level.GOOD if value <= good else Level.USABLE if value <= usable else Level.BAD

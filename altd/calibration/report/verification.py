@@ -1,4 +1,4 @@
-"""The page of a verification, made of its JSON object (docs/verify.md)."""
+"""The page of a verification, from its JSON object (docs/verify.md)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LIMITS = {
 
 
 def verification_page(document: Mapping[str, Any]) -> Document:
-    """Set the object of ``answers.verify.verify`` as a document."""
+    """Build the document of the object of ``answers.verify.verify``."""
     simulated = document["origin"] == "simulated"
     blocks = [
         *_origin(simulated),
@@ -128,7 +128,7 @@ def _number(of: Mapping[str, Any], value: float | None) -> str:
 
 
 def _rounded(value: float, decimals: int) -> str:
-    """Fixed decimals, without a sign of zero."""
+    """Format a number with fixed decimals; zero has no sign."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 

@@ -1,4 +1,4 @@
-"""The parts and the place of a report, and writing both of its files or none."""
+"""The parts and the place of a report, and writing all of its files or none."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from altd.records import PixelArray
 PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, DCC_SUFFIX = ".html", ".pdf", "-budget.json", ".xml"
 
 HEAD_BYTES = 1024
-"""The name of the calibration is within these first bytes of a report's page."""
+"""Number of first bytes of a report's page that contain the checksum of the calibration."""
 
 _NAMED = re.compile(rb'<meta name="altd-calibration" content="(sha256:[0-9a-f]{64})">')
 
 
 def meta_line(checksum: str) -> str:
-    """The element of a page's head that names the calibration by the checksum that its file carries."""
+    """Element of a page's head that identifies the calibration by the checksum in its file."""
     return f'<meta name="altd-calibration" content="{checksum}">'
 
 
 def checksum_in(head: bytes) -> str | None:
-    """The checksum of the calibration that a page is of, from its first bytes; None: it names none."""
+    """Checksum of a page's calibration, from the page's first bytes; None if it contains none."""
     named = _NAMED.search(head[:HEAD_BYTES])
     return None if named is None else named[1].decode("ascii")
 
 
 def page_beside(calibration: Path) -> Path:
-    """The expected place of the report on a calibration file: beside it, under the same name."""
+    """Expected path of the page on a calibration file: next to it, with the same name."""
     return calibration.with_suffix(PAGE_SUFFIX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """The subject of a report: the calibration, its evidence, how it was made.
+    """The subject of a report: the calibration, its evidence and its origin.
 
     ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one.
     ``headers`` are those of the recordings, in the order in which they were given.
@@ -64,14 +64,14 @@ class Source:
 
 
 def target_names_text(targets: Sequence[TargetCalibration]) -> str:
-    """All the targets, in a sentence."""
+    """Phrase for all the targets within a sentence."""
     return {1: "the target", 2: "both targets"}.get(len(targets), "all targets")
 
 
 def report_names(calibration: Path, is_certificate: bool = False) -> tuple[str, ...]:
-    """Page, sheets and budget of the report on the calibration of this file, and the XML of a certificate.
+    """Names of page, sheets and budget of the report on a calibration file, and of a certificate's XML.
 
-    Raises BadInputError where one of them has the file's own name.
+    Raises BadInputError if one of them equals the calibration file's own name.
     """
     suffixes = (PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, *([DCC_SUFFIX] if is_certificate else []))
     names = tuple(calibration.stem + suffix for suffix in suffixes)
@@ -81,12 +81,12 @@ def report_names(calibration: Path, is_certificate: bool = False) -> tuple[str, 
 
 
 def check_report(folder: Path, names: Sequence[str], option: str = "--report") -> None:
-    """Say before any work is done what would stop a report: no matplotlib, a folder that cannot be written.
+    """Check in advance that a report can be written: matplotlib is installed, the folder is writable.
 
-    ``names`` are those of its files, ``option`` is the argument that asks for it. Leaves nothing behind.
+    ``names`` are those of its files, ``option`` is the argument that requests it. Leaves no files behind.
     Raises BadInputError.
     """
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first import logs its font cache
     try:
         importlib.import_module("matplotlib")
     except ImportError as error:
@@ -105,7 +105,7 @@ def check_report(folder: Path, names: Sequence[str], option: str = "--report") -
 
 
 def _make_folder(folder: Path) -> bool:
-    """Whether the folder had to be made."""
+    """Create the folder if it does not exist; return whether it was created."""
     try:
         folder.mkdir()
     except FileExistsError:
@@ -116,9 +116,9 @@ def _make_folder(folder: Path) -> bool:
 
 
 def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into the folder, made when it is not there, all or none; older ones are replaced.
+    """Write all files or none into the folder; create it if necessary, and replace older files.
 
-    Raises BadInputError when one cannot be written; then all are as they were.
+    Raises BadInputError when one cannot be written; all are then unchanged.
     """
     try:
         is_new = _make_folder(folder)

@@ -1,1 +1,1 @@
-"""A unit against known beams, in the manner of ISO 17123 (docs/verify.md)."""
+"""Verification of a unit with known beams, on the model of ISO 17123 (docs/verify.md)."""

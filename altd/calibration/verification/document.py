@@ -27,7 +27,7 @@ _DIGITS = 6
 
 
 def head_object(judgement: Judgement, unit: str, created: datetime, is_simulated: bool) -> dict[str, Any]:
-    """The verdict, its reasons and the tests."""
+    """Verdict, reasons and tests as plain JSON types."""
     return {
         "format": FORMAT,
         "made_by": f"altd {__version__}",
@@ -56,7 +56,7 @@ def _test_object(test: LimitTest) -> dict[str, Any]:
 
 
 def set_objects(estimate: Estimate) -> list[dict[str, Any]]:
-    """Mounting of each set as it was found, in the order of the estimate."""
+    """Estimated mounting of each set, in the order of the estimate."""
     return [
         {
             "offset_mm": [_short(value) for value in offset],
@@ -73,7 +73,7 @@ def set_objects(estimate: Estimate) -> list[dict[str, Any]]:
 
 
 def residual_objects(one: BeamSet, residuals: FloatArray) -> list[dict[str, Any]]:
-    """The measured places of a set with what is left of each value after the fit."""
+    """Measured places of a set, with the residual of each value after the fit."""
     return [
         {
             **dict(zip(("x_mm", "y_mm"), map(_short, values[:2]), strict=True)),
@@ -103,7 +103,7 @@ class _EarlierTest(_Model):
 
 
 class Earlier(_Model):
-    """An earlier verification as far as a comparison needs it; unknown keys are ignored."""
+    """The part of an earlier verification that a comparison needs; unknown keys are ignored."""
 
     format: Literal["altd-verification/1"]
     unit: str
@@ -114,7 +114,7 @@ class Earlier(_Model):
 
 
 def read_earlier(path: Path, unit: str) -> Earlier:
-    """The verification in a file; raises BadInputError where it is none of that unit."""
+    """Read a verification; raises BadInputError if the file is invalid or belongs to another unit."""
     content = read_file(path, _MAX_BYTES)
     try:
         earlier = Earlier.model_validate(parse_json(content))
@@ -132,10 +132,10 @@ def read_earlier(path: Path, unit: str) -> Earlier:
 
 
 def comparison(earlier: Earlier, tests: Sequence[LimitTest], calibration_sha256: str) -> dict[str, Any]:
-    """The change of each tested number since an earlier verification, with its uncertainty.
+    """Compute the change of each tested number since an earlier verification, with its uncertainty.
 
-    The calibration's own limits enter where another one was verified then; those of the reference always,
-    for nothing says that it is the same one. All changes together have the confidence ``CONFIDENCE``.
+    The calibration's own limits count if another calibration was verified then. Those of the reference always
+    count, since it may be another reference. All changes together have the confidence ``CONFIDENCE``.
     """
     same = earlier.calibration.sha256 == calibration_sha256
     before = {test.key: test for test in earlier.tests}
@@ -177,7 +177,7 @@ def comparison(earlier: Earlier, tests: Sequence[LimitTest], calibration_sha256:
 def _sigma(
     value: float, parts: Mapping[str, float], degrees_of_freedom: float | None, same_calibration: bool
 ) -> float:
-    """Standard uncertainty of a number as one side of a change."""
+    """Standard uncertainty of one of the two numbers of a change."""
     if degrees_of_freedom is not None:
         return abs(value) / math.sqrt(2.0 * max(degrees_of_freedom, 1.0))
     return math.hypot(

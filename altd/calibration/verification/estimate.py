@@ -1,4 +1,4 @@
-"""Least squares of measured against known beams: scale, squareness, rotation, zero and scatter."""
+"""Least-squares fit of measured to known beams: scale, squareness, rotation, zero and scatter."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 PATTERN_MM = 4.0
 """Distance over which print and speckle lose their correlation: a third of a usual spot's 1/e² diameter.
 
-The pattern is the same whenever the spot returns to a place, so repeated positions are not independent.
+The pattern recurs when the spot returns to a place, so repeated positions are not independent.
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamSet:
-    """Valid measurements made without touching the mounting of stage and unit.
+    """Valid measurements made without a change of the mounting of stage and unit.
 
-    ``known_mm`` (n, 2) are the stage's positions, ``values`` (n, 4) the measured ones by ``KEYS`` and
-    ``sigma`` (n, 4) the part of their stated uncertainty that scatters. ``map_factor`` (n, 4, m) is the part
-    of them that the maps have in common: each of the m columns is one independent error of 1 sigma.
-    ``turned``: the unit was turned by 180° about its z axis. ``stage_mm`` is the reference's positioning, 1
-    sigma per axis.
+    ``known_mm`` (n, 2) are the stage's positions, ``values`` (n, 4) the measured values by ``KEYS`` and
+    ``sigma`` (n, 4) the random part of their stated uncertainty. ``map_factor`` (n, 4, m) is the part of it
+    that is common through the maps: each of the m columns is one independent error of 1 sigma.
+    ``turned``: whether the unit was turned by 180° about its z axis. ``stage_mm`` is the uncertainty of the
+    reference's positioning, 1 sigma per axis.
     """
 
     known_mm: FloatArray
@@ -53,7 +53,7 @@ def beam_set(
     turned: bool,
     stage_mm: float,
 ) -> BeamSet:
-    """The set of valid measurements of this calibration at known positions (n, 2)."""
+    """Build the set of valid measurements of this calibration at known positions (n, 2)."""
     values = np.array([[each.values[key].value for key in KEYS] for each in measurements])
     sigma = np.array([[each.sigma_random(key) or 0.0 for key in KEYS] for each in measurements])
     return BeamSet(
@@ -67,7 +67,7 @@ def beam_set(
 
 
 def _map_factor(calibration: Calibration, measurements: Sequence[Measurement]) -> FloatArray:
-    """The errors (n, 4, m) of the values that the coefficients' covariance leaves, by Eq. 3.49-3.53."""
+    """Errors (n, 4, m) of the values by the covariance of the maps' coefficients, by Eq. 3.49-3.53."""
     count = len(measurements)
     gain, _ = line_gain([target.z_mm for target in calibration.targets], np.eye(2 * len(calibration.targets)))
     of_targets = []
@@ -88,8 +88,8 @@ def _map_factor(calibration: Calibration, measurements: Sequence[Measurement]) -
 def joint_covariance(sets: Sequence[BeamSet], columns: tuple[int, int], with_stage: bool) -> FloatArray:
     """Covariance (2 N, 2 N) of two columns of all N measurements, the first column's N rows first.
 
-    The maps' errors are common to all. The rest is a pattern that returns with the place. The stage's
-    positioning is independent from one measurement to the next.
+    The maps' errors are common to all. The rest is a pattern that recurs with the place. The stage's
+    positioning errors are independent between measurements.
     """
     places_mm = np.concatenate([one.values[:, :2] for one in sets])
     squared_mm2 = np.square(places_mm[:, None] - places_mm[None]).sum(axis=2)
@@ -109,16 +109,16 @@ def joint_covariance(sets: Sequence[BeamSet], columns: tuple[int, int], with_sta
 
 
 MAX_ROTATION_DEG = 10.0
-"""A stage that is mounted by hand is better aligned; more is another axis, or a wrong ``turned_deg``."""
+"""Maximum rotation of a stage mounted by hand; more means other axes, or a wrong ``turned_deg``."""
 MIN_POSITIONS = 5
-"""Valid positions of a set: offset, rotation, scale and squareness are six of their ten coordinates."""
+"""Minimum number of valid positions: offset, rotation, scale and squareness take six of ten coordinates."""
 _MIN_WIDTH_SHARE = 0.05
-"""Of the length of the positions' cloud; narrower ones hardly tell scale from rotation."""
+"""Minimum width of the positions' cloud over its length; narrower ones hardly separate scale and rotation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """A parameter, and its standard uncertainty by what the unit states of its measurements."""
+    """A parameter, and its standard uncertainty by the uncertainties that the unit states."""
 
     value: float
     sigma: float
@@ -126,10 +126,10 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """An experimental standard deviation against the stated one.
+    """An experimental standard deviation and the stated one.
 
-    ``degrees_of_freedom`` are the effective ones (Welch and Satterthwaite): measurements that share the
-    map's errors or a place count less.
+    ``degrees_of_freedom`` are effective (Welch and Satterthwaite): measurements that share the map's errors
+    or a place count less.
     """
 
     experimental: float
@@ -141,12 +141,12 @@ class Scatter:
 class Estimate:
     """Errors of the unit and mounting of the sets.
 
-    ``scale_ppm`` along x and y and ``square_mrad`` are errors of the unit's readings: positive where it reads
-    too long, and where its axes enclose less than 90°. By set: ``offsets_mm`` (k, 2), ``rotations_mrad``
+    ``scale_ppm`` along x and y and ``square_mrad`` are errors of the unit's readings: positive if it reads
+    too long, and if its axes enclose less than 90°. Per set: ``offsets_mm`` (k, 2), ``rotations_mrad``
     (k,), ``directions_deg`` (k, 2) as measured. ``zero_deg`` of yaw and pitch is the mean of both
-    orientations; None without a turned set. Each unturned set makes a pair with one turned set, in the order
-    in which they are given. ``upright_deg`` is the mean direction of the sets that are not turned.
-    ``residuals`` (k arrays (n, 4)) are what is left.
+    orientations; None without a turned set. Each unturned set is paired with one turned set, in the order in
+    which they are given. ``upright_deg`` is the mean direction of the unturned sets. ``residuals`` are
+    those of the fit, k arrays (n, 4).
     """
 
     scale_ppm: tuple[Estimated, Estimated]
@@ -162,7 +162,7 @@ class Estimate:
 
 
 def why_too_few(one: BeamSet) -> str:
-    """Why nothing can be estimated from a set; empty: it can be."""
+    """Reason why a set is insufficient for an estimate; empty if it is sufficient."""
     if len(one) < MIN_POSITIONS:
         return f"too few positions: {len(one)} valid, at least {MIN_POSITIONS} are needed"
     along, across = np.linalg.svd(one.known_mm - one.known_mm.mean(axis=0), compute_uv=False)
@@ -170,7 +170,7 @@ def why_too_few(one: BeamSet) -> str:
 
 
 def why_not_aligned(one: BeamSet) -> str:
-    """The complaint about a set whose stage has other axes than the unit; empty: they are alike."""
+    """Complaint about a set whose stage has other axes than the unit; empty if the axes agree."""
     turn_deg = math.degrees(_turn_rad(one))
     if abs(turn_deg) <= MAX_ROTATION_DEG:
         return ""
@@ -181,10 +181,10 @@ def why_not_aligned(one: BeamSet) -> str:
 
 
 def estimate(sets: Sequence[BeamSet]) -> Estimate:
-    """Fit all sets together; each is one of which ``why_too_few`` and ``why_not_aligned`` find nothing.
+    """Fit all sets together; ``why_too_few`` and ``why_not_aligned`` must be empty for each.
 
-    The parameters are those of least squares weighted by the stated sigma; their uncertainty takes all
-    correlations with it, and so do the degrees of freedom.
+    The parameters are those of least squares weighted by the stated sigma. Their uncertainty and the degrees
+    of freedom include all correlations.
     """
     turns = [_turn_rad(one) for one in sets]
     expected = [_turned(one, turn) for one, turn in zip(sets, turns, strict=True)]
@@ -222,7 +222,7 @@ def estimate(sets: Sequence[BeamSet]) -> Estimate:
 
 
 def _turn_rad(one: BeamSet) -> float:
-    """By how much the measured positions are turned against the known ones, a turned unit's by 180° less."""
+    """Rotation of the measured against the known positions; 180° less for a turned unit."""
     known, measured = (
         complex_of - complex_of.mean()
         for complex_of in (_complex(one.known_mm) * _sign(one), _complex(one.values[:, :2]))
@@ -231,7 +231,7 @@ def _turn_rad(one: BeamSet) -> float:
 
 
 def _turned(one: BeamSet, turn_rad: float) -> FloatArray:
-    """The known positions (n, 2) in the directions of the unit's axes."""
+    """Known positions (n, 2) in the directions of the unit's axes."""
     turned = _complex(one.known_mm) * _sign(one) * np.exp(1j * turn_rad)
     return np.column_stack([turned.real, turned.imag])
 
@@ -245,12 +245,12 @@ def _sign(one: BeamSet) -> int:
 
 
 def _membership(of_set: npt.NDArray[np.intp], count: int) -> FloatArray:
-    """1 where a measurement (row) is of a set (column)."""
+    """Matrix with 1 where a measurement (row) belongs to a set (column), else 0."""
     return np.eye(count)[of_set]
 
 
 def _design_displacement(known_mm: FloatArray, of_set: npt.NDArray[np.intp], count: int) -> FloatArray:
-    """Derivatives (2 N, 3 + 3 k): scale of x and y, squareness, then by set offset in x, in y, rotation."""
+    """Derivatives (2 N, 3 + 3 k): scale of x and y, squareness, then per set offset in x, in y, rotation."""
     x, y = known_mm.T[:, :, None]
     member = _membership(of_set, count)
     none, no_set = np.zeros_like(x), np.zeros_like(member)
@@ -260,7 +260,7 @@ def _design_displacement(known_mm: FloatArray, of_set: npt.NDArray[np.intp], cou
 
 
 def _mean_direction(directed: _Fit, count: int, numbers: Sequence[int]) -> tuple[Estimated, Estimated] | None:
-    """The mean direction of some of ``count`` sets; None of none."""
+    """Mean direction of the sets ``numbers`` of ``count``; None if there are none."""
     if not numbers:
         return None
     share = 1.0 / len(numbers)
@@ -270,7 +270,7 @@ def _mean_direction(directed: _Fit, count: int, numbers: Sequence[int]) -> tuple
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Weighted least squares with a covariance that the weights do not know all of."""
+    """Weighted least squares whose weights contain only the variances of a full covariance."""
 
     parameters: FloatArray
     covariance: FloatArray
@@ -302,7 +302,7 @@ class _Fit:
         )
 
     def linear(self, terms: dict[int, float], scale: float) -> Estimated:
-        """A linear combination of parameters."""
+        """Linear combination of parameters, times ``scale``."""
         row = np.zeros(len(self.parameters))
         row[list(terms)] = list(terms.values())
         sigma = float(np.sqrt(row @ self.covariance @ row))

@@ -1,4 +1,4 @@
-"""Tests at a stated confidence of what a verification shows, and the smallest error that each detects."""
+"""Tests of a verification at a stated confidence, and the smallest error that each one detects."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ CONFIDENCE = 0.95
 POWER = 0.95
 """Probability with which an error of the stated smallest detectable size fails its test."""
 MIN_DEGREES_OF_FREEDOM = 8.0
-"""With fewer an experimental standard deviation would have to be 1.6 times the stated one to be noticed."""
+"""Minimum for a test; with fewer, a standard deviation is noticed only from 1.6 times the stated one on."""
 STATED_DEGREES_OF_FREEDOM = 45.0
-"""Of the stated standard deviation itself: what the 6 × 5 nodes of a usual calibration leave of a map."""
+"""Degrees of freedom of the stated standard deviation: those left by a map from the usual 6 × 5 nodes."""
 
 _DEG_PER_MM_PER_M = math.degrees(1e-3)
 _NORMAL = NormalDist()
 
 
 class Result(StrEnum):
-    """Of a test, or of all of them."""
+    """Result of a test, or of all tests."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -37,10 +37,10 @@ class Result(StrEnum):
 class LimitTest:
     """One number and its limits.
 
-    ``sigma`` is the combined standard uncertainty of ``value``, its parts by their origin in ``parts``; of an
-    experimental standard deviation the stated one. The test fails where the magnitude of ``value`` is beyond
-    ``limit``, an error of ``detectable`` does so with probability ``POWER``; both are None where it was not
-    made, for the reason in ``why_not``. ``is_optional``: a verification without it can pass.
+    ``sigma`` is the combined standard uncertainty of ``value``, with its parts by origin in ``parts``; for an
+    experimental standard deviation it is the stated one. The test fails if the magnitude of ``value`` exceeds
+    ``limit``; an error of ``detectable`` fails with probability ``POWER``. Both are None if the test was not
+    made, for the reason in ``why_not``. ``is_optional``: whether a verification can pass without it.
     """
 
     key: str
@@ -58,7 +58,7 @@ class LimitTest:
 
     @property
     def result(self) -> Result:
-        """Whether it passed."""
+        """Result of the test; not decided without a value or a limit."""
         if self.value is None or self.limit is None:
             return Result.NOT_DECIDED
         return Result.PASSED if abs(self.value) <= self.limit else Result.FAILED
@@ -74,7 +74,7 @@ class Judgement:
 
     @property
     def made(self) -> int:
-        """The number of tests that were made."""
+        """Number of tests made."""
         return sum(test.limit is not None for test in self.tests)
 
 
@@ -83,8 +83,8 @@ def judge(
 ) -> Judgement:
     """Test an estimate against the limits of the reference and of the unit's calibration.
 
-    ``reference`` None: nothing is known of it, and nothing is tested. A limit that the calibration does not
-    state counts as 0. ``further_reasons`` against a decision, beside those that the tests have, do not
+    ``reference`` None: it states no limits, and nothing is tested. A limit that the calibration does not
+    state counts as 0. ``further_reasons`` against a decision are added to those of the tests; they do not
     prevent a failure. Each of m tests has the confidence 1 - (1 - ``CONFIDENCE``)/m (Bonferroni).
     """
     planned = [
@@ -143,7 +143,7 @@ def _of_shape(estimate: Estimate, reference: Limits, calibration: Limits) -> lis
 
 
 def _against(test: LimitTest, found: Estimated, limit: str, limits: tuple[Limits, Limits]) -> LimitTest:
-    """The test with what was found, and the limit of this key of reference and calibration in its sigma."""
+    """Return the test with the found value; its sigma includes this limit of reference and calibration."""
     of_reference, of_calibration = (getattr(of, limit) for of in limits)
     parts = {
         "measurements": found.sigma,
@@ -155,7 +155,7 @@ def _against(test: LimitTest, found: Estimated, limit: str, limits: tuple[Limits
 
 
 def _of_zero(estimate: Estimate, reference: Limits, calibration: Limits) -> list[LimitTest]:
-    """The zero of yaw and pitch: of both orientations, else against a beam of stated direction."""
+    """Tests of the zero of yaw and pitch: by both orientations, else by a beam of stated direction."""
     normal = (calibration.beam_normal_mm_per_m or 0.0) * _DEG_PER_MM_PER_M
     both = estimate.zero_deg
     stated = reference.beam_normal_mm_per_m
@@ -188,7 +188,7 @@ def _of_zero(estimate: Estimate, reference: Limits, calibration: Limits) -> list
 
 
 def _with_limit(test: LimitTest, made: int) -> LimitTest:
-    """The test as one of so many."""
+    """Return the test with its limit and detectable error, as one of ``made`` tests."""
     share = (1.0 - CONFIDENCE) / made
     if test.sigma is None:
         return test
@@ -208,8 +208,8 @@ def _with_limit(test: LimitTest, made: int) -> LimitTest:
 def variance_ratio_quantile(probability: float, freedom: float, freedom_below: float) -> float:
     """Quantile of the ratio of two estimates of one variance, Fisher's F, by their degrees of freedom.
 
-    By Wilson and Hilferty's cube roots (1931), as Paulson (1942) applied them to the ratio. Right to 0.5 %
-    from 8 degrees of freedom on, at probabilities of 0.05 to 0.995.
+    It uses Wilson and Hilferty's cube roots (1931), applied to the ratio by Paulson (1942). It is accurate to
+    0.5 % from 8 degrees of freedom on, at probabilities of 0.05 to 0.995.
     """
     above, below = 2.0 / (9.0 * freedom), 2.0 / (9.0 * freedom_below)
     z = _NORMAL.inv_cdf(probability)

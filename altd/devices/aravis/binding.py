@@ -1,8 +1,8 @@
-"""Aravis behind types: the one file that knows PyGObject, which has none.
+"""Typed wrapper of Aravis: the only file that uses PyGObject, which has no types.
 
-What Aravis raises comes out as CameraError or one of its kinds. A camera that does not answer blocks each
-call for 2.5 s. Nothing here is for two threads at once. Frames do not
-come this way: altd receives them itself (stream.py).
+Aravis' errors are raised as CameraError or one of its subclasses. A camera that does not answer blocks each
+call for 2.5 s. Nothing here is thread-safe. Frames do not pass through Aravis: altd receives them itself
+(stream.py).
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _LOST_CODES = (
     Aravis.DeviceError.TRANSFER_ERROR,
 )
 _GENICAM_LOCK = threading.Lock()
-"""Aravis 0.8.26 crashes when two threads read a camera's description (GenICam) at once. Its own way to open a
-camera has a lock against that, but holds it while it looks for a camera that is not there."""
+"""Aravis 0.8.26 crashes when two threads read a camera's description (GenICam) at once. Its own function to
+open a camera has a lock against that, but holds it while it searches for a camera that does not exist."""
 
 # bootstrap registers of stream channel 0 (GigE Vision 2.0, section 28): SCP0, SCDA0, SCSP0
 _HOST_PORT, _DESTINATION_ADDRESS, _SOURCE_PORT = 0x0D00, 0x0D18, 0x0D1C
@@ -57,7 +57,7 @@ def _typed_errors(what: str) -> Iterator[None]:
 
 
 class Device:
-    """A GigE Vision camera that was opened, and is controlled by us unless another program does."""
+    """An open GigE Vision camera, controlled by us unless another program controls it."""
 
     def __init__(self, own_address: str, address: str) -> None:
         self._own_address = int.from_bytes(socket.inet_aton(own_address), "big")
@@ -66,18 +66,18 @@ class Device:
             self._device = Aravis.GvDevice.new(
                 Gio.InetAddress.new_from_string(own_address), Gio.InetAddress.new_from_string(address)
             )
-            filter_new_sockets(before, own_address, address)  # its control socket hears everybody
+            filter_new_sockets(before, own_address, address)  # its control socket accepts any sender
             self._camera = Aravis.Camera.new_with_device(self._device)
         self._camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
         self._camera.set_access_check_policy(Aravis.AccessCheckPolicy.ENABLE)
 
     def close(self) -> None:
-        """Give up control and release it; with a camera that does not answer that takes seven seconds."""
+        """Give up control and release the camera; this takes seven seconds if it does not answer."""
         self._camera = self._device = None
 
     @property
     def closed(self) -> bool:
-        """Whether it was released; then it cannot be used."""
+        """Whether the camera was released; then it cannot be used."""
         return self._device is None
 
     @property
@@ -86,27 +86,27 @@ class Device:
         return bool(self._device.is_controller())
 
     def has(self, feature: str) -> bool:
-        """Whether the camera has a feature and it can be used now."""
+        """Whether the camera has a feature that can be used now."""
         with _typed_errors(feature):
             return bool(self._camera.is_feature_available(feature))
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        """The values of an enumeration."""
+        """Values of an enumeration."""
         with _typed_errors(feature):
             return tuple(self._camera.dup_available_enumerations_as_strings(feature))
 
     def text(self, feature: str) -> str:
-        """The value of a text or an enumeration."""
+        """Value of a text or an enumeration."""
         with _typed_errors(feature):
             return str(self._camera.get_string(feature))
 
     def number(self, feature: str) -> float:
-        """The value of a number with a fraction."""
+        """Value of a number with a fraction."""
         with _typed_errors(feature):
             return float(self._camera.get_float(feature))
 
     def set(self, feature: str, value: bool | int | float | str) -> None:
-        """Set any feature; a command is executed by True."""
+        """Set a feature of any type; True executes a command."""
         with _typed_errors(feature):
             node = self._device.get_feature(feature)
             if node is None:
@@ -124,13 +124,13 @@ class Device:
                 self._camera.set_integer(feature, int(value))
 
     def integer_limits(self, feature: str) -> tuple[int, int]:
-        """The smallest and largest value of an integer."""
+        """Minimum and maximum of an integer."""
         with _typed_errors(feature):
             smallest, largest = self._camera.get_integer_bounds(feature)
             return int(smallest), int(largest)
 
     def pixel_format(self) -> int:
-        """The PFNC code of the format that is set."""
+        """PFNC code of the current format."""
         with _typed_errors("PixelFormat"):
             return int(self._camera.get_pixel_format())
 
@@ -141,17 +141,17 @@ class Device:
             return int(x), int(y), int(width), int(height)
 
     def set_region(self, x: int, y: int, width: int, height: int) -> None:
-        """Offset and size, px, in an order that fits every region that was set before."""
+        """Set offset and size, px, in an order that is valid from every previous region."""
         with _typed_errors(f"region {width} x {height} at {x}, {y}"):
             self._camera.set_region(x, y, width, height)
 
     def payload_bytes(self) -> int:
-        """The size of a frame with all that comes with it."""
+        """Size of a frame with all accompanying data, bytes."""
         with _typed_errors("PayloadSize"):
             return int(self._camera.get_payload())
 
     def frame_rate_limits(self) -> tuple[float, float] | None:
-        """In frames a second; None when the camera has no rate to set."""
+        """Minimum and maximum frame rate, frames/s; None when the camera has no rate to set."""
         with _typed_errors("frame rate"):
             if not self._camera.is_frame_rate_available():
                 return None
@@ -159,7 +159,7 @@ class Device:
             return float(slowest), float(fastest)
 
     def run_free(self, fps: float) -> float | None:
-        """Without trigger, at a rate; the rate that the camera then has, None when it has none to set."""
+        """Run without trigger at a rate; return the camera's actual rate, None when it has none to set."""
         with _typed_errors("frame rate"):
             if not self._camera.is_frame_rate_available():
                 self._camera.clear_triggers()
@@ -168,17 +168,17 @@ class Device:
             return float(self._camera.get_frame_rate())
 
     def set_trigger(self, source: str) -> None:
-        """A frame for each trigger from this source, such as ``Software`` or ``Line1``."""
+        """Take a frame for each trigger from this source, such as ``Software`` or ``Line1``."""
         with _typed_errors(f"trigger {source}"):
             self._camera.set_trigger(source)
 
     def trigger(self) -> None:
-        """The software trigger."""
+        """Execute the software trigger."""
         with _typed_errors("TriggerSoftware"):
             self._camera.software_trigger()
 
     def exposure_limits_us(self) -> tuple[float, float] | None:
-        """None when there is no exposure to set."""
+        """Minimum and maximum exposure, µs; None when there is no exposure to set."""
         with _typed_errors("exposure"):
             if not self._camera.is_exposure_time_available():
                 return None
@@ -186,7 +186,7 @@ class Device:
             return float(shortest), float(longest)
 
     def gain_limits(self) -> tuple[float, float] | None:
-        """In the camera's own unit, dB for a camera that keeps to SFNC; None when there is no gain to set."""
+        """Limits of the gain in the camera's unit (SFNC: dB); None when there is no gain to set."""
         with _typed_errors("gain"):
             if not self._camera.is_gain_available():
                 return None
@@ -194,22 +194,22 @@ class Device:
             return float(smallest), float(largest)
 
     def exposure_us(self) -> float:
-        """The exposure that is set."""
+        """Current exposure, µs."""
         with _typed_errors("exposure"):
             return float(self._camera.get_exposure_time())
 
     def set_exposure_us(self, exposure_us: float) -> None:
-        """Raises CameraRefusedError outside of the limits."""
+        """Set the exposure; raises CameraRefusedError outside of the limits."""
         with _typed_errors(f"exposure {exposure_us:g} us"):
             self._camera.set_exposure_time(exposure_us)
 
     def gain(self) -> float:
-        """The gain that is set."""
+        """Current gain, in the camera's unit."""
         with _typed_errors("gain"):
             return float(self._camera.get_gain())
 
     def set_gain(self, gain: float) -> None:
-        """Raises CameraRefusedError outside of the limits."""
+        """Set the gain; raises CameraRefusedError outside of the limits."""
         with _typed_errors(f"gain {gain:g}"):
             self._camera.set_gain(gain)
 
@@ -222,19 +222,19 @@ class Device:
                 self._camera.set_gain_auto(Aravis.Auto.OFF)
 
     def without_chunks(self) -> None:
-        """Have frames sent without chunk data, also by a camera that another program left otherwise."""
+        """Switch off chunk data in frames, which another program may have left on."""
         with _typed_errors("ChunkModeActive"):
             if self._camera.are_chunks_available():
                 self._camera.set_chunk_mode(False)
 
     def ticks_per_s(self) -> int:
-        """The frequency of the clock that stamps frames; 0 for a camera that has none."""
+        """Frequency of the clock that stamps frames, Hz; 0 for a camera that has none."""
         return int(self._device.get_timestamp_tick_frequency())
 
     def settle_packet_size(self, packet_bytes: int) -> int:
         """Set the size of the stream's packets, all headers included; 0 finds the largest that gets through.
 
-        Returns what the camera made of it.
+        Returns the camera's actual size, bytes.
         """
         with _typed_errors("packet size"):
             if packet_bytes:
@@ -244,7 +244,7 @@ class Device:
             return int(self._camera.gv_get_packet_size())
 
     def start(self, port: int) -> int:
-        """Start acquisition, frames to this ``port`` of ours; the port that they come from, 0 if not told."""
+        """Start acquisition, frames to our ``port``; return their source port, 0 if not reported."""
         with _typed_errors("stream"):
             self._camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
             self._device.write_register(_DESTINATION_ADDRESS, self._own_address)

@@ -1,10 +1,10 @@
-"""Frames assembled from the packets of a stream, from any sender.
+"""Assembly of frames from the packets of a stream, from any sender.
 
-Bounded by construction: the size of a frame is what the camera was set to, never what a packet claims; at
-most ``max_open`` frames are open; a packet that does not fit into one of them is dropped. And from one sender
-only: where two packets contradict each other, it is unknown which of them is the camera's, and no frame is
-delivered until ``QUARANTINE_NS`` after the last contradiction. No input or output here: packets and times are
-arguments.
+Bounded by construction: the size of a frame is the camera's setting, never the value that a packet claims; at
+most ``max_open`` frames are open; a packet that does not fit into one of them is dropped. Frames are from one
+sender only: where two packets contradict each other, it is unknown which of them is the camera's, and no
+frame is delivered until ``QUARANTINE_NS`` after the last contradiction. No input or output here: packets and
+times are arguments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from altd.devices.aravis import gvsp
 from altd.records import counted
 
 RETENTION_NS = 100_000_000
-"""A frame that lacks packets is given up so long after the last of them; it delays those behind it."""
+"""Time after its last packet at which an incomplete frame is given up; it delays those behind it."""
 QUARANTINE_NS = 2_000_000_000
 
 _RESEND_TIMEOUT_NS = 10_000_000
@@ -33,7 +33,7 @@ _MAX_EXTENDED_ID = 2**64 - 1
 class StreamFormat:
     """The camera's settings of the stream: sizes in bytes, ``packet_bytes`` with all headers (IP, UDP, GVSP).
 
-    ``payload_bytes`` is what the camera says a block has; it may fill up behind the image.
+    ``payload_bytes`` is the size of a block that the camera reports; it may include padding behind the image.
     """
 
     width: int
@@ -47,10 +47,10 @@ class StreamFormat:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A block of the stream. ``fault`` says what is wrong with it; it then has no data.
+    """A block of the stream. ``fault`` describes its fault, if any; it then has no data.
 
-    ``device_ns`` is the camera's own timestamp, 0 where it has none; ``arrived_ns`` that of the leader's
-    arrival on the monotonic clock.
+    ``device_ns`` is the camera's own timestamp, 0 where it has none; ``arrived_ns`` is the time of the
+    leader's arrival on the monotonic clock.
     """
 
     fault: str
@@ -62,10 +62,10 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """The source and the ids of frames, as the first leader shows them, and so the contents of each packet.
+    """Source and id format of frames, from the first leader, and thus the contents of each packet.
 
     ``needed`` payload packets hold the image, the last of them ``last_data_bytes`` of it; up to
-    ``max_packets`` may come.
+    ``max_packets`` may arrive.
     """
 
     port: int
@@ -78,7 +78,7 @@ class _Layout:
 
 @dataclass(slots=True)
 class _OpenBlock:
-    """A block whose leader has come. ``have[k]`` is 1 when packet k has; the last one is the trailer's."""
+    """A block whose leader has arrived. ``have[k]`` is 1 once packet k has; the last one is the trailer's."""
 
     id: int
     layout: _Layout
@@ -93,10 +93,10 @@ class _OpenBlock:
 
 
 class Assembler:
-    """Takes packets, gives blocks in their order. ``source_port`` 0: the camera does not tell its port.
+    """Assembles packets into blocks in their order. ``source_port`` 0: the camera does not report its port.
 
     ``refused`` counts packets that fit nowhere, ``contradictions`` those that show a second sender;
-    ``last_refusal`` and ``last_contradiction`` say what the last one was.
+    ``last_refusal`` and ``last_contradiction`` describe the last one of each.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Assembler:
 
     @property
     def busy(self) -> bool:
-        """Whether a block is under way."""
+        """Whether a block is being assembled."""
         return bool(self._open)
 
     def quarantined(self, now_ns: int) -> bool:
@@ -125,7 +125,7 @@ class Assembler:
         return now_ns < self._quarantined_until_ns
 
     def take(self, packet: memoryview, port: int, now_ns: int) -> None:
-        """A datagram that came from the camera's address and ``port``."""
+        """Process a datagram from the camera's address and ``port``."""
         header = gvsp.read_header(packet)
         if header is None or (self._source_port and port != self._source_port):
             self.refused += 1
@@ -147,7 +147,7 @@ class Assembler:
             self.refused += 1
 
     def blocks(self, now_ns: int) -> Iterator[Block]:
-        """The blocks that are complete or given up, in the order in which they began."""
+        """Yield the blocks that are complete or given up, in the order in which they began."""
         while self._open:
             block = next(iter(self._open.values()))
             whole = block.missing == 0
@@ -165,7 +165,7 @@ class Assembler:
                 yield Block("", block.id, block.device_ns, block.arrived_ns, block.pixels)
 
     def resend_commands(self, now_ns: int) -> Iterator[bytes]:
-        """Requests for the packets that a block lacks since a while; at most three times a block."""
+        """Yield requests for packets that a block has lacked for some time; at most three times a block."""
         if not self._resend:
             return
         for block in self._open.values():
@@ -179,7 +179,7 @@ class Assembler:
             block.resends += 1
             block.requested_ns = now_ns
             for first, last in _gaps(block.have):
-                if last == len(block.have) - 1:  # the trailer's place, behind all that the camera may send
+                if last == len(block.have) - 1:  # the trailer follows all packets that the camera may send
                     last = block.layout.max_packets + 1
                 self._request_id = self._request_id % 65535 + 1
                 yield gvsp.resend_command(self._request_id, block.id, block.layout.extended, first, last)
@@ -236,7 +236,7 @@ class Assembler:
             fits = layout.last_data_bytes <= len(body) <= layout.data_bytes
             body = body[: layout.last_data_bytes]
         else:
-            return  # behind the image, or nowhere
+            return  # behind the image, or an invalid id
         if not fits:
             self.refused += 1
         elif port != layout.port:
@@ -267,7 +267,7 @@ class Assembler:
             block.last_ns = now_ns
 
     def _contradict(self, what: str, now_ns: int) -> None:
-        """Discard what arrived until now; the sender of the next packet is taken for the camera."""
+        """Discard all earlier packets; the sender of the next packet is taken for the camera."""
         self.contradictions += 1
         self.last_contradiction = f"{what}: another sender uses the camera's address"
         self._quarantined_until_ns = now_ns + QUARANTINE_NS
@@ -286,13 +286,13 @@ def _layout(form: StreamFormat, port: int, extended: bool) -> _Layout:
 
 
 def _is_ahead(block_id: int, last: int, extended: bool) -> bool:
-    """Whether a block's number follows another one's, over its wrap: by less than half of all numbers."""
+    """Whether a block's number follows another one, across the wrap, by less than half of all numbers."""
     count = _MAX_EXTENDED_ID if extended else _MAX_STANDARD_ID
     return 0 < (block_id - last) % count < count / 2
 
 
 def _gaps(have: bytearray) -> Iterator[tuple[int, int]]:
-    """First and last packet id of the first ranges of packets that are missing; the leader never is."""
+    """First and last packet id of the first ranges of missing packets; the leader is never missing."""
     last = 0
     for _ in range(_MAX_RESEND_RANGES):
         first = have.find(0, last + 1)

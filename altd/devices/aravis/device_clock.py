@@ -1,4 +1,4 @@
-"""A camera's own clock, mapped to the monotonic clock of this computer."""
+"""Mapping of a camera's own clock to the monotonic clock of this computer."""
 
 from __future__ import annotations
 
@@ -10,85 +10,86 @@ import numpy as np
 _BUCKET_NS = 1_000_000_000
 _BUCKETS = 5
 _TOLERANCE_NS = 8_000_000
-"""Accepted advance or delay of a frame against those before it: a frame's way through
-network, driver and threads varies by less, and so does a drift of 0.1 % in five seconds."""
+"""Accepted advance or delay of a frame relative to those before it. The delay by network, driver and threads
+varies by less, and so does a drift of 0.1 % in five seconds."""
 _VERY_LATE_NS = 25_000_000
 _VERY_LATE_FRAMES, _VERY_LATE_BAND_NS = 4, 4_000_000
 _LATE_FRAMES, _LATE_BAND_NS = 20, 8_000_000
-"""Of so many frames in a row that come late, the few by more than ``_VERY_LATE_NS``, three quarters lie on a
-straight line to so much, and not one that falls: a clock that was set or runs slow makes that; what a busy
-computer or network holds up scatters, and comes in less and less late."""
+"""This many late frames in a row indicate a clock fault, if three quarters of them are within the band about
+a straight line that does not fall; the fewer ones must be late by more than ``_VERY_LATE_NS``. A clock that
+was set or runs slow causes that. Delays by a busy computer or network scatter and decrease."""
 _MIN_SHARE_ON_LINE = 0.75
 _MAX_FALL_NS = 1_000_000
 _MAX_LATE_KEPT = 100
 _STEP_TIMEOUT_NS = 2_200_000_000
-"""A delay that grows on a line for so long, without one frame in time, is due to the clock. Half a window of
-exposures and the pairing with the other camera follow until a value is valid: 2.9 s in all."""
+"""A delay that grows on a line for this long, without one frame in time, is due to the clock. Half a window
+of exposures and the pairing with the other camera follow until a value is valid: 2.9 s in all."""
 _ENVELOPE_TIMEOUT_NS = 10_000_000_000
-"""An envelope that no frame has met for so long is made again of those that came late."""
+"""Time without a frame on the envelope after which it is rebuilt from the late frames."""
 _MAX_BACK_IN_A_ROW = 3
 _SETTLING_FRAMES = 10
-"""The first of all may have come late themselves."""
+"""Number of first frames that may be late themselves."""
 _FIRST_FRAMES, _FIRST_FALL_NS, _FIRST_TIMEOUT_NS = 5, 2_000_000, 1_000_000_000
-"""The envelope of a camera that was just opened is known once so many frames have not lowered it by more than
-that: a computer that is busy starting takes the first ones tens of milliseconds late."""
+"""The envelope of a newly opened camera is known after ``_FIRST_FRAMES`` that have not lowered it by more
+than ``_FIRST_FALL_NS``, or after the timeout: a computer that is busy starting receives the first frames tens
+of ms late."""
 _MIN_STEADY_FRAMES = 20
-"""A clock that was implausible is used again when so many frames agree with it."""
+"""Number of frames that must agree with a clock that was implausible before it is used again."""
 
 
 @dataclass(slots=True)
 class _Bucket:
-    """The frames received within one second: the smallest of their offsets."""
+    """Frames received within one second: the smallest of their offsets."""
 
     begin_ns: int
     offset_ns: int
 
 
 class DeviceClock:
-    """When a frame's instant on the device's clock was, on the host's.
+    """Maps instants of frames from the device's clock to the host's.
 
-    Receiving is late by a varying, never by a negative time: the offset between the clocks is the smallest of
+    Reception is late by a varying, never by a negative time: the offset between the clocks is the smallest of
     ``receive - device`` over the last five seconds, their lower envelope. A clock that runs 100 ppm off is
-    followed within 0.5 ms. A frame that comes late, from a camera that was held up for instance, does not
-    move the envelope and keeps its true time.
+    followed within 0.5 ms. A late frame, for instance from a camera that was delayed, does not move the
+    envelope and keeps its true time.
 
-    Frames that come late one after the other, by the same time or more and more, were delayed, or the clock
-    was set back or runs slow. The cause is unknown, so they have no time until one comes in time again or the
-    condition has lasted. A frame that comes too early has a wrong stamp: it has the time of its arrival, and
-    so have those that follow if they agree.
+    Consecutive frames that are late by the same or a growing time were delayed, or the clock was set back or
+    runs slow. The cause is unknown, so they have no time until a frame is in time again or the condition has
+    lasted for some seconds. A frame that is too early has a wrong stamp: it gets the time of its arrival, and
+    so do the following frames if they agree.
 
     Before ``known`` the envelope is still falling, and the times of the first frames are too late by that.
 
-    A clock that stands still or goes back for more than three frames is not plausible: then the receive time
-    itself is the answer, until the clock has run well for a second.
+    A clock that stops or runs back for more than three frames is not plausible: the receive time is then used
+    until the clock has run well for a second.
     """
 
     def __init__(self) -> None:
         self.known = False
-        """Whether enough frames have come to say where the clock lies."""
+        """Whether enough frames have arrived to determine the offset of the clock."""
         self._first: tuple[int, int, int] | None = None
-        """Until then: when the first frame was received, the smallest offset, the frames since that was."""
+        """Until then: receive time of the first frame, smallest offset, and number of frames since that."""
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._last_device_ns: int | None = None
         self._steady = _MIN_STEADY_FRAMES
-        """The number of frames in a row that agreed since the clock was not plausible."""
+        """Number of frames in a row that agreed since the clock was not plausible."""
         self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
         self._mapped = 0
-        """Frames since the clock was mapped again."""
+        """Number of frames since the mapping was restarted."""
         self._late_ns: deque[tuple[int, int]] = deque(maxlen=_MAX_LATE_KEPT)
-        """When the late ones of a row were received, and their offsets."""
+        """Receive times and offsets of the late frames in a row."""
         self._late_since_ns = 0
 
     @property
     def trusted(self) -> bool:
-        """Whether the device's clock is in use, not the receive time."""
+        """Whether the device's clock is used, not the receive time."""
         return self._steady >= _MIN_STEADY_FRAMES
 
     def host_ns(self, device_ns: int, receive_ns: int) -> int | None:
-        """The host's time of ``device_ns``, for a frame that was received at ``receive_ns``; never later.
+        """Host time of ``device_ns``, for a frame received at ``receive_ns``; never later than that.
 
-        None where it is unknown. Frames must be given in the order in which they were received.
+        None where it is unknown. Frames must be passed in the order in which they were received.
         """
         offset_ns = receive_ns - device_ns
         if not self.known:
@@ -119,7 +120,7 @@ class DeviceClock:
         self.known = frames + 1 > _FIRST_FRAMES or receive_ns - began_ns >= _FIRST_TIMEOUT_NS
 
     def _back(self, device_ns: int, receive_ns: int) -> int | None:
-        """A stamp that is not later than the last: the frame was overtaken, or the clock has stopped."""
+        """Handle a stamp not later than the last: the frame was overtaken, or the clock has stopped."""
         self._in_a_row_back += 1
         if self.trusted and self._in_a_row_back <= _MAX_BACK_IN_A_ROW:
             return None
@@ -128,7 +129,7 @@ class DeviceClock:
         return receive_ns
 
     def _early(self, device_ns: int, offset_ns: int, receive_ns: int) -> int:
-        """A stamp that is later than can be: one that is wrong, or the clock was set forward."""
+        """Handle a stamp that is later than possible: it is wrong, or the clock was set forward."""
         known_ns, self._early_offset_ns = self._early_offset_ns, offset_ns
         if known_ns is not None:
             self._last_device_ns = device_ns
@@ -138,7 +139,7 @@ class DeviceClock:
         return receive_ns
 
     def _late(self, offset_ns: int, device_ns: int, receive_ns: int) -> int | None:
-        """A frame that comes late: what it shows is old, or the clock was set back or runs slow."""
+        """Handle a late frame: it was delayed, or the clock was set back or runs slow."""
         if not self.trusted:
             self._restart(steady=0)
             self._add(offset_ns, receive_ns)
@@ -163,7 +164,7 @@ class DeviceClock:
         return min(device_ns + self._envelope_ns(), receive_ns)
 
     def _are_on_a_line(self, count: int, min_late_ns: int, band_ns: int) -> bool:
-        """Whether the last so many all came late by so much, and three quarters of them on one line."""
+        """Whether the last ``count`` frames are all late enough, and three quarters of them on one line."""
         if len(self._late_ns) < count:
             return False
         envelope_ns = self._envelope_ns()

@@ -1,9 +1,9 @@
-"""A GigE Vision camera behind the camera port.
+"""A GigE Vision camera that implements the camera port.
 
-Aravis notices after six seconds that a camera is dead, and each question to a dead one takes it 2.5 s. So the
-driver asks the camera itself, by single packets, as soon as frames stay away: one that has dropped us or has
-restarted is given up and opened again at once; one that does not answer is waited for, with the stream
-open, for as long as it may still regard us as its controller, because then frames resume automatically.
+Aravis detects a dead camera only after six seconds, and each request to one takes 2.5 s. The driver therefore
+checks the camera itself, by single packets, as soon as frames are missing. A camera that has dropped us or
+has restarted is given up and opened again at once. For one that does not answer the driver waits, with the
+stream open, as long as it may still regard us as its controller, because then frames resume automatically.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _POLL_INTERVAL_S = 0.1
 _SILENCE_TIMEOUT_S = 0.3
 _SILENCE_TIMEOUT_PERIODS = 2.5
 _FRAMELESS_TIMEOUT_S = 1.0
-"""A camera that answers so long without sending a frame is opened again."""
+"""Time after which a camera that answers without sending a frame is opened again."""
 _HEARTBEAT_TIMEOUT_S = 3.0
 _HEARTBEAT_MARGIN_S = 0.5
 _MAX_BLOCK_ID = 65535
@@ -54,7 +54,7 @@ _SIMULATED_NAMES = ("Aravis", "altd hw_sim")
 
 
 class AravisCamera:
-    """See ``altd.ports.Camera``; ``switch_output`` and ``celsius`` alone may come from another thread."""
+    """See ``altd.ports.Camera``; only ``switch_output`` and ``celsius`` may be called from another thread."""
 
     waits = False
 
@@ -79,7 +79,7 @@ class AravisCamera:
 
     @property
     def exposure_range(self) -> ExposureRange | None:
-        """Gain in dB, as SFNC demands it of a camera's ``Gain``."""
+        """Range of exposure and gain; gain in dB, as SFNC requires of a camera's ``Gain``."""
         return None if self._opened is None else self._opened.exposure_range
 
     def open(self) -> None:
@@ -115,9 +115,9 @@ class AravisCamera:
         self._changed_ns = self._settled_ns = 0
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next whole frame. Those that lost packets are missing in ``sequence``.
+        """Return the next whole frame. Frames that lost packets are missing in ``sequence``.
 
-        The first ones of a camera that was just opened are not given: their times are not known yet.
+        The first frames of a newly opened camera are dropped, because their times are not known yet.
         """
         opened = self._open_camera()
         deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
@@ -144,7 +144,7 @@ class AravisCamera:
                 raise CameraTimeoutError(f"no whole frame within {timeout_s:g} s")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Set both, and read back what the camera made of it."""
+        """Set exposure and gain, and read back the camera's actual values."""
         opened = self._open_camera()
         if opened.exposure_range is None:
             raise CameraRefusedError("the camera has no exposure to set")
@@ -153,18 +153,18 @@ class AravisCamera:
         self._settled_ns = time.monotonic_ns() + _EXPOSURE_SETTLING_PERIODS * self._period_ns
 
     def switch_output(self, line: str, on: bool) -> None:
-        """Set an output line of the camera; it is set again whenever the camera was opened again.
+        """Set an output line of the camera; it is set again after each re-opening.
 
-        From any thread; raises CameraError and, for a line that the camera does not have,
-        CameraRefusedError. A camera that has just died holds the call for 2.5 s.
+        From any thread; raises CameraError and, for a line that the camera does not have, CameraRefusedError.
+        A camera that has just died blocks the call for 2.5 s.
         """
         self._outputs[line] = on
         self._open_camera().switch_output(line, on)
 
     def celsius(self) -> float | None:
-        """The temperature inside; from any thread. None: the camera measures none.
+        """Temperature inside the camera, °C; from any thread. None: the camera does not measure it.
 
-        Raises CameraError. A camera from which no frames come is not asked, for that might take 2.5 s.
+        Raises CameraError. A camera that sends no frames is not read, because that might take 2.5 s.
         """
         opened = self._open_camera()
         if not self._answers or self._silent_s(time.monotonic_ns()):
@@ -172,7 +172,7 @@ class AravisCamera:
         return opened.celsius()
 
     def close(self) -> None:
-        """Stop and release it; at most a second, also for a camera that is dead."""
+        """Stop and release the camera; takes at most a second, even if it is dead."""
         opened, self._opened = self._opened, None
         if opened is not None:
             ours = self._answers and opened.device.controlled
@@ -207,7 +207,7 @@ class AravisCamera:
         return found[0]
 
     def _check_controlled(self, opened: OpenCamera) -> None:
-        """Of a camera that sends no whole frames: raises CameraLostError when it is not ours any more."""
+        """Check a camera that sends no whole frames; raises CameraLostError if it must be opened again."""
         now_ns = time.monotonic_ns()
         silent_s = self._silent_s(now_ns)
         if not silent_s or self._address is None:
@@ -219,7 +219,7 @@ class AravisCamera:
             if silent_s > self._heartbeat_timeout_s + _HEARTBEAT_MARGIN_S:
                 raise CameraLostError(f"the camera at {self._address} does not answer any more")
         elif privilege == 0:
-            self._answers = False  # not to us: nothing is to be stopped there
+            self._answers = False  # not to us: acquisition must not be stopped
             raise CameraLostError("the camera has restarted, or dropped us")
         elif self._answering_since_ns is None or opened.stream.quarantined:
             self._answering_since_ns = now_ns
@@ -233,15 +233,15 @@ class AravisCamera:
             )
 
     def _silent_s(self, now_ns: int) -> float:
-        """For how long no frame has come, where that is longer than it should be; else 0."""
+        """Time without a frame, s, where it is longer than expected; else 0."""
         silent_s = (now_ns - self._frame_ns) * 1e-9
         longest_s = max(_SILENCE_TIMEOUT_S, _SILENCE_TIMEOUT_PERIODS * self._period_ns * 1e-9)
         return 0.0 if silent_s < longest_s else silent_s
 
     def _trigger_when_due(self, opened: OpenCamera, now_ns: int) -> float:
-        """Trigger when it is time; how long until the next time, s.
+        """Trigger the camera if due; return the time until the next trigger, s.
 
-        A camera that does not answer is not triggered: that would take 2.5 s.
+        A camera that does not answer is not triggered, because that would take 2.5 s.
         """
         if now_ns >= self._trigger_due_ns:
             if self._answers and now_ns - self._trigger_due_ns < self._period_ns / 2:
@@ -250,7 +250,7 @@ class AravisCamera:
         return max(0.0, (self._trigger_due_ns - time.monotonic_ns()) * 1e-9)
 
     def _next_trigger_ns(self) -> int:
-        """Multiples of the period: all cameras of this computer are triggered at the same instants."""
+        """Next multiple of the period: all cameras of this computer are triggered at the same instants."""
         return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
 
     def _frame(self, opened: OpenCamera, block: Block, t_ns: int | None) -> Frame:
@@ -270,10 +270,10 @@ class AravisCamera:
         )
 
     def _middle_ns(self, block: Block, exposure_ns: int) -> int | None:
-        """The camera stamps the start of the exposure, and its first packet leaves at the end.
+        """Middle of the exposure: the camera stamps its start, and the first packet leaves at its end.
 
-        One that stamps another instant is mapped as well: only the arrival relates its clock to ours. None
-        where the time is unknown.
+        A camera that stamps another instant is mapped as well: only the arrival relates its clock to ours.
+        None where the time is unknown.
         """
         trusted = self._clock.trusted
         start_ns = self._clock.host_ns(block.device_ns, block.arrived_ns - exposure_ns)

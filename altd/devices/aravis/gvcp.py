@@ -1,15 +1,13 @@
 """GVCP: the commands of GigE Vision and a client for a camera's registers.
 
-Nothing here believes a packet: it counts when it bears the number of the question and has the very length
-that it states.
+No packet is trusted: a response must have the request's number, which is random, and exactly the length that
+it states. Except for a broadcast, it must come from the requested address. Other datagrams cost a bounded
+time and no memory.
 
 Source: the GigE Vision standard, version 2.0: GVCP's headers, DISCOVERY and READREG, bootstrap registers.
 
-Aravis waits 2.5 s for a camera that does not answer, and finding one takes it a second, in which no other
-camera can be opened. These questions need neither control of the camera nor Aravis.
-
-An answer counts when it comes from the address that was asked and bears the number of the question, which
-is random. Other datagrams cost a bounded time and no memory.
+Aravis waits 2.5 s for a camera that does not answer. To find one takes a second, and no other camera can
+be opened meanwhile. These requests need neither control of the camera nor Aravis.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ PORT = 3956
 DISCOVERY, READ_REGISTER = 0x0002, 0x0080
 """Commands; the acknowledge of each has the next number."""
 CONTROL_PRIVILEGE, HEARTBEAT_TIMEOUT_MS = 0x0A00, 0x0938
-"""Bootstrap registers."""
+"""Addresses of bootstrap registers."""
 
 _KEY = 0x42
 _ACKNOWLEDGE = 0x01
@@ -39,7 +37,7 @@ _DISCOVERY_BYTES, _REGISTER_BYTES = 248, 4
 
 @dataclass(frozen=True, slots=True)
 class DiscoveredCamera:
-    """A camera as it describes itself."""
+    """A camera with the identity that it reports."""
 
     address: str
     vendor: str
@@ -53,18 +51,18 @@ class DiscoveredCamera:
         return f"{self.vendor}-{self.model}-{self.serial}"
 
     def is_called(self, name: str) -> bool:
-        """Whether ``name`` is its serial number, address, id or the name that its user gave it."""
+        """Whether ``name`` is its serial number, address, id or user-defined name."""
         return name != "" and name in (self.serial, self.address, self.id, self.user_name)
 
 
 def command(number: int, request_id: int, payload: bytes = b"", broadcast: bool = False) -> bytes:
-    """A command that asks for an acknowledge. ``request_id`` 0 is forbidden."""
+    """Build a command that requests an acknowledge. ``request_id`` 0 is forbidden."""
     flags = _ACKNOWLEDGE | (_BROADCAST_ACKNOWLEDGE if broadcast else 0)
     return _HEADER.pack(_KEY << 8 | flags, number, len(payload), request_id) + payload
 
 
 def read_acknowledge(packet: bytes, number: int, request_id: int) -> bytes | None:
-    """The payload of the acknowledge of a command; None for any other packet, and for a refusal."""
+    """Payload of the acknowledge of a command; None for any other packet, and for a refusal."""
     if len(packet) < _HEADER.size:
         return None
     status, acknowledged, length, answered_id = _HEADER.unpack_from(packet)
@@ -74,7 +72,7 @@ def read_acknowledge(packet: bytes, number: int, request_id: int) -> bytes | Non
 
 
 def read_discovery(payload: bytes) -> DiscoveredCamera | None:
-    """The camera that a DISCOVERY_ACK describes; its fields lie where the bootstrap registers do."""
+    """Camera described by a DISCOVERY_ACK, whose fields have the offsets of the bootstrap registers."""
     if len(payload) != _DISCOVERY_BYTES:
         return None
     return DiscoveredCamera(
@@ -87,12 +85,12 @@ def read_discovery(payload: bytes) -> DiscoveredCamera | None:
 
 
 def read_register(payload: bytes) -> int | None:
-    """The value in a READREG_ACK of one register."""
+    """Value in a READREG_ACK of one register."""
     return int.from_bytes(payload, "big") if len(payload) == _REGISTER_BYTES else None
 
 
 def is_address(text: str) -> bool:
-    """Whether this is an IPv4 address; GigE Vision knows no other."""
+    """Whether this is an IPv4 address; GigE Vision supports no other."""
     try:
         socket.inet_pton(socket.AF_INET, text)
     except OSError:
@@ -113,16 +111,16 @@ _POLL_INTERVAL_S = 0.02
 
 
 def discover_at(address: str, timeout_s: float) -> DiscoveredCamera | None:
-    """The camera at an address, or None when none answers in time."""
+    """Return the camera at an address, or None when none answers in time."""
     payload = _acknowledge(address, DISCOVERY, b"", timeout_s)
     camera = None if payload is None else read_discovery(payload)
     return camera if camera is not None and camera.address == address else None
 
 
 def discover(timeout_s: float) -> list[DiscoveredCamera]:
-    """All cameras that answer to a broadcast on any of this computer's networks, by address.
+    """Return all cameras that answer a broadcast on any of this computer's networks, sorted by address.
 
-    Anybody can claim to be one; ``discover_at`` asks the address itself.
+    Any host can claim to be a camera; ``discover_at`` queries the address itself.
     """
     found: dict[str, DiscoveredCamera] = {}
     request_id = _new_request_id()
@@ -153,21 +151,21 @@ def discover(timeout_s: float) -> list[DiscoveredCamera]:
 
 
 def control_privilege(address: str, timeout_s: float) -> int | None:
-    """The camera's control privilege register, 0 when no program controls it; None when it does not answer.
+    """Control privilege register of the camera, 0 when no program controls it; None when it does not answer.
 
-    Aravis' simulated camera takes this question, from whomever, for its controller's sign of life.
+    Aravis' simulated camera takes this request, from any sender, for its controller's heartbeat.
     """
     return _register(address, CONTROL_PRIVILEGE, timeout_s)
 
 
 def heartbeat_timeout_s(address: str, timeout_s: float) -> float | None:
-    """For how long the camera waits for its controller's sign of life before it drops it."""
+    """Time without a heartbeat after which the camera drops its controller, s; None if not known."""
     heartbeat_ms = _register(address, HEARTBEAT_TIMEOUT_MS, timeout_s)
     return None if heartbeat_ms is None else heartbeat_ms * 1e-3
 
 
 def own_address_towards(address: str) -> str:
-    """The address of the interface through which a camera is reached; raises OSError when there is none."""
+    """Address of the interface through which a camera is reached; raises OSError when there is none."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect((address, PORT))
         own: str = probe.getsockname()[0]
@@ -180,7 +178,7 @@ def _register(address: str, register: int, timeout_s: float) -> int | None:
 
 
 def _acknowledge(address: str, number: int, payload: bytes, timeout_s: float) -> bytes | None:
-    """The payload of the camera's answer; None when it refuses or does not answer."""
+    """Payload of the camera's response; None when it refuses or does not answer."""
     deadline, request_id = time.monotonic() + timeout_s, _new_request_id()
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         asking.connect((address, PORT))
@@ -194,19 +192,19 @@ def _acknowledge(address: str, number: int, payload: bytes, timeout_s: float) ->
 
 
 def _new_request_id() -> int:
-    """Any but 0, which the standard forbids."""
+    """Random request number other than 0, which the standard forbids."""
     return 1 + secrets.randbelow(65535)
 
 
 def _datagrams(asking: socket.socket) -> Iterator[bytes]:
-    """Datagrams that have come; a flood of them does not hold up the other sockets."""
+    """Yield datagrams that have arrived; a flood of them does not hold up the other sockets."""
     with suppress(OSError):
         for _ in range(_MAX_DATAGRAMS_AT_ONCE):
             yield asking.recv(_MAX_DATAGRAM_BYTES)
 
 
 def _own_addresses() -> Iterator[str]:
-    """Of each interface, by /proc: the service may not use the netlink sockets of ``if_nameindex``."""
+    """Address of each interface, by /proc: the service may not use ``if_nameindex``'s netlink sockets."""
     lines = Path("/proc/self/net/dev").read_text().splitlines()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         for name, colon, _ in (line.strip().partition(":") for line in lines):

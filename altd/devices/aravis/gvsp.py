@@ -1,8 +1,8 @@
-"""The packets of GigE Vision's stream protocol (GVSP), to and from bytes.
+"""Packets of GigE Vision's stream protocol (GVSP): conversion to and from bytes.
 
 A block is a frame: a leader with packet id 0, payload packets from 1 on, a trailer. All numbers are
-big-endian. Ids are of 16 (block) and 24 bits (packet), or, with a flag in the header, of 64 and 32 bits.
-Nothing here checks a number: the caller must check that a packet id is in the expected range.
+big-endian. Ids have 16 (block) and 24 bits (packet) or, with a flag in the header, 64 and 32 bits. Nothing
+here checks a number: the caller must check that a packet id is in the expected range.
 
 Source: the GigE Vision standard, version 2.0: GVSP's headers, image leader and trailer; GVCP's PACKETRESEND.
 """
@@ -16,7 +16,7 @@ LEADER, TRAILER, PAYLOAD = 1, 2, 3
 """Packet formats; the others carry no plain image."""
 
 UDP_BYTES = 20 + 8
-"""Of the IP and UDP headers, which count in the size of a stream's packets."""
+"""Size of the IP and UDP headers, which is included in the size of a stream's packets."""
 HEADER_BYTES, EXTENDED_HEADER_BYTES = 8, 20
 
 _HEADER = struct.Struct(">HHI")
@@ -31,7 +31,7 @@ _KEY, _RESEND, _FLAG_EXTENDED = 0x42, 0x0040, 0x10
 
 
 class Header(NamedTuple):
-    """The header of every packet; ``size`` bytes of it."""
+    """Header of every packet, ``size`` bytes long."""
 
     block_id: int
     packet_format: int
@@ -41,7 +41,7 @@ class Header(NamedTuple):
 
 
 class Leader(NamedTuple):
-    """An image as its leader announces it. ``timestamp`` is in the camera's own ticks."""
+    """Image announced by a leader. ``timestamp`` is in the camera's own ticks."""
 
     timestamp: int
     pixel_format: int
@@ -52,7 +52,7 @@ class Leader(NamedTuple):
 
 
 def read_header(packet: memoryview) -> Header | None:
-    """None for what belongs to no block: too short, an error of the camera's, block id 0 (test packets)."""
+    """Header of a packet; None without a block: too short, a camera error, block id 0 (test packets)."""
     if len(packet) < HEADER_BYTES:
         return None
     status, block_id, rest = _HEADER.unpack_from(packet)
@@ -68,7 +68,7 @@ def read_header(packet: memoryview) -> Header | None:
 
 
 def read_leader(body: memoryview) -> Leader | None:
-    """``body`` is what follows the header; None for what announces no plain image."""
+    """Leader in ``body``, the bytes after the header; None if it announces no plain image."""
     if len(body) < _LEADER.size:
         return None
     _, payload_type, timestamp, pixel_format, width, height, _, _, pad_x, pad_y = _LEADER.unpack_from(body)
@@ -76,17 +76,17 @@ def read_leader(body: memoryview) -> Leader | None:
 
 
 def is_trailer(body: memoryview) -> bool:
-    """Whether this ends a plain image. Its number of lines says nothing: Aravis' cameras leave it 0."""
+    """Whether this ends a plain image. Its number of lines is ignored: Aravis' cameras leave it 0."""
     return len(body) >= _TRAILER.size and _TRAILER.unpack_from(body)[1] == _IMAGE
 
 
 def data_bytes(packet_bytes: int, extended: bool) -> int:
-    """The image bytes in each payload packet but the last, of a stream with packets of ``packet_bytes``."""
+    """Image bytes in each payload packet but the last, of a stream with packets of ``packet_bytes``."""
     return packet_bytes - UDP_BYTES - (EXTENDED_HEADER_BYTES if extended else HEADER_BYTES)
 
 
 def resend_command(request_id: int, block_id: int, extended: bool, first: int, last: int) -> bytes:
-    """The control packet that asks a camera for its packets ``first`` to ``last`` of a block again."""
+    """Build the control packet that requests packets ``first`` to ``last`` of a block again."""
     if extended:
         payload = struct.pack(">HHIIQ", 0, 0, first, last, block_id)
     else:

@@ -1,4 +1,4 @@
-"""One GigE Vision camera while it is open: its set-up, its output line, its release; and which there are."""
+"""An open GigE Vision camera: its set-up, its output line, its release; and discovery of cameras."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from altd.devices.aravis.stream import Stream
 from altd.ports import CameraError, CameraLostError, CameraRefusedError, ExposureRange
 
 BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
-"""The formats that come unpacked, one byte or one little-endian word a pixel."""
+"""Bits of the unpacked formats: one byte or one little-endian word per pixel."""
 
 _MAX_RATE_ERROR = 0.02
 MIN_PACKET_BYTES, MAX_PACKET_BYTES = 576, 16404
-"""GigE Vision demands 576 of every camera; the largest frame on an Ethernet has little over 9000."""
+"""Limits of the packet size: GigE Vision demands 576 of every camera; Ethernet frames have little over
+9000."""
 _SOCKET_BUFFER_FRAMES = 4
-"""As many as net.core.rmem_max allows; a packet takes twice its size there."""
+"""Frames in the socket's buffer, as far as net.core.rmem_max allows; a packet takes twice its size there."""
 _RELEASE_TIMEOUT_S = 1.0
 _TEMPERATURE = "DeviceTemperature"
 
 
 @dataclass(slots=True)
 class OpenCamera:
-    """The objects of an open camera. ``lock`` is taken around every use of the device but the stream's."""
+    """Objects of an open camera. ``lock`` guards every use of the device except the stream's."""
 
     device: Device
     stream: Stream
@@ -41,7 +42,7 @@ class OpenCamera:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Set both and read back what the camera made of it."""
+        """Set exposure and gain, and read back the camera's actual values."""
         with self.lock:
             self.device.set_exposure_us(exposure_ms * 1e3)
             self.exposure_ms = self.device.exposure_us() * 1e-3
@@ -50,21 +51,21 @@ class OpenCamera:
                 self.gain_db = self.device.gain()
 
     def switch_output(self, line: str, on: bool) -> None:
-        """Make ``line`` an output that follows a user output, and set that."""
+        """Make ``line`` an output that follows a user output, and set that output."""
         with self.lock:
             if self.device.closed:  # by the camera's thread, while this one waited
                 raise CameraLostError("the camera was closed")
             _switch_output(self.device, line, on)
 
     def celsius(self) -> float | None:
-        """``DeviceTemperature`` (SFNC, chapter 3) of the place that is selected; None: it has none."""
+        """``DeviceTemperature`` (SFNC, chapter 3) of the selected location, °C; None: the camera has none."""
         with self.lock:
             if self.device.closed:  # by the camera's thread, while this one waited
                 raise CameraLostError("the camera was closed")
             return self.device.number(_TEMPERATURE) if self.device.has(_TEMPERATURE) else None
 
     def trigger(self) -> None:
-        """The software trigger."""
+        """Execute the software trigger."""
         with self.lock:
             self.device.trigger()
 
@@ -72,8 +73,8 @@ class OpenCamera:
 def set_up(
     device: Device, settings: AravisCameraSettings, camera: str, own_address: str, address: str
 ) -> OpenCamera:
-    """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
-    with suppress(CameraRefusedError):  # its last controller may have died while it streamed
+    """Set the camera up and start its stream; raises CameraRefusedError that lists what the camera offers."""
+    with suppress(CameraRefusedError):  # the last controller may have died during acquisition
         device.stop()
     for name, value in settings.features.items():
         device.set(name, value)
@@ -127,10 +128,10 @@ def _start_stream(
 
 
 def release(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:
-    """Release a camera in a thread of its own, for one that does not answer takes seven seconds to release.
+    """Release a camera in a thread of its own, because one that does not answer takes seven seconds.
 
-    This gives control back, in vain when it is no longer ours: a controller is known by its port. ``wait``
-    allows a camera that answers to have got it.
+    This returns control, without effect when it is no longer ours: a controller is identified by its port.
+    ``wait`` gives a camera that answers the time to receive this.
     """
 
     def release() -> None:
@@ -205,7 +206,7 @@ def _exposure_range(
 
 
 def _switch_output(device: Device, line: str, on: bool) -> None:
-    """SFNC, chapter 8 (digital I/O control); cameras have more or fewer of its features."""
+    """Switch an output (SFNC, chapter 8, digital I/O control); cameras vary in the features they have."""
     if not device.has("UserOutputValue"):
         raise CameraRefusedError("the camera has no UserOutputValue, thus no output to switch")
     if device.has("LineSelector"):
@@ -225,7 +226,7 @@ def _switch_output(device: Device, line: str, on: bool) -> None:
 
 
 def _user_output(offered: tuple[str, ...], line: str) -> str:
-    """The user output with the line's number, else the first one."""
+    """User output with the line's number, else the first one."""
     outputs = [name for name in offered if name.startswith("UserOutput")]
     number = line.removeprefix("Line")
     if not outputs:
@@ -248,10 +249,11 @@ _ANSWER_TIMEOUT_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera as the config wants it named: by serial number, address or id.
+    """A camera with its names for the config: serial number, address or id.
 
-    ``in_use``: a program controls it. Its formats are then not known, for they are read from an open camera,
-    and Aravis takes control of one that it opens. ``formats`` holds those that altd can use; None: not known.
+    ``in_use``: a program controls it, or it does not report this. Its formats are then not known, because
+    they are read from an open camera, and Aravis takes control of one that it opens. ``formats`` holds those
+    that altd can use; None: not known.
     """
 
     id: str
@@ -264,7 +266,7 @@ class FoundCamera:
 
 
 def find_cameras() -> list[FoundCamera]:
-    """All cameras that answer in half a second, by address; one without a controller is opened shortly."""
+    """Return all cameras that answer within half a second, by address; opens uncontrolled ones briefly."""
     return [_examined(camera) for camera in gvcp.discover(_DISCOVERY_TIMEOUT_S)]
 
 

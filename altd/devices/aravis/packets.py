@@ -1,7 +1,8 @@
-"""Datagrams from one camera, many by one system call; the kernel drops those of others.
+"""Datagrams of one camera, many per system call; the kernel drops those of other senders.
 
-Python's socket takes one at a time and asks for the interpreter's lock for each; while the measuring thread
-computes, that is one packet in 5 ms. recvmmsg(2) takes what has come, at most a batch, for one such wait.
+Python's socket receives one at a time and requests the interpreter's lock for each; while the measuring
+thread computes, that is one packet in 5 ms. recvmmsg(2) receives all pending datagrams, at most a batch, for
+one such wait.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from pathlib import Path
 from altd.devices.aravis.gvsp import UDP_BYTES
 
 _SO_ATTACH_FILTER, _SO_LOCK_FILTER = 26, 44
-"""socket(7); asm-generic, as on x86 and ARM."""
+"""Socket options (socket(7)); values of asm-generic, as on x86 and ARM."""
 _LOAD_WORD, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
 _SOURCE_ADDRESS = 0x100000000 - 0x100000 + 12
-"""SKF_NET_OFF and the offset of the source address in an IPv4 header (RFC 791)."""
+"""SKF_NET_OFF plus the offset of the source address in an IPv4 header (RFC 791)."""
 _ALL, _NOTHING = 0xFFFFFFFF, 0
 _INSTRUCTION = struct.Struct("=HBBI")
 
 
 def accept_only_from(receiving: socket.socket, address: str) -> None:
-    """From now on ``receiving``, an IPv4 socket, gets no packet whose source is not ``address``.
+    """Drop all further packets to ``receiving``, an IPv4 socket, whose source is not ``address``.
 
-    A classic BPF program (linux/filter.h), which cannot be taken off again. Unlike ``connect`` it needs no
-    port, and brings no errors of the other side's into the socket. Raises OSError.
+    This attaches a classic BPF program (linux/filter.h), which cannot be removed. Unlike ``connect`` it needs
+    no port, and does not report the other side's errors in the socket. Raises OSError.
     """
     wanted = int.from_bytes(socket.inet_aton(address), "big")
     program = b"".join(
@@ -51,14 +52,14 @@ def accept_only_from(receiving: socket.socket, address: str) -> None:
 
 
 def open_sockets() -> frozenset[int]:
-    """The inodes of this process's sockets."""
+    """Inodes of this process's sockets."""
     return frozenset(inode for inode, _ in _sockets())
 
 
 def filter_new_sockets(before: frozenset[int], own_address: str, address: str) -> None:
-    """The same for the UDP sockets that a library has bound to ``own_address`` since, unseen.
+    """Apply the same filter to UDP sockets that a library has since bound to ``own_address`` internally.
 
-    Those that broadcast or are connected are our own questions to cameras and have a filter or need none.
+    Sockets that broadcast or are connected are our own requests to cameras and have a filter or need none.
     """
     for inode, number in _sockets():
         if inode not in before:
@@ -82,7 +83,7 @@ def _is_open_to_all(theirs: socket.socket, own_address: str) -> bool:
 
 
 def _sockets() -> Iterator[tuple[int, int]]:
-    """Inode and file descriptor of each."""
+    """Inode and file descriptor of each socket of this process."""
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # closed meanwhile
             link = str(entry.readlink())
@@ -119,10 +120,10 @@ _LIBC.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.
 
 
 class PacketSocket:
-    """A UDP socket at ``own_address`` for what ``camera_address`` sends, from before its first datagram on.
+    """UDP socket at ``own_address`` that receives only from ``camera_address``, from the first datagram on.
 
     ``packet_bytes`` is the largest packet's size, IP and UDP headers included; a larger one is dropped.
-    ``buffer_bytes`` is what the kernel is asked to hold. Raises OSError.
+    ``buffer_bytes`` is the buffer size requested from the kernel. Raises OSError.
     """
 
     def __init__(self, own_address: str, camera_address: str, packet_bytes: int, buffer_bytes: int) -> None:
@@ -152,11 +153,11 @@ class PacketSocket:
         self._slots = [view[n * slot : (n + 1) * slot] for n in range(BATCH)]
 
     def fileno(self) -> int:
-        """For poll; -1 once it is closed."""
+        """File descriptor for poll; -1 once it is closed."""
         return self._socket.fileno()
 
     def receive(self) -> Iterator[tuple[memoryview, int]]:
-        """The datagrams that have come, at most BATCH, each with its source port; good until the next call.
+        """Yield the pending datagrams, at most BATCH, each with its source port; valid until the next call.
 
         Never waits; raises OSError.
         """
@@ -177,7 +178,7 @@ class PacketSocket:
         self._socket.sendto(packet, address)
 
     def close(self) -> None:
-        """Let the port go."""
+        """Release the port."""
         self._socket.close()
 
 

@@ -1,4 +1,4 @@
-"""A camera's stream of frames: a thread that takes its packets, and a short queue of what they made."""
+"""A camera's stream of frames: a thread that receives its packets, and a short queue of blocks."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from altd.devices.aravis.packets import BATCH, PacketSocket
 log = logging.getLogger("altd")
 
 _MAX_READY_BLOCKS = 8
-"""Frames that wait to be taken; the oldest is dropped first."""
+"""Maximum number of blocks in the queue; the oldest is dropped first."""
 _IDLE_POLL_INTERVAL_MS = 50
 _BUSY_POLL_INTERVAL_MS = 5
 _GATHERING_S = 0.0003
-"""While a frame comes in: so long packets gather in the socket, else each one wakes the thread."""
+"""Time in which packets gather in the socket during a frame; otherwise each one wakes the thread."""
 _LOG_REPEAT_S = 60.0
 _JOIN_TIMEOUT_S = 1.0
 
 
 class Stream:
-    """Gives the blocks that an assembler makes of the packets of ``receiving``; closes both at the end."""
+    """Delivers the blocks that an assembler makes of the packets of ``receiving``; closes that at the end."""
 
     def __init__(self, camera: str, receiving: PacketSocket, assembler: Assembler, address: str) -> None:
         self._camera = camera
@@ -48,11 +48,11 @@ class Stream:
 
     @property
     def remark(self) -> str:
-        """The known faults of the received packets."""
+        """Last known fault of the received packets; empty if there was none."""
         return self._assembler.last_contradiction if self.quarantined else self._assembler.last_refusal
 
     def pop(self, timeout_s: float) -> Block | None:
-        """The oldest block not yet taken; None when none came in time. Raises OSError."""
+        """Return the oldest block in the queue, or None on timeout. Raises OSError."""
         with self._changed:
             self._changed.wait_for(lambda: self._ready or self._failure, timeout_s)
             if self._ready:
@@ -62,7 +62,7 @@ class Stream:
             return None
 
     def close(self) -> None:
-        """Release the port; within a twentieth of a second."""
+        """Stop the thread and release the port, within a twentieth of a second."""
         self._closing = True
         self._thread.join(_JOIN_TIMEOUT_S)
         self._receiving.close()
@@ -103,5 +103,5 @@ class Stream:
                 self._ready.append(block)
                 self._changed.notify()
         for command in self._assembler.resend_commands(now_ns):
-            with suppress(OSError):  # the camera is away, or the network is: the frame is lost
+            with suppress(OSError):  # the camera or the network is gone: the frame is lost
                 self._receiving.send(command, self._control)

@@ -1,4 +1,4 @@
-"""The GPIO chips of this computer and their lines."""
+"""GPIO chips of this computer and their lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GpioLine:
 
 @dataclass(frozen=True, slots=True)
 class GpioChip:
-    """One chip. The kernel numbers names and paths again when chips come and go; the label stays."""
+    """One chip. The kernel renumbers names and paths when chips are added or removed; the label stays."""
 
     path: Path
     name: str
@@ -31,18 +31,18 @@ class GpioChip:
     lines: tuple[GpioLine, ...]
 
     def __str__(self) -> str:
-        """The chip in a sentence."""
+        """Chip for messages: label and path."""
         return f"GPIO chip {self.label!r} ({self.path})"
 
 
 def chip_paths() -> list[Path]:
-    """The chips' devices. A link to one, as udev makes them for old names, is not a further chip."""
+    """Device paths of the chips. A link, as udev creates it for an old name, is not a further chip."""
     nodes = [path for path in Path("/dev").glob("gpiochip*") if not path.is_symlink()]
     return sorted(nodes, key=lambda path: (len(path.name), path.name))
 
 
 def read_chip(path: Path) -> GpioChip:
-    """The chip behind a device, as it is now; raises LampsError that names the device."""
+    """Read the current state of the chip behind a device; raises LampsError that names the device."""
     try:
         with gpiod.Chip(str(path)) as chip:
             about = chip.get_info()
@@ -57,7 +57,7 @@ def read_chip(path: Path) -> GpioChip:
 
 
 def find_chip(wanted: str) -> GpioChip:
-    """The chip of that label, name or path; raises LampsError that says which there are."""
+    """Return the chip with that label, name or path; raises LampsError that lists the available chips."""
     if wanted.startswith("/"):
         return read_chip(Path(wanted))
     found: list[GpioChip] = []
@@ -78,7 +78,7 @@ def find_chip(wanted: str) -> GpioChip:
 
 
 def find_line(chip: GpioChip, wanted: str) -> GpioLine:
-    """The line of that name or, as many chips name none, of that number; raises LampsError."""
+    """Return the line by name or, because many chips name none, by number; raises LampsError."""
     fitting = [line for line in chip.lines if line.name == wanted]
     if len(fitting) > 1:
         numbers = ", ".join(str(line.offset) for line in fitting)
@@ -106,7 +106,7 @@ def _opening_failure(path: Path, error: OSError) -> str:
 
 
 def _group_of(path: Path) -> str:
-    """Whom the device lets in."""
+    """Group that may open the device, for messages."""
     try:
         status = path.stat()
     except OSError:

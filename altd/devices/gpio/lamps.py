@@ -14,11 +14,11 @@ from altd.devices.gpio.find_chips import find_chip, find_line
 from altd.ports import Indicator, LampsError
 
 CONSUMER = "altd"
-"""The name under which other programs see our lines held."""
+"""Consumer name that the kernel reports for our lines to other programs."""
 
 
 class OutputLines:
-    """Lines that only altd switches while they are open. ``active_low``: lit is the low level."""
+    """Lines that only altd can switch while they are open. ``active_low``: the low level is lit."""
 
     def __init__(self, chip: str, lines: Sequence[str], active_low: bool) -> None:
         self._chip = chip
@@ -29,7 +29,7 @@ class OutputLines:
         self._request: gpiod.LineRequest | None = None
 
     def open(self) -> None:
-        """Get hold of the lines, all dark; raises LampsError that names chip and line."""
+        """Request the lines, all dark; raises LampsError that names chip and line."""
         self.close()
         chip = find_chip(self._chip)
         self._place = str(chip)
@@ -60,10 +60,10 @@ class OutputLines:
             raise LampsError(f"{self._place}{why}") from error
 
     def close(self) -> None:
-        """Darken and release the lines; harmless when they are not open."""
+        """Darken and release the lines; no effect when they are not open."""
         if self._request is None:
             return
-        with contextlib.suppress(LampsError):  # of a chip that is gone nothing can be darkened
+        with contextlib.suppress(LampsError):  # a removed chip cannot be switched
             self.set(())
         request, self._request = self._request, None
         request.release()
@@ -95,7 +95,7 @@ class GpioFrameLamps:
         self._lines = OutputLines(settings.chip, settings.lines, settings.active_low)
 
     def open(self) -> None:
-        """Get hold of the lines, dark; raises LampsError."""
+        """Request the lines, dark; raises LampsError."""
         self._lines.open()
 
     def switch(self, on: bool) -> None:
@@ -108,34 +108,34 @@ class GpioFrameLamps:
 
 
 class GpioSwitches:
-    """See ``altd.ports.Switches``: a line for each glass, active: it has voltage."""
+    """See ``altd.ports.Switches``: one line for each glass; active means that it has voltage."""
 
     def __init__(self, settings: GpiodSwitchesSettings, targets: Sequence[str]) -> None:
         self._line_of = dict(zip(targets, settings.lines, strict=True))
         self._lines = OutputLines(settings.chip, settings.lines, settings.active_low)
 
     def open(self) -> None:
-        """Get hold of the lines, all glasses without voltage; raises LampsError."""
+        """Request the lines, all glasses without voltage; raises LampsError."""
         self._lines.open()
 
     def show(self, opaque: str) -> None:
-        """Voltage on all glasses but this one; empty: on none. Raises LampsError."""
+        """Apply voltage to all glasses but this one; empty: to none. Raises LampsError."""
         self._lines.set([line for target, line in self._line_of.items() if opaque and target != opaque])
 
     def close(self) -> None:
-        """Take the voltage off all glasses and release the lines."""
+        """Switch off the voltage of all glasses and release the lines."""
         self._lines.close()
 
 
 class GpioIndicators:
-    """See ``altd.ports.Indicators``; an indicator without a line is left out."""
+    """See ``altd.ports.Indicators``; an indicator without a line is ignored."""
 
     def __init__(self, settings: IndicatorsSettings) -> None:
         self._names = {Indicator(key): line for key, line in settings.lines.items()}
         self._lines = OutputLines(settings.chip, tuple(self._names.values()), settings.active_low)
 
     def open(self) -> None:
-        """Get hold of the lines, dark; raises LampsError."""
+        """Request the lines, dark; raises LampsError."""
         self._lines.open()
 
     def show(self, lit: frozenset[Indicator]) -> None:

@@ -1,7 +1,7 @@
-"""A Grbl 1.1 controller on a serial port: commands and their answers, reports, feed hold and reset.
+"""A Grbl 1.1 controller on a serial port: commands and responses, reports, feed hold and reset.
 
-One line is sent at a time, and its ``ok`` awaited (Grbl's "simple send-response"). ``ok`` only says that a
-movement was planned. Grbl has no checksum: a line that noise has hit is mostly refused, and sent again.
+One line is sent at a time, and its ``ok`` awaited (Grbl's "simple send-response"). ``ok`` only means that a
+movement was planned. Grbl has no checksum: a line corrupted by noise is usually rejected, and sent again.
 """
 
 from __future__ import annotations
@@ -39,27 +39,29 @@ from altd.ports import (
 )
 
 POLL_INTERVAL_S = 0.1
-"""Time between two reports while the stage moves; Grbl asks for 10 a second at most."""
+"""Time between two reports while the stage moves; Grbl allows at most 10 per second."""
 STUCK_TIMEOUT_S = 3.0
-"""A stage that is not at its target must move; this long it may not."""
+"""Maximum time without movement while the stage is not at its target."""
 MAX_TRIES = 3
 
 _MAX_REPORT_TRIES = 4
 _REPORT_TIMEOUT_S = 0.5
 _WAKE_TIMEOUT_S = 1.0
 _MAX_WAKE_TRIES = 6
-"""An Arduino that the opening of its port resets takes two seconds to start."""
+"""Maximum number of resets on opening: an Arduino that is reset by opening its port takes two seconds to
+start."""
 _SILENCE_TIMEOUT_S = 0.25
 _BRAKE_TIMEOUT_S = 3.0
 _MAX_REPORTS_WITHOUT_OFFSET = 40
-"""Grbl tells the offset of the work coordinates in every 30th report at least, and in the first."""
+"""Maximum number of reports to wait for the offset of the work coordinates: Grbl sends it in the first
+report, and then in every 30th at least."""
 _INCHES_SETTING = 13
 _MIN_VERSION = (1, 1)
 
 
 @dataclass(slots=True)
 class _Session:
-    """The controller's state between opening and closing. ``offset_mm``: machine minus work coordinates."""
+    """State of the controller between opening and closing. ``offset_mm``: machine minus work coordinates."""
 
     line: Line
     offset_mm: Point | None = None
@@ -67,10 +69,10 @@ class _Session:
 
 
 class GrblController:
-    """Used from one thread, but for ``stop``. Every method but ``close`` raises StageError of its kind.
+    """Client of a Grbl controller, used from one thread, except for ``stop``.
 
-    An alarm is a StageAlarmError, an unrequested restart a StageLostError, ``stop`` a StageStoppedError,
-    in every method.
+    All methods but ``close``, ``stop`` and ``halt`` raise subclasses of StageError: for an alarm
+    StageAlarmError, for an unrequested restart StageLostError, after ``stop`` StageStoppedError.
     """
 
     def __init__(self, settings: GrblStageSettings) -> None:
@@ -98,7 +100,7 @@ class GrblController:
             self._session = None
 
     def stop(self) -> None:
-        """End the movement by a feed hold, which loses no steps, and a reset. From any thread."""
+        """Request a feed hold, which loses no steps, and a reset to end the movement. From any thread."""
         self._stopping.set()
 
     def home(self) -> None:
@@ -108,7 +110,7 @@ class GrblController:
         self._open_session.is_homing = False
 
     def command(self, line: str, timeout_s: float | None = None, tries: int = MAX_TRIES) -> list[Reply]:
-        """Send a line until it is taken; what was replied before its ``ok``."""
+        """Send a line until it is accepted; return the replies before its ``ok``."""
         timeout_s = timeout_s or self._settings.answer_within_s
         failure: StageError = StageTimeoutError("")
         for _ in range(tries):
@@ -130,11 +132,11 @@ class GrblController:
         raise failure
 
     def send(self, data: bytes) -> None:
-        """Write bytes as they are, and wait for nothing."""
+        """Write raw bytes without waiting for a reply."""
         self._open_session.line.send(data)
 
     def status(self) -> Status:
-        """The next report."""
+        """Request a report and return it."""
         for _ in range(_MAX_REPORT_TRIES):
             self.send(STATUS)
             deadline = time.monotonic() + _REPORT_TIMEOUT_S
@@ -145,7 +147,7 @@ class GrblController:
         raise StageTimeoutError("the stage's controller does not report its position")
 
     def position_mm(self, status: Status | None = None) -> Point:
-        """The position in the configured coordinates, from ``status`` or from a new report.
+        """Return the position in the configured coordinates, from ``status`` or from a new report.
 
         Repeats the request until the offset of the work coordinates is known.
         """
@@ -165,14 +167,14 @@ class GrblController:
         raise StageRefusedError("the stage's controller does not tell the offset of its work coordinates")
 
     def pause(self) -> None:
-        """Wait for the time of the next report."""
+        """Wait until the next report is due."""
         self._stopping.wait(POLL_INTERVAL_S)
         self._check_stop()
 
     def halt(self) -> None:
         """Brake (``!``), wait until the stage is at rest, and reset: a reset in motion loses the position.
 
-        Homing neither brakes nor answers, and has no position to lose. Failures are ignored.
+        Homing neither brakes nor replies, and has no position to lose. Failures are ignored.
         """
         with contextlib.suppress(StageError):
             if not self._open_session.is_homing:
@@ -181,7 +183,7 @@ class GrblController:
             self._await_welcome(_WAKE_TIMEOUT_S)
 
     def _let_finish(self) -> None:
-        """A program that was killed may have left the stage on its way: to reset it now would lose steps."""
+        """Wait for a movement that a killed program left under way: a reset now would lose steps."""
         last, since = None, time.monotonic()
         while time.monotonic() - since < STUCK_TIMEOUT_S:
             self._check_stop()
@@ -194,7 +196,7 @@ class GrblController:
             self.pause()
 
     def _reset(self) -> None:
-        """Soft reset, and wait for the controller's welcome message and then for silence."""
+        """Reset the controller; wait for its welcome message and then for silence."""
         for _ in range(_MAX_WAKE_TRIES):
             self._check_stop()
             self.send(RESET)
@@ -234,12 +236,12 @@ class GrblController:
                 time.sleep(POLL_INTERVAL_S / 2)
 
     def _drop_late_replies(self) -> None:
-        """Answers that came too late would be taken for those of the next line."""
+        """Drop late replies, which would be taken for those of the next line."""
         while self._next_reply(0.0) is not None:
             pass
 
     def _next_reply(self, timeout_s: float) -> Reply | None:
-        """The next reply; raises for an alarm, a restart, or our own ``stop``."""
+        """Return the next reply, or None on timeout; raises for an alarm, a restart, or our own ``stop``."""
         self._check_stop()
         reply = self._receive(timeout_s)
         if isinstance(reply, Alarm):

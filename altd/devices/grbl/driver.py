@@ -1,8 +1,9 @@
 """An xy stage behind a Grbl 1.1 controller on a serial port.
 
-A report just after a line's ``ok`` may still say ``Idle`` at the old place; so a movement is over when two
-reports in a row say ``Idle`` at its target. Grbl has no checksum: a number that noise has changed is detected
-by the final position of the stage, and the line is sent again; targets are absolute, so that is harmless.
+A report just after a line's ``ok`` may still be ``Idle`` at the old position. A movement is therefore over
+when two reports in a row are ``Idle`` at its target. Grbl has no checksum: a number changed by noise is
+detected by the final position of the stage, and the line is sent again; targets are absolute, so that is
+harmless.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from altd.ports import (
 )
 
 _POSITION_TOLERANCE_MM = 0.02
-"""A coarse table's step; what is recorded is the reported position, not the target."""
+"""Step of a coarse table; the reported position is recorded, not the target."""
 
 
 class GrblStage:
-    """See ``altd.ports.Stage``. ``controller`` is what it speaks to."""
+    """See ``altd.ports.Stage``. ``controller`` is the client of its controller."""
 
     def __init__(self, settings: GrblStageSettings) -> None:
         self._settings = settings
@@ -38,7 +39,7 @@ class GrblStage:
         self.controller.open()
 
     def home(self) -> None:
-        """``$H``, or with ``start = "unlock"`` take the position as it is."""
+        """Home with ``$H``; with ``start = "unlock"``, unlock and keep the position."""
         controller = self.controller
         if self._settings.start == "home":
             controller.home()
@@ -49,7 +50,7 @@ class GrblStage:
         controller.position_mm()
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        """Move in a straight line at ``feed_mm_per_min``; returns at standstill at the target."""
+        """Move in a straight line at ``feed_mm_per_min``; returns when the stage is at rest at the target."""
         settings = self._settings
         target = (
             settings.sign_x * x_mm + settings.offset_x_mm,
@@ -74,16 +75,16 @@ class GrblStage:
         )
 
     def position(self) -> tuple[float, float]:
-        """The position that the controller reports, in the unit frame, mm."""
+        """Position reported by the controller, in the unit frame, mm."""
         x_mm, y_mm = self.controller.position_mm()
         settings = self._settings
         return (
-            settings.sign_x * (x_mm - settings.offset_x_mm) + 0.0,  # -0.0 is nothing to show to people
+            settings.sign_x * (x_mm - settings.offset_x_mm) + 0.0,  # avoids -0.0 in displays
             settings.sign_y * (y_mm - settings.offset_y_mm) + 0.0,
         )
 
     def stop(self) -> None:
-        """End the movement under way by a feed hold, which loses no steps, and a reset."""
+        """Request the end of the movement by a feed hold, which loses no steps, and a reset."""
         self.controller.stop()
 
     def close(self) -> None:
@@ -91,7 +92,7 @@ class GrblStage:
         self.controller.close()
 
     def _arrives(self, target: Point) -> bool:
-        """Wait until the stage is at rest; whether it is at the target."""
+        """Wait until the stage is at rest; return whether it is at the target."""
         last: tuple[str, Point] | None = None
         same, since = 1, time.monotonic()
         while True:

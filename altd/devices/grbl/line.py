@@ -1,4 +1,4 @@
-"""The serial line to a Grbl controller: bytes out, replies in; what is no reply is counted and dropped."""
+"""Serial line to a Grbl controller: bytes out, replies in; other input is counted and dropped."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from altd.serial_port.opening import LineSettings, close_serial, open_serial
 _READ_TIMEOUT_S = 0.02
 _WRITE_TIMEOUT_S = 2.0
 _MAX_UNFINISHED_BYTES = 4096
-"""Bytes without the end of a line: nothing of them will become a reply."""
+"""Maximum length without the end of a line; more bytes cannot become a reply."""
 
 
 class Line:
     """One open port, used from one thread at a time."""
 
     def __init__(self, device: Path, baud: int) -> None:
-        """Open the port; raises StageNotFoundError that says why it cannot be used."""
+        """Open the port; raises StageNotFoundError with the reason."""
         self._device = device
         self._rest = b""
         self._replies: deque[Reply] = deque()
         self.noise = 0
-        """Lines that were not understood."""
+        """Number of lines that are not replies."""
         try:
             self._port = open_serial(
                 device, LineSettings(baud), read_timeout_s=_READ_TIMEOUT_S, write_timeout_s=_WRITE_TIMEOUT_S
@@ -46,13 +46,13 @@ class Line:
             raise self._lost() from error
 
     def receive(self, timeout_s: float) -> Reply | None:
-        """The next reply, or None when none came in time; raises StageLostError."""
+        """Return the next reply, or None on timeout; raises StageLostError."""
         deadline = time.monotonic() + timeout_s
         while not self._replies:
             try:
                 waiting = self._port.in_waiting
                 data = self._port.read(max(1, waiting)) if waiting or timeout_s > 0 else b""
-            except (OSError, termios.error, TypeError) as error:  # TypeError: closed under its hands
+            except (OSError, termios.error, TypeError) as error:  # TypeError: closed by another thread
                 raise self._lost() from error
             self._take(data)
             if not data and time.monotonic() >= deadline:

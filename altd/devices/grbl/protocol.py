@@ -1,4 +1,4 @@
-"""The lines of a Grbl 1.1 controller, as records; no input or output.
+"""Lines of a Grbl 1.1 controller, parsed into records; no input or output.
 
 Source: ``doc/markdown/interface.md`` and ``doc/csv`` of Grbl 1.1h.
 """
@@ -13,7 +13,7 @@ from types import MappingProxyType
 RESET = b"\x18"
 STATUS = b"?"
 HOLD = b"!"
-"""Real-time commands: single bytes that need no line and give no ``ok``."""
+"""Real-time commands: single bytes outside of lines, without an ``ok``."""
 
 LOCKED = 9
 HOMING_OFF = 5
@@ -58,7 +58,7 @@ ERRORS: Mapping[int, str] = MappingProxyType(
         38: "no such tool",
     }
 )
-"""``error:N``: the command was not executed."""
+"""Meanings of ``error:N``: the command was not executed."""
 
 ALARMS: Mapping[int, str] = MappingProxyType(
     {
@@ -74,17 +74,17 @@ ALARMS: Mapping[int, str] = MappingProxyType(
         10: "homing found only one of two limit switches",
     }
 )
-"""``ALARM:N``: the controller is locked until it is reset, then homed or unlocked."""
+"""Meanings of ``ALARM:N``: the controller is locked until it is reset, then homed or unlocked."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The last line was taken; a movement in it may still be under way."""
+    """``ok``: the last line was accepted; a movement in it may still be under way."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """``error:N``."""
+    """``error:N``: a line was rejected."""
 
     code: int
 
@@ -94,7 +94,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """``ALARM:N``."""
+    """``ALARM:N``: the controller is locked."""
 
     code: int
 
@@ -104,7 +104,7 @@ class Alarm:
 
 @dataclass(frozen=True, slots=True)
 class Welcome:
-    """The welcome message: the controller (re)started; ``version`` such as (1, 1)."""
+    """Welcome message: the controller (re)started; ``version`` such as (1, 1)."""
 
     version: tuple[int, int]
     text: str
@@ -112,7 +112,7 @@ class Welcome:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One line of the answer to ``$$``."""
+    """One line of the response to ``$$``."""
 
     number: int
     value: float
@@ -120,7 +120,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """``[…]`` or the echo of a start line: for people."""
+    """``[…]`` or the echo of a start line: text for people."""
 
     text: str
 
@@ -130,10 +130,10 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """``<State|…>``; positions x, y in mm, those that the report holds.
+    """``<State|…>``: status report, with the positions x, y in mm that it contains.
 
-    A report has the machine's or the work position, and now and then the offset between the two:
-    work = machine − offset.
+    A report has the machine or the work position, and occasionally the offset between the two: work = machine
+    − offset.
     """
 
     state: str
@@ -145,7 +145,7 @@ class Status:
 Reply = Ok | Refusal | Alarm | Welcome | Setting | Message | Status
 
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
-_NUMBER = r"-?\d{1,9}\.\d{1,6}"  # nine digits of mm: what is longer is noise, and might not be finite
+_NUMBER = r"-?\d{1,9}\.\d{1,6}"  # up to nine digits of mm: longer numbers are noise, and might not be finite
 _WELCOME = re.compile(r"Grbl(?:HAL)? (\d{1,3})\.(\d{1,3})\w* .*\[?.*help\]")
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)")
 _STATUS = re.compile(
@@ -155,7 +155,7 @@ _AXES = re.compile(rf"({_NUMBER}),({_NUMBER})(?:,{_NUMBER})*")
 
 
 def parse(line: str) -> Reply | None:
-    """One line without its end; None for what Grbl does not say: noise, or a line that noise has hit."""
+    """Parse one line without its end; None if Grbl does not send it: noise, or a line corrupted by noise."""
     if line == "ok":
         return Ok()
     if coded := _CODE.fullmatch(line):
@@ -184,6 +184,6 @@ def _status(line: str) -> Status | None:
             if axes is None:
                 return None
             points[name] = float(axes[1]), float(axes[2])
-    if ("MPos" in points) == ("WPos" in points):  # there is always one of them, never both
+    if ("MPos" in points) == ("WPos" in points):  # a report has exactly one of them
         return None
     return Status(report[1], points.get("MPos"), points.get("WPos"), points.get("WCO"))

@@ -1,1 +1,1 @@
-"""Inclinometers that speak Modbus RTU: a sensor is a table of registers."""
+"""Modbus RTU inclinometers: a sensor is described by a table of registers."""

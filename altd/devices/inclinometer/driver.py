@@ -1,10 +1,10 @@
-"""An inclinometer on a serial port, by the table of its kind.
+"""An inclinometer on a serial port, by the register table of its type.
 
-An answer of Modbus RTU does not say what was asked: one that comes late would be taken for that of the next
-question, a temperature for an angle. So after each failure the sensor's settings are read again before
-anything is measured. They are of another function or length, or are checked for their values, and a sensor
-answers in order: once they have come, nothing of before is still on its way. Where a line gives each answer
-twice there is no failure, so they are read again every few readings, too.
+A Modbus RTU response does not identify its request: a late one would be taken for that of the next request, a
+temperature for an angle. After each failure the sensor's settings are therefore read again before any
+measurement. They have another function or length, or their values are checked, and a sensor answers in order:
+once they have arrived, no earlier response is pending. A line that repeats each response causes no failure,
+so the settings are also read again every few readings.
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ from altd.serial_port.opening import LineSettings, close_serial, open_serial
 
 _READ_TIMEOUT_S = 0.01
 _ANSWER_TIMEOUT_S = 0.2
-"""From the end of the request to the first byte of the answer; the sensors state cycles of 20 to 180 ms."""
+"""Time from the end of the request to the first byte of the response; the sensors state cycles of 20 to
+180 ms."""
 _GAP_TIMEOUT_S = 0.03
-"""Within an answer: longer than USB adapters hold bytes back (16 ms)."""
+"""Maximum gap within a response: longer than USB adapters hold bytes back (16 ms)."""
 _BITS_PER_CHARACTER = 11
 _MAX_BYTES = 300
-"""More than any answer has: a sender of more bytes, or for a longer time, does not stop."""
+"""Maximum number of bytes received, more than any response has: a sender of more, or for longer, does not
+stop."""
 
 
 class Line:
     """One open port with one sensor on it, used from one thread."""
 
     def __init__(self, settings: InclinometerSettings, baud: int, address: int) -> None:
-        """Open the port; raises InclinometerNotFoundError that says why it cannot be used."""
+        """Open the port; raises InclinometerNotFoundError with the reason."""
         self._device = settings.device
         self._baud = baud
         self._address = address
@@ -58,13 +60,13 @@ class Line:
         close_serial(self._port)
 
     def ask(self, function: int, first: int, count: int) -> list[int]:
-        """``count`` registers from ``first`` on; raises InclinometerError of the kind that it was."""
+        """Read ``count`` registers from ``first`` on; raises InclinometerError of the kind of the failure."""
         question = Question(self._address, function, first, count)
         place = f"address {self._address} on {self._device}, {self._baud} baud"
         return question.registers(self._exchange(question), place)
 
     def _exchange(self, question: Question) -> bytes:
-        """The bytes after a request until the line is silent; earlier bytes are dropped."""
+        """Send a request; return the bytes after it until the line is silent. Earlier bytes are dropped."""
         frame = question.frame
         try:
             self._port.reset_input_buffer()
@@ -74,7 +76,7 @@ class Line:
             limit = begun + self._seconds(len(frame) + _MAX_BYTES) + _ANSWER_TIMEOUT_S
             heard: bytes = b""
             while len(heard) < _MAX_BYTES and time.monotonic() < limit:
-                is_late = time.monotonic() >= deadline  # before reading: a busy machine is no silent line
+                is_late = time.monotonic() >= deadline  # before reading: a busy machine is not a silent line
                 if data := self._port.read(max(1, self._port.in_waiting)):
                     heard += data
                     is_echo = heard == frame[: len(heard)]
@@ -82,15 +84,15 @@ class Line:
                     deadline = time.monotonic() + rest_s
                 elif is_late:
                     break
-            heard += self._port.read(min(self._port.in_waiting, _MAX_BYTES))  # came while the process slept
+            heard += self._port.read(min(self._port.in_waiting, _MAX_BYTES))  # received while it slept
         except BlockingIOError as error:
             raise InclinometerNotFoundError(f"{self._device}: the port takes no request") from error
-        except (OSError, termios.error, TypeError) as error:  # pyserial's errors; TypeError: it is gone
+        except (OSError, termios.error, TypeError) as error:  # pyserial's errors; TypeError: port is gone
             raise InclinometerNotFoundError(f"{self._device}: the port is gone: unplugged?") from error
         return heard
 
     def _send(self, frame: bytes) -> None:
-        """Write a request as a whole; pyserial's write times out where the process sleeps after it."""
+        """Write a request as a whole; pyserial's write would time out if the process slept after it."""
         if os.write(self._port.fileno(), frame) < len(frame):
             raise BlockingIOError
 
@@ -99,8 +101,8 @@ class Line:
 
 
 MAX_READINGS_UNCHECKED = 7
-"""After so many the settings are read again: fewer than the ten for which a jump, such as from the angle to
-the temperature, counts as noise (``altd.acquisition.inclination.judging``)."""
+"""Number of readings after which the settings are read again: fewer than the ten for which a jump, such as
+from the angle to the temperature, counts as noise (``altd.acquisition.inclination.judging``)."""
 
 
 class ModbusInclinometer:
@@ -114,22 +116,22 @@ class ModbusInclinometer:
         self._latency_s = self._sensor.sampling_s
         self._line: Line | None = None
         self._is_in_step = False
-        """The last question was answered."""
+        """Whether the last request was answered."""
         self._unchecked = 0
-        """Readings since the settings were read."""
+        """Number of readings since the settings were read."""
 
     @property
     def name(self) -> str:
-        """Its type and address, for people."""
+        """Type, port, baud rate and address, for people."""
         return f"{self._sensor.name} at {self._settings.device}, {self._baud} baud, address {self._address}"
 
     @property
     def accuracy(self) -> InclinometerAccuracy:
-        """Its maker's specification."""
+        """Specification of the maker."""
         return self._sensor.accuracy
 
     def open(self) -> None:
-        """Open the port and make sure by its settings that it is this sensor, set up as it must be."""
+        """Open the port; check by the settings that it is this sensor with the required set-up."""
         self.close()
         self._line = Line(self._settings, self._baud, self._address)
         try:
@@ -139,7 +141,7 @@ class ModbusInclinometer:
             raise
 
     def read(self) -> InclinometerReading:
-        """The current reading."""
+        """Return the current reading."""
         if not self._is_in_step or self._unchecked >= MAX_READINGS_UNCHECKED:
             self._identify()
         self._unchecked += 1
@@ -181,13 +183,13 @@ class ModbusInclinometer:
         return words
 
     def _identify(self) -> None:
-        """Make sure that it is this sensor, and that no answer of before is still to come."""
+        """Check that it is this sensor, and that no earlier response is pending."""
         for row, word in self._read(self._sensor.blocks(settings=True)):
             self._check(row, word)
         self._unchecked = 0
 
     def _check(self, row: Register, word: int) -> None:
-        """A setting of the sensor against what it must be; raises InclinometerWrongError."""
+        """Check a setting of the sensor against its required value; raises InclinometerWrongError."""
         must_be = {
             Meaning.ADDRESS: self._address,
             Meaning.BAUD: self._sensor.code_of_baud(self._baud),

@@ -1,11 +1,11 @@
-"""The inclinometers' registers, and reading them by Modbus RTU.
+"""Registers of the inclinometers, and reading them by Modbus RTU.
 
 Balluff: user's guide of the BSI R11A0-XXR-CXP360-S75G (register table, error indicator, technical data).
 WitMotion: the WIT standard Modbus protocol, and the maker's register header for the baud rate's codes. An
 accuracy of 0.2° in either axis and at every temperature is assumed: no public statement was found.
 
-pymodbus builds the request, computes the CRC and reads the answer; ``docs/decisions/0035-inclinometer.md``
-says why its client is not used.
+pymodbus builds the request, computes the CRC and reads the response; ``docs/decisions/0035-inclinometer.md``
+explains why its client is not used.
 """
 
 from __future__ import annotations
@@ -32,39 +32,39 @@ HOLDING, INPUT = 3, 4
 
 
 class Kind(StrEnum):
-    """The number format of a register's sixteen bits."""
+    """Number format of a register's sixteen bits."""
 
     U16 = "u16"
     S16 = "s16"
 
     def number(self, word: int) -> int:
-        """The number that a register holds, two's complement where it is signed."""
+        """Number that a register holds, two's complement where it is signed."""
         return word - 0x10000 if self is Kind.S16 and word & 0x8000 else word
 
 
 class Meaning(StrEnum):
-    """The driver's use of a register."""
+    """Use of a register by the driver."""
 
     ROLL = "roll"
     PITCH = "pitch"
     TEMPERATURE = "temperature"
     LIVE = "live"
-    """Read for its last digits alone: they move while the sensor measures."""
+    """Read only for its last digits, which change while the sensor measures."""
     ADDRESS = "address"
     BAUD = "baud"
     AVERAGE = "average"
-    """The number of its own readings that the sensor averages."""
+    """Number of its own readings that the sensor averages."""
     ZERO = "zero"
-    """A setting of the sensor that would change the angle and therefore must be 0."""
+    """Setting of the sensor that would change the angle and therefore must be 0."""
 
 
 SETTINGS = frozenset({Meaning.ADDRESS, Meaning.BAUD, Meaning.AVERAGE, Meaning.ZERO})
-"""Read when the sensor is opened; the others are read each time."""
+"""Settings, read on opening and when the sensor is checked again; the others are read each time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A row: where a number lies and what it means; a count is ``scale`` of the unit (°, °C)."""
+    """A row: address and meaning of a number; a count is ``scale`` of the unit (°, °C)."""
 
     address: int
     function: int
@@ -73,20 +73,20 @@ class Register:
     meaning: Meaning
     about: str
     largest: int | None = None
-    """A larger word is no value of this register."""
+    """Maximum valid word of this register; None: no limit."""
 
     def value(self, word: int) -> float:
-        """The value of a word of this register, in its unit."""
+        """Value of a word of this register, in its unit."""
         return self.kind.number(word) * self.scale
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A kind of inclinometer.
+    """A type of inclinometer.
 
-    ``sampling_s`` is how old a value of the sensor can be when it is asked for. ``invalid_word`` in the
-    roll register says that a setting of the sensor is wrong. ``code_of_baud`` is what the register of the
-    baud rate holds.
+    ``sampling_s`` is the maximum age of a value when it is requested. ``invalid_word`` in the roll register
+    means that a setting of the sensor is wrong. ``code_of_baud`` returns the content of the baud rate
+    register.
     """
 
     name: str
@@ -99,13 +99,13 @@ class Sensor:
     invalid_word: int | None = None
 
     def blocks(self, *, settings: bool) -> list[tuple[Register, ...]]:
-        """The rows that are settings, or those that are not, as they can be asked for: a block a request."""
+        """Rows that are settings, or those that are not, in blocks of one request each."""
         rows = [row for row in self.registers if (row.meaning in SETTINGS) is settings]
         return _blocks(sorted(rows, key=lambda row: (row.function, row.address)))
 
 
 def _blocks(rows: Sequence[Register]) -> list[tuple[Register, ...]]:
-    """Consecutive rows without a gap form one block: the contents of a gap are unknown."""
+    """Group consecutive rows without a gap into one block: the contents of a gap are unknown."""
     blocks = [[rows[0]]]
     for before, row in pairwise(rows):
         if (row.function, row.address) == (before.function, before.address + 1):
@@ -179,12 +179,12 @@ WITMOTION = Sensor(
 SENSORS: Mapping[str, Sensor] = MappingProxyType(
     {"balluff_bsi_r11a0": BALLUFF, "witmotion_wt901c485": WITMOTION}
 )
-"""By the ``driver`` of the table ``[inclinometer]``."""
+"""Sensors by the ``driver`` of the table ``[inclinometer]``."""
 
 
 _EXCEPTION = 0x80
 _FRAME_BYTES = 5
-"""Of an answer without its registers: address, function, count of bytes, CRC. An exception is as long."""
+"""Length of a response without registers: address, function, byte count, CRC. An exception is as long."""
 
 _REQUESTS: dict[int, Callable[..., ModbusPDU]] = {
     HOLDING: ReadHoldingRegistersRequest,
@@ -195,7 +195,7 @@ _DECODER = DecodePDU(False)
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """For ``count`` registers from ``first`` on of the sensor at a Modbus address."""
+    """Request for ``count`` registers from ``first`` on of the sensor at a Modbus address."""
 
     address: int
     function: int
@@ -204,20 +204,20 @@ class Question:
 
     @property
     def frame(self) -> bytes:
-        """The question as it is sent."""
+        """Request as it is sent."""
         request = _REQUESTS[self.function](address=self.first, count=self.count)
         frame = bytes([self.address, self.function]) + request.encode()
         return frame + FramerRTU.compute_CRC(frame).to_bytes(2, "big")
 
     @property
     def answer_bytes(self) -> int:
-        """The length of its answer."""
+        """Length of the response."""
         return _FRAME_BYTES + 2 * self.count
 
     def registers(self, heard: bytes, place: str) -> list[int]:
-        """The registers in all that was heard after the question, up to the next silence.
+        """Registers in all bytes received after the request, up to the next silence.
 
-        An adapter that hears what it sends puts the question before the answer. Raises
+        An adapter that receives its own transmission puts the request before the response. Raises
         InclinometerTimeoutError, …DisturbedError or …WrongError that names ``place``.
         """
         answer = heard.removeprefix(self.frame)

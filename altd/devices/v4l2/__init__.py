@@ -1,1 +1,1 @@
-"""Cameras of the kernel's Video4Linux: USB and MIPI (docs/cameras.md)."""
+"""Video4Linux cameras: USB and MIPI (docs/cameras.md)."""

@@ -1,13 +1,12 @@
-"""The interface of kernel and program for a camera: structures, call numbers, constants.
+"""Kernel interface of a camera: structures, call numbers, constants.
 
 Written from the kernel's user-space headers <linux/videodev2.h> and <linux/v4l2-controls.h>, Copyright (C)
 1999-2012 the contributors, which are "(GPL-2.0+ WITH Linux-syscall-note) OR BSD-3-Clause"; used here under
-the BSD-3-Clause, whose text is in ``LICENSE.videodev2`` beside this file. The names are the kernel's, where
-their meaning is explained (Linux Media Infrastructure userspace API, part I). Only what altd uses is here:
-a field whose name begins with ``_`` replaces several that it does not use.
+the BSD-3-Clause, whose text is in ``LICENSE.videodev2`` beside this file. The names are the kernel's, which
+explains their meaning (Linux Media Infrastructure userspace API, part I). Only the parts that altd uses are
+here: a field whose name begins with ``_`` replaces several that it does not use.
 
-Call numbers are those of <asm-generic/ioctl.h>, as x86 and ARM have them.
-``tests/unit/devices/v4l2/test_abi.py``
+Call numbers are those of <asm-generic/ioctl.h>, as on x86 and ARM. ``tests/unit/devices/v4l2/test_abi.py``
 compares all of it with the headers, by a compiler.
 """
 
@@ -48,7 +47,7 @@ V4L2_CID_EXPOSURE_AUTO_PRIORITY = 0x009A_0903
 
 
 class v4l2_capability(ctypes.Structure):
-    """The identity of a device; texts end at their first NUL."""
+    """Identity of a device; texts end at their first NUL."""
 
     _fields_ = (
         ("driver", c_char * 16),
@@ -68,7 +67,7 @@ class v4l2_fract(ctypes.Structure):
 
 
 class v4l2_pix_format(ctypes.Structure):
-    """The layout of a frame in one block of memory."""
+    """Layout of a frame in one block of memory."""
 
     _fields_ = (
         ("width", c_uint32),
@@ -85,12 +84,12 @@ class _Format(ctypes.Union):
     _fields_ = (
         ("pix", v4l2_pix_format),
         ("_raw_data", c_uint8 * 200),
-        ("_window", c_void_p),  # another member has pointers: the union is aligned for one
+        ("_window", c_void_p),  # another member has pointers, which set the union's alignment
     )
 
 
 class v4l2_format(ctypes.Structure):
-    """The format of a kind of buffers."""
+    """Format of a buffer type."""
 
     _fields_ = (("type", c_uint32), ("fmt", _Format))
 
@@ -170,7 +169,7 @@ class v4l2_frmivalenum(ctypes.Structure):
 
 
 class v4l2_captureparm(ctypes.Structure):
-    """The settings of a camera's rate."""
+    """Frame rate settings of a camera."""
 
     _fields_ = (
         ("capability", c_uint32),
@@ -185,13 +184,13 @@ class _StreamParameters(ctypes.Union):
 
 
 class v4l2_streamparm(ctypes.Structure):
-    """The parameters of a kind of buffers."""
+    """Stream parameters of a buffer type."""
 
     _fields_ = (("type", c_uint32), ("parm", _StreamParameters))
 
 
 class v4l2_requestbuffers(ctypes.Structure):
-    """The number of buffers requested, and the number there is."""
+    """Number of buffers requested, and then the number granted."""
 
     _fields_ = (
         ("count", c_uint32),
@@ -202,7 +201,7 @@ class v4l2_requestbuffers(ctypes.Structure):
 
 
 class timeval(ctypes.Structure):
-    """An instant."""
+    """An instant in seconds and microseconds."""
 
     _fields_ = (("tv_sec", c_long), ("tv_usec", c_long))
 
@@ -231,13 +230,13 @@ class v4l2_buffer(ctypes.Structure):
 
 
 class v4l2_control(ctypes.Structure):
-    """The value of a control."""
+    """Value of a control."""
 
     _fields_ = (("id", c_uint32), ("value", c_int32))
 
 
 class v4l2_query_ext_ctrl(ctypes.Structure):
-    """A control as its driver describes it."""
+    """Description of a control by its driver."""
 
     _fields_ = (
         ("id", c_uint32),
@@ -253,7 +252,7 @@ class v4l2_query_ext_ctrl(ctypes.Structure):
 
 
 def v4l2_fourcc(characters: str) -> int:
-    """The number of a pixel format out of its four characters."""
+    """Code of a pixel format from its four characters."""
     return int.from_bytes(characters.encode("ascii"), "little")
 
 
@@ -262,7 +261,7 @@ def _call(direction: int, number: int, argument: type[ctypes.Structure | c_int])
 
 
 _WRITTEN, _READ = 1, 2
-"""Seen from the program: the kernel takes the argument, fills it, or both."""
+"""Directions as seen from the program: the kernel takes the argument, fills it, or both."""
 _BOTH = _WRITTEN | _READ
 
 VIDIOC_QUERYCAP = _call(_READ, 0, v4l2_capability)

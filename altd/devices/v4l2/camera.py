@@ -1,4 +1,4 @@
-"""A Video4Linux camera behind the camera port."""
+"""A Video4Linux camera that implements the camera port."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _KEEP_RATE = 0
 
 @dataclass(frozen=True, slots=True)
 class ExposureTime:
-    """``V4L2_CID_EXPOSURE_ABSOLUTE``, in units of 100 µs, and the controls that must release it.
+    """``V4L2_CID_EXPOSURE_ABSOLUTE``, in units of 100 µs, and the automatic controls that override it.
 
-    ``V4L2_CID_EXPOSURE`` is not used, nor is any gain: the first counts lines or another unit of the driver,
-    the second has no unit at all.
+    ``V4L2_CID_EXPOSURE`` is not used, because it counts lines or another unit of the driver. Gain controls
+    are not used, because they have no unit.
     """
 
     time: Control
@@ -47,7 +47,7 @@ class ExposureTime:
 
     @classmethod
     def of(cls, controls: Iterable[Control]) -> Self | None:
-        """From a camera's controls; None when its exposure cannot be set in milliseconds."""
+        """Create from a camera's controls; None when its exposure cannot be set in milliseconds."""
         by_number = {control.number: control for control in controls}
         time = by_number.get(abi.V4L2_CID_EXPOSURE_ABSOLUTE)
         if time is None or not time.writes or time.maximum < 1:
@@ -57,19 +57,19 @@ class ExposureTime:
 
     @property
     def range(self) -> ExposureRange:
-        """From the shortest to the longest; without a gain."""
+        """Range from the shortest to the longest exposure, without a gain."""
         return ExposureRange(
             max(1, self.time.minimum) * _EXPOSURE_UNIT_MS, self.time.maximum * _EXPOSURE_UNIT_MS, 0.0, 0.0
         )
 
     def now_ms(self, node: Node) -> float | None:
-        """The exposure, or None while the camera chooses it automatically; raises OSError."""
+        """Current exposure, ms; None while the camera chooses it automatically. Raises OSError."""
         if self.automatic is not None and self.automatic.value(node) != _MANUAL:
             return None
         return self.time.value(node) * _EXPOSURE_UNIT_MS
 
     def set(self, node: Node, exposure_ms: float) -> float:
-        """Expose as nearly so as the camera can, and say how; raises CameraRefusedError, OSError."""
+        """Set the nearest possible exposure and return it, ms; raises CameraRefusedError, OSError."""
         if self.automatic is not None and self.automatic.value(node) != _MANUAL:
             self.automatic.set(node, _MANUAL)
         if self.may_slow_down is not None and self.may_slow_down.writes:
@@ -79,7 +79,7 @@ class ExposureTime:
         return units * _EXPOSURE_UNIT_MS
 
     def units(self, exposure_ms: float) -> int:
-        """The nearest value that the control takes."""
+        """Nearest value that the control accepts."""
         first, step = max(1, self.time.minimum), max(1, self.time.step)
         last = first + (self.time.maximum - first) // step * step
         nearest = first + round((exposure_ms / _EXPOSURE_UNIT_MS - first) / step) * step
@@ -87,7 +87,7 @@ class ExposureTime:
 
 
 _TEST_DRIVERS = ("vivid", "v4l2 loopback")
-"""Drivers of the kernel that make pictures up, or pass on those of another program."""
+"""Kernel drivers that generate pictures, or forward those of another program."""
 _MAX_SEQUENCE = 2**32 - 1
 _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = (
     ((errno.ENOENT, errno.ENODEV, errno.ENXIO), CameraNotFoundError, "there is no such camera now"),
@@ -99,7 +99,7 @@ _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = 
 
 @dataclass(slots=True)
 class _Running:
-    """The parts of an open camera."""
+    """Parts of an open camera."""
 
     node: Node
     layout: Layout
@@ -109,7 +109,7 @@ class _Running:
 
 
 class V4l2Camera:
-    """One camera; see ``altd.ports.Camera``. Its path is followed again at each opening."""
+    """One camera; see ``altd.ports.Camera``. Its path is resolved again at each opening."""
 
     def __init__(self, name: str, settings: V4l2CameraSettings) -> None:
         self.name = name
@@ -123,12 +123,12 @@ class V4l2Camera:
 
     @property
     def exposure_range(self) -> ExposureRange | None:
-        """The range of the exposure, where the camera counts it in a unit of time; never a gain."""
+        """Range of the exposure, where the camera sets it in a unit of time; never a gain."""
         exposure = self._running.exposure if self._running else None
         return exposure.range if exposure else None
 
     def open(self) -> None:
-        """Take hold of the camera and let it run in the config's format, rate and controls."""
+        """Open the camera and start it with the format, rate and controls of the config."""
         self.close()
         with self._typed_opening_failures():
             node = Node(self._settings.device)
@@ -142,7 +142,7 @@ class V4l2Camera:
         self._counter.reopened()
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next whole frame; one that came damaged shows as a gap in the numbers."""
+        """Return the next whole frame; a damaged one appears as a gap in the numbers."""
         running = self._open_camera()
         deadline_s = time.monotonic() + timeout_s
         with self._typed_losses():
@@ -151,12 +151,12 @@ class V4l2Camera:
                 running.stream.requeue(buffer)
                 if frame is not None:
                     return frame
-                if time.monotonic() >= deadline_s:  # a driver may have one damaged frame after the other
+                if time.monotonic() >= deadline_s:  # a driver may deliver damaged frames without end
                     break
         raise CameraTimeoutError(f"{self._settings.device}: no frame within {timeout_s:g} s")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Expose so long; the gain is left alone, for the kernel's has no unit."""
+        """Set the exposure; the gain is unchanged, because the kernel's has no unit."""
         running = self._open_camera()
         if running.exposure is None:
             raise CameraRefusedError(f"{self._settings.device}: has no exposure in a unit of time")
@@ -174,7 +174,7 @@ class V4l2Camera:
         settings = self._settings
         if not node.streams:
             raise CameraRefusedError("is no camera: it streams no frames")
-        set_controls(node, settings.controls)  # first: with some cameras they decide what formats there are
+        set_controls(node, settings.controls)  # first: on some cameras they determine the available formats
         layout = set_format(node, settings.width, settings.height, PIXEL_FORMATS[settings.pixel_format])
         set_rate(node, settings.fps, layout)
         exposure = ExposureTime.of(controls_of(node).values())
@@ -187,7 +187,7 @@ class V4l2Camera:
         return self._running
 
     def _frame(self, running: _Running, buffer: abi.v4l2_buffer) -> Frame | None:
-        """The frame in a buffer; None when the driver says that it is damaged, or when it is too short."""
+        """Frame in a buffer; None when the driver reports it as damaged, or when it is too short."""
         flags = int(buffer.flags)
         memory = running.stream.memory(buffer)
         damaged = flags & abi.V4L2_BUF_FLAG_ERROR
@@ -213,7 +213,7 @@ class V4l2Camera:
 
     @contextlib.contextmanager
     def _typed_opening_failures(self) -> Iterator[None]:
-        """Say which kind of failure an opening met."""
+        """Convert the failure of an opening to the CameraError of its kind."""
         with self._typed_losses():
             try:
                 yield
@@ -225,7 +225,7 @@ class V4l2Camera:
 
     @contextlib.contextmanager
     def _typed_losses(self) -> Iterator[None]:
-        """With the device in front; whatever an open camera fails with, it has to be opened again."""
+        """Prefix errors with the device; any other OSError is a lost camera, which must be opened again."""
         device = self._settings.device
         try:
             yield

@@ -1,4 +1,4 @@
-"""The controls of a camera by name, such as ``gain`` or ``trigger_mode``."""
+"""Controls of a camera by name, such as ``gain`` or ``trigger_mode``."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _KINDS = {
     abi.V4L2_CTRL_TYPE_BITMASK: "bits",
     abi.V4L2_CTRL_TYPE_BUTTON: "button",
 }
-"""Controls whose value is one 32-bit number."""
+"""Control types whose value is one 32-bit number, by their names here."""
 
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """One control as the driver describes it; a menu's values are those from ``minimum`` to ``maximum``."""
+    """One control as the driver describes it; a menu has the values from ``minimum`` to ``maximum``."""
 
     number: int
     name: str
@@ -37,11 +37,11 @@ class Control:
     writes: bool
 
     def value(self, node: Node) -> int:
-        """The current value; raises OSError."""
+        """Current value; raises OSError."""
         return int(node.call(abi.VIDIOC_G_CTRL, abi.v4l2_control(self.number)).value)
 
     def set(self, node: Node, value: int) -> None:
-        """Set it to exactly this; raises CameraRefusedError when the camera does not take it, or OSError."""
+        """Set exactly this value; raises CameraRefusedError when the camera rejects it, or OSError."""
         beyond = self.kind != "button" and not self.minimum <= value <= self.maximum
         if beyond or not self.writes:  # the kernel would take the nearest
             raise CameraRefusedError(f"control {self.name} does not take {value}: {self}")
@@ -64,12 +64,12 @@ class Control:
 
 
 def controls_of(node: Node) -> dict[str, Control]:
-    """The camera's controls by name, in its own order; those that take no simple number are left out."""
+    """Controls of the camera by name, in its own order; those without a simple numeric value are left out."""
     return {control.name: control for control in _controls(node)}
 
 
 def set_controls(node: Node, wanted: Mapping[str, int]) -> None:
-    """Set controls one after the other; raises CameraRefusedError that names the one, or OSError."""
+    """Set controls one after the other; raises CameraRefusedError that names the control, or OSError."""
     if not wanted:
         return
     controls = controls_of(node)
@@ -85,7 +85,7 @@ def _controls(node: Node) -> Iterator[Control]:
         try:
             node.call(abi.VIDIOC_QUERY_EXT_CTRL, query)
         except OSError as error:
-            if error.errno in (errno.EINVAL, errno.ENOTTY):  # that was the last one, or it has none at all
+            if error.errno in (errno.EINVAL, errno.ENOTTY):  # no further control, or none at all
                 return
             raise
         if query.type in _KINDS and not query.flags & abi.V4L2_CTRL_FLAG_DISABLED:
@@ -105,5 +105,5 @@ def _controls(node: Node) -> Iterator[Control]:
 
 
 def _as_one_word(name: str) -> str:
-    """The driver's words as one, the same as ``v4l2-ctl`` makes of them."""
+    """Name from the driver as one word, formed as by ``v4l2-ctl``."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")

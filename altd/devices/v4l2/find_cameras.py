@@ -1,4 +1,4 @@
-"""Which Video4Linux cameras there are, in the words that ``altd.toml`` wants."""
+"""Discovery of Video4Linux cameras, with the values for ``altd.toml``."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _BY_PATH = Path("/dev/v4l/by-path")
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """One camera: its path for ``device``, what it calls itself, its grey formats with sizes, its controls.
+    """One camera: its path for ``device``, its own name, its grey formats with sizes, and its controls.
 
-    ``path`` is the stable one where there is one; ``serial`` is that of a USB camera, None where it has none.
+    ``path`` is the stable one where it exists; ``serial`` is that of a USB camera, None where it has none.
     Without a grey format altd cannot use the camera.
     """
 
@@ -39,7 +39,7 @@ class UnreadableCamera:
 
 
 def find_cameras() -> Iterator[FoundCamera | UnreadableCamera]:
-    """The cameras of this machine in the order of their numbers; none is taken hold of or changed."""
+    """Yield the cameras of this machine in the order of their numbers; none is reserved or changed."""
     stable = {path.resolve(): path for path in sorted(_BY_PATH.glob("*"), reverse=True)}
     for device in sorted(_DEVICES.glob("video[0-9]*"), key=lambda device: int(device.name[5:])):
         path = stable.get(device, device)
@@ -53,7 +53,7 @@ def find_cameras() -> Iterator[FoundCamera | UnreadableCamera]:
 
 
 def _camera_at(device: Path, path: Path) -> FoundCamera | None:
-    """The camera behind a device; None when it is something else, such as an output. Raises OSError."""
+    """Camera behind a device; None for another device, such as an output. Raises OSError."""
     node = Node(device)
     try:
         if not node.streams:

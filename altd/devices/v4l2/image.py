@@ -1,4 +1,4 @@
-"""The formats of a V4L2 camera: which it offers, and grey values out of its buffers."""
+"""Formats of a V4L2 camera, and conversion of its buffers to grey values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from altd.records import PixelArray
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Columns × rows, or a whole range of them."""
+    """Columns × rows, or a range of them."""
 
     width: int
     height: int
@@ -33,19 +33,19 @@ class Size:
 
 
 def fourccs(node: Node) -> list[str]:
-    """The camera's pixel formats by their four characters; raises OSError."""
+    """Pixel formats of the camera by their four characters; raises OSError."""
     asked = abi.v4l2_fmtdesc(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     return [_characters(entry.pixelformat) for entry in node.entries(abi.VIDIOC_ENUM_FMT, asked)]
 
 
 def sizes(node: Node, fourcc: str) -> list[Size]:
-    """The sizes of frames in a format; raises OSError."""
+    """Frame sizes in a format; raises OSError."""
     asked = abi.v4l2_frmsizeenum(pixel_format=abi.v4l2_fourcc(fourcc))
     return [_size(entry) for entry in node.entries(abi.VIDIOC_ENUM_FRAMESIZES, asked)]
 
 
 def rates(node: Node, fourcc: str, width: int, height: int) -> list[float]:
-    """The rates of such frames, frames a second, or the ends of their range; raises OSError."""
+    """Rates of such frames, frames/s, or the ends of their range; raises OSError."""
     asked = abi.v4l2_frmivalenum(pixel_format=abi.v4l2_fourcc(fourcc), width=width, height=height)
     found = [rate for entry in node.entries(abi.VIDIOC_ENUM_FRAMEINTERVALS, asked) for rate in _rates(entry)]
     return sorted(set(found))
@@ -68,7 +68,7 @@ def _rates(entry: abi.v4l2_frmivalenum) -> Iterator[float]:
 
 
 def _characters(number: int) -> str:
-    """A fourcc as text; its highest bit says big-endian."""
+    """Fourcc as text; its highest bit marks big-endian."""
     plain = (number & 0x7FFFFFFF).to_bytes(4, "little").decode("latin-1")
     return plain + ("-BE" if number >> 31 else "")
 
@@ -78,7 +78,7 @@ _MAX_CLOCK_DIFFERENCE_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """A grey format: its four characters, the significant bits, and the numbers in the buffer."""
+    """A grey format: its four characters, its significant bits, and the number type in the buffer."""
 
     name: str
     fourcc: str
@@ -87,7 +87,7 @@ class PixelFormat:
 
     @property
     def bytes_per_pixel(self) -> int:
-        """One, or two with the significant bits at the low end."""
+        """Bytes per pixel: one, or two with the significant bits at the low end."""
         return np.dtype(self.dtype).itemsize
 
 
@@ -100,12 +100,12 @@ PIXEL_FORMATS = {
         PixelFormat("Y16", "Y16 ", 16, "<u2"),
     )
 }
-"""By the names in ``altd.toml``."""
+"""Pixel formats by their names in ``altd.toml``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The layout of a frame in a buffer; a line may be followed by padding."""
+    """Layout of a frame in a buffer; a line may be followed by padding."""
 
     width: int
     height: int
@@ -114,14 +114,14 @@ class Layout:
 
     @property
     def frame_bytes(self) -> int:
-        """The size of a whole frame; the last line may come without its padding."""
+        """Size of a whole frame; the last line may lack its padding."""
         return self.bytes_per_line * (self.height - 1) + self.width * self.pixel_format.bytes_per_pixel
 
     def pixels(self, buffer: bytes | memoryview | mmap) -> PixelArray:
-        """The frame's grey values, (rows, columns), read-only.
+        """Copy the frame's grey values, (rows, columns), read-only.
 
-        Copied, once: the driver gets the buffer back at once and fills it again, while a frame lives as long
-        as anybody looks at it.
+        The copy is necessary: the driver gets the buffer back at once and fills it again, while a frame lives
+        as long as it is in use.
         """
         lines: npt.NDArray[np.uint8] = np.ndarray(
             (self.height, self.width),
@@ -135,7 +135,7 @@ class Layout:
 
 
 class Stamp(Enum):
-    """The moment of a driver's time stamp: the exposure begins, or the last pixel has arrived."""
+    """Meaning of a driver's time stamp: the exposure begins, or the last pixel has arrived."""
 
     START_OF_EXPOSURE = auto()
     END_OF_FRAME = auto()
@@ -148,12 +148,12 @@ def middle_of_exposure_ns(
     exposure_ms: float | None,
     now_ns: int,
 ) -> int:
-    """The middle of an exposure on the monotonic clock, as exactly as the driver allows.
+    """Middle of an exposure on the monotonic clock, as exactly as the driver allows.
 
-    A stamp of an unknown clock is taken for the monotonic one when it is less than a second from
-    ``now_ns``; otherwise ``now_ns``, when the frame was taken from the driver, replaces it. Half of the
-    exposure is added to its beginning or subtracted from its end; an unknown one counts as zero. A stamp of
-    the second kind includes the readout time of the sensor, which stays: no driver reports it.
+    A stamp of an unknown clock is taken as monotonic when it is less than a second from ``now_ns``. Otherwise
+    ``now_ns``, the time when the frame was taken from the driver, replaces it. Half of the exposure is added
+    to its start or subtracted from its end; an unknown exposure counts as zero. A stamp of the second kind
+    includes the readout time of the sensor, which remains: no driver reports it.
     """
     if clock == "unknown" and abs(stamp_ns - now_ns) > _MAX_CLOCK_DIFFERENCE_NS:
         stamp_ns = now_ns

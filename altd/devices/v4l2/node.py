@@ -1,4 +1,4 @@
-"""An open Video4Linux device: its descriptor, its own names, and the calls that all else is made of."""
+"""An open Video4Linux device: its descriptor, its own names, and the calls used by all other modules."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Entry = TypeVar("Entry", bound=ctypes.Structure)
 
 
 class Node:
-    """Raises OSError, as every call does; ENOTTY when this is no Video4Linux device."""
+    """An open device. Every call may raise OSError; ENOTTY when it is not a Video4Linux device."""
 
     def __init__(self, path: Path) -> None:
         self.descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -38,12 +38,12 @@ class Node:
         self.streams = capabilities & needed == needed
 
     def call(self, request: int, argument: Argument) -> Argument:
-        """Let the kernel read and fill a structure; returns it."""
+        """Let the kernel read and fill a structure; return it."""
         fcntl.ioctl(self.descriptor, request, argument)
         return argument
 
     def entries(self, request: int, argument: Entry) -> Iterator[Entry]:
-        """The entries of one of the kernel's lists, by their ``index``, each in the same structure."""
+        """Yield the entries of a kernel list by their ``index``, each in the same structure."""
         for index in range(1 << 16):
             argument.index = index
             try:
@@ -54,15 +54,15 @@ class Node:
                 raise
 
     def close(self) -> None:
-        """Close it; the kernel ends the stream and frees its buffers."""
+        """Close the device; the kernel ends the stream and frees its buffers."""
         os.close(self.descriptor)
 
 
 def usb_serial(descriptor: int) -> str | None:
-    """The serial number in a USB camera's descriptor, from sysfs; None where it has none.
+    """Serial number in a USB camera's descriptor, from sysfs; None where it has none.
 
-    ``device`` of the node is the camera's interface, the directory above it the USB device (sysfs-bus-usb).
-    Some makers give all their cameras the same.
+    ``device`` of the node is the camera's interface, its parent directory the USB device (sysfs-bus-usb).
+    Some makers give all their cameras the same serial number.
     """
     number = os.fstat(descriptor).st_rdev
     interface = CHARACTER_DEVICES / f"{os.major(number)}:{os.minor(number)}" / "device"
@@ -74,5 +74,5 @@ def usb_serial(descriptor: int) -> str | None:
 
 
 def text(raw: bytes) -> str:
-    """A name of the kernel's as text."""
+    """Decode a name from the kernel."""
     return raw.decode("utf-8", errors="replace").strip()

@@ -21,14 +21,14 @@ from altd.devices.v4l2.node import Node
 from altd.ports import CameraRefusedError
 
 _BUFFER_COUNT = 4
-"""One is filled while one is taken; the others bridge a thread that the machine lets wait."""
+"""Number of buffers: one is filled while one is taken; the others bridge delays in scheduling the thread."""
 _SPURIOUS_WAKE_BACKOFF_S = 0.001
 _RATE_TOLERANCE = 1e-4
-"""Rates that differ by less are one: a fraction of the kernel's, a decimal of the config."""
+"""Maximum relative difference of equal rates: the kernel uses fractions, the config decimals."""
 
 
 def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -> Layout:
-    """Have frames of exactly this format; raises CameraRefusedError that says what there is, or OSError."""
+    """Set exactly this format; raises CameraRefusedError that lists the available ones, or OSError."""
     wanted = abi.v4l2_format(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     wanted.fmt.pix.width = width
     wanted.fmt.pix.height = height
@@ -50,7 +50,7 @@ def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -
 
 
 def set_rate(node: Node, fps: float, layout: Layout) -> None:
-    """Have this rate, where the camera lets itself be set one; raises CameraRefusedError or OSError."""
+    """Set this rate where the camera allows it; raises CameraRefusedError or OSError."""
     asked = abi.v4l2_streamparm(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     capture = asked.parm.capture
     try:
@@ -74,7 +74,7 @@ def set_rate(node: Node, fps: float, layout: Layout) -> None:
 
 
 class Stream:
-    """A running camera. Used from one thread; every method raises OSError when the camera is gone."""
+    """A running camera, used from one thread; every method raises OSError when the camera is gone."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -88,7 +88,7 @@ class Stream:
                     count=_BUFFER_COUNT, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP
                 ),
             )
-            for index in range(granted.count):  # not always as many as were asked for
+            for index in range(granted.count):  # may differ from the number requested
                 buffer = node.call(abi.VIDIOC_QUERYBUF, _buffer(index))
                 self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
                 node.call(abi.VIDIOC_QBUF, buffer)
@@ -98,7 +98,7 @@ class Stream:
             raise
 
     def take(self, deadline_s: float) -> abi.v4l2_buffer | None:
-        """The next buffer that the driver has filled, or None by the deadline of ``time.monotonic``."""
+        """Return the next buffer filled by the driver, or None at the deadline of ``time.monotonic``."""
         while True:
             left_ms = max(0.0, deadline_s - time.monotonic()) * 1e3
             if not self._poll.poll(left_ms):
@@ -108,15 +108,15 @@ class Stream:
             except BlockingIOError:
                 if left_ms <= 0.0:
                     return None
-                # woken for nothing; a driver that repeats this must not take a whole core
+                # spurious wake; a driver that repeats it must not occupy a whole core
                 time.sleep(_SPURIOUS_WAKE_BACKOFF_S)
 
     def memory(self, buffer: abi.v4l2_buffer) -> mmap:
-        """The bytes that the driver wrote; its own again after ``requeue``."""
+        """Bytes that the driver wrote; they are the driver's again after ``requeue``."""
         return self._maps[int(buffer.index)]
 
     def requeue(self, buffer: abi.v4l2_buffer) -> None:
-        """Let the driver fill it again."""
+        """Return the buffer to the driver, which fills it again."""
         self._node.call(abi.VIDIOC_QBUF, buffer)
 
     def close(self) -> None:

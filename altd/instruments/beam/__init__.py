@@ -1,1 +1,1 @@
-"""The Active Laser Target: one beam through two targets or more."""
+"""The Active Laser Target: one beam through two or more targets."""

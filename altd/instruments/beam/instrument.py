@@ -1,4 +1,4 @@
-"""The instrument ``beam``: the mean spots of two targets or more, met by one straight line."""
+"""The instrument ``beam``: a straight line fitted to the mean spots on two or more targets."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ QUANTITIES = Quantities(
 
 
 def values_of(beam: Beam) -> dict[str, Value]:
-    """The quantities of a beam, by their keys; roll is none of them."""
+    """Quantities of a beam by key, without roll."""
     x, y, yaw, pitch = beam.scatter
     return {
         "x_mm": Value(beam.x_mm, beam.sigma_x_mm, x),
@@ -73,7 +73,7 @@ def values_of(beam: Beam) -> dict[str, Value]:
 
 
 _ROWS = ("x_mm", "yaw_deg", "y_mm", "pitch_deg")
-"""Of the line's gain."""
+"""Quantities in the order of the rows of ``line_gain``."""
 
 
 def beam_motions(
@@ -83,10 +83,10 @@ def beam_motions(
     beam: Beam,
     installation: Installation,
 ) -> dict[str, Motion]:
-    """The motion of each quantity of ``beam`` that has a sigma, with the signs of its installation.
+    """Motion of each quantity of ``beam`` that has a sigma, with the signs of the installation.
 
-    ``gain`` (4, 2 T) is that of ``line_gain``, ``beam`` that of the unit frame. yaw = atan(slope), so its
-    derivative is that of the slope over 1 + slope². Over a few millimetres the maps are taken as straight.
+    ``gain`` (4, 2 T) is from ``line_gain``, ``beam`` is in the unit frame. yaw = atan(slope), so its
+    derivative is that of the slope over 1 + slope². The maps are taken as linear over a few millimetres.
     """
     per_slope_deg = [
         math.degrees(math.cos(math.radians(angle)) ** 2) for angle in (beam.yaw_deg, beam.pitch_deg)
@@ -112,24 +112,24 @@ def beam_motions(
 
 
 def _variances(by_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
-    """Of each row's quantity."""
+    """Variance of the quantity of each row."""
     variances: FloatArray = np.einsum("ij,jk,ik->i", by_px, covariance_px2, by_px)
     return variances
 
 
 MAX_YAW_MM_PER_M = 110.0
 MAX_PITCH_MM_PER_M = 250.0
-"""The ranges that are stated for the unit (App. A.1)."""
+"""Specified ranges of the unit, mm/m (App. A.1)."""
 _MARGIN_SIGMAS = 3.0
 _MAX_MARGIN_MM_PER_M = 1.0
-"""The accuracy that is required (App. A.1). A beam may lie beyond a range by its uncertainty, up to this."""
+"""Required accuracy, mm/m (App. A.1): a beam may exceed a range by its uncertainty, up to this limit."""
 
 
 class BeamInstrument:
-    """See ``measuring.instrument.Instrument``; pure, it remembers nothing.
+    """Solver without state; see ``measuring.instrument.Instrument``.
 
-    What scatters beyond ``measuring.max_sigma_…`` is no measurement; ``installation`` turns the beam of the
-    unit frame into what the controller wants.
+    A beam whose scatter exceeds ``measuring.max_sigma_…`` is a fault. ``installation`` converts the beam from
+    the unit frame to the coordinates of the controller.
     """
 
     quantities = QUANTITIES
@@ -145,7 +145,7 @@ class BeamInstrument:
         self._refraction = Refraction.of(calibration)
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:
-        """The beam through the window's mean spots, or why there is none."""
+        """Return the beam through the window's mean spots, or the fault that prevents it."""
         points = self._points(mean)
         if isinstance(points, Fault):
             return points
@@ -189,7 +189,7 @@ class BeamInstrument:
         return points
 
     def _too_uncertain(self, beam: Beam) -> Fault | None:
-        """Why a beam scatters more than the accuracy that is asked for; its limits are not looked at."""
+        """Fault of a beam that scatters more than the required accuracy; calibration limits are ignored."""
         x_mm, y_mm, yaw_deg, pitch_deg = beam.scatter
         sigma_mm, sigma_mm_per_m = max(x_mm, y_mm), 1000 * math.radians(max(yaw_deg, pitch_deg))
         if sigma_mm > self._measuring.max_sigma_mm:
@@ -202,7 +202,7 @@ class BeamInstrument:
 def _unexplained(
     mean: MeanSpots, points: Sequence[TargetPoint], doubts_mm: FloatArray, covariance_mm2: FloatArray
 ) -> Fault | None:
-    """The target whose light makes a measurement too uncertain, where it is that and no motion."""
+    """Fault of the target whose light makes a measurement too uncertain; None where motion does."""
     scale = [math.sqrt(abs(float(np.linalg.det(point.jacobian_mm_per_px)))) for point in points]
     unexplained_mm = np.hypot(np.array(mean.excess_px) * scale, doubts_mm)
     worst = int(unexplained_mm.argmax())
@@ -215,9 +215,9 @@ def _unexplained(
 
 
 def range_fault(beam: Beam) -> Fault | None:
-    """Why a beam of the unit frame, before signs and offsets, is none that the unit is made for.
+    """Fault of a beam, in the unit frame before signs and offsets, that exceeds the specified ranges.
 
-    One that is not finite is left to the gate.
+    None for a beam that is not finite: the gate rejects it.
     """
     if not (math.isfinite(beam.yaw_deg) and math.isfinite(beam.pitch_deg)):
         return None
@@ -233,7 +233,7 @@ def range_fault(beam: Beam) -> Fault | None:
 
 
 def installed(beam: Beam, installation: Installation) -> Beam:
-    """The beam as the controller wants it: sign first, then offset; sigmas do not change."""
+    """Beam in the controller's coordinates: sign first, then offset; the sigmas do not change."""
     return replace(
         beam,
         x_mm=installation.sign_x * beam.x_mm + installation.offset_x_mm,

@@ -6,7 +6,7 @@ s = (sx, sy). In glass of thickness t the beam moves sideways by t tan θ' inste
 
     d = t (tan θ − tan θ') s/|s| = t s (1 − 1/w),  w² = n² + (n² − 1) |s|².
 
-Perpendicular to the beam that is the textbooks' t sin θ (1 − cos θ/√(n² − sin² θ)).
+Measured perpendicular to the beam, this is the textbooks' t sin θ (1 − cos θ/√(n² − sin² θ)).
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from altd.records import FloatArray, Glass
 
 SIGMAS = {"glass_mm": 0.1, "glass_index": 0.01}
 """Standard uncertainties of a stated pane: half the tolerance of thin float glass (EN 572-2, ± 0.2 mm), and
-the index of different kinds of glass at different wavelengths."""
+the variation of the index between kinds of glass and wavelengths."""
 
 
 def displacement_mm(slopes: FloatArray, glass: Glass) -> tuple[FloatArray, FloatArray]:
-    """The displacement d (2,) of a beam with the slopes (sx, sy), and its derivatives by them (2, 2)."""
+    """Displacement d (2,) of a beam with the slopes (sx, sy), mm, and its derivatives by them (2, 2)."""
     w = _w(slopes, glass)
     per_slope = (1 - 1 / w) * np.eye(2) + (glass.index**2 - 1) / w**3 * np.outer(slopes, slopes)
     return glass.thickness_mm * (1 - 1 / w) * slopes, glass.thickness_mm * per_slope
 
 
 def displacement_sensitivities(slopes: FloatArray, glass: Glass) -> tuple[FloatArray, FloatArray]:
-    """The derivatives of d by the thickness, mm/mm, and by the refractive index, mm, each (2,)."""
+    """Derivatives of d by the thickness, mm/mm, and by the refractive index, mm, (2,) each."""
     w = _w(slopes, glass)
     per_index = glass.thickness_mm * glass.index * (1 + slopes @ slopes) / w**3
     return (1 - 1 / w) * slopes, per_index * slopes
@@ -46,9 +46,9 @@ def _w(slopes: FloatArray, glass: Glass) -> float:
 
 @dataclass(frozen=True)
 class Refraction:
-    """The glass of a unit: each pane with the place z of the target that it is behind.
+    """Glass of a unit: each pane with the position z of the target in front of it.
 
-    A pane displaces the beam at all targets behind it. The beam of a calibration scan meets the glass at
+    A pane displaces the beam at all targets behind it. In a calibration scan the beam meets the glass at
     normal incidence, so the maps need no correction: a laser tilted by 0.8 mm/m is displaced by 1 µm in 4 mm.
     """
 
@@ -56,12 +56,12 @@ class Refraction:
 
     @classmethod
     def of(cls, calibration: Calibration) -> Self | None:
-        """The glass of a unit as its calibration states it; None: there is none."""
+        """Glass of a unit as stated by its calibration; None where there is none."""
         panes = tuple((target.z_mm, target.glass) for target in calibration.targets if target.glass)
         return cls(panes) if panes else None
 
     def displaced_mm(self, slopes: FloatArray, z_mm: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-        """The sum of d at each of T targets (2 T,), and its derivatives by the slopes (2 T, 2)."""
+        """Sum of d at each of T targets (2 T,), mm, and its derivatives by the slopes (2 T, 2)."""
         displaced, per_slope = np.zeros(2 * len(z_mm)), np.zeros((2 * len(z_mm), 2))
         for pane_mm, glass in self.panes:
             behind = np.repeat(np.asarray(z_mm) > pane_mm, 2)
@@ -71,7 +71,7 @@ class Refraction:
         return displaced, per_slope
 
     def effects_mm(self, slopes: FloatArray, z_mm: Sequence[float]) -> dict[str, FloatArray]:
-        """The points' displacements (2 T, panes) mm by one sigma of thickness and of index, by its key."""
+        """Displacements (2 T, panes) of the points, mm, by one sigma of thickness and of index, by key."""
         columns: dict[str, list[FloatArray]] = {key: [] for key in SIGMAS}
         for pane_mm, glass in self.panes:
             behind = np.repeat(np.asarray(z_mm) > pane_mm, 2)

@@ -1,4 +1,4 @@
-"""Points on the targets become a beam: displacement, yaw, pitch and their sigma."""
+"""Fit of a beam to points on the targets: displacement, yaw, pitch and their sigmas."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from altd.records.limits import NO_LIMITS
 class Beam:
     """The beam in the unit frame at the reference plane, with combined standard uncertainties (1 sigma).
 
-    ``sigma_random`` is the part of x, y, yaw and pitch that scatters; None: all of it does.
+    ``sigma_random`` is the random part of the sigmas of x, y, yaw and pitch; None: they are entirely random.
     """
 
     x_mm: float
@@ -33,13 +33,13 @@ class Beam:
 
     @property
     def scatter(self) -> tuple[float, float, float, float]:
-        """The part of the sigmas of x, y, yaw and pitch that scatters."""
+        """Random part of the sigmas of x, y, yaw and pitch."""
         all_of_it = self.sigma_x_mm, self.sigma_y_mm, self.sigma_yaw_deg, self.sigma_pitch_deg
         return self.sigma_random or all_of_it
 
     @property
     def slopes(self) -> FloatArray:
-        """(sx, sy)."""
+        """Slopes (sx, sy)."""
         return np.array([self.yaw_mm_per_m, self.pitch_mm_per_m]) / 1000.0
 
     @property
@@ -54,15 +54,16 @@ class Beam:
 
 
 def _slope_mm_per_m(angle_deg: float) -> float:
-    """NaN for an angle that is no number: the gate refuses the measurement, and says which angle it was."""
+    """Slope of an angle; NaN if it is not finite: the gate rejects the measurement and names the angle."""
     return 1000.0 * math.tan(math.radians(angle_deg)) if math.isfinite(angle_deg) else math.nan
 
 
 def joint_covariance_mm2(spots: MeanSpots, points: Sequence[TargetPoint]) -> FloatArray:
-    """Covariance (2 T, 2 T) of x and y of T points, one target after the other.
+    """Covariance (2 T, 2 T) of x and y of T points, mm², one target after the other.
 
-    The scatter of the mean spots goes through the maps' Jacobians with all its correlations (vibration
-    moves the spots of all targets together); print, speckle and map add to it, each target on its own.
+    The scatter of the mean spots is mapped by the maps' Jacobians with all its correlations, because
+    vibration moves the spots of all targets together. Print, speckle and map add to it, independently for
+    each target.
     """
     size = 2 * len(points)
     of_maps = np.zeros((size, size))
@@ -75,7 +76,7 @@ def joint_covariance_mm2(spots: MeanSpots, points: Sequence[TargetPoint]) -> Flo
 
 
 def joint_jacobian_mm_per_px(points: Sequence[TargetPoint]) -> FloatArray:
-    """d(x, y)/d(u, v) of all targets, (2 T, 2 T): a block a target."""
+    """Jacobian d(x, y)/d(u, v) of all targets, (2 T, 2 T), one block per target."""
     jacobian = np.zeros((2 * len(points), 2 * len(points)))
     for index, point in enumerate(points):
         block = slice(2 * index, 2 * index + 2)
@@ -84,7 +85,7 @@ def joint_jacobian_mm_per_px(points: Sequence[TargetPoint]) -> FloatArray:
 
 
 _NEWTON_STEPS = 3
-"""From normal incidence on: slopes of 0.25 behind 100 mm of glass are then exact to 1e-15."""
+"""Newton steps from normal incidence: slopes of 0.25 behind 100 mm of glass are then exact to 1e-15."""
 
 
 def line_gain(
@@ -93,9 +94,9 @@ def line_gain(
     reference_plane_mm: float = 0.0,
     displaced_per_slope_mm: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """The derivatives of a line, d(x, slope x, y, slope y)/d(points), (4, 2 T), and its covariance (4, 4).
+    """Derivatives of a line, d(x, slope x, y, slope y)/d(points), (4, 2 T), and its covariance (4, 4).
 
-    ``displaced_per_slope_mm`` (2 T, 2) is that of ``Refraction.displaced_mm``; None: without glass. Raises
+    ``displaced_per_slope_mm`` (2 T, 2) is from ``Refraction.displaced_mm``; None: without glass. Raises
     numpy.linalg.LinAlgError where no line fits points with that covariance.
     """
     lever = np.asarray(z_mm, dtype=np.float64) - reference_plane_mm
@@ -117,12 +118,12 @@ def fit_beam(
     limits: Limits = NO_LIMITS,
     refraction: Refraction | None = None,
 ) -> Beam:
-    """The straight line through T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
+    """Fit a straight line to T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
 
-    x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (docs/conventions.md).
-    Two points are met exactly. ``covariance_mm2`` is what scatters; ``limits``, and thickness and index of
-    glass, add what the calibration did not show. Behind the glass of ``refraction`` the points are displaced:
-    the line is that of the beam in front of it.
+    x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (docs/conventions.md). The
+    line passes exactly through two points. ``covariance_mm2`` is the random part; ``limits``, and thickness
+    and index of glass, add errors that the calibration cannot show. Behind the glass of ``refraction`` the
+    points are displaced: the line is that of the beam in front of it.
     """
     measured = np.array([(point.x_mm, point.y_mm) for point in points])
     if refraction is None:
@@ -158,6 +159,6 @@ def fit_beam(
 
 
 def _sigmas(variances: FloatArray, per_slope_deg: tuple[float, float]) -> tuple[float, float, float, float]:
-    """Of x, yaw, y and pitch, from the variances of x, slope x, y and slope y."""
+    """Sigmas of x, yaw, y and pitch from the variances of x, slope x, y and slope y."""
     x, slope_x, y, slope_y = np.sqrt(variances).tolist()
     return x, slope_x * per_slope_deg[0], y, slope_y * per_slope_deg[1]

@@ -9,22 +9,22 @@ import numpy as np
 from altd.records import FloatArray, Limits
 
 TERMS = ("stage_scale_ppm", "stage_square_mrad", "beam_normal_mm_per_m", "target_distance_mm")
-"""The limits that are one value for the whole scan; ``stage_mm`` is part of the maps' covariance."""
+"""Limits with one value for the whole scan; ``stage_mm`` is part of the maps' covariance."""
 
 _TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_per_m": 1e-3}
-"""From the unit of a limit to a dimensionless number."""
+"""Factors from the unit of each limit to a dimensionless number."""
 
 
 def effects_mm(
     limits: Limits, z_mm: Sequence[float], points_mm: FloatArray, slopes: tuple[float, float]
 ) -> dict[str, FloatArray]:
-    """The points' displacements (2 T, n) mm by one sigma of each limit, by its key; only what is not 0.
+    """Displacements (2 T, n) of the points, mm, by one sigma of each limit that is not 0, by key.
 
     A column is one independent error, x and y of one target after the other. ``points_mm`` (T, 2) are the
-    points of a beam with these slopes. A stage that is long by s puts the beam at (1 + s) of what it states,
-    on every target; axes that are not at right angles by q move x by q · y; a beam that is not normal by t
-    meets the target at z by t · z beside the stated place; a target farther away by d sees the beam d · slope
-    further along. Each is per axis, so there is one column for x and one for y.
+    points of a beam with these slopes. A stage whose scale is long by s puts the beam at (1 + s) times the
+    stated position on every target. Axes out of square by q move x by q · y. A beam tilted from the normal by
+    t meets the target at z with an error of t · z. A target farther away by d is met d · slope further along.
+    These errors have one column for x and one for y; the distance has one column per target after the first.
     """
     z, x, y = np.asarray(z_mm, dtype=np.float64), points_mm[:, 0], points_mm[:, 1]
     effects = {}

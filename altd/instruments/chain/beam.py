@@ -1,4 +1,4 @@
-"""The beam's own movement: of the stable targets in time, and as a line along the row."""
+"""Movement of the beam: interpolation of the stable targets in time, and a line along the row."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from altd.instruments.chain.places import Place
 from altd.records import FloatArray
 
 _MIN_JUMP_SIGMAS = 3.0
-"""A deviation from smooth movement by less is the scatter of the visits."""
+"""Minimum deviation from smooth movement that counts as a jump; less is the scatter of the visits."""
 _JUMP_VARIANCE = 1.3
-"""Of a parabola through three visits, per f (1 − f) of the square of a jump between two of them."""
+"""Variance of a parabola through three visits, per f (1 − f) of the square of a jump between two of them."""
 
 
 def at_instant(places: Sequence[Place], t_ns: int) -> Place | None:
-    """A target's spot at ``t_ns``: on the parabola through three visits, the nearest before and after it.
+    """Spot of a target at ``t_ns``, on the parabola through three visits around it; None without a visit.
 
-    Of two visits, and of three before the first or after the last, it is the line through two. Where the next
-    visit is off that curve by J, beyond scatter, the spot may have jumped by J at any moment between two
-    visits: at the fraction f of the way the variance is larger by 1.3 f |1 − f| J². None: no visit.
+    With two visits, or before or after all of three, it is on the line through two. Where the next visit
+    deviates from that curve by J, beyond scatter, the spot may have jumped by J at any moment between two
+    visits. At the fraction f of the way the variance is then larger by 1.3 f |1 − f| J².
     """
     if not places:
         return None
@@ -46,7 +46,7 @@ def at_instant(places: Sequence[Place], t_ns: int) -> Place | None:
 
 
 def _on_curve(places: Sequence[Place], t_ns: int) -> tuple[FloatArray, FloatArray]:
-    """The point (2,) at ``t_ns`` on the polynomial through all these places, with its covariance."""
+    """Point (2,) at ``t_ns`` on the polynomial through all these places, with its covariance."""
     mm, random = np.zeros(2), np.zeros((2, 2))
     for place in places:
         others = [other.t_ns for other in places if other is not place]
@@ -56,7 +56,7 @@ def _on_curve(places: Sequence[Place], t_ns: int) -> tuple[FloatArray, FloatArra
 
 
 def _jump_mm2(places: Sequence[Place]) -> FloatArray:
-    """Square (2,) of how far the last place is off the curve through those before; 0: scatter explains it."""
+    """Squared deviation (2,) of the last place from the curve through the others; 0: scatter explains it."""
     mm, random = _on_curve(places[:-1], places[-1].t_ns)
     off_mm = places[-1].mm - mm
     variances = np.diag(random + places[-1].random_mm2)
@@ -65,9 +65,10 @@ def _jump_mm2(places: Sequence[Place]) -> FloatArray:
 
 
 def gain_at(z_mm: Sequence[float], covariances_mm2: Sequence[FloatArray], at_mm: float) -> FloatArray:
-    """The derivatives (2, 2 S) of the beam's movement at ``at_mm`` by the S stable targets' movements.
+    """Derivatives (2, 2 S) of the beam's movement at ``at_mm`` by the movements of the S stable targets.
 
-    A line through two targets or more, weighted by their covariances (2, 2); of one its offset alone.
+    A line through two or more targets, weighted by their covariances (2, 2); with one target, its offset
+    only.
     """
     count = len(z_mm)
     if count == 1:
@@ -84,10 +85,10 @@ def gain_at(z_mm: Sequence[float], covariances_mm2: Sequence[FloatArray], at_mm:
 def moved_stable(
     z_mm: Mapping[str, float], moved_mm: Mapping[str, FloatArray], covariances_mm2: Mapping[str, FloatArray]
 ) -> tuple[str, ...] | None:
-    """Which of S stable targets do not fit one beam: none, one, or None where it is not known which.
+    """Stable targets that do not fit one beam: none, one, or None where it cannot be identified.
 
-    Two targets fit any beam. Of three, one that moved is detected but not identified; from four on
-    it is the one without which the others agree.
+    Two targets fit any beam. Of three, one that moved is detected but not identified. Of four or more, it is
+    the one without which the others agree.
     """
     names = list(moved_mm)
     if _agree(names, z_mm, moved_mm, covariances_mm2):
@@ -107,7 +108,7 @@ def _agree(
     moved_mm: Mapping[str, FloatArray],
     covariances_mm2: Mapping[str, FloatArray],
 ) -> bool:
-    """Whether chi-square of the line's residuals is below twice its degrees of freedom and 20: p < 2e-5."""
+    """Whether chi-square of the line's residuals is at most 20 + 2 · degrees of freedom: p < 2e-5."""
     degrees_of_freedom = 2 * (len(names) - 2)
     if degrees_of_freedom <= 0:
         return True

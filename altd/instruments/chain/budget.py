@@ -1,4 +1,4 @@
-"""The power that reaches each target of a row: transmission^n."""
+"""Power on each target of a row: transmission^n."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from altd.config import ChainSettings
 
 
 def powers_mw(settings: ChainSettings, targets: int) -> tuple[float, ...]:
-    """The power on each target in beam order, all glasses before it clear: P τⁿ."""
+    """Power on each target in beam order, with all glasses before it clear: P τⁿ."""
     return tuple(settings.laser_mw * settings.transmission**before for before in range(targets))

@@ -1,4 +1,4 @@
-"""Displacements of the places: −(the spot's movement − the beam's movement there) since the baseline."""
+"""Displacements of the places since the baseline: −(the spot's movement − the beam's movement there)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _MIN_BASELINE_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """The displacement (dx, dy) of a place with its covariance (2, 2), mm.
+    """Displacement (dx, dy) of a place with its covariance (2, 2), mm.
 
-    ``random_mm2`` is the part that scatters from round to round, ``lasting_mm2`` what texture and map
-    leave and a longer mean does not remove; the rest is the baseline's.
+    ``random_mm2`` is the part that scatters from round to round, ``lasting_mm2`` the part of texture and map
+    that a longer mean does not reduce; the rest is the baseline's.
     """
 
     t_ns: int
@@ -32,16 +32,16 @@ class Displacement:
 
     @property
     def significance(self) -> float:
-        """√(dᵀ C⁻¹ d): its length in standard deviations; without movement above 3.0 in 1 % of the rounds."""
+        """√(dᵀ C⁻¹ d): length in standard deviations; without movement above 3.0 in 1 % of the rounds."""
         return math.sqrt(float(self.mm @ np.linalg.solve(self.covariance_mm2, self.mm)))
 
 
 @dataclass(frozen=True, slots=True)
 class Displaced:
-    """The displacements of a round, by target; a target without is absent.
+    """Displacements of a round, by target; a target without one is absent.
 
-    ``moved`` are stable targets that do not fit the others; ``disagree``: some do not fit, and it is not
-    known which. ``beam`` says what of the beam's movement is known: ``line``, ``offset`` or ``nothing``.
+    ``moved`` holds stable targets that do not fit the others. ``disagree``: some do not fit, but which ones
+    is unknown. ``beam`` is the known part of the beam's movement: ``line``, ``offset`` or ``nothing``.
     """
 
     places: Mapping[str, Displacement] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Displaced:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Epoch:
-    """A target's spot in a round, and those of the stable targets at that instant."""
+    """Spot of a target in a round, and the spots of the stable targets at that instant."""
 
     place: Place
     stable: Mapping[str, Place]
@@ -60,7 +60,7 @@ class _Epoch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Movement:
-    """A spot's movement since the baseline, (2,) mm, and the parts of its covariance (2, 2)."""
+    """Movement of a spot since the baseline, (2,) mm, and the parts of its covariance (2, 2)."""
 
     mm: FloatArray
     random_mm2: FloatArray
@@ -74,11 +74,11 @@ class _Movement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaselineMeans:
-    """The mean of each spot over the baseline's rounds; ``random_mm2`` of these places is that of the mean.
+    """Mean of each spot over the baseline's rounds; ``random_mm2`` of these places is that of the mean.
 
-    ``own`` are those of the targets that were measured in at least half of the rounds. ``stable`` are, by
-    target and stable target, those of the stable target at the instants of the target's visits.
-    ``simulated``: they were stored, and made from simulated frames.
+    ``own`` holds the targets that were measured in at least half of the rounds. ``stable`` holds, by target
+    and stable target, the means of the stable target at the instants of the target's visits. ``simulated``:
+    the means were stored, and made from simulated frames.
     """
 
     own: Mapping[str, Place]
@@ -87,7 +87,7 @@ class BaselineMeans:
 
 
 class Baseline:
-    """The first rounds in which all stable targets were measured, or stored means, and movements since."""
+    """Baseline: the first rounds with all stable targets measured, or stored means; movements since."""
 
     def __init__(
         self,
@@ -102,11 +102,11 @@ class Baseline:
         self._rounds = rounds
         self._taken: list[Mapping[str, Place]] = []
         self.means = means
-        """None: the baseline is not complete."""
+        """Means of the baseline; None while it is not complete."""
 
     @property
     def is_complete(self) -> bool:
-        """Whether displacements are known."""
+        """Whether the baseline is complete, so that displacements can be computed."""
         return self.means is not None
 
     def has(self, target: str) -> bool:
@@ -114,7 +114,7 @@ class Baseline:
         return self.means is not None and target in self.means.own
 
     def take(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> None:
-        """A round of the baseline; one in which a stable target was not measured counts for nothing."""
+        """Add a round to the baseline; a round in which a stable target was not measured is ignored."""
         if places and all(name in places for name in self._stable):
             self._taken.append(places)
         if len(self._taken) == self._rounds:
@@ -133,7 +133,7 @@ class Baseline:
         )
 
     def displaced(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> Displaced:
-        """The displacements of a round; ``history`` holds each target's visits, before and after it too."""
+        """Displacements of a round; ``history`` holds each target's visits, before and after it too."""
         epochs = {name: epoch for name, epoch in self._epochs_of(places, history).items() if self.has(name)}
         stable = [name for name in self._stable if name in epochs]
         moved = self._moved_stable(stable, epochs)
@@ -149,8 +149,8 @@ class Baseline:
         return Displaced(found, moved, beam=("nothing", "offset", "line")[min(len(stable), 2)])
 
     def _moved_stable(self, stable: Sequence[str], epochs: Mapping[str, _Epoch]) -> tuple[str, ...] | None:
-        """See ``moved_stable``; all at the instant of one of them, for the beam drifts within a round."""
-        if len(stable) < 3:  # two fit any beam
+        """See ``moved_stable``; all at the instant of one of them, because the beam drifts within a round."""
+        if len(stable) < 3:  # two targets fit any beam
             return ()
         at = stable[len(stable) // 2]
         movements = {name: self._movement(at, name, epochs[at]) for name in stable}
@@ -163,10 +163,10 @@ class Baseline:
     def _displacement(
         self, name: str, epoch: _Epoch, own: _Movement, reference: Sequence[str], unknown_mm2: FloatArray
     ) -> Displacement:
-        """Of one place, against the stable targets ``reference``.
+        """Displacement of one place against the stable targets ``reference``.
 
-        One of two stable targets or fewer is itself what holds the beam: by definition it does not move, and
-        its sigma is that of its own movement.
+        With two stable targets or fewer, each of them defines the beam: its displacement is 0 by definition,
+        and its sigma is that of its own movement.
         """
         movements = [self._movement(name, other, epoch) for other in reference]
         zeros = np.zeros((2, 2))
@@ -201,12 +201,12 @@ class Baseline:
         return epochs
 
     def _own_movement(self, name: str, epoch: _Epoch) -> _Movement:
-        assert self.means is not None  # noqa: S101  asked before
+        assert self.means is not None  # noqa: S101  checked before
         return self._since(name, self.means.own[name], epoch.place)
 
     def _movement(self, name: str, stable: str, epoch: _Epoch) -> _Movement:
-        """A stable target's movement from the instants of ``name`` in the baseline to the current one."""
-        assert self.means is not None  # noqa: S101  asked before
+        """Movement of a stable target from the instants of ``name`` in the baseline to the current one."""
+        assert self.means is not None  # noqa: S101  checked before
         return self._since(stable, self.means.stable[name][stable], epoch.stable[stable])
 
     def _since(self, name: str, mean: Place, now: Place) -> _Movement:
@@ -219,7 +219,7 @@ def _is_enough(rounds: int, of_rounds: int) -> bool:
 
 
 def _mean(places: Sequence[Place]) -> Place:
-    """The mean place of several visits, with the scatter of the mean."""
+    """Mean place of several visits, with the variance of the mean."""
     return replace(
         places[0],
         mm=np.mean([each.mm for each in places], axis=0),
@@ -231,10 +231,10 @@ def _mean(places: Sequence[Place]) -> Place:
 def _unknown_beam_mm2(
     own: Mapping[str, _Movement], z_mm: Mapping[str, float], stable: Sequence[str]
 ) -> dict[str, FloatArray]:
-    """Variance (2, 2) by what the stable targets do not tell of the beam, at each target.
+    """Variance (2, 2) at each target by beam movement that the stable targets do not determine.
 
-    Without two of them the movement that all targets have in common is taken as what the beam may have done,
-    one sigma: of one stable target the angle about it, without any the offset too.
+    With fewer than two of them, the movement common to all targets is taken as one sigma of the beam's
+    possible movement: with one stable target the angle about it, with none also the offset.
     """
     if len(stable) > 1 or not own:
         return {name: np.zeros((2, 2)) for name in own}

@@ -1,4 +1,4 @@
-"""Frames in, measurements of a row out."""
+"""From frames to measurements of a row."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from altd.records import Fault, Frame, Measurement
 
 
 class SightLocator:
-    """Locates the spot in each frame of a target's camera; one thread calls ``locate``, frame after frame."""
+    """Locates the spot in each frame of a target's camera; one thread calls ``locate`` frame by frame."""
 
     def __init__(self, target: str, locator: SpotLocator) -> None:
         self.target, self._locator = target, locator
 
     def locate(self, frame: Frame) -> Sight:
-        """The finding of a frame, with the target that was opaque then."""
+        """Return the finding of a frame, with the target that was opaque then."""
         of = self._locator.locate(frame)
         return Sight(self.target, frame.opaque, of.sequence, of.t_ns, of.spot, of.breaks, of.camera)
 
 
 class RowChain:
-    """Measures a row of switched targets, a measurement a round. ``means`` is a stored baseline.
+    """Measures a row of switched targets, one measurement per round. ``means`` is a stored baseline.
 
-    Frames without an opaque target are not measured: the glasses settle. ``push`` does all of it. A daemon
-    uses ``pairer``, ``locators`` and ``add`` on threads of their own.
+    Frames without an opaque target are not measured, because the glasses are settling. ``push`` runs the
+    whole chain; a daemon runs ``pairer``, ``locators`` and ``add`` in separate threads.
     """
 
     def __init__(
@@ -72,38 +72,38 @@ class RowChain:
             for view in views
         }
         self.frame_sets = 0
-        """Exposures that moved on."""
+        """Number of frame sets processed."""
         self._last: Mapping[str, Sight] = {}
         self._last_sequence = self._last_ns = 0
         self._gate = Gate()
 
     @property
     def silent_after_s(self) -> float:
-        """A camera from which nothing came for so long is silent."""
+        """Time without a frame after which a camera is silent, s."""
         return self._measuring.silent_after_s
 
     @property
     def baseline(self) -> BaselineMeans | None:
-        """The baseline; None: it is not complete."""
+        """Means of the baseline; None while it is not complete."""
         return self._rounds.baseline
 
     def seen(self) -> str:
-        """The opaque target and the last finding of its camera, in words."""
+        """Last finding of the opaque target's camera, as text."""
         shown = [sight for sight in self._last.values() if sight.opaque == sight.target]
         return "; ".join(f"{sight.camera}: {sight.spot}" for sight in shown) or "the glasses settle"
 
     def figures(self) -> dict[str, float | str | None]:
-        """The target that is opaque, for health; None: none has settled."""
+        """Opaque target, for health; None while none has settled."""
         return {"opaque": next((sight.opaque for sight in self._last.values() if sight.opaque), None)}
 
     def push(self, frame: Frame) -> Measurement | None:
-        """Take one frame; the measurement of a round, or None."""
+        """Process one frame; return the measurement of a round, or None."""
         return self._take(self.locators[frame.camera].locate(frame))
 
     def add(self, pair: Pair[Sight]) -> Measurement | None:
-        """Take the findings of one exposure; those that came too late are not measured.
+        """Process the findings of one frame set; late frames are not measured.
 
-        A round does not reach across a pause, nor across cameras that count again.
+        A round does not span a pause, nor a restart of the cameras' numbers.
         """
         since_last_s = (pair.t_ns - self._last_ns) * 1e-9
         if pair.sequence <= self._last_sequence or not 0.0 < since_last_s <= self.silent_after_s:
@@ -114,11 +114,11 @@ class RowChain:
         return next(filter(None, measured), None)
 
     def flush(self) -> list[Measurement]:
-        """The measurements that are still due, at the end of a recording."""
+        """Return the measurements that are still due at the end of a recording."""
         return [self._measurement(result) for result in self._rounds.flush()]
 
     def silence(self, t_ns: int) -> Measurement:
-        """The measurement of a moment at which no camera delivers."""
+        """Return the measurement of a moment at which no camera delivers."""
         self._rounds.forget()
         self._last = {}
         silent = tuple(Fault(Reason.CAMERA_SILENT, target) for target in self._targets)

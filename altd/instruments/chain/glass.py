@@ -1,4 +1,4 @@
-"""Faults of the glasses and of the beam's way, named by what all cameras see in a round (docs/chain.md)."""
+"""Faults of the glasses and the beam path, identified by all cameras' light in a round (docs/chain.md)."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from altd.instruments.chain.rounds import Round
 from altd.reasons import Reason
 
 MIN_BRIGHT_SHARE = 0.35
-"""A milky glass shows at least this share of its usual light; a clear one scatters far less."""
+"""Minimum share of its usual light that a milky glass shows; a clear one scatters far less."""
 MIN_FIRST_SHARE = 0.9
-"""A settled glass shows in the first exposure at least this share of what it shows in the last."""
+"""Minimum light of a settled glass in its first exposure, as a share of the last."""
 MIN_FADING_SHARE = 0.1
-"""Light of a glass that still turns clear, of what it shows when milky."""
+"""Minimum light of a glass that is still turning clear, as a share of its light when milky."""
 _REMEMBERED = 20
 
 
 INVALIDATING = frozenset({Reason.STUCK_CLEAR, Reason.SLOW, Reason.NOT_CONFIRMED, Reason.CAMERAS_SWAPPED})
-"""With one of these the target's spot is not to be believed."""
+"""Faults that make the target's spot invalid."""
 
 
 @dataclass(slots=True)
 class Diagnosis:
-    """The faults of a round, by target; ``beam_lost``: no target shows the beam."""
+    """Faults of a round, by target; ``beam_lost``: no target shows the beam."""
 
     faults: dict[str, list[Reason]] = field(default_factory=dict)
     beam_lost: bool = False
 
     def add(self, target: str, fault: Reason) -> None:
-        """Note a fault once."""
+        """Add a fault once."""
         noted = self.faults.setdefault(target, [])
         if fault not in noted:
             noted.append(fault)
 
     def has(self, target: str, *faults: Reason) -> bool:
-        """Whether any of these is noted."""
+        """Whether a target has any of these faults."""
         return any(fault in self.faults.get(target, ()) for fault in faults)
 
 
 class GlassCheck:
-    """Holds what the cameras saw against what the switches were to show. Remembers each target's light."""
+    """Compares the light at the cameras with the commanded switch states; keeps each target's usual light."""
 
     def __init__(self, targets: Sequence[str], exposures: int) -> None:
         self._targets = tuple(targets)
@@ -49,7 +49,7 @@ class GlassCheck:
         self._usual: dict[str, deque[float]] = {name: deque(maxlen=_REMEMBERED) for name in targets}
 
     def inspect(self, round_: Round, unlike: Collection[str] = ()) -> Diagnosis:
-        """The faults of a round; ``unlike`` are targets whose light is not a spot of the beam."""
+        """Return the faults of a round; ``unlike`` are targets whose light is not a spot of the beam."""
         seen = _Seen(self._targets, round_, self._exposures, self._usual)
         seen.lights |= {(target, target): None for target in unlike}
         diagnosis = Diagnosis()
@@ -66,7 +66,7 @@ class GlassCheck:
 
 
 class _Seen:
-    """The light of each target in each visit."""
+    """Light of each target in each visit."""
 
     def __init__(
         self,
@@ -84,47 +84,47 @@ class _Seen:
         self._usual = {target: _median(lights) for target, lights in usual.items() if lights}
 
     def light(self, target: str, opaque: str) -> float | None:
-        """The median of a target's light while another, or itself, was opaque; None: not known."""
+        """Median light of a target while ``opaque``, another one or itself, was opaque; None: not known."""
         lights = self.lights.get((target, opaque))
         return _median(lights) if lights else None
 
     def own(self, target: str) -> float | None:
-        """A target's light while it was opaque; None: not known."""
+        """Light of a target while it was opaque; None: not known."""
         return self.light(target, target)
 
     def behind(self, target: str) -> tuple[str, ...]:
-        """The targets behind it, in beam order."""
+        """Targets behind a target, in beam order."""
         return self.targets[self.targets.index(target) + 1 :]
 
     def before(self, target: str) -> tuple[str, ...]:
-        """The targets before it."""
+        """Targets before a target, in beam order."""
         return self.targets[: self.targets.index(target)]
 
     def is_bright(self, target: str) -> bool:
-        """Whether it shows a spot as bright as usual, or any as long as that is not known."""
+        """Whether a target shows a spot as bright as usual, or any spot while its usual light is unknown."""
         own = self.own(target) or 0.0
         return own > 0.0 and own >= MIN_BRIGHT_SHARE * self._usual.get(target, own)
 
     def is_unchanged(self, target: str) -> bool:
-        """Whether it shows as much light while another is opaque."""
+        """Whether a target shows as much light while another one is opaque."""
         own = self.own(target) or 0.0
         return any(
             (self.light(target, other) or 0.0) > MIN_BRIGHT_SHARE * own for other in self._others(target)
         )
 
     def is_seen_opaque_alone(self, target: str) -> bool:
-        """Whether no frame shows it while another is opaque."""
+        """Whether the light of a target is known only for its own visit."""
         return all(self.light(target, other) is None for other in self._others(target))
 
     def _others(self, target: str) -> tuple[str, ...]:
         return self.before(target) + self.behind(target)
 
     def has_reference(self, target: str) -> bool:
-        """Whether its usual light is known."""
+        """Whether the usual light of a target is known."""
         return target in self._usual
 
     def while_clear(self, target: str) -> list[float]:
-        """Its light in the visits of the targets behind it, where it is known."""
+        """Known light of a target in the visits of the targets behind it."""
         lights = (self.light(target, other) for other in self.behind(target))
         return [light for light in lights if light is not None]
 
@@ -135,7 +135,7 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _find_slow(seen: _Seen, diagnosis: Diagnosis) -> None:
-    """Glasses whose light grows in their own exposures, or fades in those of another.
+    """Find glasses whose light grows in their own exposures, or fades in those of another target.
 
     Where an earlier glass is still fading, the light behind it grows for that reason.
     """
@@ -152,7 +152,7 @@ def _find_slow(seen: _Seen, diagnosis: Diagnosis) -> None:
 
 
 def _find_swapped(seen: _Seen, diagnosis: Diagnosis) -> None:
-    """Pairs of cameras of which each shows the spot in the other's visit, and not in its own."""
+    """Find pairs of cameras that each show the spot in the other's visit, and not in their own."""
     for target in seen.targets:
         for other in seen.behind(target):
             mine, its = seen.own(target), seen.own(other)
@@ -165,7 +165,7 @@ def _find_swapped(seen: _Seen, diagnosis: Diagnosis) -> None:
 
 
 def _find_stuck(seen: _Seen, diagnosis: Diagnosis, target: str) -> None:
-    """Whether a glass changes between its own visit and those of the targets behind it."""
+    """Find a glass that does not change between its own visit and those of the targets behind it."""
     own = seen.own(target)
     if own is None:
         return
@@ -176,11 +176,11 @@ def _find_stuck(seen: _Seen, diagnosis: Diagnosis, target: str) -> None:
         passed = any(seen.light(other, target) for other in seen.behind(target))
         diagnosis.add(target, Reason.STUCK_CLEAR if own or passed else Reason.NOT_CONFIRMED)
     elif own > 0.0 and (any(map(seen.is_bright, seen.targets)) or seen.is_unchanged(target)):
-        diagnosis.add(target, Reason.STUCK_CLEAR)  # else all are dim, and switch: it is the laser
+        diagnosis.add(target, Reason.STUCK_CLEAR)  # else all are dim but switch: the laser is dim
 
 
 def _find_unswitched(seen: _Seen, diagnosis: Diagnosis, target: str, passes: bool) -> None:
-    """Whether a target that shows a spot when opaque shows it as well when clear, or without the beam."""
+    """Find a target that shows its spot not only when opaque, but also when clear or without the beam."""
     own, clear = seen.own(target) or 0.0, seen.while_clear(target)
     stray = any((seen.light(target, other) or 0.0) > MIN_BRIGHT_SHARE * own for other in seen.before(target))
     if stray and all(seen.is_bright(other) for other in seen.before(target)):
@@ -195,7 +195,7 @@ def _find_unswitched(seen: _Seen, diagnosis: Diagnosis, target: str, passes: boo
 
 
 def _find_lost(seen: _Seen, diagnosis: Diagnosis) -> None:
-    """The target behind which all are dark, unless a glass that is stuck opaque explains it."""
+    """Find the target behind which all are dark, unless a glass that is stuck opaque explains it."""
     looked_for = [target for target in seen.targets if seen.own(target) is not None]
     bright = [target for target in looked_for if seen.is_bright(target)]
     dark = [target for target in looked_for if seen.own(target) == 0.0]

@@ -1,4 +1,4 @@
-"""The instrument ``chain``: sights in, results of rounds out; pure but for its memory of the rounds."""
+"""The instrument ``chain``: from sights to results of rounds; its only state is its memory of the rounds."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from altd.reasons import Reason
 from altd.records import Fault
 
 _ROUNDS_BEFORE = 3
-"""Rounds before that show whether the beam moved smoothly."""
+"""Number of earlier rounds that show whether the beam moved smoothly."""
 _MAX_ROUNDS = 1000
-"""Rounds that are remembered while the baseline is not complete."""
+"""Maximum number of rounds kept while the baseline is not complete."""
 _UNLIKE_THE_BEAM = (Reason.DISTORTED, Reason.IMPLAUSIBLE, Reason.OUT_OF_RANGE)
 _BEAM_KNOWN = {
     "line": (),
@@ -30,7 +30,7 @@ _BEAM_KNOWN = {
 
 @dataclass(frozen=True, slots=True)
 class TargetResult:
-    """One target in a round. Without ``place`` it is invalid; ``status`` says why, or warns."""
+    """Result of one target in a round; invalid without ``place``. ``status`` holds faults and warnings."""
 
     place: Place | None
     status: tuple[Fault, ...] = ()
@@ -40,9 +40,9 @@ class TargetResult:
 
 @dataclass(frozen=True, slots=True)
 class RoundResult:
-    """A round: number and time of its last exposure, the mean time, and the targets in beam order.
+    """A round: number and time of its last exposure, mean time, and the targets in beam order.
 
-    ``status`` holds what is about the whole row.
+    ``status`` holds the faults of the whole row.
     """
 
     sequence: int
@@ -55,7 +55,7 @@ class RoundResult:
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """A round, located: places or faults, and what the switches did."""
+    """A located round: places or faults, and the diagnosis of the switches."""
 
     sequence: int
     last_ns: int
@@ -66,11 +66,11 @@ class _Measured:
 
 
 class Chain:
-    """Rounds of a row of targets; a round's result is known when the round after it has ended.
+    """Measures rounds of a row of targets; the result of a round is known when the next round has ended.
 
-    The beam's movement at each visit is taken between the stable targets' visits before and after it: so a
-    beam that jumps within a round moves no place. ``means`` is a stored baseline; None: the first rounds make
-    it.
+    The beam's movement at each visit is interpolated between the stable targets' visits before and after it,
+    so a beam that jumps within a round displaces no place. ``means`` is a stored baseline; None: the first
+    rounds define it.
     """
 
     def __init__(
@@ -88,20 +88,20 @@ class Chain:
 
     @property
     def baseline(self) -> BaselineMeans | None:
-        """The baseline; None: it is not complete."""
+        """Means of the baseline; None while it is not complete."""
         return self._baseline.means
 
     def add(self, sight: Sight) -> RoundResult | None:
-        """Take what a camera saw in one frame; the result of a round, or None."""
+        """Process the finding of one frame; return the result of a round, or None."""
         ended = self._window.add(sight)
         return None if ended is None else self._next(ended)
 
     def forget(self) -> None:
-        """The frames do not reach back any more: a round that has begun never ends."""
+        """Discard the unfinished round, because the next frames do not continue it."""
         self._window.forget()
 
     def flush(self) -> list[RoundResult]:
-        """The results that are still due, at the end of a recording."""
+        """Return the results that are still due at the end of a recording."""
         results = []
         if (last := self._window.flush()) is not None and (result := self._next(last)) is not None:
             results.append(result)
@@ -111,7 +111,7 @@ class Chain:
         return results
 
     def _next(self, round_: Round) -> RoundResult | None:
-        """Measure a round; the result of the one before it."""
+        """Measure a round; return the result of the one before it."""
         measured = self._measured(round_)
         self._history.append(measured)
         while self._baseline.is_complete and len(self._history) > _ROUNDS_BEFORE + 2:
@@ -183,7 +183,7 @@ class Chain:
 
 
 def _each_once(faults: Sequence[Fault]) -> tuple[Fault, ...]:
-    """The first fault of each reason."""
+    """First fault of each reason."""
     first = dict[Reason, Fault]()
     for fault in faults:
         first.setdefault(fault.reason, fault)

@@ -1,4 +1,4 @@
-"""The quantities of a row, and a round as a measurement."""
+"""Quantities of a row, and conversion of a round to a measurement."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _AXES = {"x": "to the right as seen along the beam", "y": "up"}
 
 
 def quantities_of(targets: Sequence[str]) -> Quantities:
-    """The quantities of a row: how many targets were measured, and the displacement of each place."""
+    """Quantities of a row: the number of measured targets, and the displacement of each place."""
     places = tuple(
         Quantity(
             f"{name}_d{axis}_mm",
@@ -50,7 +50,7 @@ def quantities_of(targets: Sequence[str]) -> Quantities:
 def as_measurement(
     result: RoundResult, quantities: Quantities, time: datetime | None, origins: Sequence[Fault]
 ) -> Measurement:
-    """A round as a measurement, valid where any target was measured; ``origins``: warnings of the source."""
+    """A round as a measurement, valid if any target was measured; ``origins``: warnings of the source."""
     measured = {name: of for name, of in result.targets.items() if of.place is not None}
     values = {MEASURED.key: Value(float(len(measured)))} if measured else {}
     for name, of in measured.items():

@@ -1,4 +1,4 @@
-"""A visit becomes a place: where the beam met the opaque target, with the parts of its uncertainty."""
+"""From a visit to a place: where the beam met the opaque target, with the parts of its uncertainty."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, Limits, MeanSpots, TargetPoint
 
 _SIGMAS_PER_DIAMETER = 4.0
-"""A 1/e² diameter is four standard deviations of a Gaussian beam."""
+"""Standard deviations of a Gaussian beam per 1/e² diameter."""
 _UNKNOWN_RADIUS_MM = 2.5
 
 
@@ -23,9 +23,10 @@ _UNKNOWN_RADIUS_MM = 2.5
 class Place:
     """Intersection of the beam with a target at ``t_ns``, (2,) mm.
 
-    ``random_mm2`` (2, 2) is what scatters from visit to visit, ``covariance_mm2`` all of it.
-    ``excess_mm2`` is the variance by light that one spot does not explain. ``spot_sigma_mm`` is the standard
-    deviation of the light's profile: two places nearer than that share most of the target's texture.
+    ``random_mm2`` (2, 2) is the part that scatters from visit to visit, ``covariance_mm2`` the whole
+    covariance. ``excess_mm2`` is the variance by light that one spot does not explain. ``spot_sigma_mm`` is
+    the standard deviation of the light's profile: two places closer than that share most of the target's
+    texture.
     """
 
     t_ns: int
@@ -41,7 +42,7 @@ class Place:
 def place_of(
     visit: Visit, calibration: TargetCalibration, limits: Limits, exposures: int
 ) -> Place | tuple[Fault, ...]:
-    """The place of a visit, or why there is none."""
+    """Return the place of a visit, or the faults that prevent it."""
     name = visit.target
     frame_sets = [FrameSet(sight.sequence, sight.t_ns, {name: sight.spot}) for sight in visit.own(exposures)]
     if not frame_sets:
@@ -80,20 +81,19 @@ def _place(mean: MeanSpots, point: TargetPoint, doubt_mm: float, limits: Limits)
 
 
 def stage_variances_mm2(limits: Limits, mm: FloatArray) -> FloatArray:
-    """Variances (2,) by a stage whose scale and squareness are not known better, of a place or a distance."""
+    """Variances (2,) of a place or a distance by the uncertain scale and squareness of the stage, mm²."""
     scale, square = limits.stage_scale_ppm or 0.0, limits.stage_square_mrad or 0.0
     variances: FloatArray = (scale * 1e-6 * mm) ** 2 + (square * 1e-3 * mm[::-1]) ** 2
     return variances
 
 
 def systematic_mm2(calibration: TargetCalibration, limits: Limits, now: Place, before: Place) -> FloatArray:
-    """Covariance (2, 2) mm² of what is not random in the movement of a spot from one place to another.
+    """Covariance (2, 2) mm² of the part of a spot's movement between two places that is not random.
 
     The map's error cancels as far as it is the same at both places, and the target's texture as far as the
-    spot covers the same of it: for weights exp(−r²/2s²) the centroids' errors by white texture, d apart, are
-    correlated by exp(−d²/4s²)(I − d dᵀ/2s²). What the map's noise holds beside texture, the errors of the
-    stage and of the scan's frames, is no part of a difference. Unexplained light cancels as far as it has not
-    changed.
+    spot covers the same of it. For weights exp(−r²/2s²) the centroid errors by white texture, d apart, are
+    correlated by exp(−d²/4s²)(I − d dᵀ/2s²). The other parts of the map's noise, errors of the stage and of
+    the scan's frames, do not enter a difference. Unexplained light cancels as far as it is unchanged.
     """
     moved = now.mm - before.mm
     s2 = now.spot_sigma_mm * before.spot_sigma_mm

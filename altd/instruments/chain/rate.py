@@ -14,35 +14,35 @@ from altd.records import FloatArray
 
 DAY_NS = 86_400 * 10**9
 MIN_ALARM_SIGMAS = 4.0
-"""Significance below which nothing is an alarm: by chance once in 3000 rounds of a place."""
+"""Minimum significance of an alarm; reached by chance once in 3000 rounds of a place."""
 _MAX_POINTS = 512
 _MIN_POINTS = 10
 _LASTING_LEVER = 1.5
-"""An error that comes in one step in the middle turns a line by 1.5 times its size over the line's length."""
+"""An error step in the middle of a line changes its slope by 1.5 times the step over the line's length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rate:
-    """Speed (x, y), mm a day, with its standard deviation (2,)."""
+    """Speed (x, y), mm/day, with its standard deviation (2,)."""
 
     mm_per_day: FloatArray
     sigma: FloatArray
 
     @property
     def significance(self) -> float:
-        """Of its length."""
+        """Length of the speed in standard deviations."""
         return float(np.linalg.norm(self.mm_per_day / self.sigma))
 
 
 class Trend:
-    """The displacements of a place in the last day; neighbours are merged when they become too many."""
+    """Displacements of a place in the last day; neighbours are merged when there are too many."""
 
     def __init__(self) -> None:
         self._points: list[FloatArray] = []
-        """Rows t (days), x, y, their random variances, their lasting ones."""
+        """Rows of t (days), x, y (mm), their random variances and their lasting variances (mm²)."""
 
     def add(self, displacement: Displacement) -> Rate | None:
-        """Take one; the rate, or None: there are too few yet."""
+        """Add a displacement; return the rate, or None while there are too few."""
         day = displacement.t_ns / DAY_NS
         variances = np.diag(displacement.random_mm2), np.diag(displacement.lasting_mm2)
         self._points = [point for point in self._points if day - point[0] <= 1.0]
@@ -68,7 +68,7 @@ class Trend:
 
 
 def _merged(points: Sequence[FloatArray]) -> list[FloatArray]:
-    """Pairs of neighbours as their means; the newest stay as they are."""
+    """Merge pairs of neighbours in the older half into their means; the newer half is kept."""
     half = len(points) // 4 * 2
     merged = []
     for first, second in zip(points[0:half:2], points[1:half:2], strict=True):
@@ -81,7 +81,7 @@ def _merged(points: Sequence[FloatArray]) -> list[FloatArray]:
 def alarms(
     displacement: Displacement, rate: Rate | None, alarm_mm: float | None, alarm_mm_per_day: float | None
 ) -> tuple[Reason, ...]:
-    """``alarm_displacement`` and ``alarm_rate`` where a limit is reached, and that is no chance."""
+    """``alarm_displacement`` and ``alarm_rate`` where a limit is reached with sufficient significance."""
     raised = list[Reason]()
     far = alarm_mm is not None and math.hypot(*displacement.mm.tolist()) >= alarm_mm
     if far and displacement.significance >= MIN_ALARM_SIGMAS:

@@ -1,4 +1,4 @@
-"""Frames become visits, visits become rounds: one visit of all targets is a round."""
+"""Grouping of frames into visits and of visits into rounds: a round is one visit of all targets."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 
 MAX_VISIT_EXPOSURES = 256
-"""A visit of more is closed: a switch that is forgotten must not fill the memory."""
+"""Maximum number of exposures in a visit: a forgotten switch must not fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The finding of one camera in one exposure, and the target that was opaque then; empty: none was.
+    """Finding of one camera in one exposure, and the target that was opaque then; empty: none was.
 
-    ``breaks`` counts, as in ``Located``, the camera's frames that no mean may reach across.
+    ``breaks`` counts, as in ``Located``, the camera's frames that no mean may span.
     """
 
     target: str
@@ -29,32 +29,32 @@ class Sight:
     leds_on = False
     """A row has no frame LEDs."""
     found = None
-    """No exposure is controlled by a spot that comes and goes with the glasses."""
+    """None: a spot that appears and vanishes with the glasses does not control the exposure."""
 
 
 @dataclass(slots=True)
 class Visit:
-    """The sights of the cameras while ``target`` was opaque, by target, in order of time."""
+    """Sights of the cameras while ``target`` was opaque, by target, in order of time."""
 
     target: str
     sights: dict[str, list[Sight]] = field(default_factory=dict)
     sequences: dict[int, None] = field(default_factory=dict)
 
     def own(self, exposures: int) -> list[Sight]:
-        """The last exposures that show the opaque target itself, none from before a break."""
+        """Sights of the opaque target itself in the last exposures, none from before a break."""
         sights = [
             sight for sight in self.sights.get(self.target, ()) if sight.sequence in self.last(exposures)
         ]
         return [sight for sight in sights if sight.breaks == sights[-1].breaks]
 
     def last(self, exposures: int) -> set[int]:
-        """The numbers of the last exposures: those before are the time of settling."""
+        """Numbers of the last exposures; in the earlier ones the glass settles."""
         return set(list(self.sequences)[-exposures:])
 
     def brightness(self, target: str, exposures: int) -> list[float] | None:
-        """The light that a target's camera saw, exposure by exposure; None: not known.
+        """Light at a target's camera in each of the last exposures; None: not known.
 
-        Counts · px², that of a Gaussian but for a factor; 0 where nothing was seen.
+        In counts · px², up to a constant factor that of a Gaussian; 0 without a spot.
         """
         last = self.last(exposures)
         lights = [_light(sight.spot) for sight in self.sights.get(target, ()) if sight.sequence in last]
@@ -63,7 +63,7 @@ class Visit:
 
 
 def _light(spot: Spot | NoSpot) -> float | None:
-    """The light of a spot; None: there is some, of unknown strength, or the frame is not to be believed."""
+    """Light of a spot; None: its strength is unknown, or the frame is not valid."""
     if isinstance(spot, Spot):
         return spot.peak * spot.diameter_px**2
     return 0.0 if spot.reason is Reason.SPOT_MISSING else None
@@ -71,21 +71,21 @@ def _light(spot: Spot | NoSpot) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One visit of the targets, by their names; a target that was not visited is absent."""
+    """One visit of each target, by name; a target that was not visited is absent."""
 
     visits: Mapping[str, Visit]
 
     @property
     def sequence(self) -> int:
-        """The number of its last exposure."""
+        """Number of the last exposure."""
         return max(max(visit.sequences) for visit in self.visits.values())
 
 
 class RoundWindow:
-    """Collects frames into rounds. A round ends where a target is opaque again, or at the end of the frames.
+    """Collects frames into rounds. A round ends when a target is opaque again, or at the end of the frames.
 
-    It may begin at any target. A round that lacks targets is one all the same: their cameras are silent. The
-    first and the last are no rounds if they lack some, for the frames begin and end anywhere.
+    It may begin at any target. A round that lacks targets is still a round: their cameras are silent. The
+    first and the last round are dropped if they lack some, because the frames begin and end anywhere.
     """
 
     def __init__(self, targets: tuple[str, ...]) -> None:
@@ -95,7 +95,7 @@ class RoundWindow:
         self._is_first = True
 
     def add(self, sight: Sight) -> Round | None:
-        """Take one; the round that ended before it, or None."""
+        """Add a sight; return the round that ended before it, or None."""
         ended = None
         current = self._current
         is_full = current is not None and len(current.sequences) >= MAX_VISIT_EXPOSURES
@@ -105,17 +105,17 @@ class RoundWindow:
                 ended = self._end()
             self._current = current = Visit(sight.opaque)
             self._visits[sight.opaque] = current
-        assert current is not None  # noqa: S101  made above
+        assert current is not None  # noqa: S101  set above
         current.sequences[sight.sequence] = None
         current.sights.setdefault(sight.target, []).append(sight)
         return ended
 
     def forget(self) -> None:
-        """Leave out the round that has begun: the frames do not reach back to it."""
+        """Discard the unfinished round, because the next frames do not continue it."""
         self._visits, self._current, self._is_first = {}, None, True
 
     def flush(self) -> Round | None:
-        """The last round, at the end of a recording; None: it lacks targets."""
+        """Return the last round at the end of a recording; None: it lacks targets."""
         is_whole = len(self._visits) == len(self._targets)
         return self._end() if is_whole else None
 

@@ -1,7 +1,7 @@
-"""The window of a beam whose targets are shown in turn: a switched front target, and those behind it.
+"""Window of a beam whose targets are shown in turn: a switched front target, and those behind it.
 
 Each target has its own exposures at its own times. A straight line through those of a target gives its spot
-at the middle of all exposures, so steady motion between two targets is taken off. Vibration is not: it moves
+at the middle of all exposures, which removes steady motion between two targets. Vibration remains: it moves
 the spots between the visits, and their scatter about the line is the uncertainty.
 """
 
@@ -21,20 +21,20 @@ from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot
 from altd.records.spots import SpotMotion
 
 MIN_VISITS = 4
-"""Visits of each target in a window: two determine a line, the others its uncertainty."""
+"""Minimum visits of each target in a window: two determine a line, the others its uncertainty."""
 _MEMORY_NS = 30 * 10**9
-"""Scatter of the windows of this time counts: four visits alone may lie on a line by chance."""
+"""Time over which the scatter of windows is averaged: four visits alone may be on a line by chance."""
 _EXPOSURES_WEIGHT = 0.5
-"""Degrees of freedom of the scatter of single exposures, beside that of visits."""
+"""Weight of the scatter of single exposures, in degrees of freedom of the scatter of visits."""
 _ALL = 10**6
 
 
 class SwitchedWindow:
-    """See ``measuring.averaging.Window``: the last visits of each target, with ``window`` exposures or more.
+    """Last visits of each target, with ``window`` exposures or more; see ``measuring.averaging.Window``.
 
-    These are MIN_VISITS visits at least. Faults of a glass are found when a round of all targets has ended.
-    Those with which its spot is not to be believed drop the exposures; until a round without them there is no
-    mean.
+    There are at least MIN_VISITS visits. Faults of a glass are detected when a round of all targets has
+    ended. A fault that invalidates its spot drops the exposures; there is no mean until a round without such
+    a fault.
     """
 
     def __init__(self, targets: tuple[str, ...], window: int, every: int) -> None:
@@ -44,9 +44,9 @@ class SwitchedWindow:
         self._rounds = RoundWindow(targets)
         self._glasses = GlassCheck(targets, _ALL)
         self._faults: tuple[Fault, ...] = ()
-        """Of the glasses in the last round."""
+        """Faults of the glasses in the last round."""
         self._scatter: dict[str, deque[tuple[int, float]]] = {target: deque() for target in targets}
-        """By target, times and variances (px²) of the line at the middle, in the windows before."""
+        """Times and variances (px²) of the line at the middle in earlier windows, by target."""
         self.begin()
 
     def begin(self, window: int | None = None) -> None:
@@ -66,7 +66,7 @@ class SwitchedWindow:
         self._is_new_visit = True
 
     def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
-        """See ``Window``; a frame set of a target that the unit does not have is not measured."""
+        """See ``Window``; a frame set of a target that is not part of the unit is not measured."""
         if (visits := self._visits.get(frame_set.opaque)) is None:
             return None
         self._inspect_glasses(frame_set)
@@ -76,7 +76,7 @@ class SwitchedWindow:
             visits.append([])
         shown = {frame_set.opaque: frame_set.spots[frame_set.opaque]}
         visits[-1].append(replace(frame_set, spots=shown))
-        del visits[-1][: -self._size]  # one that does not end must not fill the memory
+        del visits[-1][: -self._size]  # an endless visit must not fill the memory
         while len(visits) > MIN_VISITS and sum(map(len, visits)) - len(visits[0]) >= self._size:
             visits.popleft()
         self._since_mean += 1
@@ -89,9 +89,9 @@ class SwitchedWindow:
         return mean if isinstance(mean, MeanSpots) else (*mean, *self._faults)
 
     def _drop_stale(self, now_ns: int) -> None:
-        """Drop the visits of a target that is not shown any more.
+        """Drop the visits of a target that is no longer shown.
 
-        In any order of the rounds the pause between two visits is shorter than four visits take.
+        In any order of the rounds, the pause between two visits is shorter than the time of four visits.
         """
         for visits in self._visits.values():
             if visits:
@@ -128,7 +128,7 @@ class SwitchedWindow:
                 continue
             missing = tuple(fault for one in shown for fault in one.faults())[-1:]
             faults = missing if isinstance(line, MeanSpots) else line
-            if usable < MIN_VISITS:  # of a moving beam, they are two places
+            if usable < MIN_VISITS:  # two visits of a moving beam are at two places
                 faults = tuple(fault for fault in faults if fault.reason is not Reason.UNSTEADY)
             detail = f"{usable} of {MIN_VISITS} visits of {target}"
             return faults or (Fault(Reason.WARMING_UP, detail=detail),)
@@ -137,7 +137,7 @@ class SwitchedWindow:
         return _together([self._at(line, line.motion, t_ns) for line in lines if line.motion], t_ns)
 
     def _at(self, line: MeanSpots, motion: SpotMotion, t_ns: int) -> MeanSpots:
-        """The spot of a target at ``t_ns``; it scatters at least as in the windows before."""
+        """Spot of a target at ``t_ns``; its scatter is at least that of the earlier windows."""
         at_s, (target,) = (t_ns - line.t_ns) * 1e-9, line.targets
         covariance_px2, before = self._line_covariance(target, line, motion, at_s), self._scatter[target]
         while before and before[0][0] < t_ns - _MEMORY_NS:
@@ -164,8 +164,8 @@ class SwitchedWindow:
     def _line_covariance(self, target: str, line: MeanSpots, motion: SpotMotion, at_s: float) -> FloatArray:
         """Covariance (2, 2) px² of a line at ``at_s`` after its middle.
 
-        Exposures of one visit share its vibration. So the scatter of visits counts, as in the cluster-robust
-        covariance of least squares, with little weight for that of single exposures.
+        Exposures of one visit share its vibration. The scatter of visits therefore counts, as in the
+        cluster-robust covariance of least squares; that of single exposures has little weight.
         """
         rows = [
             (number, (one.t_ns - line.t_ns) * 1e-9, spot.u_px, spot.v_px, spot.sigma_px)
@@ -189,7 +189,7 @@ class SwitchedWindow:
 
 
 def _together(parts: list[MeanSpots], t_ns: int) -> MeanSpots:
-    """The spots of all targets at one instant; those of different targets scatter independently."""
+    """Combine the spots of all targets at one instant; different targets scatter independently."""
     motions = [part.motion for part in parts if part.motion is not None]
     return MeanSpots(
         targets=tuple(part.targets[0] for part in parts),

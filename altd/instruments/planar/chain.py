@@ -1,4 +1,4 @@
-"""Frames in, measurements of the plate's pose out."""
+"""From frames to measurements of the plate's pose."""
 
 from __future__ import annotations
 
@@ -22,33 +22,34 @@ from altd.records import CameraIdentity, Fault, FloatArray, Frame, Measurement, 
 from altd.vision.led_discs import Disc
 
 _MAX_STILL_CHI2_SIGMAS = 6.0
-"""LEDs that are farther from their mean than this are those of a plate that moved."""
+"""Maximum excess of chi-square of LEDs about their mean, in its standard deviations; above it, the plate
+moved."""
 _MAX_UNUSABLE_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class PlateFrame:
-    """The content of a frame: its lights, or why they are not to be measured. ``spot`` says it to people."""
+    """Content of a frame: its lights, or why they cannot be measured. ``spot`` describes it as text."""
 
     camera: str
     sequence: int
     t_ns: int
     lights: tuple[Disc, ...] | Fault
     leds_on = False
-    """The LEDs of the plate are no frame LEDs, and each frame is measured."""
+    """False: the LEDs of the plate are not frame LEDs, and each frame is measured."""
     found = None
-    """No exposure is controlled by them."""
+    """None: the plate's LEDs do not control the exposure."""
 
     @property
     def spot(self) -> str:
-        """The finding, in words."""
+        """Finding as text."""
         return str(self.lights) if isinstance(self.lights, Fault) else counted(len(self.lights), "light")
 
 
 class PlateLocator:
-    """Finds the lights in each frame of the camera; one thread calls ``locate``, frame after frame.
+    """Finds the lights in each frame of the camera; one thread calls ``locate`` frame by frame.
 
-    ``identity`` tells which camera delivers, ``expected`` which ones should.
+    ``identity`` returns the camera that delivers; ``expected`` holds the identities that it must match.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class PlateLocator:
         self._freshness = FreshnessCheck()
 
     def locate(self, frame: Frame) -> PlateFrame:
-        """The lights of a frame that is new, evenly exposed, and of the camera that was calibrated."""
+        """Return the lights of a frame; a fault if it is repeated, unevenly exposed or of another camera."""
         fault = None
         if repeated := self._freshness.repeated(frame):
             fault = Fault(Reason.FRAME_REPEATED, detail=repeated)
@@ -79,14 +80,14 @@ class _Exposure:
 
 
 class PlanarChain:
-    """Averages the frames of one pose and solves it; pure but for its memory of the window.
+    """Averages the frames of one pose and solves it; its only state is the window.
 
-    ``measuring`` has the number of exposures that are averaged, and that from one measurement to the next,
-    counted from the first exposure. No window mixes two poses: it begins again with a frame whose LEDs moved,
-    after a gap, and at another ``place`` of ``provenance``. ``expected`` is the camera that the config names,
-    beside the one that was calibrated.
+    ``measuring`` sets the number of exposures that are averaged, and the number from one measurement to the
+    next, counted from the first exposure. No window mixes two poses: it restarts at a frame whose LEDs moved,
+    after a gap, and at another ``place`` of ``provenance``. ``expected`` is the camera named in the config,
+    in addition to the calibrated one.
 
-    ``push`` does all of it. A daemon uses ``pairer``, ``locators`` and ``add`` on threads of their own.
+    ``push`` runs the whole chain; a daemon runs ``pairer``, ``locators`` and ``add`` in separate threads.
     """
 
     def __init__(
@@ -108,42 +109,42 @@ class PlanarChain:
         self._locator = PlateLocator(cameras, partial(provenance.identity, camera))
         self.locators: Mapping[str, PlateLocator] = {camera: self._locator}
         self.frame_sets = 0
-        """Frames that moved on."""
+        """Number of frames processed."""
         self._exposures: deque[_Exposure] = deque()
         self._still: list[Leds] = []
-        """The LEDs of the exposures at this pose, the newest last."""
+        """LEDs of the exposures at this pose, the newest last."""
         self._place: Place | None = None
         self._last: PlateFrame | None = None
         self._silent_at = 0
-        """The number of the last exposure before a silence."""
+        """Number of the last exposure before a silence."""
         self._since = 0
         self._gate = Gate()
 
     @property
     def silent_after_s(self) -> float:
-        """A camera from which nothing came for so long is silent."""
+        """Time without a frame after which a camera is silent, s."""
         return self._measuring.silent_after_s
 
     def seen(self) -> str:
-        """The last finding, in words."""
+        """Last finding as text."""
         return "" if self._last is None else f"{self._camera}: {self._last.spot}"
 
     def figures(self) -> dict[str, float | str | None]:
-        """The number of LEDs in the newest frame, for health."""
+        """Number of LEDs in the newest frame, for health."""
         newest = self._exposures[-1].leds if self._exposures else None
         return {"leds": len(newest.numbers) if isinstance(newest, Leds) else 0}
 
     def push(self, frame: Frame) -> Measurement | None:
-        """Take one frame; returns the measurement that it completes."""
+        """Process one frame; return the measurement that it completes, or None."""
         return self._take(self._locator.locate(frame))
 
     def add(self, pair: Pair[PlateFrame]) -> Measurement | None:
-        """Take the content of a frame; one that came too late is not measured."""
+        """Process the content of a frame; a late frame is not measured."""
         seen = pair.items.get(self._camera)
         return None if seen is None else self._take(seen)
 
     def silence(self, t_ns: int) -> Measurement:
-        """The measurement of a moment at which the camera does not deliver."""
+        """Return the measurement of a moment at which the camera does not deliver."""
         self._forget()
         sequence, self._last = self._last.sequence if self._last else self._silent_at, None
         self._silent_at = sequence
@@ -177,12 +178,12 @@ class PlanarChain:
         return self._gate.admit(self._measurement())
 
     def _forget(self) -> None:
-        """No window reaches back from here."""
+        """Clear the window, so that it does not span this moment."""
         self._exposures.clear()
         self._still.clear()
 
     def _has_moved(self, leds: Leds) -> bool:
-        """Whether the LEDs are elsewhere than in the frames before, beyond their noise."""
+        """Whether the LEDs differ from those of earlier frames by more than their noise."""
         if not self._still:
             return False
         mean = mean_leds(self._still)
@@ -239,7 +240,7 @@ class PlanarChain:
 
 
 def mean_leds(exposures: list[Leds]) -> Leds:
-    """The mean centre of each LED over the exposures in which it is seen."""
+    """Mean centre of each LED over the exposures in which it is visible."""
     numbers = sorted({number for leds in exposures for number in leds.numbers})
     sums: FloatArray = np.zeros((len(numbers), 2))
     frames = np.zeros(len(numbers), dtype=np.int64)

@@ -17,9 +17,9 @@ from altd.records import FloatArray
 def leave_one_out(
     model: Model, leds_mm: FloatArray, sightings: Sequence[Sighting], disc_mm: float, size: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Measured minus known of each pose by a camera from all others, and its sigma, (n, 3) mm.
+    """Measured minus known of each pose by a camera fitted to all others, and its sigma, (n, 3) mm.
 
-    Of a, b and φ at the layout's radius. Sigma includes that of the known pose.
+    The columns are a, b, and φ at the layout's radius. Sigma includes that of the known pose.
     """
     radius, off, sigma = radius_mm(leds_mm), [], []
     for number, seen in enumerate(sightings):

@@ -1,4 +1,4 @@
-"""A camera from known poses of the plate, with all that is uncertain of it."""
+"""Fit of a camera to known poses of the plate, with all uncertainties."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from altd.mapping.camera_model import light_centre_shift_px
 from altd.records import FloatArray
 
 MIN_POSES_FOR_SPREAD = 3
-"""From fewer known poses errors of poses, of LEDs' places and of centres cannot be separated."""
+"""Minimum number of known poses to separate errors of poses, of LED positions and of centres."""
 
 _ITERATIONS = 12
 _MAX_HALVINGS = 10
-"""Of a step that makes the fit worse."""
+"""Maximum number of halvings of a step that makes the fit worse."""
 _MIN_NOISE_PX = 1e-3
 _MIN_SIGMA_MM = 1e-4
 _INITIAL_NOISE_PX = 0.02
@@ -29,7 +29,7 @@ _INITIAL_SIGMA_MM = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """The plate at a known pose: LEDs (n,), their discs' centres (n, 2) px, and points of their rims."""
+    """The plate at a known pose: LEDs (n,), centres (n, 2) px of their discs, and points of their rims."""
 
     pose: Pose
     leds: npt.NDArray[np.intp]
@@ -39,11 +39,11 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
-    """A camera with the plate's LEDs as it shows them.
+    """A fitted camera with the fitted positions of the plate's LEDs.
 
-    ``covariance`` is that of the camera's parameters and then of x, y of each LED. ``noise_px`` is the
-    standard deviation of a centre that averaging does not reduce, ``sigma_led_mm`` that of an LED from its
-    stated place, ``sigma_pose_mm`` (3,) those of a known pose: of a, of b, and of φ at the layout's radius.
+    ``covariance`` covers the camera's parameters and then x, y of each LED. ``noise_px`` is the standard
+    deviation of a centre that averaging does not reduce, ``sigma_led_mm`` that of an LED from its stated
+    position, ``sigma_pose_mm`` (3,) those of a known pose: of a, of b, and of φ at the layout's radius.
     """
 
     camera: PlaneCamera
@@ -57,12 +57,12 @@ class PlaneFit:
 def fit_plane(
     model: Model, leds_mm: FloatArray, sightings: Sequence[Sighting], disc_mm: float, size: tuple[int, int]
 ) -> PlaneFit:
-    """The camera of a model, and the errors of LEDs and poses that explain what it leaves.
+    """Fit the camera of a model, and the errors of LEDs and poses that explain its residuals.
 
-    The homography is the source's: by the vanishing line, then by Gauss and Newton over the discs' rims.
-    The lens is fitted to the discs' centres, its parameters together with the errors of LEDs and poses, as
-    zero-mean normal deviates whose variances are those that make the observations most probable (the fixed
-    point of MacKay, "Bayesian interpolation", 1992). Raises ValueError when the LEDs are too few.
+    The homography is fitted as in the source: by the vanishing line, then by Gauss–Newton over the discs'
+    rims. The lens is fitted to the discs' centres, its parameters together with the errors of LEDs and poses.
+    These are zero-mean normal deviates whose variances make the observations most probable (the fixed point
+    of MacKay, "Bayesian interpolation", 1992). Raises ValueError when there are too few LEDs.
     """
     seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in sightings])
     seen_px = np.concatenate([of.centres_px for of in sightings])
@@ -76,7 +76,7 @@ def fit_plane(
 
 
 def radius_mm(leds_mm: FloatArray) -> float:
-    """The layout's radius, at which a turn is stated as a length: rms distance from the plate's origin."""
+    """Radius of the layout, mm, to state a turn as a length: rms distance from the plate's origin."""
     return float(np.sqrt(np.mean(np.sum(leds_mm**2, axis=1))))
 
 
@@ -87,7 +87,7 @@ def _with_spread(
     moment_mm2: float,
     is_free: bool,
 ) -> PlaneFit:
-    """The fit of ``fit_plane``; a camera that is not free keeps its parameters, and gets its covariance."""
+    """Fit of ``fit_plane``; a camera that is not free keeps its parameters and gets its covariance."""
     design = _Design(leds_mm, sightings, moment_mm2)
     cameras, leds = (
         len(camera.parameters),
@@ -117,7 +117,7 @@ def _with_spread(
         cost = float(miss @ miss) / noise**2 + float(known**2 @ precision)
         for _ in range(_MAX_HALVINGS):
             moved = camera.moved_by(step[:cameras]), errors + step[cameras:]
-            with np.errstate(all="ignore"):  # a step too far
+            with np.errstate(all="ignore"):  # for a step that is too large
                 of_moved = design.linearised(*moved)
                 penalty = float((known + step) ** 2 @ precision)
                 if float(of_moved[1] @ of_moved[1]) / noise**2 + penalty <= cost:
@@ -144,12 +144,12 @@ def _with_spread(
 
 
 def _sigma(errors: FloatArray, of_data: FloatArray) -> float:
-    """Of errors, each weighted by how far the observations know it."""
+    """Standard deviation of errors, each weighted by how far the observations determine it."""
     return max(math.sqrt(float(errors @ errors) / max(float(of_data.sum()), 1e-9)), _MIN_SIGMA_MM)
 
 
 class _Design:
-    """The centres of all discs as functions of camera, LEDs and poses."""
+    """Centres of all discs as functions of camera, LEDs and poses."""
 
     def __init__(self, leds_mm: FloatArray, sightings: Sequence[Sighting], moment_mm2: float) -> None:
         self._leds_mm, self._sightings, self._moment_mm2 = leds_mm, sightings, moment_mm2
@@ -157,7 +157,7 @@ class _Design:
         self._radius_mm = radius_mm(leds_mm)
 
     def linearised(self, camera: PlaneCamera, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """d(px)/d(parameters, LEDs, poses) and seen minus computed, a row each of u and v."""
+        """d(px)/d(parameters, LEDs, poses) and observed minus computed px, one row each for u and v."""
         leds = self._leds_mm + errors[: self._leds_mm.size].reshape(-1, 2)
         of_poses = errors[self._leds_mm.size :].reshape(-1, 3)
         points, slopes = [], []
@@ -182,5 +182,5 @@ class _Design:
 
 
 def scaled(fit: PlaneFit, factor: float) -> PlaneFit:
-    """The same, its covariance and noise scaled by ``factor`` in sigma."""
+    """Copy of a fit with covariance and noise scaled by ``factor`` in sigma."""
     return replace(fit, covariance=fit.covariance * factor**2, noise_px=fit.noise_px * factor)

@@ -1,4 +1,4 @@
-"""The geometry of the planar 3-PRP machine from measured poses and joints (Eq. 2.60–2.63)."""
+"""Fit of the planar 3-PRP machine's geometry to measured poses and joints (Eq. 2.60–2.63)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from altd.instruments.planar.kinematics import Machine, constraint_jacobian
 from altd.records import FloatArray
 
 PARAMETERS = ("rail_start_x_mm", "rail_start_y_mm", "rail_deg", "joint_scale", "edge_deg", "edge_offset_mm")
-"""Of each leg, in the order of the rows of ``FittedGeometry.covariance``: those of leg 0 first."""
+"""Parameters of each leg, in the order of the rows of ``FittedGeometry.covariance``: those of leg 0 first."""
 _MAX_ITERATIONS = 30
 _MAX_CONDITION = 1e7
-"""Of the scaled normal equations; beyond it, parameters are as uncertain as kilometres."""
+"""Maximum condition of the scaled design; beyond it, parameters are uncertain by kilometres."""
 
 
 class NotIdentifiableError(ValueError):
@@ -44,10 +44,10 @@ def fit_geometry(
 ) -> FittedGeometry:
     """Fit all eighteen parameters to N poses (N, 3) and the joints (N, 3) at which they were measured.
 
-    ``machine`` is the design, the initial estimate; ``pose_covariance`` (3, 3) or (N, 3, 3) is in mm² and
-    °². The implicit model n·P(q) − n·(a, b) − offset = 0 (Eq. 2.62) is weighted by what the uncertainty of
-    pose and joints makes of it, which equals Eq. 2.61 to first order and stays finite at singular poses.
-    Raises NotIdentifiableError where the poses do not determine it, or the iteration does not converge.
+    ``machine`` is the design geometry, used as initial estimate; ``pose_covariance`` (3, 3) or (N, 3, 3) is
+    in mm² and °². The implicit model n·P(q) − n·(a, b) − offset = 0 (Eq. 2.62) is weighted by the propagated
+    uncertainty of pose and joints, which equals Eq. 2.61 to first order and stays finite at singular poses.
+    Raises NotIdentifiableError if the poses do not determine the geometry or the iteration does not converge.
     """
     pose, joints = np.asarray(poses, float), np.asarray(joints_mm, float)
     per_pose = np.array([1.0, 1.0, np.pi / 180.0])
@@ -115,6 +115,6 @@ def _changed(machine: Machine, step: FloatArray) -> Machine:
 
 
 def _names(direction: FloatArray) -> str:
-    """The parameters with a large part in a direction (18,) of the scaled design."""
+    """Names of the parameters with a large part in a direction (18,) of the scaled design."""
     large = np.flatnonzero(np.abs(direction) > 0.3 * np.max(np.abs(direction)))
     return ", ".join(f"{PARAMETERS[k % len(PARAMETERS)]} of leg {k // len(PARAMETERS) + 1}" for k in large)

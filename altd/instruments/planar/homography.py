@@ -1,4 +1,4 @@
-"""The homography of a plane, by its vanishing line and Gauss-Newton (Eq. 2.44–2.58), without distortion."""
+"""Homography of a plane, by its vanishing line and Gauss–Newton (Eq. 2.44–2.58), without distortion."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _DEGENERATE_BELOW = 1e-9
 
 
 def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The homography (3, 3) that takes points (n, 2) to points (n, 2) with the least squares in the target.
+    """Fit the homography (3, 3) from points (n, 2) to points (n, 2) by least squares in the target.
 
-    Started by ``vanishing_line_homography`` and refined by Gauss and Newton (Eq. 2.54–2.58). The thesis fits
-    the rims of circular spots, of radius r; for their centres r is 0, and the distance of Eq. 2.54 is taken
-    by its two components, since its own derivative does not exist at 0. Raises ValueError when the points
-    are fewer than four or leave the homography undetermined.
+    ``vanishing_line_homography`` gives the initial estimate, Gauss–Newton refines it (Eq. 2.54–2.58). The
+    thesis fits the rims of circular spots of radius r. For their centres r is 0, and the distance of Eq. 2.54
+    is replaced by its two components, because its own derivative does not exist at 0. Raises ValueError when
+    there are fewer than four points or they leave the homography undetermined.
     """
     (to_unit, here), (to_unit_there, there) = _normalised(source), _normalised(target)
     h = vanishing_line_homography(here, there)
@@ -42,11 +42,11 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def fit_rims(h: FloatArray, rims: Sequence[FloatArray], middles: FloatArray, radius: float) -> FloatArray:
-    """The homography whose mapped rim points lie best on circles about ``middles`` (m, 2).
+    """Fit the homography whose mapped rim points are closest to circles about ``middles`` (m, 2).
 
     ``rims`` holds the rim points (n, 2) of each circle in the source plane, ``h`` is the initial homography.
-    Gauss and Newton's method on the distances of Eq. 2.54, whose sum of squares does not grow. The blur of a
-    picture moves all rims alike, so the radius, which the source takes as known, is fitted too.
+    Gauss–Newton minimises the distances of Eq. 2.54; their sum of squares does not grow. Blur in a picture
+    moves all rims alike, so the radius, which the source takes as known, is fitted too.
     """
     (to_unit, here), (to_unit_there, there) = _normalised(np.concatenate(rims)), _normalised(middles)
     of_circle = np.repeat(np.arange(len(rims)), [len(rim) for rim in rims])
@@ -71,10 +71,10 @@ def fit_rims(h: FloatArray, rims: Sequence[FloatArray], middles: FloatArray, rad
 
 
 def vanishing_line_homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The homography (3, 3) of the least algebraic residuals with a vanishing line of norm 1 (Eq. 2.44–2.53).
+    """Homography (3, 3) of least algebraic residuals, with a vanishing line of norm 1 (Eq. 2.44–2.53).
 
-    Eq. 2.50 is printed with I − PP⁺ beside X′P and Y′P; it is their product that follows from Eq. 2.49.
-    Raises ValueError when the points are fewer than four or leave the homography undetermined.
+    Eq. 2.50 is printed with I − PP⁺ next to X′P and Y′P; Eq. 2.49 implies their product. Raises ValueError
+    when there are fewer than four points or they leave the homography undetermined.
     """
     if len(source) < _MIN_POINTS:
         raise ValueError(f"{len(source)} points are too few for a homography")
@@ -98,7 +98,7 @@ def apply_homography(homography: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def with_slopes(h: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The mapped points and their derivatives by h1 … h8, as (2 n, 8)."""
+    """Mapped points, and their derivatives by h1 … h8 as (2 n, 8)."""
     plane = np.column_stack([points, np.ones(len(points))])
     mapped = plane @ h.T
     places = mapped[:, :2] / mapped[:, 2:]
@@ -110,7 +110,7 @@ def with_slopes(h: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The similarity that brings points (n, 2) around 0 at a mean distance of √2, and the points after it."""
+    """Similarity that centres points (n, 2) at 0 with a mean distance of √2, and the transformed points."""
     middle = points.mean(axis=0)
     scale = np.sqrt(2) / max(float(np.linalg.norm(points - middle, axis=1).mean()), _DEGENERATE_BELOW)
     similarity = np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1.0]])

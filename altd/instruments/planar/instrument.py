@@ -1,4 +1,4 @@
-"""The instrument ``planar``: which lights of a frame are LEDs, and the pose of their plate."""
+"""The instrument ``planar``: identifies the LEDs among the lights of a frame and solves the plate's pose."""
 
 from __future__ import annotations
 
@@ -30,26 +30,25 @@ QUANTITIES = Quantities(
 
 MIN_LEDS = 2
 _MIN_SURE_LEDS = 3
-"""Three lights fit a layout by chance hardly ever; two do, and look the same when the plate is turned."""
+"""Three lights hardly ever fit a layout by chance; two do, and look the same when the plate is turned."""
 _TOLERANCE_SIGMAS = 6.0
 _MIN_TOLERANCE_MM = 0.02
 _AREA_RATIO_LIMITS = 0.7, 1.4
-"""Of a disc's area to that of the calibrated LEDs; a light beyond them is none."""
+"""Limits of a disc's area relative to the calibrated LEDs; a light outside them is not an LED."""
 _MAX_OUTSIDE_SHARE = 0.5
-"""An LED may lie so far outside the hull of the calibrated places, as a share of the hull's diameter."""
+"""Maximum distance of an LED outside the hull of the calibrated positions, as a share of its diameter."""
 _MAX_STEP_MM = 1.5
-"""An LED that moved less since the frame before is the same one."""
+"""An LED that moved less than this since the frame before is the same one."""
 _MAX_TURN_MARGIN_DEG = 15.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarCalibration:
-    """The camera of one unit and its plate.
+    """Calibration of the camera and the plate of one unit.
 
-    ``frame_noise_px`` is the standard deviation of a centre in a single frame, ``hull_mm`` (n, 2) what the
-    LEDs spanned in the fixed frame, ``known_phi_deg`` the turns of the known poses.
-    ``rms_mm`` and ``rms_deg`` are the leave-one-out errors of the known poses by model, (a and b, φ); empty
-    of a single pose.
+    ``frame_noise_px`` is the standard deviation of a centre in a single frame, ``hull_mm`` (n, 2) the hull of
+    the LEDs in the fixed frame, ``known_phi_deg`` the turns of the known poses. ``rms`` holds the
+    leave-one-out errors of the known poses by model, (a and b in mm, φ in °); empty for a single pose.
     """
 
     unit_serial: str
@@ -68,18 +67,18 @@ class PlanarCalibration:
 
     @property
     def simulated(self) -> bool:
-        """Whether the frames that it rests on were simulated."""
+        """Whether the calibration is based on simulated frames."""
         return self.origin is Origin.SIMULATED
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """A plate has no targets of a beam."""
+        """Empty, because a plate has no beam targets."""
         return ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leds:
-    """The LEDs of one frame, or the mean of several: which (n,), centres (n, 2) px, frames of each (n,)."""
+    """LEDs of one frame, or the mean of several: numbers (n,), centres (n, 2) px, frames of each (n,)."""
 
     numbers: tuple[int, ...]
     centres_px: FloatArray
@@ -87,7 +86,7 @@ class Leds:
 
 
 class PlanarInstrument:
-    """Finds the plate's LEDs among lights and solves the pose; pure, it remembers nothing."""
+    """Identifies the plate's LEDs among lights and solves the pose; without state."""
 
     quantities = QUANTITIES
 
@@ -100,12 +99,12 @@ class PlanarInstrument:
         self._margin_mm = _MAX_OUTSIDE_SHARE * float(np.linalg.norm(span, axis=2).max())
 
     def identify(self, discs: Sequence[Disc], before: Leds | None = None) -> Leds | Fault:
-        """The discs that are LEDs; ``before`` are those of the frame just before.
+        """Return the discs that are LEDs, or a fault; ``before`` holds the LEDs of the frame just before.
 
-        Three discs or more are LEDs when they fit the layout within the uncertainty, no other discs do, and
-        the others are fewer. Two are LEDs when there are no others, they fit in one way alone, and only with
-        the plate not upside down: it was where it is now in the frame before, or its turn is near the known
-        ones. Everything else is a fault.
+        Three or more discs are LEDs when they fit the layout within the uncertainty, no other discs do, and
+        the others are fewer. Two discs are LEDs when there are no others, they fit in one way alone, and the
+        plate is not upside down: it was there in the frame before, or its turn is near the known ones.
+        Everything else is a fault.
         """
         discs = self._of_led_size(discs)
         if len(discs) < MIN_LEDS:
@@ -129,7 +128,7 @@ class PlanarInstrument:
         return Leds(tuple(led), points_px[light], (1,) * len(led))
 
     def solve(self, leds: Leds) -> dict[str, Value] | Fault:
-        """The quantities, or why there are none."""
+        """Return the quantities, or the fault that prevents them."""
         if len(leds.numbers) < MIN_LEDS:
             return _missing(len(leds.numbers))
         calibration = self._calibration
@@ -163,7 +162,7 @@ class PlanarInstrument:
         ]
 
     def _tolerance_mm(self, points_mm: FloatArray) -> FloatArray:
-        """The largest distance of each light from its LED, (n,)."""
+        """Maximum distance of each light from its LED, (n,) mm."""
         fit, per_mm = self._fit, self._fit.camera.px_per_mm(points_mm)
         slopes = fit.camera.jacobian(points_mm)
         parameters = len(fit.camera.parameters)
@@ -175,7 +174,7 @@ class PlanarInstrument:
         return np.asarray(np.maximum(_TOLERANCE_SIGMAS * sigma_mm, _MIN_TOLERANCE_MM))
 
     def _of_two(self, ways: Sequence[Match], points_px: FloatArray, before: Leds | None) -> Match | Fault:
-        """The only way in which two lights can be LEDs."""
+        """Return the only way in which two lights can be LEDs, or a fault."""
         if len(points_px) > MIN_LEDS:
             detail = f"of {len(points_px)} lights no three fit the layout: two alone are not sure to be LEDs"
             return Fault(Reason.LEDS_MISFIT, detail=detail)
@@ -189,7 +188,7 @@ class PlanarInstrument:
         return Fault(Reason.LEDS_MISFIT, detail=detail)
 
     def _is_followed(self, way: Match, points_px: FloatArray, before: Leds) -> bool:
-        """Whether the LEDs were nearly there in the frame before."""
+        """Whether the LEDs were close to these positions in the frame before."""
         if not {led for led, _ in way.pairs} <= set(before.numbers):
             return False
         led, light = (list(column) for column in zip(*way.pairs, strict=True))
@@ -204,15 +203,15 @@ class PlanarInstrument:
         return abs(wrapped_deg(phi_deg - middle_deg)) <= half_deg
 
     def _outside_mm(self, points_mm: FloatArray) -> float:
-        """By how much the farthest of places (n, 2) lies outside the hull; negative: inside."""
+        """Distance of the farthest of places (n, 2) outside the hull, mm; negative: all are inside."""
         return float((points_mm @ self._edges[:, :2].T - self._edges[:, 2]).max())
 
 
 def _of_three_or_more(ways: Sequence[Match], lights: int, leds: int) -> Match | Fault:
-    """The best way, unless others could be the plate, or most lights are none of its LEDs.
+    """Return the best match, or a fault if other lights could be the plate or most lights are not its LEDs.
 
-    Two lights that are as far from each other as two LEDs may be those of a plate of which the others are
-    dark; only where all LEDs are found they cannot be.
+    Two lights at the distance of two LEDs may belong to a plate whose other LEDs are dark. This is excluded
+    only where all LEDs are found.
     """
     best = ways[0]
     used = {light for _, light in best.pairs}
@@ -232,9 +231,10 @@ def _missing(count: int) -> Fault:
 
 
 def _allowed_turns(known_deg: Sequence[float]) -> tuple[float, float] | None:
-    """Middle and half width of the turns in which a pair of LEDs is read; None: any turn may be.
+    """Middle and half width of the turns accepted for a pair of LEDs; None: known turns span 180° or more.
 
-    The known turns and a margin on both sides, so that no turn and its opposite are both in it.
+    These are the known turns with a margin on both sides, such that no turn and its opposite are both
+    accepted.
     """
     turns = np.sort(np.mod(known_deg, 360.0))
     gaps = np.diff(np.append(turns, turns[0] + 360.0))

@@ -22,11 +22,11 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """The geometry: a rail and an edge for each of three legs; every array has one row or entry a leg.
+    """Geometry: a rail and an edge for each of three legs; every array has one row or entry per leg.
 
     ``rail_start_mm`` (3, 2) and ``rail_deg`` (3,) are in the fixed frame, ``edge_deg`` (3,) and
-    ``edge_offset_mm`` (3,) in the frame of the EE. An edge holds the points x with n·x = offset, its normal n
-    is its direction turned by +90°. ``limits_mm`` (3, 2) are the first and the last place of each joint,
+    ``edge_offset_mm`` (3,) in the frame of the EE. An edge holds the points x with n·x = offset; its normal n
+    is its direction turned by +90°. ``limits_mm`` (3, 2) holds the minimum and maximum of each joint,
     ``joint_scale`` (3,) its true travel per stated travel.
     """
 
@@ -39,9 +39,9 @@ class Machine:
 
     @classmethod
     def of_triangles(cls, fixed_mm: ArrayLike, moving_mm: ArrayLike) -> Machine:
-        """Two triangles by their vertices, (3, 2) each (Fig. 2.9, Eq. 2.18–2.21): leg i is on side i of both.
+        """Machine of two triangles by their vertices, (3, 2) each; leg i is on side i of both.
 
-        Side i connects the vertices i and i + 1; the joints may use whole rails.
+        Side i connects the vertices i and i + 1; the joints may use whole rails (Fig. 2.9, Eq. 2.18–2.21).
         """
         fixed, moving = np.asarray(fixed_mm, float), np.asarray(moving_mm, float)
         rails = np.roll(fixed, -1, axis=0) - fixed
@@ -54,20 +54,20 @@ class Machine:
 
     @property
     def weights(self) -> FloatArray:
-        """Weights w (3,) with Σ w n = 0 for the normals of the edges; it is in proportion to the sides."""
+        """Weights w (3,) with Σ w n = 0 for the normals n of the edges; proportional to the sides."""
         second, third = np.roll(self.edge_deg, -1), np.roll(self.edge_deg, -2)
         weights: FloatArray = np.sin(np.radians(third - second))
         return weights
 
     def rail_points_mm(self, joints_mm: ArrayLike) -> FloatArray:
-        """The driven points (..., 3, 2) in the fixed frame."""
+        """Driven points (..., 3, 2) in the fixed frame, mm."""
         joints = np.asarray(joints_mm, float)
         travel = joints * self.joint_scale
         points: FloatArray = self.rail_start_mm + travel[..., None] * _direction(np.radians(self.rail_deg))
         return points
 
     def crossing_sines(self, phi_deg: ArrayLike) -> FloatArray:
-        """Sine (..., 3) of the angle from each edge to its rail; a leg is singular where it is 0 (type 1)."""
+        """Sine (..., 3) of the angle from each edge to its rail; a leg with sine 0 is singular (type 1)."""
         sines: FloatArray = np.sin(
             np.radians(self.rail_deg - self.edge_deg - np.asarray(phi_deg, float)[..., None])
         )
@@ -75,11 +75,11 @@ class Machine:
 
 
 def double_triangle(base_mm: float = 500.0) -> Machine:
-    """The source's machine: two equal isosceles triangles, long to short side 6 : 5 (§2.3.2).
+    """Machine of the source: two equal isosceles triangles, long to short side 6 : 5 (§2.3.2).
 
     The source does not print its dimensions. The rails are base, right and left leg of the fixed triangle,
-    O at the origin and the base along x. Of all assignments of edges to rails only one gives Eq. 2.64: at φ
-    = 0 the edges are parallel to the right leg, the left leg and the base.
+    with O at the origin and the base along x. Only one assignment of edges to rails gives Eq. 2.64: at φ = 0
+    the edges are parallel to the right leg, the left leg and the base.
     """
     leg_mm = 1.2 * base_mm
     half, height = base_mm / 2, (leg_mm**2 - base_mm**2 / 4) ** 0.5
@@ -110,10 +110,10 @@ def distances_mm(machine: Machine, poses: ArrayLike) -> FloatArray:
 
 
 def poses_of(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
-    """Forward kinematics: the poses (..., 2, 3) of both assembly modes, NaN where the machine cannot close.
+    """Forward kinematics: poses (..., 2, 3) of both assembly modes, NaN where the machine cannot close.
 
-    The weighted sum of the three constraints n·P − n·(a, b) = offset has no (a, b) left, since Σ w n = 0.
-    It is A cos φ + B sin φ = C, so φ = atan2(B, A) ± acos(C / √(A² + B²)): mode 0 has the plus sign. φ is
+    The weighted sum of the three constraints n·P − n·(a, b) = offset does not contain (a, b), because Σ w n =
+    0. It is A cos φ + B sin φ = C, so φ = atan2(B, A) ± acos(C / √(A² + B²)): mode 0 has the plus sign. φ is
     in (−180°, 180°].
     """
     points = machine.rail_points_mm(joints_mm)
@@ -138,7 +138,7 @@ def poses_of(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
 
 
 def constraint_jacobian(machine: Machine, poses: ArrayLike, joints_mm: ArrayLike) -> FloatArray:
-    """K (..., 3, 3): how far (mm) each edge leaves its driven point per mm in a and b and radian in φ.
+    """K (..., 3, 3): distance (mm) of each edge from its driven point, per mm in a and b and radian in φ.
 
     K d(a, b, φ) = sines · joint_scale · d(joints). It has no inverse where the normals of the edges in the
     driven points meet in one point (type 2).
@@ -151,7 +151,7 @@ def constraint_jacobian(machine: Machine, poses: ArrayLike, joints_mm: ArrayLike
 
 
 def image_points(poses: ArrayLike) -> FloatArray:
-    """X0 … X3 (..., 4) of poses in the kinematic image space (Eq. 2.9)."""
+    """Points X0 … X3 (..., 4) of poses in the kinematic image space (Eq. 2.9)."""
     pose = np.asarray(poses, float)
     a, b, half = pose[..., 0], pose[..., 1], np.radians(pose[..., 2]) / 2
     cosine, sine = np.cos(half), np.sin(half)
@@ -159,7 +159,7 @@ def image_points(poses: ArrayLike) -> FloatArray:
 
 
 def poses_of_image(points: ArrayLike) -> FloatArray:
-    """The poses (..., 3) of points (..., 4) in the kinematic image space (Eq. 2.10–2.12)."""
+    """Poses (..., 3) of points (..., 4) in the kinematic image space (Eq. 2.10–2.12)."""
     x0, x1, x2, x3 = np.moveaxis(np.asarray(points, float), -1, 0)
     norm = x0**2 + x3**2
     a, b = 2 * (x1 * x3 + x0 * x2) / norm, 2 * (x2 * x3 - x0 * x1) / norm
@@ -201,6 +201,6 @@ def _normal(angle_rad: FloatArray) -> FloatArray:
 
 
 def _rotation(angle_rad: FloatArray) -> FloatArray:
-    """(..., 2, 2)."""
+    """Rotation matrices (..., 2, 2)."""
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)

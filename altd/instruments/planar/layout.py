@@ -1,4 +1,4 @@
-"""Assigns lights to the LEDs of a plate by its layout, whatever its pose, also when some are dark."""
+"""Assignment of lights to the LEDs of a plate by its layout, in any pose, also when some are dark."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from altd.instruments.planar.homography import apply_homography, fit_homography
 from altd.records import FloatArray
 
 Pairs = tuple[tuple[int, int], ...]
-"""(LED, light), in the order of the LEDs."""
+"""Pairs (LED, light), in the order of the LEDs."""
 
 Pose = tuple[float, float, float]
-"""(a mm, b mm, φ °) of Eq. 2.59."""
+"""Pose (a mm, b mm, φ °) of Eq. 2.59."""
 
 _MAX_HYPOTHESES = 60_000
 _MAX_STRETCH = 2.5
-"""Ratio of the two scales of an affine picture: a camera that looks at the plate under 66°."""
+"""Maximum ratio of the two scales of an affine picture: a camera that views the plate at 66°."""
 _AFFINE_SHARE = 0.25
-"""A light deviates from an affine picture by at most this share of the LEDs' least distance."""
+"""Maximum deviation of a light from an affine picture, as a share of the LEDs' minimum distance."""
 _FITTED_SHARE = 0.02
-"""The same from the homography through all of them; a lens distorts, and a homography does not."""
+"""The same for the homography through all lights; it does not model the distortion of a lens."""
 _MIN_LEDS_OF_HOMOGRAPHY = 5
-"""One more than it needs: four lights fit any four LEDs."""
+"""Minimum number of LEDs, one more than a homography needs: four lights fit any four LEDs."""
 _MIN_FITTING_SHARE = 0.75
-"""Of the LEDs, or of the lights where these are fewer: five of seven lights fit by chance."""
+"""Minimum share of the LEDs, or of the lights if these are fewer: five of seven lights fit by chance."""
 
 
 def placed_mm(leds_mm: FloatArray, pose: Pose) -> FloatArray:
-    """LEDs (n, 2) of the plate in the fixed frame (Eq. 2.59)."""
+    """Positions (n, 2) of the plate's LEDs in the fixed frame, mm (Eq. 2.59)."""
     a_mm, b_mm, phi_deg = pose
     return leds_mm @ rotation(phi_deg).T + (a_mm, b_mm)
 
 
 def rotation(phi_deg: float) -> FloatArray:
-    """The rotation (2, 2) of Eq. 2.59."""
+    """Rotation matrix (2, 2) of Eq. 2.59."""
     cosine, sine = math.cos(math.radians(phi_deg)), math.sin(math.radians(phi_deg))
     return np.array([[cosine, -sine], [sine, cosine]])
 
 
 def wrapped_deg(phi_deg: float) -> float:
-    """The same angle in (−180°, 180°]."""
+    """Wrap an angle to (−180°, 180°]."""
     return 180.0 - (180.0 - phi_deg) % 360.0
 
 
 def rigid_pose(leds_mm: FloatArray, points_mm: FloatArray) -> Pose:
-    """The pose that takes LEDs (n, 2) nearest to points (n, 2) in least squares, n ≥ 2."""
+    """Pose that maps LEDs (n, 2) to points (n, 2) by least squares, n ≥ 2."""
     led, point = leds_mm.mean(axis=0), points_mm.mean(axis=0)
     a, b = leds_mm - led, points_mm - point
     phi = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
@@ -59,7 +59,7 @@ def rigid_pose(leds_mm: FloatArray, points_mm: FloatArray) -> Pose:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A way in which lights are LEDs, and the pose that follows."""
+    """An assignment of lights to LEDs, and the pose that follows."""
 
     pairs: Pairs
     pose: Pose
@@ -67,15 +67,15 @@ class Match:
 
 
 def rigid_matches(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: FloatArray) -> list[Match]:
-    """All ways in which two lights or more are LEDs of a rigid plate, the most lights first.
+    """Find all assignments of two or more lights to LEDs of a rigid plate, the most lights first.
 
     ``points_mm`` (n, 2) are the lights in the fixed frame, ``tolerance_mm`` (n,) limits each one's deviation
-    from its LED. A way that is part of another one is left out.
+    from its LED. An assignment that is part of another one is dropped.
     """
     found: dict[Pairs, Match] = {}
     for pose in _poses_by_pairs(leds_mm, points_mm, tolerance_mm):
         pairs: Pairs = ()
-        for _ in range(3):  # two lights near each other turn the plate badly: again with all that fit
+        for _ in range(3):  # two close lights determine the turn poorly: refine with all that fit
             lever = 1.0 if pairs else 4.0
             closer = nearest(placed_mm(leds_mm, pose), points_mm, lever * tolerance_mm)
             if len(closer) < 2 or closer == pairs:
@@ -93,7 +93,7 @@ def rigid_matches(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: Floa
 
 
 def _poses_by_pairs(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: FloatArray) -> list[Pose]:
-    """The poses in which two lights are as far from each other as two LEDs."""
+    """Poses in which two lights have the distance of two LEDs."""
     leds = np.array(list(itertools.permutations(range(len(leds_mm)), 2)))
     lights = np.array(list(itertools.combinations(range(len(points_mm)), 2))).reshape(-1, 2)
     of_leds = np.linalg.norm(leds_mm[leds[:, 0]] - leds_mm[leds[:, 1]], axis=1)
@@ -107,7 +107,7 @@ def _poses_by_pairs(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: Fl
 
 
 def nearest(leds: FloatArray, lights: FloatArray, tolerance: FloatArray) -> Pairs:
-    """LEDs and lights that are each other's nearest, within the light's tolerance."""
+    """Pairs of LEDs and lights that are each other's nearest, within the light's tolerance."""
     distance = np.linalg.norm(leds[:, None, :] - lights[None, :, :], axis=2)
     of_led, of_light = distance.argmin(axis=1), distance.argmin(axis=0)
     return tuple(
@@ -118,12 +118,12 @@ def nearest(leds: FloatArray, lights: FloatArray, tolerance: FloatArray) -> Pair
 
 
 def min_distance_mm(leds_mm: FloatArray) -> float:
-    """The distance of the two LEDs that are nearest to each other."""
+    """Distance of the two closest LEDs, mm."""
     return min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(leds_mm, 2))
 
 
 def check_layout(leds_mm: FloatArray) -> None:
-    """Raise ValueError for a layout that lies on a line, or that a turn takes into itself."""
+    """Raise ValueError for a layout on a line, or one that a turn maps to itself."""
     if np.linalg.svd(leds_mm - leds_mm.mean(axis=0), compute_uv=False)[1] < 1e-3 * np.ptp(leds_mm):
         raise ValueError("the LEDs lie on a line")
     tolerance = np.full(len(leds_mm), 0.05 * min_distance_mm(leds_mm))
@@ -133,10 +133,10 @@ def check_layout(leds_mm: FloatArray) -> None:
 
 
 def projective_match(leds_mm: FloatArray, lights_px: FloatArray) -> Pairs:
-    """The lights that are LEDs, by layout alone: whatever the camera and the pose, but not mirrored.
+    """Find the lights that are LEDs by layout alone, for any camera and pose, but not mirrored.
 
-    Every affine picture of three LEDs is tried, and the best refined to a homography. Raises ValueError when
-    fewer than five LEDs or three quarters of them fit, or another way fits as well.
+    Affine pictures of three LEDs give candidates, and a homography is fitted to each. Raises ValueError when
+    fewer than five LEDs or three quarters of them fit, or another assignment fits as well.
     """
     ways: dict[Pairs, float] = {}
     most = min(len(leds_mm), len(lights_px))
@@ -156,7 +156,7 @@ def projective_match(leds_mm: FloatArray, lights_px: FloatArray) -> Pairs:
 
 
 def _misfit(leds_mm: FloatArray, lights_px: FloatArray, pairs: Pairs) -> float:
-    """The rms of a homography through LEDs and lights, px, as if each had its share of the redundancy."""
+    """Rms residual of a homography through LEDs and lights, px, corrected for the degrees of freedom."""
     led, light = (list(column) for column in zip(*pairs, strict=True))
     try:
         homography = fit_homography(leds_mm[led], lights_px[light])
@@ -167,10 +167,10 @@ def _misfit(leds_mm: FloatArray, lights_px: FloatArray, pairs: Pairs) -> float:
 
 
 def _affine_pictures(leds_mm: FloatArray, lights_px: FloatArray) -> Sequence[tuple[FloatArray, float]]:
-    """All LEDs in the affine pictures that take three of them to three lights; the least distance there.
+    """All LEDs in the affine pictures that map three of them to three lights; their minimum distance there.
 
-    Those of the largest triangles, in which three lights say most; v runs down, so a picture that is not
-    mirrored has a negative determinant.
+    The largest triangles are used, because their three lights determine most. v points down, so a picture
+    that is not mirrored has a negative determinant.
     """
     triples = list(itertools.combinations(range(len(leds_mm)), 3))
     lights = np.array(list(itertools.permutations(range(len(lights_px)), 3))).reshape(-1, 3)

@@ -11,31 +11,31 @@ from altd.vision.led_discs import Disc, find_discs
 from altd.vision.search import coarse_image, fit_background
 
 MAX_LIGHTS = 100
-"""More are no picture of a plate: matching them would take seconds."""
+"""Maximum number of lights: more are not a picture of a plate, and matching them would take seconds."""
 
 _RAYS = 32
 _STEPS_PER_PX = 4
 _REACH = 1.8
-"""The rim is sought up to so many radii from the centre."""
+"""Maximum distance from the centre at which the rim is searched, in radii."""
 
 
 def led_image(pixels: PixelArray | Image) -> Image:
-    """A frame, or a mean of frames, less its smooth background, counts."""
+    """Subtract the smooth background from a frame or a mean of frames, counts."""
     background = fit_background(coarse_image(pixels))
     return np.asarray(pixels.astype(np.float32) - background.at((0.0, 0.0), pixels.shape))
 
 
 def find_leds(image: Image) -> tuple[Disc, ...]:
-    """The discs in an image of ``led_image`` that the border does not cut; what they are is not known yet.
+    """Find the discs in an image of ``led_image`` that the border does not cut; they are not identified yet.
 
-    The brightest ``MAX_LIGHTS`` of them.
+    Returns at most the ``MAX_LIGHTS`` brightest.
     """
     whole = (disc for disc in find_discs(image).found if not disc.is_cut)
     return tuple(sorted(whole, key=lambda disc: -disc.level)[:MAX_LIGHTS])
 
 
 def rim_points_px(image: Image, disc: Disc) -> FloatArray:
-    """Points (n, 2) of a disc's rim: half its level on rays from its centre, interpolated linearly."""
+    """Points (n, 2) of a disc's rim: half its level on rays from its centre, linearly interpolated."""
     radius_px = np.sqrt(disc.area_px / np.pi)
     along = np.arange(0.0, _REACH * radius_px + 2.0, 1.0 / _STEPS_PER_PX)
     angle = 2.0 * np.pi * np.arange(_RAYS) / _RAYS

@@ -1,4 +1,4 @@
-"""A camera that looks at a plane: homography or lens, mm of the plane ↔ px of the picture."""
+"""Camera of a plane: homography or lens, mm of the plane ↔ px of the picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Model = Literal["homography", "lens"]
 MODELS: tuple[Model, ...] = get_args(Model)
 
 STEP_MM = 0.5
-"""Of derivatives by places on the plane."""
+"""Step of numerical derivatives by position on the plane."""
 _NEWTON_STEPS = 12
 _NEGLIGIBLE_MM = 1e-7
 
@@ -26,8 +26,8 @@ _NEGLIGIBLE_MM = 1e-7
 class PlaneCamera:
     """Places (n, 2) mm of the plane ↔ (n, 2) px, through a homography or a lens with Brown's distortion.
 
-    Both models count from ``origin_mm``. ``parameters`` of the homography are h1 … h8 of mm → px with h9 = 1,
-    those of the lens are ``Camera.parameters``.
+    Both models are relative to ``origin_mm``. ``parameters`` of the homography are h1 … h8 of mm → px with h9
+    = 1, those of the lens are ``Camera.parameters``.
     """
 
     model: Model
@@ -38,25 +38,25 @@ class PlaneCamera:
 
     @property
     def precision(self) -> FloatArray:
-        """Of what is known of the parameters before, (p,): 1/σ², 0 where nothing is."""
+        """Prior precision of the parameters, (p,): 1/σ², 0 without prior knowledge."""
         if self.model == "homography":
             return np.zeros(len(self.parameters))
         precision: FloatArray = 1.0 / np.square(self._camera.prior)
         return precision
 
     def moved_by(self, step: FloatArray) -> PlaneCamera:
-        """The same with other parameters."""
+        """Copy with ``step`` added to the parameters."""
         return replace(self, parameters=self.parameters + step)
 
     def to_px(self, points_mm: FloatArray) -> FloatArray:
-        """The picture of places (n, 2) mm."""
+        """Image points (n, 2) px of places (n, 2) mm."""
         from_origin = points_mm - self.origin_mm
         if self.model == "lens":
             return self._camera.to_px(from_origin)
         return apply_homography(self._homography, from_origin)
 
     def jacobian(self, points_mm: FloatArray) -> FloatArray:
-        """d(u, v)/d(parameters), (n, 2, p)."""
+        """Jacobian d(u, v)/d(parameters), (n, 2, p)."""
         from_origin = points_mm - self.origin_mm
         if self.model == "lens":
             slopes = self._camera.jacobian(from_origin)
@@ -65,11 +65,11 @@ class PlaneCamera:
         return slopes.reshape(len(points_mm), 2, -1)
 
     def px_per_mm(self, points_mm: FloatArray) -> FloatArray:
-        """d(u, v)/d(x, y), (n, 2, 2)."""
+        """Jacobian d(u, v)/d(x, y), (n, 2, 2)."""
         return jacobian_px_per_mm(self.to_px, points_mm, STEP_MM)
 
     def to_mm(self, points_px: FloatArray) -> FloatArray:
-        """The places (n, 2) mm that are seen at (n, 2) px, by Newton's method; NaN where it fails."""
+        """Places (n, 2) mm of image points (n, 2) px, by Newton's method; NaN where it fails."""
         points_mm = np.repeat(self.origin_mm[None, :], len(points_px), axis=0)
         with np.errstate(all="ignore"):
             for _ in range(_NEWTON_STEPS):
@@ -95,7 +95,7 @@ class PlaneCamera:
 def homography_camera(
     mm_per_px: FloatArray, points_mm: FloatArray, image_size: tuple[int, int]
 ) -> PlaneCamera:
-    """The camera of a homography (3, 3) px → mm; ``points_mm`` (n, 2) lie about its origin."""
+    """Camera of a homography (3, 3) px → mm; its origin is the mean of ``points_mm`` (n, 2)."""
     origin = points_mm.mean(axis=0)
     from_origin = np.array([[1.0, 0.0, origin[0]], [0.0, 1.0, origin[1]], [0.0, 0.0, 1.0]])
     px_per_mm = np.linalg.inv(mm_per_px) @ from_origin
@@ -103,7 +103,7 @@ def homography_camera(
 
 
 def lens_camera(points_mm: FloatArray, points_px: FloatArray, image_size: tuple[int, int]) -> PlaneCamera:
-    """The lens through places (n, 2) mm seen at (n, 2) px; raises ValueError when they are too few."""
+    """Fit a lens to places (n, 2) mm and their image points (n, 2) px; raises ValueError for too few."""
     origin = points_mm.mean(axis=0)
     camera = fit_camera(Nodes.ordinary(points_mm - origin, points_px), image_size)
     return PlaneCamera("lens", camera.parameters, origin, *image_size)

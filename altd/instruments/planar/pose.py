@@ -1,4 +1,4 @@
-"""The pose of the plate from the centres of its LEDs (Eq. 2.59), with its covariance."""
+"""Pose of the plate from the centres of its LEDs (Eq. 2.59), with its covariance."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from altd.records import FloatArray
 
 _ITERATIONS = 4
 _PRIOR_DEGREES = 10.0
-"""The calibration's noise counts as so many degrees of freedom beside those of the LEDs."""
+"""Degrees of freedom with which the calibration's noise counts, in addition to those of the LEDs."""
 _MAX_MISFIT = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedPose:
-    """A pose (a mm, b mm, φ °), its covariance (3, 3) and the part of that which scatters.
+    """A pose (a mm, b mm, φ °), its covariance (3, 3) and the random part of that.
 
     ``misfit`` is the residuals' chi-square as a standard normal deviate (Wilson and Hilferty's cube root).
     """
@@ -33,7 +33,7 @@ class SolvedPose:
 
     @property
     def fits(self) -> bool:
-        """Whether the LEDs are where a rigid plate has them."""
+        """Whether the LEDs fit a rigid plate."""
         return self.misfit <= _MAX_MISFIT
 
 
@@ -44,12 +44,12 @@ def solve_pose(
     centres_px: FloatArray,
     noise_px: FloatArray,
 ) -> SolvedPose:
-    """Generalised least squares over two LEDs or more.
+    """Solve the pose by generalised least squares over two or more LEDs.
 
-    ``noise_px`` (n,) is what the exposures leave in each centre. The camera and the LEDs' places are
-    uncertain for all LEDs together: their covariance goes into the weights and into the result. Where the
-    LEDs agree worse than expected, the covariance grows with it (Birge's ratio, with the calibration's noise
-    as prior).
+    ``noise_px`` (n,) is the noise of each centre that remains after averaging. Errors of the camera and of
+    the LED positions are common to all LEDs: their covariance enters the weights and the result. Where the
+    LEDs agree worse than expected, the covariance grows accordingly (Birge's ratio, with the calibration's
+    noise as prior).
     """
     moment_mm2 = disc_mm**2 / 16
     pose = rigid_pose(fit.leds_mm[leds], fit.camera.to_mm(centres_px))

@@ -1,8 +1,8 @@
-"""Singular poses of the planar 3-PRP machine (§2.3.5): where it loses, or gains, a freedom of motion.
+"""Singular poses of the planar 3-PRP machine (§2.3.5), where it loses or gains a degree of freedom.
 
 Type 1: a rail is parallel to its edge, and moving the joint does not move the EE. This depends on φ alone.
-Type 2: the normals of the edges in the driven points meet in one point (Eq. 2.37), and the EE turns about
-it though the joints are locked. At one φ these poses are a straight line in (a, b). Type 3: both.
+Type 2: the normals of the edges in the driven points meet in one point (Eq. 2.37), and the EE can turn about
+it with locked joints. At one φ these poses form a straight line in (a, b). Type 3: both.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from altd.records import FloatArray
 
 
 def parallel_orientations_deg(machine: Machine) -> FloatArray:
-    """φ (3,) in (−90°, 90°] at which each rail is parallel to its edge (type 1); φ + 180° is one too."""
+    """φ (3,) in (−90°, 90°] at which each rail is parallel to its edge (type 1); so is φ + 180°."""
     orientations: FloatArray = 90.0 - np.mod(90.0 - (machine.rail_deg - machine.edge_deg), 180.0)
     return orientations
 
@@ -36,11 +36,11 @@ class Line(NamedTuple):
 
 
 def concurrent_line(machine: Machine, phi_deg: ArrayLike) -> Line:
-    """The poses of type 2 at each φ (...): normals (..., 2) and offsets (...) of straight lines in (a, b).
+    """Poses of type 2 at each φ (...): normals (..., 2) and offsets (...) of straight lines in (a, b).
 
     A driven point is where its rail m·x = e crosses its edge, t = (e − m·(a, b) − offset m·n) / sine along
     the edge. The normals meet in one point where Σ w t = 0, which is linear in (a, b). Where a rail is
-    parallel to its edge, the line is that of the poses in which both coincide: type 1.
+    parallel to its edge, the line holds the poses in which both coincide: type 1.
     """
     phi = np.asarray(phi_deg, float)
     rail, edge = np.radians(machine.rail_deg), np.radians(machine.edge_deg + phi[..., None])
@@ -60,9 +60,9 @@ def image_determinant(machine: Machine, poses: ArrayLike) -> FloatArray:
     """Determinant B (...) of Eq. 2.33, cleared of the joints' denominators, at poses (..., 3).
 
     The rows of B are the gradients of the three quadrics and of X0² + X3² = 4 in the image space. A quadric's
-    row is linear in its joint = distance / sine, so that a row times its sine is finite in every pose. The
-    product is zero for poses of type 2, and where a rail and its edge coincide (type 1). ``quadrics`` has its
-    scale.
+    row is linear in its joint = distance / sine, so a row times its sine is finite in every pose. The product
+    is zero for poses of type 2, and where a rail and its edge coincide (type 1). Its scale is that of
+    ``quadrics``.
     """
     pose = np.asarray(poses, float)
     start, slope = (
@@ -81,11 +81,11 @@ def image_determinant(machine: Machine, poses: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Clearance:
-    """The nearest singular poses along a path.
+    """Nearest singular poses along a path.
 
-    ``turn_deg``: the smallest turn to a parallel rail and edge (type 1), of leg ``leg`` at ``turn_at`` (0
-    to 1 along the path). ``shift_mm``: the smallest shift to a pose of type 2, at ``shift_at``. Zero: the
-    path meets one.
+    ``turn_deg``: the smallest turn to a parallel rail and edge (type 1), of leg ``leg`` at ``turn_at`` (0 to
+    1 along the path). ``shift_mm``: the smallest shift to a pose of type 2, at ``shift_at``. Zero: the path
+    meets a singular pose.
     """
 
     turn_deg: float
@@ -98,8 +98,8 @@ class Clearance:
 def clearance(machine: Machine, first: ArrayLike, last: ArrayLike, steps: int = 1000) -> Clearance:
     """Distances to singular poses on the straight path from pose ``first`` to pose ``last`` in (a, b, φ).
 
-    φ runs from the one to the other value as given, without wrapping. Between two of ``steps`` samples a
-    change of sign is found by linear interpolation; two changes between them are not seen.
+    φ runs between the given values without wrapping. A change of sign between two of ``steps`` samples is
+    located by linear interpolation; two changes between them are not detected.
     """
     at = np.linspace(0.0, 1.0, steps + 1)
     poses = np.asarray(first, float) + at[:, None] * (np.asarray(last, float) - np.asarray(first, float))
@@ -113,7 +113,7 @@ def clearance(machine: Machine, first: ArrayLike, last: ArrayLike, steps: int = 
 
 
 def _nearest_zero(at: FloatArray, values: FloatArray, jump: float = np.inf) -> tuple[float, float]:
-    """The smallest |value| and where; a change of sign is a zero, unless it jumps by more than ``jump``."""
+    """Smallest |value| and its position; a change of sign is a zero, unless its jump exceeds ``jump``."""
     crossed = (values[:-1] * values[1:] < 0) & (np.abs(np.diff(values)) < jump)
     if crossed.any():
         k = int(np.argmax(crossed))

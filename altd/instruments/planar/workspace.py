@@ -1,8 +1,8 @@
-"""The workspace of the planar 3-PRP machine: the solid between the surfaces of Eq. 2.28–2.30 in (a, b, φ).
+"""Workspace of the planar 3-PRP machine: the solid between the surfaces of Eq. 2.28–2.30 in (a, b, φ).
 
-At one φ a joint is linear in (a, b): each leg allows the strip between two lines parallel to its edge, and
-the workspace is where the three strips overlap, a convex polygon of at most six corners (Fig. 2.11). A
-strip has no width at the φ of its type-1 singularity, so these orientations cut the solid into pieces.
+At one φ a joint is linear in (a, b). Each leg allows the strip between two lines parallel to its edge, and
+the workspace is the overlap of the three strips, a convex polygon of at most six corners (Fig. 2.11). A strip
+has no width at the φ of its type-1 singularity, so these orientations cut the solid into pieces.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from altd.records import FloatArray
 
 
 def contains(machine: Machine, poses: ArrayLike) -> npt.NDArray[np.bool_]:
-    """Whether all joints of poses (..., 3) are within their limits; a pose with a parallel leg is not."""
+    """Whether all joints of poses (..., 3) are within their limits; False for a pose with a parallel leg."""
     joints = joints_of(machine, poses)
     with np.errstate(invalid="ignore"):
         inside = (joints >= machine.limits_mm[:, 0]) & (joints <= machine.limits_mm[:, 1])
@@ -46,7 +46,8 @@ def slice_mm(machine: Machine, phi_deg: float) -> FloatArray:
 def volume_mm2_deg(machine: Machine, first_deg: float, last_deg: float, order: int = 400) -> float:
     """Volume between two φ, in mm² · °: Gauss–Legendre over φ, exact in a and b.
 
-    The area has kinks where corners of the polygon meet, so ``order`` points serve each of twenty pieces.
+    The area has kinks where corners of the polygon meet, so the ``order`` points are split over twenty
+    pieces.
     """
     nodes, weights = np.polynomial.legendre.leggauss(order // 20)
     ends = np.linspace(first_deg, last_deg, 21)
@@ -65,7 +66,7 @@ def area_mm2(corners: FloatArray) -> float:
 
 
 def _cut(polygon: FloatArray, normal: FloatArray, least: float) -> FloatArray:
-    """The part of a convex polygon (N, 2) with normal·x >= least."""
+    """Part of a convex polygon (N, 2) with normal·x >= ``least``."""
     kept: list[FloatArray] = []
     above = polygon @ normal - least
     for k in range(len(polygon)):

@@ -1,4 +1,4 @@
-"""The answer of each path, from one reading of the board, and the files of the page."""
+"""Responses of the paths, each from one reading of the board, and the files of the page."""
 
 from __future__ import annotations
 
@@ -35,33 +35,33 @@ from altd.status.target_area import as_object
 _FOLDER = Path(__file__).with_name("page_files")
 
 _TYPES = {".js": "text/javascript", ".css": "text/css"}
-"""Files of the folder that are served; licences and the page's frame are not."""
+"""Media types of the served files, by suffix; licences and ``index.html`` are not among these files."""
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""The page may run and load nothing but its own unit's files and answers (Content Security Policy 3)."""
+"""Content Security Policy 3: the page runs and loads only the files and responses of its own unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageFile:
-    """A file of the page, as it is served."""
+    """A served file of the page."""
 
     media_type: str
     content: bytes
 
 
 def page_of(quantities: Quantities) -> str:
-    """The page as a browser gets it. A person sees a decimal less than JSON has."""
+    """Return the HTML of the page, which shows numbers with one decimal fewer than the JSON."""
     page = (_FOLDER / "index.html").read_text(encoding="utf-8")
     document = json.dumps([_facts(quantity, quantities) for quantity in quantities.of_unit])
-    # the only letters that end a script element, which knows no entities
+    # only this character can end a script element, in which entities are not decoded
     return page.replace("{/* quantities */}", document.replace("<", "\\u003c"))
 
 
 def page_files() -> Mapping[str, PageFile]:
-    """The page's scripts and styles, by their paths below ``/page/``."""
+    """Return the page's scripts and styles, by their paths below ``/page/``."""
     return {
         path.relative_to(_FOLDER).as_posix(): PageFile(_TYPES[path.suffix], path.read_bytes())
         for path in sorted(_FOLDER.rglob("*"))
@@ -86,7 +86,7 @@ API_PAGE_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-"""The page of the API loads nothing at all and runs nothing."""
+"""Content Security Policy of the API page, which loads nothing and runs nothing."""
 
 NOTHING_YET = {
     "error": "nothing was measured since the unit started; /api/status says what it waits for",
@@ -95,14 +95,14 @@ NOTHING_YET = {
 
 MAX_BODY_BYTES = 4096
 BODY_TIMEOUT_S = 10.0
-"""The time limit of a request's body."""
+"""Time limit for receiving the body of a request."""
 
 
 class Answers:
-    """The answers of one interface, its own and those of its parts. ``guard`` says who may act.
+    """Handlers of one interface, its own and those of its parts. ``guard`` checks permissions.
 
-    ``document``, as JSON, and ``api_page`` are the API's own and do not change: to make 70 kB of JSON again
-    for each request would hold the loop for some 10 ms.
+    ``document``, the OpenAPI document as JSON, and ``api_page`` are constant: encoding 70 kB of JSON for each
+    request would block the loop for about 10 ms.
     """
 
     def __init__(self, board: Board, health: Health, component: Component, guard: Guard, past: Past) -> None:
@@ -126,26 +126,26 @@ class Answers:
         self.api_page = ""
 
     async def index(self, _: Request) -> Response:
-        """The page."""
+        """Return the page."""
         return HTMLResponse(self._page, headers={"Content-Security-Policy": POLICY})
 
     async def page_file(self, request: Request) -> Response:
-        """A script or a style of the page."""
+        """Return a script or a style of the page."""
         file = self._page_files.get(request.path_params["file"])
         if file is None:
             return refusal(404, "Not Found")
         return Response(file.content, media_type=file.media_type)
 
     async def api(self, _: Request) -> Response:
-        """The page of the API."""
+        """Return the page of the API."""
         return HTMLResponse(self.api_page, headers={"Content-Security-Policy": API_PAGE_POLICY})
 
     async def openapi(self, _: Request) -> Response:
-        """The OpenAPI document."""
+        """Return the OpenAPI document."""
         return Response(self.document, media_type="application/json")
 
     async def measurement(self, _: Request) -> Response:
-        """The latest measurement."""
+        """Return the latest measurement; 503 before the first."""
         measurement = self._board.read()
         if measurement is None:
             return JSONResponse(NOTHING_YET, status_code=503)
@@ -155,36 +155,36 @@ class Answers:
         )
 
     async def status(self, _: Request) -> Response:
-        """The unit's facts and its components."""
+        """Return the unit's facts and its components."""
         return JSONResponse(self._health.as_object())
 
     async def targets(self, _: Request) -> Response:
-        """The areas in which the targets are measured."""
+        """Return the areas in which the targets are measured."""
         return JSONResponse(as_object(self._health.targets))
 
     async def stream(self, request: Request) -> Response:
-        """Measurements as they come."""
+        """Stream measurements as they are published."""
         if request.method == "HEAD":
             return Response(media_type=EventStream.media_type)
         return EventStream(self.streams)
 
     async def resumed_stream(self, request: Request) -> Response:
-        """The same with ids by which it is resumed."""
+        """Stream measurements with ids, by which a client resumes the stream."""
         if request.method == "HEAD":
             return Response(media_type=EventStream.media_type)
         last_id = request.headers.get("Last-Event-ID")
         return EventStream(self.streams, Resuming(None if last_id is None else self.past.since(last_id)))
 
     async def metrics(self, _: Request) -> Response:
-        """All numbers for Prometheus."""
+        """Return all metrics for Prometheus."""
         return Response(self._metrics.text(), headers={"Content-Type": CONTENT_TYPE})
 
     async def alive(self, _: Request) -> Response:
-        """Report that the event loop runs; the answer itself is the proof."""
+        """Report that the event loop runs; the response itself is the proof."""
         return JSONResponse({"alive": True})
 
     async def ready(self, _: Request) -> Response:
-        """Whether the unit measures, valid or not; else why not."""
+        """Report that the unit measures, valid or not; otherwise return 503 with the cause."""
         measurement = self._board.read()
         if measurement is None:
             return refusal(503, self._worst() or "nothing was measured since the unit started")
@@ -193,7 +193,7 @@ class Answers:
         return JSONResponse({"ready": True})
 
     async def log_in(self, request: Request) -> Response:
-        """Begin a session: its secret goes into a cookie that no script can read."""
+        """Begin a session; its secret is sent in a cookie that scripts cannot read."""
         try:
             wanted = await _login_of(request)
         except ClientDisconnect:
@@ -211,12 +211,12 @@ class Answers:
         return answer
 
     async def session(self, request: Request) -> Response:
-        """The user that is logged in, and whether the user may act."""
+        """Return the name of the logged-in user, and whether the client may act."""
         name, may_act = self.guard.viewer(request), self.guard.may_act(request)
         return JSONResponse({"name": name, "may_act": may_act, "login": self.guard.has_credentials})
 
     def _worst(self) -> str:
-        """The worst cause in words, where the unit's state is known."""
+        """Return a text for the worst cause; empty if the unit's state is unknown or has no cause."""
         report = self._health.state()
         if report is None or not report.causes:
             return ""
@@ -225,7 +225,7 @@ class Answers:
 
 
 async def self_check(request: Request, service: SelfCheckService, guard: Guard) -> Response:
-    """The report of the last check; after a POST, of one made on request, for clients that may act."""
+    """Return the report of the last check; a POST makes a new one first, for clients that may act."""
     if request.method != "POST":
         if service.latest is None:
             why = service.unavailable or "there was no self-check since the unit started"
@@ -245,14 +245,14 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
 
 
 async def _login_of(request: Request) -> Login:
-    """The name and password of a request; raises Refused."""
+    """Return name and password of a request; raises Refused."""
     kind = request.headers.get("Content-Type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
         raise Refused(refusal(415, "the body must be application/json"))
     try:
         async with asyncio.timeout(BODY_TIMEOUT_S):
             return Login.model_validate_json(await _body_of(request), strict=True)
-    except ValidationError as error:  # the input is not shown again
+    except ValidationError as error:  # the response does not repeat the input
         raise Refused(refusal(400, "the body must be an object with name and password alone")) from error
     except TimeoutError as error:
         raise Refused(refusal(408, "its body did not come")) from error

@@ -1,6 +1,6 @@
-"""The loaded calibration over HTTP: its figures for everybody, its files for those who may see pictures.
+"""The loaded calibration over HTTP: figures for all clients, files for clients that may see pictures.
 
-File and report hold pictures, too.
+The file and the report contain pictures, too.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ Range = tuple[float | None, float | None]
 
 
 class CalibrationRecording(Answer):
-    """The recordings and settings that a calibration was made from."""
+    """Recordings and settings that a calibration was made from."""
 
     note: str
     sha256: str
 
 
 class CalibrationFileFacts(Answer):
-    """Which file it is; null: it was not read from one."""
+    """The file of the calibration; null checksums: it was not read from a file."""
 
     name: str
     sha256: str | None
-    """Of all bytes of the file, as `sha256sum` gives it; the report and the console show the same."""
+    """SHA-256 of all bytes of the file, as from `sha256sum`; the report and the console show the same."""
     checksum: str | None
-    """The checksum in the file, of its content alone, by which the report names its calibration."""
+    """Checksum in the file, of its content alone, by which the report identifies its calibration."""
 
 
 class CalibratedCamera(Answer):
@@ -44,7 +44,7 @@ class CalibratedCamera(Answer):
 
 
 class Residuals(Answer):
-    """The distance of each node's mapped place from its known one (Eq. 3.1)."""
+    """Distances between the mapped and the known positions of the nodes (Eq. 3.1)."""
 
     mean_mm: float | None
     std_mm: float | None
@@ -52,7 +52,7 @@ class Residuals(Answer):
 
 
 class CalibrationCrossCheck(Answer):
-    """The second map, and how far the two lie apart."""
+    """The second map, and its difference from the first one."""
 
     map: str
     left_out_px: float | None
@@ -61,49 +61,49 @@ class CalibrationCrossCheck(Answer):
 
 
 class CalibrationFingerprint(Answer):
-    """The marks that identify the camera's view."""
+    """Fixed pattern that identifies the camera's view."""
 
     hot_px: int
-    """The number of pixels that shine in any light."""
+    """Number of hot pixels, which are bright in any light."""
     texture: str | None
-    """Source of the target's look: `flat` or `scan`; null: not known."""
+    """Source of the target's surface texture: `flat` or `scan`; null: not known."""
 
 
 class CalibratedTarget(Answer):
-    """One target."""
+    """Calibration of one target."""
 
     name: str
     z_mm: float
     simulated: bool
-    """Made from simulated frames: not for a real unit."""
+    """Whether it was made from simulated frames and is not for a real unit."""
     camera: CalibratedCamera
     width: int
-    """Of the camera's picture, px."""
+    """Width of the camera's frame, px."""
     height: int
     map: str
     x_mm: Range
-    """From the lowest to the highest place in the area in which spots are valid."""
+    """Lowest and highest x in the area in which spots are valid, mm."""
     y_mm: Range
     left_out_px: float | None
-    """The rms by which a node misses the map that is fitted without it."""
+    """Rms of the leave-one-out residuals, px: distances of nodes from the map fitted without them."""
     residuals: Residuals
     repeatability_px: Range
-    """Scatter of single exposures at one node, u and v."""
+    """Scatter of single exposures at one node, u and v, px."""
     leds: int
-    """Frame LEDs whose places are known."""
+    """Number of frame LEDs with a known position."""
     cross_check: CalibrationCrossCheck
     flat: str | None
-    """Source of the target's response: `recording`, `laser` or `print`; null: taken as plain."""
+    """Source of the response to even light: `recording`, `laser` or `print`; null: treated as plain."""
     fingerprint: CalibrationFingerprint | None
-    """null: the camera's view cannot be verified."""
+    """Fingerprint of the camera; null: its view cannot be verified."""
 
 
 class CalibrationReport(Answer):
-    """Whether `/api/v1/calibration/report` has the report on this very calibration."""
+    """Whether `/api/v1/calibration/report` has the report on exactly this calibration."""
 
     available: bool
     why: str
-    """Why not; empty: it has."""
+    """Reason why it is not available; empty: it is."""
 
 
 class CalibrationSummary(Answer):
@@ -111,16 +111,16 @@ class CalibrationSummary(Answer):
 
     unit: str
     created: str
-    """UTC."""
+    """Time at which the calibration was made, UTC."""
     simulated: bool
-    """Any part of it was made from simulated frames: not for a real unit."""
+    """Whether any part of it was made from simulated frames; it is then not for a real unit."""
     recording: CalibrationRecording
     file: CalibrationFileFacts
     exposures: int
-    """Exposures behind `expected_sigma`: the default of `[measuring] window`, not the unit's setting."""
+    """Exposures behind `expected_sigma`: the default of `[measuring] window`, not the setting of the unit."""
     expected_sigma: dict[str, float | None]
-    """Of a measurement of so many exposures, by quantity, predicted from the calibration: 1 sigma, rms over
-    the area that the nodes of all targets span. The report and the console show the same."""
+    """Sigma of a measurement of `exposures`, by quantity: predicted, rms over the area that the nodes of all
+    targets span; for a plate, leave-one-out rms of the known poses. Report and console show the same."""
     targets: list[CalibratedTarget]
     report: CalibrationReport
 
@@ -136,13 +136,13 @@ REPORT_POLICY = (
     "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
-"""A report comes from another computer: it runs nothing, loads nothing, and belongs to no site (CSP 3)."""
+"""Policy of a report, made on another computer: it runs and loads nothing and has no origin (CSP 3)."""
 
 _NONE = "there is no calibration"
 
 
 class LoadedCalibration:
-    """The calibration of one unit, as HTTP gives it."""
+    """Answers requests for the calibration of one unit."""
 
     def __init__(self, service: CalibrationService, guard: Guard, downloads: Downloads) -> None:
         self._service = service
@@ -150,7 +150,7 @@ class LoadedCalibration:
         self._downloads = downloads
 
     async def summary(self, _: Request) -> Response:
-        """The content of the calibration, and whether there is a report on it."""
+        """Return the figures of the calibration, and whether there is a report on it."""
         if self._service.files is None:
             return refusal(503, _NONE)
         why = ""
@@ -161,7 +161,7 @@ class LoadedCalibration:
         return JSONResponse({**self._service.summary, "report": {"available": not why, "why": why}})
 
     async def file(self, request: Request) -> Response:
-        """The file as it was loaded."""
+        """Return the file as it was loaded."""
         files = self._files(request)
 
         async def made() -> Response:
@@ -170,7 +170,7 @@ class LoadedCalibration:
         return Download(self._downloads, made)
 
     async def report(self, request: Request) -> Response:
-        """The report on it."""
+        """Return the report on the calibration."""
         files = self._files(request)
 
         async def made() -> Response:
@@ -180,7 +180,7 @@ class LoadedCalibration:
         return Download(self._downloads, made)
 
     def _files(self, request: Request) -> CalibrationFiles:
-        """The reader of the files; raises Refused."""
+        """Return the reader of the files; raises Refused."""
         self._guard.check_may_look(request)
         if self._service.files is None:
             raise Refused(refusal(503, _NONE))

@@ -1,4 +1,4 @@
-"""The clients: which may connect, how often an address may ask, and the sessions of users who logged in."""
+"""Clients: networks that may connect, rates of requests per address, and sessions of logged-in users."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from altd.tcp_port import Networks, Rate, address_of, is_loopback
 
 
 def host_of(header: str) -> str:
-    """The name or address in a header ``Host``, without the port."""
+    """Return the name or address in a header ``Host``, without the port."""
     if header.startswith("["):
         return header[1:].partition("]")[0]
     return header.partition(":")[0]
 
 
 class OwnNames:
-    """The names by which a browser may address the unit: an address, the computer's own name, and ``names``.
+    """Names by which a browser may address the unit: any address, the computer's own name, and ``names``.
 
-    Any other name may be one that a page of elsewhere has bent to the unit's address (DNS rebinding), so as
-    to read what the browser's computer can.
+    A foreign page may have redirected any other name to the unit's address (DNS rebinding), to read
+    everything that the browser's computer can read.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
@@ -38,7 +38,7 @@ class OwnNames:
 
 
 class Allowed:
-    """Clients that may connect: the unit's own computer, and the networks; all clients if none is named."""
+    """Clients that may connect: the unit's own computer and ``networks``; all clients without networks."""
 
     def __init__(self, networks: Iterable[str]) -> None:
         self._networks = Networks(networks)
@@ -51,22 +51,22 @@ class Allowed:
 
 
 REQUESTS = Rate(burst=100, per_s=50.0)
-"""Of one address: ten browsers behind one address ask for some 20 a second, a request takes about 1 ms."""
+"""Limit of requests per address: ten browsers at one address send about 20/s; a request takes about 1 ms."""
 
 ATTEMPTS = Rate(burst=5, per_s=0.1)
-"""Wrong passwords of one address."""
+"""Limit of wrong passwords per address."""
 
 ALL_ATTEMPTS = Rate(burst=20, per_s=0.2)
-"""The same of all addresses that have not logged in: a password that is tried takes 0.2 s of a core."""
+"""Limit of wrong passwords of all addresses without a login: each attempt takes 0.2 s of a core."""
 
 SELF_CHECK_WAIT_S = 25.0
-"""A check that was asked for has ended by then, unless the cameras do not deliver."""
+"""Time limit of a requested check, which ends earlier unless the cameras do not deliver."""
 
 MAX_WAITING = 8
-"""More do not wait for a check at once, so that connections are left for those who read."""
+"""Maximum number of clients that wait for a check, so that connections remain for reading clients."""
 
 MAX_FAMILIAR = 16
-"""Addresses that have logged in, the last of them: each has its own attempts, whatever others try."""
+"""Number of addresses with the latest logins that have their own attempts, independent of other clients."""
 
 
 MAX_SESSIONS = 16
@@ -83,7 +83,7 @@ class _Session:
 
 
 class Sessions:
-    """The users that are logged in. The key of a session is kept as a hash, by which it is found."""
+    """Sessions of logged-in users. Only the hash of a session's secret is stored, as its key."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -93,9 +93,9 @@ class Sessions:
         return len(self._sessions)
 
     def begin(self, name: str, password: object = None) -> str:
-        """A new session by a password, or its hash; returns its secret.
+        """Begin a session with a password, or its hash; returns its secret.
 
-        Where there are too many, the one longest unused ends.
+        If there are too many, the one unused for longest ends.
         """
         secret, now_ns = secrets.token_urlsafe(32), self._clock.monotonic_ns()
         self._sessions[_key(secret)] = _Session(name, password, now_ns, now_ns)
@@ -104,9 +104,9 @@ class Sessions:
         return secret
 
     def name_of(self, secret: str, password_of: Callable[[str], object] = lambda name: None) -> str | None:
-        """Whose session it is; None: there is no such session, or it is over.
+        """Return the user of a session; None: there is no such session, or it has expired.
 
-        Nor is it his while ``password_of`` gives something else for the name than it was begun with.
+        Also None while ``password_of`` returns another value than the ``password`` of ``begin``.
         """
         key, now_ns = _key(secret), self._clock.monotonic_ns()
         session = self._sessions.get(key)

@@ -1,6 +1,6 @@
-"""An archive of diagnostics that a technician sends to an expert, made on request or by ``altd diagnose``.
+"""Archive of diagnostics for a technician to send to an expert, made on request or by ``altd diagnose``.
 
-Each part is bounded in size and time. The archive names a part that is not available and contains all others.
+Each part is limited in size and time. The archive lists unavailable parts and contains all others.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from altd.status.target_area import as_object
 
 ZIP = "application/zip"
 MAX_PART_BYTES = 16_000_000
-"""Of a part before it is compressed; what is longer ends there, and the archive reports it."""
+"""Maximum size of a part before compression; longer parts are cut, and the archive reports it."""
 
 MAX_EVENT_PAGES = 4
-"""So many times ``MAX_ROWS`` events, the newest."""
+"""Maximum number of pages of the newest events, ``MAX_ROWS`` events each."""
 
 _PART_TIMEOUT_S = 20.0
 _DAY_S = 86_400
@@ -46,15 +46,15 @@ _EVENT_DAYS = 31
 _US = 10**6
 _README = "README.txt"
 _NO_TIME = datetime.fromtimestamp(0, UTC)
-"""Of a clock that does not know UTC."""
+"""Time of an archive if the clock has no UTC."""
 _FIRST_ZIP_TIME, _LAST_ZIP_TIME = (1980, 1, 1, 0, 0, 0), (2107, 12, 31, 23, 59, 58)
 _SUMMARY_PARTS = {"": "mean", "sigma_": "sigma", "min_": "low", "max_": "high"}
-"""As ``altd export`` calls them, and what they are of a ``SummaryValue``."""
+"""Prefixes of the columns, as of ``altd export``, and the attributes of ``SummaryValue`` in them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A file of the archive; ``make`` gives its content."""
+    """A file of the archive; ``make`` returns its content."""
 
     name: str
     meaning: str
@@ -62,7 +62,7 @@ class Part:
 
 
 class Diagnostics:
-    """The diagnostics of one unit, for clients that may see pictures."""
+    """Diagnostics of one unit, for clients that may see pictures."""
 
     def __init__(
         self, board: Board, health: Health, past: Past, metrics: Metrics, guard: Guard, downloads: Downloads
@@ -75,7 +75,7 @@ class Diagnostics:
         self._downloads = downloads
 
     async def archive(self, request: Request) -> Response:
-        """A zip archive."""
+        """Return the zip archive."""
         self._guard.check_may_look(request)
         if request.method == "HEAD":
             return Response(media_type=ZIP)
@@ -116,7 +116,7 @@ class Diagnostics:
 
 
 async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes:
-    """The archive of these parts of a unit; ``now`` is in UTC."""
+    """Return the archive of these parts of a unit; ``now`` is in UTC."""
     files: dict[str, bytes] = {}
     said: list[str] = []
     missing: list[str] = []
@@ -126,7 +126,7 @@ async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes
                 content = await part.make()
         except TimeoutError:
             missing.append(f"{part.name}: it took longer than {_PART_TIMEOUT_S:g} s")
-        except Exception as error:  # whatever a part's maker raises: it may cost this part only
+        except Exception as error:  # any error while making a part costs this part only
             missing.append(one_line(f"{part.name}: {str(error) or type(error).__name__}"))
         else:
             files[part.name] = _cut(content)
@@ -137,12 +137,12 @@ async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes
 
 
 def archive_name(serial: str, now: datetime) -> str:
-    """The name of the archive of a unit; ``now`` is in UTC."""
+    """Return the name of the archive of a unit; ``now`` is in UTC."""
     return f"altd-{serial or 'unit'}-{now:%Y%m%dT%H%M%SZ}.zip"
 
 
 def history_parts(history: History, now: datetime) -> Iterator[Part]:
-    """The events and the trend before ``now``."""
+    """Yield the parts with the events and the trend before ``now``."""
     end_us = round(now.timestamp()) * _US + _US
     events_from = end_us - _EVENT_DAYS * _DAY_S * _US
     yield Part(
@@ -160,12 +160,12 @@ def history_parts(history: History, now: datetime) -> Iterator[Part]:
 
 
 def further_part(part: DiagnosticPart) -> Part:
-    """A part that is made in a thread."""
+    """Return a part that is made in a thread."""
     return Part(part.name, part.meaning, partial(asyncio.to_thread, part.make))
 
 
 def part_of(name: str, meaning: str, make: Callable[[], bytes]) -> Part:
-    """A part that is there at once."""
+    """Return a part that is made at once, in the event loop."""
 
     async def made() -> bytes:
         return make()
@@ -178,7 +178,7 @@ def _json(document: Mapping[str, object]) -> bytes:
 
 
 def _events(reader: Reader, from_us: int, to_us: int) -> bytes:
-    """The newest events of this time as JSON lines, the newest first."""
+    """Return the newest events of this time as JSON lines, the newest first."""
     lines: list[str] = []
     before = None
     for _ in range(MAX_EVENT_PAGES):
@@ -191,7 +191,7 @@ def _events(reader: Reader, from_us: int, to_us: int) -> bytes:
 
 
 def _trend(reader: Reader, from_us: int, to_us: int) -> bytes:
-    """The minutes of this time as CSV; what was not known is empty."""
+    """Return the minutes of this time as CSV; unknown values are empty."""
     text = io.StringIO()
     keys = list(reader.summarised)
     table = csv.writer(text, lineterminator="\n")
@@ -215,7 +215,7 @@ def _row(point: SummaryPoint, keys: Iterable[str]) -> list[object]:
 
 
 def _cut(content: bytes) -> bytes:
-    """The part for which there is room, up to the end of a line."""
+    """Return the content, cut at the last line end within ``MAX_PART_BYTES`` if it is longer."""
     if len(content) <= MAX_PART_BYTES:
         return content
     return content[: content.rfind(b"\n", 0, MAX_PART_BYTES) + 1]

@@ -1,4 +1,4 @@
-"""Errors of this interface: one JSON object with ``error``; a page where a browser asks by a wrong name."""
+"""Errors of this interface: a JSON object with ``error``, or a page for a browser that uses a wrong name."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _STATUSES = {
     NoSelfCheckError: 409,
     NotKeptError: 409,
 }
-"""Of a request for what the unit cannot give now; the error's sentence says why."""
+"""Status codes for requests that the unit cannot meet now; the error's text gives the reason."""
 
 
-class Refused(Exception):  # noqa: N818  an answer, not a fault
-    """Why a request is refused; ``answer`` is the response."""
+class Refused(Exception):  # noqa: N818  a response, not a fault
+    """A request is refused; ``answer`` is the response."""
 
     def __init__(self, answer: Response) -> None:
         super().__init__(answer.status_code)
@@ -34,17 +34,17 @@ class Refused(Exception):  # noqa: N818  an answer, not a fault
 
 
 def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
-    """An error as the answer to a request."""
+    """Return an error as the response to a request."""
     return JSONResponse({"error": sentence}, status_code=status, headers=headers)
 
 
 def error_body(sentence: str) -> bytes:
-    """The same object where no application is reached, because the request is no HTTP."""
+    """Return the same object as bytes, for requests that do not reach the application."""
     return json.dumps({"error": sentence}, separators=(",", ":")).encode()
 
 
 def misdirected(host: str, address: str, accepts_page: bool) -> Response:
-    """The answer to a client that asks by a name of none of the unit's; ``address`` is one that it has."""
+    """Return the response to a wrong name in ``Host``; ``address`` is an address of the unit."""
     name = one_line(host)
     if not accepts_page:
         sentence = f"the name {name!r} in Host is none of this unit's: ask by its address, or add the name to"
@@ -61,13 +61,13 @@ def misdirected(host: str, address: str, accepts_page: bool) -> Response:
 
 
 async def _of_defect(_: Request, __: Exception) -> Response:
-    """500: whatever a handler fails on, among it a number that JSON does not have."""
+    """Return 500 for any failure of a handler, such as a number that JSON cannot represent."""
     return refusal(500, "a defect of the unit; its log says more")
 
 
 async def _of_routing(request: Request, error: Exception) -> Response:
-    """404 and 405, from starlette; 404 names the path, and the most similar one that exists."""
-    assert isinstance(error, HTTPException)  # noqa: S101  it is registered for no other
+    """Return starlette's 404 or 405; a 404 names the path and the most similar existing one."""
+    assert isinstance(error, HTTPException)  # noqa: S101  registered for this type only
     if error.status_code == HTTPStatus.NOT_FOUND:
         path = request.url.path
         paths = [route.path for route in request.app.routes if "{" not in route.path]
@@ -77,7 +77,7 @@ async def _of_routing(request: Request, error: Exception) -> Response:
 
 
 async def _of_refused(_: Request, error: Exception) -> Response:
-    assert isinstance(error, Refused)  # noqa: S101  it is registered for no other
+    assert isinstance(error, Refused)  # noqa: S101  registered for this type only
     return error.answer
 
 
@@ -94,4 +94,4 @@ HANDLERS: dict[type[Exception], Callable[[Request, Exception], Awaitable[Respons
     Refused: _of_refused,
     **{kind: _with_status(status) for kind, status in _STATUSES.items()},
 }
-"""Makes an answer of whatever the handler of a path raises."""
+"""Handlers by exception type; each returns the response to an exception from a path's handler."""

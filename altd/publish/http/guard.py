@@ -1,4 +1,4 @@
-"""Permission to act: by a token, by a session, or, where there is neither, from the unit's own computer."""
+"""Permission to act: by token, by session, or, without credentials, from the unit's own computer."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from altd.status.event_log import EventKind, EventLog
 from altd.tcp_port import Buckets, address_of, group_of, is_loopback
 
 REQUEST_HEADER = "X-Altd-Request"
-"""A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""
+"""Header that each action requires: a page of another site cannot send it without permission (CORS)."""
 
 THIS_COMPUTER = "this computer"
-"""The user's name where the address alone gives the permission."""
+"""User name if the address, or the local socket, alone gives the permission."""
 
 _LOCAL_NAMES = ("localhost", "")
 _STRANGERS = "strangers"
 
 
 class CredentialStore(Protocol):
-    """The users with a password or a token: ``altd.credentials``."""
+    """Users with a password or a token, implemented by ``altd.credentials``."""
 
     @property
     def names(self) -> frozenset[str]:
-        """Everybody who may act."""
+        """Names of all users that may act."""
 
     def is_password(self, name: str, password: str) -> bool:
-        """Whether it is his. Takes long."""
+        """Whether it is the password of this name. Takes long."""
 
     def password_of(self, name: str) -> object | None:
-        """A value that changes with each new password of the user; None: the user has none."""
+        """Value that changes with each new password of the user; None: the user has none."""
 
     def name_of_token(self, token: str) -> str | None:
-        """Whose token it is."""
+        """User of a token; None: no user."""
 
 
 class Guard:
-    """One interface's guard. ``credentials`` gives those of this moment; None: no credentials are set.
+    """Checks the permissions on one interface. ``credentials`` returns the current ones; None: none are set.
 
     Logins, logouts and failed attempts are noted in ``events``.
     """
@@ -65,16 +65,16 @@ class Guard:
         self._attempts = Buckets(ATTEMPTS, clock)
         self._strangers_attempts = Buckets(ALL_ATTEMPTS, clock)
         self._familiar = OrderedDict[str, None]()
-        """Addresses that have logged in; the one that did so last comes last."""
+        """Addresses that have logged in, in the order of their last login."""
         self._verifying = asyncio.Lock()
 
     @property
     def has_credentials(self) -> bool:
-        """Whether tokens and passwords say who may act."""
+        """Whether credentials are set, so that tokens and passwords give permission to act."""
         return self._credentials is not None
 
     def actor(self, request: HTTPConnection) -> str:
-        """The user who asks for an action; raises Refused without permission."""
+        """Return the user that requests an action; raises Refused without permission."""
         _check_is_no_other_page(request)
         if self._is_local or self._credentials is None:
             if not self._is_local:
@@ -83,21 +83,21 @@ class Guard:
         return self._identified(request, self._credentials())
 
     def requester(self, request: HTTPConnection) -> str:
-        """The address and user who ask for an action, for the events; raises Refused without permission."""
+        """Return address and user of a requested action for the events; raises Refused without permission."""
         actor = self.actor(request)
         host = "" if request.client is None else f" {request.client.host}"
         return f"http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}"
 
     def check_may_look(self, connection: HTTPConnection) -> None:
-        """Raise Refused where pictures are not for this client: credentials are set, and it shows none."""
+        """Raise Refused if the client may not see pictures: credentials are set, and it shows none."""
         if self._credentials is not None and not self._is_local:
             self._identified(connection, self._credentials())
 
     def _identified(self, request: HTTPConnection, credentials: CredentialStore) -> str:
-        """The user, by the token or session of the request; raises Refused.
+        """Return the user of the token or session of the request; raises Refused.
 
-        What is wrong is not counted, as passwords are: 256 bits cannot be guessed, and a page whose session
-        is over, or a program whose token is, would keep its own user from logging in.
+        Unlike wrong passwords, failures are not counted: 256 bits cannot be guessed, and a page with an
+        expired session, or a program with an old token, would keep its own user from logging in.
         """
         token, secret = _token_of(request), secret_of(request)
         if token is not None:
@@ -113,7 +113,7 @@ class Guard:
         return name
 
     def viewer(self, request: HTTPConnection) -> str | None:
-        """The user that is logged in, for a request that only reads; None: none."""
+        """Return the logged-in user, for a request that only reads; None: no user."""
         secret = secret_of(request)
         if self._credentials is None or secret is None:
             return None
@@ -140,7 +140,7 @@ class Guard:
         return self._sessions.begin(name, credentials.password_of(name))
 
     def may_act(self, request: HTTPConnection) -> bool:
-        """Whether an action could be asked for from there, with what the request shows."""
+        """Whether the client may act, by its session, or, without credentials, by its address."""
         if self._credentials is not None and not self._is_local:
             return self.viewer(request) is not None
         try:
@@ -151,7 +151,7 @@ class Guard:
         return True
 
     def log_out(self, request: HTTPConnection) -> None:
-        """End the session of a request; raises Refused where a page of elsewhere does."""
+        """End the session of a request; raises Refused for a request of a foreign page."""
         _check_is_no_other_page(request)
         if self._credentials is None or (secret := secret_of(request)) is None:
             return
@@ -160,7 +160,7 @@ class Guard:
         self._sessions.end(secret)
 
     def _name_of_session(self, secret: str, credentials: CredentialStore) -> str | None:
-        """Whose it is; a password that was changed, or taken out, ends it."""
+        """Return the user of a session; a changed or removed password invalidates it."""
         return self._sessions.name_of(secret, credentials.password_of)
 
     def _check_attempts(self, request: HTTPConnection) -> None:
@@ -178,7 +178,7 @@ class Guard:
             self._strangers_attempts.take(_STRANGERS)
 
     def _note(self, request: HTTPConnection, what: str, code: str, name: str | None = None) -> None:
-        """Note what a user did, and from which address; what repeats, the log counts."""
+        """Note an action of a user and its address; the event log counts repetitions."""
         if self._events is None:
             return
         address = "an unknown address" if request.client is None else request.client.host
@@ -196,15 +196,15 @@ class Guard:
 
 
 def too_many(sentence: str, wait_s: float) -> Response:
-    """The answer to a client that asks too often."""
+    """Return the response to a client that exceeds a rate."""
     seconds = max(math.ceil(wait_s), 1)
     return refusal(429, f"{sentence}; wait {seconds} s", {"Retry-After": str(seconds)})
 
 
 def cookie_name(request: HTTPConnection) -> str:
-    """The cookie of this interface. Cookies know no ports: two units behind one address have two names.
+    """Return the cookie name, with the port: cookies ignore ports, and two units may be behind one address.
 
-    With TLS its prefix has browsers take it from this host only, and never without TLS (RFC 6265bis, 4.1.3).
+    With TLS its prefix makes browsers accept it only from this host and only over TLS (RFC 6265bis, 4.1.3).
     """
     server = request.scope.get("server")
     port = server[1] if server is not None else 0
@@ -212,7 +212,7 @@ def cookie_name(request: HTTPConnection) -> str:
 
 
 def session_cookie(request: HTTPConnection, secret: str) -> str:
-    """The header that gives a browser its session, or with an empty secret takes it away."""
+    """Return the header that sets the session cookie of a browser, or, with an empty secret, deletes it."""
     parts = [
         f"{cookie_name(request)}={secret}",
         "Path=/",
@@ -224,7 +224,7 @@ def session_cookie(request: HTTPConnection, secret: str) -> str:
 
 
 def secret_of(request: HTTPConnection) -> str | None:
-    """The session that a request names; None: none, or several, of which any may be ours."""
+    """Return the session secret of a request; None: there is none, or several, of which any may be ours."""
     wanted = cookie_name(request)
     found = [
         value.strip()
@@ -235,7 +235,7 @@ def secret_of(request: HTTPConnection) -> str | None:
 
 
 def _token_of(request: HTTPConnection) -> str | None:
-    """The token of ``Authorization: Bearer`` (RFC 6750); None: there is none. Another scheme: a wrong one."""
+    """Return the token of ``Authorization: Bearer`` (RFC 6750); None: no header; empty: another scheme."""
     header = request.headers.get("Authorization")
     if header is None:
         return None
@@ -244,7 +244,7 @@ def _token_of(request: HTTPConnection) -> str | None:
 
 
 def _check_is_no_other_page(request: HTTPConnection) -> None:
-    """A page of elsewhere can neither send our header unasked nor hide where it is from."""
+    """Raise Refused for a foreign page: it cannot send our header without permission, nor hide its origin."""
     if REQUEST_HEADER not in request.headers:
         raise Refused(refusal(403, f"the header {REQUEST_HEADER} is missing"))
     own = f"{'https' if _is_tls(request) else 'http'}://{request.headers.get('Host', '')}"
@@ -253,7 +253,7 @@ def _check_is_no_other_page(request: HTTPConnection) -> None:
 
 
 def _check_is_own_computer(request: HTTPConnection) -> None:
-    """By its address; a name in ``Host`` may have been bent to the unit for a browser that runs on it."""
+    """Raise Refused for other computers and, against DNS rebinding in a local browser, for foreign names."""
     client, server = request.client, request.scope.get("server")
     theirs = None if client is None else address_of(client.host)
     ours = None if server is None else address_of(server[0])
@@ -266,7 +266,7 @@ def _check_is_own_computer(request: HTTPConnection) -> None:
 
 
 def _is_tls(request: HTTPConnection) -> bool:
-    """From the connection itself; no header is believed."""
+    """Whether the connection itself uses TLS; headers are not trusted."""
     return request.scope.get("scheme") in ("https", "wss")
 
 

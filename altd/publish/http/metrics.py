@@ -1,4 +1,4 @@
-"""The metrics, in Prometheus' text format. What is not known has no sample: no 0, no old number."""
+"""Metrics in Prometheus' text format. Unknown values have no sample, neither 0 nor an old number."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ CONTENT_TYPE = CONTENT_TYPE_PLAIN_0_0_4
 
 
 class Metrics:
-    """The metrics of one unit, in a registry of their own: nothing of the process itself is in them."""
+    """Metrics of one unit, in a registry of their own, without metrics of the process itself."""
 
     def __init__(self, board: Board, health: Health) -> None:
         self._registry = CollectorRegistry(auto_describe=False)
         self._registry.register(_Unit(board, health))
 
     def text(self) -> bytes:
-        """All samples of this moment."""
+        """Return all current samples."""
         return generate_latest(self._registry)
 
 
 class _Unit(Collector):
-    """Reads board and health when it is asked."""
+    """Collector that reads board and health at each collection."""
 
     def __init__(self, board: Board, health: Health) -> None:
         self._board = board
         self._health = health
 
     def collect(self) -> Iterator[Metric]:
-        """Every family, with the samples of what is known now."""
+        """Yield every family, with samples of the values that are known now."""
         yield from self._build()
         measurement = self._board.read()
         yield from self._measurement(measurement)
@@ -104,7 +104,7 @@ class _Unit(Collector):
 
 
 def _values(measurement: Measurement, age_s: float | None) -> Iterator[Metric]:
-    """A family for each quantity, with the numbers of the JSON; what is null there has no sample."""
+    """Yield a family for each quantity, with the numbers of the JSON; null values have no sample."""
     shown = as_object_now(measurement, age_s)
     for quantity in measurement.quantities.of_unit:
         name, meaning = f"altd_{quantity.key}", _meaning(quantity)

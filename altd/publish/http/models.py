@@ -1,6 +1,6 @@
-"""Contents of the answers, as pydantic models: the OpenAPI document is made of these.
+"""Pydantic models of the responses, from which the OpenAPI document is generated.
 
-The answers themselves are made elsewhere, byte for byte (``altd/status``); the tests hold them against these.
+The responses themselves are made elsewhere, byte for byte (``altd/status``); tests check them by the models.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from altd.status.models import Answer, UnitState
 
 
 class Error(Answer):
-    """Why a request was not answered as it wished. Every error has this shape."""
+    """Reason why a request failed. Every error has this form."""
 
     error: str
-    """One sentence for people."""
+    """Reason, as one sentence for people."""
     status: list[str] = Field(default=[])
-    """Only where a measurement was asked for and there is none: the codes of the reasons."""
+    """Codes of the reasons, only if a measurement was requested and there is none."""
 
 
 class Span(Answer):
-    """The share of a span of time in which something valid was measured."""
+    """Share of a time span in which the measurement was valid."""
 
     share: float | None
     valid_s: float
     observed_s: float
     lost_s: dict[str, float]
-    """Seconds by the code of the reason."""
+    """Lost time by the code of its reason, s."""
     since: str | None
-    """UTC from when on it is known, at most as long ago as the span's name says."""
+    """Start of the observed time, UTC, not earlier than the span's name implies; null: not known."""
 
 
 class Availability(Answer):
-    """In which share of the time the unit measured."""
+    """Shares of time in which the unit made valid measurements, by span."""
 
     last_hour: Span
     last_day: Span
@@ -44,35 +44,35 @@ class Availability(Answer):
 
 
 class Component(Answer):
-    """One part of the daemon; its figures and counters are further keys."""
+    """A component of the daemon; its figures and counters are further keys."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, int | float | str | None] = Field(init=False)
     state: State
     message: str
     for_s: float
-    """Since when its state is this one."""
+    """Time since its state last changed, s."""
 
 
 class Status(Answer):
-    """The unit, its state, its availability and its components."""
+    """Identity of the unit, its state, its availability and its components."""
 
     version: str = ""
     serial: str = ""
     unit_number: str = ""
-    """CRC-32 of the serial number: the `unit` of every message."""
+    """CRC-32 of the serial number, as `unit` in every message."""
     calibration: str = ""
     config_sha256: str = ""
-    """Of the config file as the daemon read it."""
+    """SHA-256 of the config file as the daemon read it."""
     spot_fit: str = ""
-    """`compiled`, or `numpy` and why: numpy finds the same and takes more CPU."""
+    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
     state: UnitState | None = None
     availability: Availability | None = None
     components: dict[str, Component]
 
 
 class TargetDrift(Answer):
-    """The result of a self-check for one target."""
+    """Result of a self-check for one target."""
 
     leds_expected: int
     leds_found: int
@@ -88,36 +88,36 @@ class TargetDrift(Answer):
 
 
 class PartVerdict(Answer):
-    """The verdict on one target, or on yaw and pitch."""
+    """Verdict on one target, or on yaw and pitch."""
 
     of: str
     verdict: Literal["good", "suspect", "bad", "unknown"]
     unit: str
     error: float | None
-    """The largest error anywhere in the calibrated area; null where too few LEDs were found."""
+    """Largest error anywhere in the calibrated area, in `unit`; null: too few LEDs were found."""
     sigma: float | None
     suspect: float
-    """The limit of `good`; so `bad`."""
+    """Limit of `error` above which the verdict is `suspect`; likewise `bad`."""
     bad: float
 
 
 class SelfCheck(Answer):
-    """The report of the last self-check; without one, `verdict` is null and `reasons` says why."""
+    """Report of the last self-check; without one, `verdict` is null and `reasons` gives the cause."""
 
     verdict: Literal["good", "suspect", "bad", "unknown"] | None
     reasons: list[str]
     parts: list[PartVerdict] = Field(default=[])
     unavailable: str = ""
-    """Why this unit can make none; empty: it can."""
+    """Reason why this unit cannot make self-checks; empty: it can."""
     targets: dict[str, TargetDrift] = Field(default={})
     yaw_deg: float | None = None
-    """The effect of the drift on a measurement; so the next three."""
+    """Error that the drift causes at the beam's position, measured minus true; likewise the next three."""
     pitch_deg: float | None = None
     x_mm: float | None = None
     y_mm: float | None = None
     sigma: dict[str, float | None] = Field(default={})
     number: int = 0
-    """Counts the checks since the start, from 1."""
+    """Number of this check since the start, from 1."""
     cause: str = ""
     time: str | None = None
     exposures_lost: int = 0
@@ -125,85 +125,85 @@ class SelfCheck(Answer):
 
 
 class TargetArea(Answer):
-    """One target."""
+    """A target and its area of valid spots."""
 
     name: str
     z_mm: float
-    """Its distance from the front target along the beam."""
+    """Distance from the front target along the beam, mm."""
     valid_mm: list[tuple[float, float]]
-    """The corners (x, y) of the area within which a spot is valid, in the unit frame, counter-clockwise."""
+    """Corners (x, y) of the area in which a spot is valid, in the unit frame, counter-clockwise, mm."""
 
 
 class Targets(Answer):
-    """The targets in beam order."""
+    """Targets in beam order."""
 
     area_mm: tuple[float, float]
-    """Width and height of the area that the unit is made for, its middle in the unit frame's zero."""
+    """Width and height of the area that the unit is made for, mm; its centre is the unit frame's origin."""
     targets: list[TargetArea]
 
 
 class Login(Answer):
-    """The user's name and password for a login."""
+    """User name and password for a login."""
 
     name: str = Field(max_length=32)
     password: str = Field(max_length=1024)
 
 
 class Session(Answer):
-    """The user who is logged in."""
+    """The logged-in user, and the permissions of the client."""
 
     name: str | None
-    """null: no user."""
+    """Name of the logged-in user; null: no user."""
     may_act: bool
-    """Whether an action, such as a self-check, would be done for this client."""
+    """Whether this client may act, such as request a self-check; a token in the request does not count."""
     login: bool
-    """Whether one can log in at all: whether credentials are set."""
+    """Whether login is possible: whether credentials are set."""
 
 
 class TrendOfQuantity(Answer):
-    """A quantity in columns: for each point a number, or null where it was not known."""
+    """Columns of a quantity: for each point a number, or null if it was not known."""
 
     mean: list[float | None]
     sigma: list[float | None]
-    """The standard deviation (1 sigma) of one measurement."""
+    """Standard deviation (1 sigma) of one measurement."""
     low: list[float | None]
     high: list[float | None]
 
 
 class Trend(Answer):
-    """Points in the order of time, in columns of one length; where no daemon ran there are none."""
+    """Points in the order of time, as columns of equal length; times without a running daemon have none."""
 
     source: str
-    """The spans that the points sum up: `seconds`, `minutes` or `hours`."""
+    """Summaries behind the points: `seconds`, `minutes` or `hours`; `none`: the time span is empty."""
     span_s: float
-    """The length of time of a point."""
+    """Duration of a point, s."""
     t_s: list[float]
-    """When each begins, seconds since 1970, UTC."""
+    """Start of each point, seconds since 1970, UTC."""
     n: list[int]
-    """Measurements in it."""
+    """Number of measurements in each point."""
     n_valid: list[int]
     worst: list[int]
-    """The severity of the unit's worst state: 0 good, 1 maintenance required to 4 failure."""
+    """Severity of the unit's worst state in each point: 0 good, 1 maintenance required to 4 failure."""
     worst_code: list[str]
     lost_to: list[str]
-    """The worst reason of those measurements that were not valid; empty: none."""
+    """Worst reason of the invalid measurements in each point; empty: none."""
     quantities: dict[str, TrendOfQuantity]
 
 
 class Event(Answer):
-    """Something that happened to the unit."""
+    """An event of the unit."""
 
     id: int
     time: str | None
     epoch: int
-    """Which run of the clock: within one, time only grows."""
+    """Number of the epoch of the clock; within one epoch, time only increases."""
     severity: int
     kind: str
     of: str | None
     text: str
     detail: dict[str, Any]
     held_back: int
-    """Events of its kind before it that were counted and not kept."""
+    """Number of earlier events of its kind that were counted but not stored."""
 
 
 class Events(Answer):
@@ -217,24 +217,24 @@ class Recording(Answer):
 
     name: str
     why: str
-    """The code of the cause, with the target or component that it is of; or the user that asked."""
+    """Code of the cause with its target or component, or the user that requested the recording."""
     start: str | None
-    """UTC of its first frame."""
+    """Time of its first frame, UTC; null: not known."""
     seconds: float
     exposures: int
     bytes: int
-    """On the unit's disk."""
+    """Size on the unit's disk, bytes."""
     marked: bool
     """Whether the recording is kept when space is needed."""
 
 
 class Recordings(Answer):
-    """The frames and recordings that the unit has kept."""
+    """Recordings that the unit has kept."""
 
     unavailable: str
-    """Why nothing is kept; empty: it is."""
+    """Reason why the unit keeps no recordings; empty: it keeps them."""
     recordings: list[Recording]
-    """The newest first."""
+    """Recordings, the newest first."""
 
 
 class Document(BaseModel):
@@ -245,12 +245,12 @@ class Document(BaseModel):
 
 
 class Alive(Answer):
-    """The daemon answers."""
+    """Response of a running daemon."""
 
     alive: Literal[True]
 
 
 class Ready(Answer):
-    """The unit measures; whether what it measures is valid, `/api/v1/measurement` says."""
+    """The unit measures, valid or not; `/api/v1/measurement` reports the validity."""
 
     ready: Literal[True]

@@ -1,6 +1,6 @@
-"""The API described: for programs an OpenAPI 3.1 document, made of the table of paths and of the models.
+"""Description of the API: an OpenAPI 3.1 document for programs, made from the table of paths and the models.
 
-For people a page of plain HTML, made of the document, without any script.
+For people a page of plain HTML without scripts, made from the document.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _HEADER_PARAMETER = {
     "schema": {"type": "string"},
 }
 _NO_WORD = str.maketrans({"/": "_", "-": "_", ".": "_", "{": None, "}": None})
-"""Of a path, in the name of an operation."""
+"""Replacements of characters of a path in the name of an operation."""
 _RETRY_AFTER = {"description": "Seconds to wait.", "schema": {"type": "integer", "minimum": 1}}
 
 
 def document_of(paths: Iterable[ServedPath], quantities: Quantities, version: str) -> dict[str, Any]:
-    """The document of a unit with these quantities; the old paths, which stay beside, are not in it."""
+    """Return the document of a unit with these quantities; it omits the old paths, which are still served."""
     served = [path for path in paths if not path.is_old]
     operations = [operation for path in served for operation in path.operations.values()]
     measurement = measurement_model(quantities)
@@ -128,7 +128,7 @@ def _error(status: int, meaning: str, references: Mapping[type[BaseModel], Any])
 
 
 def _head(described: Mapping[str, Any], operation_id: str) -> dict[str, Any]:
-    """The same without bodies."""
+    """Return the HEAD operation of a GET operation: the same without bodies."""
     responses = {
         status: {key: part for key, part in response.items() if key != "content"}
         for status, response in described["responses"].items()
@@ -158,7 +158,7 @@ td:first-child { white-space: nowrap; }
 
 
 def api_page_of(document: Mapping[str, Any]) -> str:
-    """The page. All of the document is shown as text, never as HTML."""
+    """Return the page. All content of the document is shown as text, never as HTML."""
     return "\n".join(_lines(document)) + "\n"
 
 
@@ -239,7 +239,7 @@ def _content(content: Mapping[str, Any]) -> str:
 
 
 def _type(schema: Mapping[str, Any]) -> str:
-    """A schema in a few words, with links to the objects."""
+    """Return a short description of a schema, with links to the objects."""
     if "$ref" in schema:
         name = escape(schema["$ref"].rpartition("/")[2])
         return f'<a href="#{name}">{name}</a>'
@@ -257,6 +257,6 @@ def _type(schema: Mapping[str, Any]) -> str:
 
 
 def _prose(text: str) -> str:
-    """Markdown's code spans, the only markup in descriptions."""
+    """Return a text as HTML with its code spans, the only Markdown in descriptions."""
     parts = escape(text).split("`")
     return "".join(f"<code>{part}</code>" if index % 2 else part for index, part in enumerate(parts))

@@ -18,7 +18,7 @@ Handler = Callable[[Answers, Request], Awaitable[Response]]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter of a query, which may be left out, with its JSON Schema."""
+    """A parameter with its JSON Schema; optional in the query, required in the path."""
 
     name: str
     meaning: str
@@ -29,30 +29,30 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One method of a path. ``models`` are the objects of good answers by their status; None: no object.
+    """One method of a path. ``model`` is the object of a successful response; None: no object.
 
-    ``errors`` says in a sentence what each error of its own means; those that any path may have are in
-    ``COMMON_ERRORS``.
+    ``errors`` explains each error of its own, by status, in one sentence; errors that any path may return are
+    in ``COMMON_ERRORS``.
     """
 
     handler: Handler
     summary: str
     model: type[BaseModel] | str | None = None
-    """``measurement``: that of the unit's quantities, which are known at its start only."""
+    """``measurement``: the model of the unit's quantities, which are known only at its start."""
     media_type: str = JSON
     status: int = 200
     takes: type[BaseModel] | None = None
     errors: Mapping[int, str] = field(default_factory=dict)
     query: tuple[Parameter, ...] = ()
     acts: bool = False
-    """Whether the request needs the header that no page of another site can send."""
+    """Whether the request needs the header that pages of other sites cannot send."""
     needs_actor: bool = False
     """Whether the request needs a user with permission to act."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServedPath:
-    """One path that is served, with its operations by their methods; ``HEAD`` comes with ``GET``."""
+    """A served path with its operations by method; ``GET`` includes ``HEAD``."""
 
     path: str
     gives: str
@@ -60,7 +60,7 @@ class ServedPath:
 
     @property
     def is_old(self) -> bool:
-        """Whether it is one of the first release, which stay as they are."""
+        """Whether it is a path of the first release; these paths never change."""
         return not self.path.startswith("/api/v1") and self.path.startswith("/api/")
 
 
@@ -74,4 +74,4 @@ COMMON_ERRORS = {
     429: "too many requests; `Retry-After` says for how many seconds to wait",
     500: "a defect of the unit; its log says more",
 }
-"""Answers that any path may give."""
+"""Meanings of the errors that any path may return, by status."""

@@ -1,6 +1,6 @@
-"""Past values: points of a trend and events out of the unit's history, in bounded amounts.
+"""Past values: trend points and events from the unit's history, in limited amounts.
 
-The history's own thread reads and writes the JSON: a month takes some 100 ms, and no other client waits.
+The history's own thread reads them and writes the JSON: a month takes about 100 ms without delaying others.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ POINTS = 500
 MAX_EVENTS = 500
 EVENTS = 100
 SPAN_S = 3600.0
-"""Before now, where no time is named."""
+"""Time before now at which a trend starts by default."""
 
 LAST_S = 253_402_300_799
-"""The end of the year 9999, UTC."""
+"""End of the year 9999, UTC, seconds since 1970."""
 
 _US = 10**6
 
 
 class Past:
-    """The history of one unit, as HTTP shows it."""
+    """Answers requests for the history of one unit."""
 
     def __init__(self, history: History, quantities: Quantities, clock: Clock) -> None:
         self.history = history
@@ -44,19 +44,19 @@ class Past:
         self._clock = clock
 
     async def trend(self, request: Request) -> Response:
-        """The course of each quantity, in columns: a number or null for each point."""
+        """Return each quantity over time, in columns: a number or null for each point."""
         return await self._answer(request, self._trend_query)
 
     async def events(self, request: Request) -> Response:
-        """The events, the newest first."""
+        """Return the events, the newest first."""
         return await self._answer(request, self._events_query)
 
     def since(self, last_id: str) -> Resume:
-        """The events that a stream missed since the event of that id."""
+        """Return a reader of the events that a stream missed after the event with this id."""
         return Resume(last_id, self.history, self._quantities, self._clock)
 
     def now(self) -> datetime | None:
-        """The time of day in UTC; None: it is not known."""
+        """Return the current time in UTC; None: not known."""
         return self._clock.utc(self._clock.monotonic_ns())
 
     def _trend_query(self, query: Query) -> Callable[[Reader], str]:
@@ -81,7 +81,7 @@ class Past:
         return read
 
     def _span(self, query: Query, from_s: float = -SPAN_S) -> tuple[int, int]:
-        """From when to when, µs since 1970; what is negative counts from now."""
+        """Return start and end of a query, µs since 1970; negative times count from now."""
         now = self.now()
         now_s = 0.0 if now is None else now.timestamp()
 
@@ -96,20 +96,20 @@ class Past:
 
 
 class Query:
-    """The parameters of a request, each at most once."""
+    """Parameters of a request, each at most once."""
 
     def __init__(self, request: Request) -> None:
         self._given = request.query_params.multi_items()
 
     def text(self, name: str) -> str | None:
-        """A parameter as it came; None: it did not. Raises Refused where it came twice."""
+        """Return a parameter as received; None: it is missing. Raises Refused if it is given twice."""
         values = [value for key, value in self._given if key == name]
         if len(values) > 1:
             raise _unusable(f"{name} is given twice")
         return values[0] if values else None
 
     def number(self, name: str, otherwise: float) -> float:
-        """Seconds; raises Refused for what is no time of this calendar."""
+        """Return a time in seconds; raises Refused for text, and for times beyond ±``LAST_S``."""
         text = self.text(name)
         try:
             number = otherwise if text is None else float(text)
@@ -120,7 +120,7 @@ class Query:
         return number
 
     def whole(self, name: str, otherwise: int, low: int, high: int) -> int:
-        """A whole number; raises Refused for another one."""
+        """Return a whole number; raises Refused unless it is from ``low`` to ``high``."""
         text = self.text(name)
         if text is None:
             return otherwise
@@ -130,7 +130,7 @@ class Query:
 
 
 def _unusable(sentence: str) -> Refused:
-    """The refusal of a query that cannot be."""
+    """Return the refusal of an invalid query."""
     return Refused(refusal(400, sentence))
 
 
@@ -157,6 +157,6 @@ def _columns(trend: Trend, reader: Reader) -> dict[str, object]:
 
 
 def event_object(event: StoredEvent) -> dict[str, object]:
-    """An event as plain JSON types."""
+    """Return an event as plain JSON types."""
     shown = asdict(event)
     return {"id": shown.pop("id"), "time": time_of(shown.pop("t_us")), **shown}

@@ -1,4 +1,4 @@
-"""The paths that are served, with their methods: application, document and docs are made of this table."""
+"""Served paths with their methods: application, OpenAPI document and docs are made from this table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EVENT_STREAM = "text/event-stream"
 TEXT = "text/plain"
 
 ALIVE = "/healthz"
-"""A path that only asks for life accepts any name of the unit."""
+"""Path of the liveness check, which accepts any name in ``Host``."""
 
 _KINDS = {"type": "string", "enum": [str(kind) for kind in EventKind]}
 _SECONDS = {"type": "number", "minimum": -LAST_S, "maximum": LAST_S}
@@ -305,4 +305,4 @@ PATHS = (
         },
     ),
 )
-"""In the order of ``docs/http.md``."""
+"""All served paths, in the order of ``docs/http.md``."""

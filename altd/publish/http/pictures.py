@@ -1,13 +1,13 @@
-"""Pictures of the targets over a WebSocket (RFC 6455): one message for each time that the browser asks.
+"""Pictures of the targets over a WebSocket (RFC 6455): one message for each request of the browser.
 
-What is parsed holds the event loop, and with it the measurement: 256 kB, which is what asyncio reads at once,
-have room for 43,000 empty pings.
+Received bytes are limited, as parsing blocks the event loop, and with it the measurement: 256 kB, which
+asyncio reads at once, can hold 43,000 empty pings.
 
-The unit's first message is JSON text, ``{"views": […]}``: what does not change in the pictures. Whenever the
-browser has drawn what it got it sends a text, and gets the newest pictures that it has not seen, as one
-binary message: the length of a JSON header in four bytes, the highest first, that header, and the JPEGs
-behind one another. So nothing waits on the way, however slow the browser is. ``held_s`` in the header is the
-time from the text to the message: what more passed where the text was sent, passed on the way.
+The unit's first message is JSON text, ``{"views": […]}``: the constant part of the pictures. After drawing,
+the browser sends a text and receives the newest pictures that it has not seen, as one binary message. That
+is the length of a JSON header in four bytes, the highest first, the header, and the JPEGs one after another.
+So nothing queues up in transit, however slow the browser is. ``held_s`` in the header is the time from the
+text to the message; the rest of the time that the browser measures was spent in transit.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from altd.status.services import NoPictureError, Picture, PictureService
 
 MAX_BYTES_AT_ONCE = 2048
 MAX_BYTES_PER_S = 1024
-"""For ten pictures a second a browser sends 100."""
+"""Maximum rate of received bytes; for ten pictures a second a browser sends 100."""
 
 
 class BoundedWebSocket(WSProtocol):
-    """Whatever it fails on ends the connection and nothing else."""
+    """WebSocket with a limit on received bytes; a failure ends only its own connection."""
 
     _allowed_bytes: float = MAX_BYTES_AT_ONCE
     _counted_s: float | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take over from HTTP, whose headers for each answer would say that the connection closes."""
-        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
+        """Take over from HTTP without its default headers, which announce that the connection closes."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101  a socket's always is
         super().connection_made(transport)
         self.default_headers = []
 
     def data_received(self, data: bytes) -> None:
-        """Disconnect clients that do not speak WebSocket, or that send more than a browser does."""
-        if self._counted_s is None:  # the handshake, which HTTP has bounded
+        """Disconnect clients that violate the protocol or send more than a browser does."""
+        if self._counted_s is None:  # the handshake, which HTTP has limited
             self._counted_s = self.loop.time()
         elif not self._takes(len(data)):
             self.transport.abort()
@@ -59,13 +59,13 @@ class BoundedWebSocket(WSProtocol):
             self.transport.abort()
 
     async def send(self, message: ASGISendEvent) -> None:
-        """Say nothing after a message that was too large has closed it: uvicorn takes that for a defect."""
+        """Send nothing once an oversized message has closed it: uvicorn treats that as a defect."""
         if self.close_sent:
             raise ClientDisconnected
         await super().send(message)
 
     def handle_ping(self, event: Ping) -> None:
-        """Answer while the client is connected: asyncio logs each piece that is written after it left."""
+        """Answer only while the client is connected: asyncio logs each write after it has left."""
         if not self.transport.is_closing():
             super().handle_ping(event)
 
@@ -78,27 +78,27 @@ class BoundedWebSocket(WSProtocol):
 
 
 PATH = "/api/v1/pictures"
-"""OpenAPI knows no WebSocket, so that this one is in no table of paths."""
+"""Path of the WebSocket; not in the table of paths because OpenAPI does not cover WebSockets."""
 
 MAX_VIEWERS = 16
-"""Browsers that are shown pictures at a time."""
+"""Maximum number of browsers that receive pictures at a time."""
 
 MAX_SILENCE_S = 30.0
-"""A browser that asks for nothing for so long is closed: it asks again when it is visible."""
+"""Time without a request until a browser is disconnected; it connects again when it is visible."""
 
 NOTHING_NEW_S = 1.0
-"""After so long the answer is a message without pictures, which says that the unit is there."""
+"""Time without new pictures until a message without pictures is sent, which shows that the unit is alive."""
 
 MAX_REASON_LETTERS = 60
-"""Of the 123 bytes that a close frame has room for."""
+"""Maximum length of a reason for closing; a close frame has room for 123 bytes."""
 
 _SEND_TIMEOUT_S = 10.0
 _TRY_LATER, _GOING_AWAY, _NOT_ACCEPTED, _NOT_ALLOWED = 1013, 1001, 1003, 1008
-"""Status codes of closing (RFC 6455, 7.4, and its registry)."""
+"""Status codes for closing (RFC 6455, 7.4, and its registry)."""
 
 
 class Viewers:
-    """Browsers that look at the targets, so that they stay few."""
+    """Sends pictures of the targets to a limited number of browsers."""
 
     def __init__(self, service: PictureService, component: Component, guard: Guard) -> None:
         self._service = service
@@ -107,7 +107,7 @@ class Viewers:
         self.open = 0
 
     async def show(self, socket: WebSocket) -> None:
-        """Serve one browser for as long as it asks."""
+        """Serve one browser as long as it sends requests."""
         if not _is_own_page(socket):
             await socket.close()  # 403
             return
@@ -165,7 +165,7 @@ class Viewers:
 
 
 def message(pictures: Sequence[Picture], asked_ns: int, now_ns: int) -> bytes:
-    """Pictures as one message of the WebSocket, which is sent now and was asked for then."""
+    """Return pictures as one WebSocket message, requested at ``asked_ns`` and sent at ``now_ns``."""
     header = json.dumps(
         {
             "held_s": round((now_ns - asked_ns) * 1e-9, 3),
@@ -191,14 +191,14 @@ def message(pictures: Sequence[Picture], asked_ns: int, now_ns: int) -> bytes:
 
 
 def _is_own_page(socket: WebSocket) -> bool:
-    """A browser says which page asks, and any page may open a WebSocket; what is no browser says nothing."""
+    """Whether no foreign page opens the socket, as any page may: only browsers send the page's origin."""
     origin = socket.headers.get("Origin")
     scheme = "https" if socket.url.scheme == "wss" else "http"
     return origin is None or origin == f"{scheme}://{socket.headers.get('Host', '')}"
 
 
 async def _within(sending: Awaitable[None]) -> None:
-    """A browser that takes nothing is given up."""
+    """Send within the time limit; raises TimeoutError if the browser receives nothing."""
     async with asyncio.timeout(_SEND_TIMEOUT_S):
         await sending
 

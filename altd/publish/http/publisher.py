@@ -1,4 +1,4 @@
-"""The interface: its settings and sockets, and its application behind a gate that every request passes."""
+"""The HTTP interface: its settings and sockets, and its application behind the checks of every request."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ _LOOK_INTERVAL_S = 1.0
 """Interval at which the socket's file is checked; clients cannot connect without it."""
 
 MAX_TARGET_BYTES = 2048
-"""Of a path with its query."""
+"""Maximum length of a path with its query."""
 
 _SINGLE_HEADERS = (b"authorization", b"content-length", b"content-type", b"cookie", b"host", b"origin")
-"""Of two of them one program reads the first and another one the last."""
+"""Headers that must not be repeated: of two, one program reads the first and another one the last."""
 
 
 def application_of(
     answers: Answers, component: Component, requests: Buckets, names: OwnNames | None
 ) -> ASGIApp:
-    """The application that answers every request, over TCP and the local socket.
+    """Return the application that answers every request, over TCP and the local socket.
 
-    ``requests`` limits how often an address may ask.
-    ``names`` are those that the unit may be asked by; None: any.
+    ``requests`` limits the rate of requests per address.
+    ``names`` are the names of the unit that are accepted in ``Host``; None: any.
     """
     routes: list[BaseRoute] = [
         Route(path.path, _handler(path, answers), methods=list(path.operations)) for path in PATHS
@@ -68,7 +68,7 @@ def application_of(
 
 
 def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitable[Response]]:
-    """One for all methods of a path: starlette would name only the first route's in ``Allow``."""
+    """Return one handler for all methods of a path: starlette's ``Allow`` has only the first route's."""
 
     async def handle(request: Request) -> Response:
         method = "GET" if request.method == "HEAD" else request.method
@@ -78,7 +78,7 @@ def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitabl
 
 
 class _Gate:
-    """Checks before any path: one meaning, addressed to this unit, within the limit of rate."""
+    """Checks every request: unambiguous, addressed to this unit, within the rate limit."""
 
     def __init__(
         self, application: ASGIApp, component: Component, requests: Buckets, names: OwnNames | None
@@ -89,7 +89,7 @@ class _Gate:
         self._requests = requests
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse, or pass on."""
+        """Refuse a request, or forward it to the application."""
         self._component.count("requests")
         if (wait_s := self._wait_s(scope)) > 0:
             self._component.count("requests_limited")
@@ -99,12 +99,12 @@ class _Gate:
         try:
             await answer(scope, receive, send)
         except Exception:
-            if scope["type"] != "http":  # uvicorn ends a WebSocket
+            if scope["type"] != "http":  # uvicorn itself ends a WebSocket
                 raise
             log.exception("%s: a defect", self._component.name)
 
     def _misdirected(self, scope: Scope) -> Response | None:
-        """Why it is not for this unit, by its ``Host``; None: it is, or it only asks whether it lives."""
+        """Return a refusal if ``Host`` is not a name of this unit; None: it is, or it is a liveness check."""
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         if self._names is None or scope["path"] == ALIVE or all(host in self._names for host in hosts):
             return None
@@ -115,7 +115,7 @@ class _Gate:
         return misdirected(host_of(hosts[0]), f"{address}:{port}", b"text/html" in accepted)
 
     def _wait_s(self, scope: Scope) -> float:
-        """Time that the sender has to wait; 0 for the unit's own computer, which has no limit."""
+        """Time that the client has to wait, s; 0 for the unit's own computer, which has no limit."""
         client = scope.get("client")
         address = None if client is None else address_of(client[0])
         if address is None or is_loopback(address):
@@ -124,10 +124,10 @@ class _Gate:
 
 
 def _malformed(scope: Scope) -> Response | None:
-    """Why a request is none that we answer; None: it may be.
+    """Return the refusal of an oversized or ambiguous request; None: it is acceptable.
 
-    No path of ours needs a percent sign: one that is written with it is read differently by what may be
-    before us. A body has no two lengths (RFC 9112, 6.1), and a header of one value comes once.
+    No path of ours needs a percent sign, which a proxy before us may read differently. A body must not have
+    two lengths (RFC 9112, 6.1), and a header with one value must not be repeated.
     """
     raw_path: bytes = scope["raw_path"]
     if len(raw_path) + len(scope["query_string"]) > MAX_TARGET_BYTES:
@@ -149,7 +149,7 @@ class HttpPublisher:
     """
 
     is_local = False
-    """Whether a file's permissions say who may connect, and he may what the unit's own computer may."""
+    """Whether a file's permissions control access; clients may then do what the unit's own computer may."""
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class HttpPublisher:
         events: EventLog | None = None,
     ) -> None:
         self.port = settings.port
-        """The address in use; for port 0, the port that the system chose."""
+        """Port in use; for port 0, the port that the system chose, once it listens."""
         self._settings = settings
         self._component = component
         self._place = ""
@@ -190,13 +190,13 @@ class HttpPublisher:
         self.answers.api_page = api_page_of(document)
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the address cannot be had."""
+        """Serve until cancelled; raises OSError if the address is not available."""
         with listen(self._settings) as listener:
             self.port = listener.getsockname()[1]
             await self.serve(listener, f"port {self.port}{_openness(self._settings)}", ready)
 
     async def serve(self, listener: socket.socket, place: str, ready: Callable[[], None]) -> None:
-        """Serve who connects there until cancelled; ``place`` is what health says."""
+        """Serve the clients of ``listener`` until cancelled; ``place`` describes it in the health report."""
         self._place = place
 
         def serving() -> None:
@@ -208,7 +208,7 @@ class HttpPublisher:
         await serve(application, listener, self._component, self._policy, serving)
 
     def _complain(self, about: str, sentence: str) -> None:
-        """A file that was changed cannot be used; with an empty sentence, it can again."""
+        """Report that a changed file cannot be used, or, with an empty sentence, that it can be again."""
         self._complaints.pop(about, None)
         if sentence:
             self._complaints[about] = sentence
@@ -221,7 +221,7 @@ class HttpPublisher:
 
 
 def _openness(settings: HttpSettings) -> str:
-    """Which networks can read here, in words: advice, and no fault."""
+    """Return a text on TLS and on networks with access, as advice, not as a fault."""
     own = settings.host == "localhost" or settings.host == "::1" or settings.host.startswith("127.")
     parts = [
         "with TLS" if settings.certificate is not None else "",
@@ -231,7 +231,7 @@ def _openness(settings: HttpSettings) -> str:
 
 
 class LocalPublisher(HttpPublisher):
-    """Serves the unit's own computer; who may open the file may act, too."""
+    """Serves the unit's own computer; clients that may open the socket's file may also act."""
 
     is_local = True
 
@@ -242,7 +242,7 @@ class LocalPublisher(HttpPublisher):
         self._path = path
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the socket cannot be had, or has lost its file."""
+        """Serve until cancelled; raises OSError if the socket is not available or has lost its file."""
         with listening(self._path) as listener:
             made = identity_at(self._path)
             serving = asyncio.ensure_future(self.serve(listener, "for this computer alone", ready))

@@ -1,4 +1,4 @@
-"""Recordings that the unit has kept, and how large answers are made and sent, a few at a time."""
+"""Recordings that the unit has kept; making and sending of large responses, a few at a time."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from altd.publish.http.guard import Guard
 from altd.status.services import NotKeptError, RecordingKeeper, RecordingService
 
 MAX_DOWNLOADS = 2
-"""Recordings, diagnostics, calibration files and reports that are made or sent at a time."""
+"""Maximum number of recordings, diagnostics, calibration files and reports made or sent at a time."""
 
 PIECE_BYTES = 1 << 18
-"""So much of an answer waits for its client."""
+"""Size of the pieces in which a response is sent: only one waits for the client."""
 
 _NOT_IN_A_NAME = re.compile(r"[^0-9A-Za-z._-]")
 
 
 class Downloads:
-    """The active downloads of one interface."""
+    """Number of active downloads of one interface."""
 
     def __init__(self) -> None:
         self.open = 0
 
 
 class Download(Response):
-    """The answer that ``make`` gives; 503 where enough are under way.
+    """The response that ``make`` returns; 503 if too many downloads are active.
 
-    It counts from before it is made until it is sent, or the client has gone.
+    It is active from before it is made until it is sent or the client has disconnected.
     """
 
     def __init__(self, downloads: Downloads, make: Callable[[], Awaitable[Response]]) -> None:
@@ -42,7 +42,7 @@ class Download(Response):
         self._make = make
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Make and send it."""
+        """Make and send the response."""
         if self._downloads.open >= MAX_DOWNLOADS:
             await refusal(503, f"{MAX_DOWNLOADS} downloads are under way already")(scope, receive, send)
             return
@@ -54,7 +54,7 @@ class Download(Response):
 
 
 def sent_whole(content: bytes, media_type: str, headers: Mapping[str, str]) -> Response:
-    """An answer that is under way until its client has taken it, but for the last piece."""
+    """Return a response that is active until the client has received all of it but the last piece."""
 
     async def pieces() -> AsyncIterator[bytes]:
         for begin in range(0, len(content), PIECE_BYTES):
@@ -65,7 +65,7 @@ def sent_whole(content: bytes, media_type: str, headers: Mapping[str, str]) -> R
 
 
 def saved_as(name: str) -> dict[str, str]:
-    """The header that has a browser save the answer under this name, in letters that any system takes."""
+    """Return the header to save the response under this name, in characters that any system accepts."""
     return {"Content-Disposition": f'attachment; filename="{_NOT_IN_A_NAME.sub("_", name)}"'}
 
 
@@ -75,7 +75,7 @@ _READABLE = 0o644
 
 
 class Recordings:
-    """The recordings of one unit, as HTTP gives them."""
+    """Answers requests for the recordings of one unit."""
 
     def __init__(self, service: RecordingService, guard: Guard, downloads: Downloads) -> None:
         self._service = service
@@ -83,25 +83,25 @@ class Recordings:
         self._downloads = downloads
 
     async def listed(self, _: Request) -> Response:
-        """The fault recordings."""
+        """Return the list of recordings."""
         kept = [recording.as_object() for recording in self._service.recordings]
         return JSONResponse({"unavailable": self._service.unavailable, "recordings": kept})
 
     async def keep(self, request: Request) -> Response:
-        """Keep the last seconds, for clients that may act."""
+        """Keep the last seconds as a recording, for clients that may act."""
         by = self._guard.requester(request)
         kept = await self._service.provider.keep(f"asked by {by}")
         return JSONResponse(kept.as_object(), status_code=201)
 
     async def mark(self, request: Request) -> Response:
-        """``PUT`` marks, ``DELETE`` takes the mark away, for clients that may act."""
+        """Mark a recording (``PUT``), or remove its mark (``DELETE``), for clients that may act."""
         self._guard.actor(request)
         name = self._known_name(request)
         kept = await self._service.provider.mark(name, request.method == "PUT")
         return JSONResponse(kept.as_object())
 
     async def archive(self, request: Request) -> Response:
-        """A recording as a tar archive, for clients that may see pictures."""
+        """Return a recording as a tar archive, for clients that may see pictures."""
         self._guard.check_may_look(request)
         name = self._known_name(request)
         files = await self._service.provider.files(name)
@@ -117,7 +117,7 @@ class Recordings:
         return Download(self._downloads, made)
 
     def _known_name(self, request: Request) -> str:
-        """The recording that the path names, one of the list; raises Refused."""
+        """Return the name of the recording in the path; raises Refused if it is not in the list."""
         name = str(request.path_params["name"])
         if all(name != recording.name for recording in self._service.recordings):
             raise Refused(refusal(404, "there is no such recording"))
@@ -125,9 +125,9 @@ class Recordings:
 
 
 async def _tar(keeper: RecordingKeeper, name: str, files: Sequence[str]) -> AsyncIterator[bytes]:
-    """The files of a recording as a POSIX tar archive (ustar); one that goes meanwhile is left out.
+    """Yield the files of a recording as a POSIX tar archive (ustar), without files deleted meanwhile.
 
-    A disk that hangs ends it before ``recording.json``, the last: what has come then is no recording.
+    If the disk hangs, it ends before ``recording.json``, the last file, and is therefore no recording.
     """
     for file in files:
         try:

@@ -1,9 +1,9 @@
-"""uvicorn inside the daemon's loop, with bounds against clients that are slow, many or hostile.
+"""uvicorn inside the daemon's loop, with limits against slow, numerous or hostile clients.
 
-What uvicorn leaves open and this module closes: it installs signal handlers, it exits the process when the
-port is taken, it never stops waiting for the end of a request header, its ``limit_concurrency`` refuses
-requests but keeps the connections, it fails where a request turns out malformed after its header, and it does
-not end by cancellation.
+This module closes gaps of uvicorn: it installs signal handlers, exits the process when the port is taken, and
+waits for the end of a request header without limit. Its ``limit_concurrency`` refuses requests but keeps the
+connections. It fails on a request that turns out malformed after its header, and does not end by
+cancellation.
 """
 
 from __future__ import annotations
@@ -43,47 +43,47 @@ from altd.tcp_port import (
 from altd.tcp_port import listen as listen_tcp
 
 MAX_CONNECTIONS = 64
-"""More than these are closed at once: a flood must leave the daemon its file descriptors."""
+"""Maximum number of connections; more are closed at once: a flood must leave the daemon descriptors."""
 
 RESERVED_DESCRIPTORS = 8
-"""Descriptors left to controllers, cameras and ports where the process may have few."""
+"""Descriptors reserved for controllers, cameras and ports if the limit of the process is low."""
 
 REQUEST_TIMEOUT_S = 10.0
-"""A client that has not sent a whole request header by then is cut off."""
+"""Time limit for a whole request header; then the client is disconnected."""
 
 SEND_TIMEOUT_S = 20
-"""A client that takes nothing for so long is cut off by the kernel."""
+"""Maximum time for which a client may receive nothing; then the kernel disconnects it."""
 
 MAX_HEADER_BYTES = 8192
 MAX_HEADER_LINES = 64
 
 _BLANK_LINE = re.compile(rb"\n\r?\n")
-"""The bytes that h11 accepts as the end of a header."""
+"""Bytes that h11 accepts as the end of a header."""
 
 _CHUNKED = re.compile(rb"\ntransfer-encoding:", re.IGNORECASE)
-"""A body in chunks is refused: to parse 4 kB of the smallest would hold the event loop for 5 to 18 ms."""
+"""Header of a chunked body, refused because 4 kB of the smallest chunks block the loop for 5 to 18 ms."""
 
 MAX_BYTES_BEHIND_HEADER = 4608
-"""More than the largest body, a login of 4096, so that a larger one is recognised; the rest is dropped."""
+"""Maximum bytes read after a header: more than a login's 4096, to detect larger ones; the rest is dropped."""
 
 MAX_MESSAGE_BYTES = 256
-"""Of a browser over a WebSocket: it only asks for the next picture."""
+"""Maximum size of a WebSocket message from a browser, which only requests the next picture."""
 
 PING_INTERVAL_S = 10.0
-"""A WebSocket is asked whether it is there; without an answer for so long it is closed."""
+"""Interval of pings on a WebSocket, and time without a response until it is closed."""
 
 _SEND_BUFFER_BYTES = 16384
-"""Small, so that a slow reader of the stream skips measurements instead of getting old ones."""
+"""Size of the send buffer; small, so that slow clients of the stream skip measurements, not lag behind."""
 
 _HEADERS = [
     ("Cache-Control", "no-store"),
-    ("Connection", "close"),  # one request a connection: what is not asking costs nothing
+    ("Connection", "close"),  # one request per connection: idle clients cost nothing
     ("X-Content-Type-Options", "nosniff"),
 ]
 
 
 def listen(settings: HttpSettings) -> socket.socket:
-    """The listening socket; raises OSError as ``altd.tcp_port.listen`` does."""
+    """Return the listening socket; raises OSError as ``altd.tcp_port.listen`` does."""
     listener = listen_tcp(settings.host, settings.port)
     # every accepted connection inherits these options
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
@@ -98,10 +98,10 @@ class ConnectionPolicy:
     allowed: Allowed
     certificate: Callable[[], ssl.SSLContext] | None
     connections: Buckets
-    """Limit of an address's connections where each costs a handshake."""
+    """Limit of new connections per address if each costs a handshake."""
 
     def refuses(self, connection: socket.socket) -> str:
-        """Why a connection is closed unanswered, as the name of a counter; empty: it is not."""
+        """Return the counter of the reason to close a connection unanswered; empty: it is accepted."""
         if connection.family == socket.AF_UNIX:
             return ""
         host = connection.getpeername()[0]
@@ -120,7 +120,7 @@ async def serve(
     policy: ConnectionPolicy,
     ready: Callable[[], None],
 ) -> None:
-    """Serve until cancelled; every connection is closed by then."""
+    """Serve until cancelled; then every connection is closed."""
     config = uvicorn.Config(
         application,
         http=_BoundedProtocol,
@@ -143,7 +143,7 @@ async def serve(
 
 
 class _Server(uvicorn.Server):
-    """Leaves the signals to the daemon, accepts connections in altd's way and ends by cancellation."""
+    """Leaves the signals to the daemon, accepts connections within altd's limits and ends by cancellation."""
 
     def __init__(
         self,
@@ -166,12 +166,12 @@ class _Server(uvicorn.Server):
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Leave the listening to ``main_loop``."""
+        """Leave listening to ``main_loop``."""
         self.servers = []
         self.started = True
 
     async def main_loop(self) -> None:
-        """Serve; cut every connection on the way out, which ends the tasks behind them."""
+        """Serve; at the end abort every connection, which ends the connections' tasks."""
         accepting = asyncio.ensure_future(accept(self._listener, self._component, self._admit))
         self._ready()
         try:
@@ -186,7 +186,7 @@ class _Server(uvicorn.Server):
             await self.shutdown()
 
     async def _admit(self, connection: socket.socket) -> None:
-        """Serve a connection, or close it where it may not be or there are enough."""
+        """Serve a connection, or close it if it is not allowed or there are too many."""
         why = self._policy.refuses(connection) or self._is_full(connection)
         if why:
             self._component.count(why)
@@ -208,7 +208,7 @@ class _Server(uvicorn.Server):
         return "connections_refused" if is_full or is_among_last(connection, RESERVED_DESCRIPTORS) else ""
 
     async def _shake_hands(self, connection: socket.socket, context: ssl.SSLContext) -> None:
-        """TLS over a connection that is already ours, so that its buffer is as small as without TLS."""
+        """Start TLS on a connection that is already ours, so that its buffer is as small as without TLS."""
         loop = asyncio.get_running_loop()
         protocol = _BoundedProtocol(self.config, self.server_state, {})
         try:
@@ -221,9 +221,9 @@ class _Server(uvicorn.Server):
                 ssl_handshake_timeout=HANDSHAKE_TIMEOUT_S,
                 ssl_shutdown_timeout=SHUTDOWN_TIMEOUT_S,
             )
-        except OSError:  # no TLS, none that we speak, or it left; ssl's errors are among these
+        except OSError:  # no TLS, an unsupported one, or the client left; includes ssl's errors
             secured = None
-        if secured is None or secured.is_closing():  # None of Python 3.11.2: it left at once
+        if secured is None or secured.is_closing():  # None from Python 3.11.2: the client left at once
             self._component.count("handshakes_failed")
             connection.close()
             return
@@ -231,32 +231,32 @@ class _Server(uvicorn.Server):
 
 
 class _Silent(asyncio.Protocol):
-    """Holds a connection until TLS takes it over: reads nothing, keeps nothing to be sent."""
+    """Holds a connection until TLS takes it over; reads nothing and buffers nothing for sending."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Stop before the first byte."""
-        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
+        """Stop reading before the first byte."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101  a socket's always is
         transport.pause_reading()
         transport.set_write_buffer_limits(high=0)
 
 
 class _BoundedProtocol(H11Protocol):
-    """uvicorn's HTTP protocol with time limits."""
+    """uvicorn's HTTP protocol with limits on time and size."""
 
     _deadline: asyncio.TimerHandle | None = None
     _stuck: asyncio.TimerHandle | None = None
     _head: bytes | None = b""
-    """The bytes of the first header so far; None: it is complete."""
+    """Bytes of the first header so far; None: it is complete."""
     _behind_bytes = 0
-    """The bytes behind the header that were passed on."""
+    """Number of bytes after the header that were forwarded."""
     _early: bytes = b""
-    """Bytes that TLS deciphered before the handshake ended, for ``connection_made``."""
+    """Bytes that TLS decrypted before the handshake ended, for ``connection_made``."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Write nothing ahead of the client, and wait for its request only so long."""
-        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
+        """Buffer no output ahead of the client, and limit the wait for its request."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101  a socket's always is
         super().connection_made(transport)
-        # asyncio's TLS would stop at a mark of 0 and never resume
+        # asyncio's TLS would stop at a limit of 0 and never resume
         transport.set_write_buffer_limits(high=1 if is_ssl(transport) else 0)
         self._deadline = self.loop.call_later(REQUEST_TIMEOUT_S, self._give_up)
         if early := self._early:
@@ -264,15 +264,15 @@ class _BoundedProtocol(H11Protocol):
             self.data_received(early)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the deadline."""
+        """Cancel the timers."""
         for timer in (self._deadline, self._stuck):
             if timer is not None:
                 timer.cancel()
-        if cast("object | None", self.transport) is not None:  # uvicorn's annotation knows no None
+        if cast("object | None", self.transport) is not None:  # uvicorn's annotation lacks None
             super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Pass it on while its header is within bounds: h11 bounds only one that comes in pieces."""
+        """Forward data while the header is within its limits: h11 limits only a header received in pieces."""
         if cast("object | None", self.transport) is None:
             self._early += data
             return
@@ -293,34 +293,34 @@ class _BoundedProtocol(H11Protocol):
         self._behind_bytes += behind - excess
         if passed := data[: len(data) - excess]:
             super().data_received(passed)
-        if excess and self.transport.get_protocol() is self:  # a WebSocket continues, with bounds of its own
+        if excess and self.transport.get_protocol() is self:  # a WebSocket continues, with its own limits
             self.transport.pause_reading()
 
     def pause_writing(self) -> None:
-        """The client takes nothing now: where no TCP cuts it off, this does."""
+        """Limit the time of a client that receives nothing on a local socket, where no TCP disconnects it."""
         super().pause_writing()
         if self.transport.get_extra_info("socket").family == socket.AF_UNIX:
             self._stuck = self.loop.call_later(SEND_TIMEOUT_S, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """The transport has sent its buffer."""
+        """Cancel the timer: the transport has sent its buffer."""
         if self._stuck is not None:
             self._stuck.cancel()
         super().resume_writing()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is malformed, if no answer is under way; an answer under way ends.
+        """Answer a malformed request; a response that is already being sent is aborted instead.
 
-        uvicorn would send a second answer, and log a traceback when h11 refuses that.
+        uvicorn would send a second response, and log a traceback when h11 refuses it.
         """
-        cycle = cast("RequestResponseCycle | None", self.cycle)  # uvicorn's annotation knows no None
+        cycle = cast("RequestResponseCycle | None", self.cycle)  # uvicorn's annotation lacks None
         if cycle is not None:
             cycle.disconnected = True
             cycle.message_event.set()
         self._refuse(400, "not an HTTP request")
 
     def _refuse(self, status: int, sentence: str) -> None:
-        """Say in one answer why there is none, and close; cut where an answer is under way already."""
+        """Send an error response and close; abort if another response is already being sent."""
         if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
             self.transport.abort()
             return
@@ -333,16 +333,16 @@ class _BoundedProtocol(H11Protocol):
         self.transport.close()
 
     def _should_upgrade_to_ws(self) -> bool:
-        """Elsewhere the wish to upgrade is ignored."""
+        """Whether the path is that of the WebSocket; on others a request to upgrade is ignored."""
         return self.scope["path"] == pictures.PATH
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """A WebSocket has its own bounds."""
+        """Cancel the time limit of the request: a WebSocket has its own limits."""
         if self._deadline is not None:
             self._deadline.cancel()
         super().handle_websocket_upgrade(event)
 
     def _give_up(self) -> None:
-        asked = cast("object | None", self.cycle)  # uvicorn's annotation knows no None
+        asked = cast("object | None", self.cycle)  # uvicorn's annotation lacks None
         if asked is None:
             self.transport.abort()

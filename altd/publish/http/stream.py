@@ -1,4 +1,4 @@
-"""The stream: server-sent events (WHATWG HTML, 9.2), one for each measurement that a client keeps up with."""
+"""Stream of server-sent events (WHATWG HTML, 9.2), one per measurement; slow clients skip some."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from altd.status.measurement_json import checked_line, targets_object
 from altd.status.proof import Stamps
 
 MAX_STREAMS = 16
-"""Streams that are served at a time."""
+"""Maximum number of streams that are served at a time."""
 
 KEEP_ALIVE_INTERVAL_S = 1.0
-"""After this much silence a comment says that the unit is still there."""
+"""Time without an event until a comment is sent, which shows that the unit is alive."""
 
 RETRY_MS = 2000
-"""When a browser that lost the stream comes back."""
+"""Time until a browser reconnects after it has lost the stream."""
 
 
 def event(measurement: Measurement, line: str) -> str:
-    """One measurement, and its line of JSON, as an event whose id is its sequence."""
+    """Return a measurement's line of JSON as an event whose id is its sequence."""
     return f"id: {measurement.sequence}\ndata: {line}\n\n"
 
 
 async def events(
     board: Board, component: Component, stamps: Stamps, resuming: Resuming | None = None
 ) -> AsyncGenerator[str, None]:
-    """The latest measurement and every later one that is still the latest when the client takes it.
+    """Yield the latest measurement, and every later one that is still the latest when the client is ready.
 
-    A measurement that goes stale is an event, too, an invalid one. ``resuming``: how a stream that
-    can be resumed continues, what was missed among it.
+    A measurement that becomes stale is also an event, an invalid one. ``resuming`` makes the events of a
+    resumable stream, including missed ones.
     """
     cursor = board.cursor()
     told: Measurement | None = None
@@ -73,7 +73,7 @@ async def events(
 
 
 class Resuming:
-    """A stream whose events have ids by which it is resumed; ``missed``: what the client asks to have."""
+    """A stream whose events have ids for resuming; ``missed`` reads measurements that the client missed."""
 
     def __init__(self, missed: Resume | None) -> None:
         self._missed = missed
@@ -81,13 +81,13 @@ class Resuming:
         self._asking: asyncio.Task[Sequence[str]] | None = None
 
     def event(self, measurement: Measurement, line: str) -> str:
-        """A current measurement; without an id while something of before is missing."""
+        """Return the event of a current measurement, without an id while earlier ones are missing."""
         if self._missed is not None:
             return f"data: {line}\n\n"
         return f"id: {id_of(key_of(measurement))}\ndata: {line}\n\n"
 
     def past(self, told: Measurement) -> Sequence[str]:
-        """The events missed before the first measurement sent, once they have arrived; never waits."""
+        """Return the events missed before the first measurement sent, once they are ready; never waits."""
         if self._missed is None:
             return ()
         self._until = self._until or told
@@ -101,13 +101,13 @@ class Resuming:
         return events
 
     def end(self) -> None:
-        """The client has left."""
+        """Stop reading the missed events: the client has disconnected."""
         if self._asking is not None:
             self._asking.cancel()
 
 
 class Streams:
-    """The number of open streams, to limit them."""
+    """Sources of the streams, and the number of open ones, to limit them."""
 
     def __init__(self, board: Board, component: Component, stamps: Stamps) -> None:
         self.board = board
@@ -117,7 +117,7 @@ class Streams:
 
 
 class EventStream(StreamingResponse):
-    """The answer to one client, for as long as it stays; a refusal when there are enough."""
+    """Response to one client while it is connected; a refusal if too many streams are open."""
 
     media_type = "text/event-stream"
 
@@ -127,7 +127,7 @@ class EventStream(StreamingResponse):
         super().__init__(self._events)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve the client until it goes away."""
+        """Serve the client until it disconnects."""
         streams = self._streams
         if streams.open >= MAX_STREAMS:
             streams.component.count("streams_refused")
@@ -144,10 +144,10 @@ class EventStream(StreamingResponse):
 
 MAX_ROWS_AT_ONCE = 100
 MAX_ROWS = 12_000
-"""Ten minutes at 20 a second; of a longer time ``/api/v1/trend`` tells."""
+"""Maximum number of missed events: ten minutes at 20/s; ``/api/v1/trend`` covers longer times."""
 
 MAX_WAIT_S = 5.0
-"""A measurement is in the history within some seconds."""
+"""Maximum wait for the history, which has a measurement within a few seconds."""
 
 _LOOK_AGAIN_S = 0.5
 _ID = re.compile(r"([0-9]{1,18})-([0-9]{1,18})")
@@ -156,21 +156,21 @@ Key = tuple[int, int]
 
 
 def key_of(measurement: Measurement | StoredMeasurement) -> Key:
-    """The identity of a measurement: its sequence, and its time on the monotonic clock."""
+    """Return the identity of a measurement: its sequence, and its time on the monotonic clock."""
     return measurement.sequence, measurement.t_ns
 
 
 def id_of(key: Key) -> str:
-    """The id of an event."""
+    """Return the id of an event."""
     return f"{key[0]}-{key[1]}"
 
 
 class Resume:
-    """The measurements that a client missed after the event with ``last_id``, its ``Last-Event-ID``.
+    """Measurements that a client missed after the event with ``last_id``, its ``Last-Event-ID``.
 
-    The newest measurement is never held back for that. What is past comes between, as events of the type
-    ``past`` that no client takes for current ones, and with ``gap`` where something is missing. Until all has
-    come, only what is past has an id: a client that breaks off once more continues there.
+    They never delay the newest measurement. They are sent in between, as events of the type ``past``, which
+    clients do not mistake for current ones, and as ``gap`` if some are missing. Until all are sent, only past
+    events have an id: a client that disconnects again continues there.
     """
 
     def __init__(self, last_id: str, history: History, quantities: Quantities, clock: Clock) -> None:
@@ -187,7 +187,7 @@ class Resume:
         self.is_done = False
 
     async def events(self, until: Measurement) -> Sequence[str]:
-        """The next events of what was before ``until``, which he has; empty: none yet, or all came."""
+        """Return the next events before ``until``, which the client has; empty: none yet, or all are sent."""
         now_ns = self._clock.monotonic_ns()
         if self._after is None:
             return self._gap("it is no id of this stream")
@@ -215,7 +215,7 @@ class Resume:
         return [*events, *self._waited(now_ns, why, is_short=is_short, came=bool(rows))]
 
     def _waited(self, now_ns: int, why: str, *, is_short: bool, came: bool) -> Sequence[str]:
-        """Look again soon, or give up what does not come."""
+        """Return nothing, to read again soon, or a gap if no row has arrived for ``MAX_WAIT_S``."""
         self._looked_ns = now_ns if is_short else None
         if came or self._waits_since_ns is None:
             self._waits_since_ns = now_ns
@@ -228,9 +228,9 @@ class Resume:
         return (f"event: gap\ndata: {json.dumps({'after': self._last_id, 'why': why})}\n\n",)
 
     def _read(self, reader: Reader) -> list[tuple[Key, str]] | None:
-        """The next rows as lines of JSON, in the history's thread; None: it does not have the last one."""
+        """Return the next rows as lines of JSON, in the history's thread; None: it lacks the last event."""
         if self._row is None:
-            assert self._after is not None  # noqa: S101  asked before
+            assert self._after is not None  # noqa: S101  checked before
             self._row = reader.id_of(*self._after)
             if self._row is None:
                 return None
@@ -246,7 +246,7 @@ class Resume:
 
 
 def time_of(t_us: int) -> str | None:
-    """A time of the history as JSON has it; None: of no calendar."""
+    """Return a time of the history, µs since 1970, as in the JSON; None: outside the calendar."""
     try:
         return utc_text(datetime.fromtimestamp(t_us * 1e-6, UTC))
     except (ValueError, OverflowError, OSError):
@@ -254,7 +254,7 @@ def time_of(t_us: int) -> str | None:
 
 
 def _object(row: StoredMeasurement, quantities: Quantities, targets: Sequence[str]) -> Mapping[str, object]:
-    """A measurement as it was: the keys of the measurement that are true of what is past."""
+    """Return a past measurement with the keys that remain true for past measurements."""
     return {
         "sequence": row.sequence,
         "time": time_of(row.t_us),

@@ -1,8 +1,8 @@
-"""The checked block: all that a controller needs in one read, with what it takes to check it.
+"""The checked block: all values that a controller needs, in one read, with the means to verify them.
 
 Message number, time stamp, source and CRC are the measures of a black channel (EN 50159, 7.3). The CRC
-is over every register before it in the order sent, so only a read of the whole block can be checked. A row is
-added in a gap; ``BLOCK_VERSION`` then stays. ``docs/proof.md`` is generated from this file.
+covers every register before it in the order sent, so only a read of the whole block can be checked. New rows
+use gaps and leave ``BLOCK_VERSION`` as it is. ``docs/proof.md`` is generated from this file.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from altd.publish.modbus.values import Reading, Snapshot
 from altd.status.proof import crc32
 
 BLOCK_VERSION = 1
-"""Counts up when a register changes its meaning or place."""
+"""Version of the block; incremented when a register changes its meaning or address."""
 
 FIRST, SIZE = 200, 80
-"""The first address of the block, and its registers."""
+"""First address of the block, and its number of registers."""
 
 FLOATS = 230
-"""The first address of its floating point values."""
+"""First address of its floating point values."""
 
 
 def _of_stamp(name: str) -> Reading:
@@ -88,7 +88,7 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("sigma_pitch", "°", "combined standard uncertainty", values.sigma("pitch_deg")),
     ("sigma_roll", "°", "standard deviation of roll", values.sigma("roll_deg")),
 )
-"""Each takes two registers from ``FLOATS`` on. A new one goes behind the last, or those below would move."""
+"""Values of two registers each, from ``FLOATS`` on. Add new ones after all rows, or others would move."""
 
 _AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
 
@@ -101,7 +101,7 @@ _OF_NOW = tuple(
     )
     for name, unit, key in _AXES
 )
-"""They age, and follow the quantities; the rates follow them, and sigma_random the rates."""
+"""Ageing values, which follow the quantities; after them the rates, then sigma_random."""
 
 _RATES = tuple(
     (f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in _AXES
@@ -118,7 +118,7 @@ CRC = Register(
     Type.U32,
     "",
     f"CRC-32 of the {SIZE - 2} registers before it",
-    values.constant(None),  # it is made when all others are there
+    values.constant(None),  # computed after all others
 )
 
 ROWS = (
@@ -137,9 +137,9 @@ BLOCK = Table(ROWS, FIRST, SIZE)
 
 
 class CheckedBlock:
-    """The block as it is read: what ages, and the CRC, are made again for each reading.
+    """Registers of the block; ageing values and the CRC are computed again for each read.
 
-    The CRC is over the bytes as they are sent, in whatever word order.
+    The CRC covers the bytes as they are sent, in any word order.
     """
 
     def __init__(self, order: WordOrder = WordOrder.ABCD) -> None:
@@ -147,7 +147,7 @@ class CheckedBlock:
         self._image = RegisterImage(BLOCK, order)
 
     def at(self, snapshot: Snapshot) -> list[int]:
-        """All registers of a snapshot that has a stamp; true until the next call."""
+        """Return all registers of a snapshot that has a stamp; the list is valid until the next call."""
         words = self._image.at(snapshot)
         checked = struct.pack(f">{SIZE - 2}H", *words[:-2])
         high, low = divmod(crc32(checked), 1 << 16)

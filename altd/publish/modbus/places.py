@@ -1,8 +1,8 @@
-"""Which client makes room where all places are taken.
+"""Selection of the connection to displace when all places are taken.
 
-Three quarters of the places belong to the clients that have asked for longest. An address keeps its time when
-its connection ends, so that a controller that reconnects is not new. The last quarter goes to new connections
-in turn: each gets a place until as many have come after it as there are such places, time enough to ask.
+Three quarters of the places belong to the clients that have sent requests for longest. An address keeps its
+time when its connection ends, so a reconnecting controller is not new. The last quarter has new connections
+in turn; each stays until as many newer ones have arrived as the quarter has places, enough for a request.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 QUIET_S = 60.0
-"""A connection without a request for so long has no claim to its place; a longer gap counts as this one."""
+"""Time without a request until a connection loses its claim to a place; longer gaps count as this one."""
 
 FIRST_REQUEST_S = 5.0
-"""A new connection without a request for so long makes room before others."""
+"""Time without a first request after which a new connection is displaced before others."""
 
 KEPT_SHARE = 0.75
 MAX_KEPT_OF_ONE_ADDRESS = 8
 
 MAX_REMEMBERED = 1024
-"""Addresses whose time is kept when the memory, twice as large, is full."""
+"""Number of addresses whose time is kept when the memory, twice as large, is full."""
 
 
 @dataclass(slots=True)
 class Asking:
-    """For how long a client has been asking: the sum of the gaps between its requests, none above a limit."""
+    """Time for which a client has sent requests: the sum of the gaps between them, each up to ``QUIET_S``."""
 
     total_s: float = 0.0
-    """Until the last request."""
+    """Sum up to the last request."""
     gap_s: float = 0.0
-    """Before the last request."""
+    """Gap before the last request."""
     last_s: float | None = None
 
     def ask(self, now_s: float) -> None:
@@ -43,13 +43,13 @@ class Asking:
         self.last_s = now_s
 
     def until_s(self, now_s: float) -> float:
-        """The total until now while the next request is not overdue: slow clients count as fast ones do."""
+        """Return the total up to now, at most to the next due request: slow clients count like fast ones."""
         return 0.0 if self.last_s is None else self.total_s + min(now_s - self.last_s, self.gap_s)
 
 
 @dataclass(slots=True, eq=False)
 class Connection:
-    """A connection since ``since_s``; ``of_address`` is shared by the connections of its address."""
+    """A connection, open since ``since_s``; the connections of an address share ``of_address``."""
 
     address: str
     since_s: float
@@ -64,7 +64,7 @@ class Connection:
         self.of_address.ask(now_s)
 
     def is_quiet(self, now_s: float) -> bool:
-        """Whether it has not asked for too long."""
+        """Whether it has sent no request for too long."""
         if self.itself.last_s is None:
             return now_s - self.since_s > FIRST_REQUEST_S
         return now_s - self.itself.last_s > QUIET_S
@@ -73,7 +73,7 @@ class Connection:
 def connection_to_displace(
     present: Sequence[Connection], newcomer: Connection, now_s: float
 ) -> Connection | None:
-    """The connection that makes room for a newcomer; None: the newcomer gets no place."""
+    """Return the connection to displace for a newcomer; None: the newcomer gets no place."""
     displaceable = [connection for connection in present if not connection.is_reserved]
     if newcomer.is_reserved and not displaceable:
         displaceable = list(present)
@@ -90,7 +90,7 @@ def connection_to_displace(
 
 
 def _kept(connections: Sequence[Connection], now_s: float) -> list[Connection]:
-    """Three quarters of the connections at most: of those that ask, those of the longest asking addresses."""
+    """Return the active connections of the addresses active for longest, at most three quarters of all."""
     asking = [
         connection
         for connection in connections
@@ -106,7 +106,7 @@ def _kept(connections: Sequence[Connection], now_s: float) -> list[Connection]:
 
 
 class Addresses:
-    """For how long each address has been asking, in a bounded memory."""
+    """Time for which each address has sent requests, in a limited memory."""
 
     def __init__(self) -> None:
         self._asking: dict[str, Asking] = {}
@@ -115,7 +115,7 @@ class Addresses:
         return len(self._asking)
 
     def asking(self, address: str) -> Asking:
-        """The record of an address, which its connections share."""
+        """Return the record of an address, which its connections share."""
         if address not in self._asking:
             if len(self._asking) >= 2 * MAX_REMEMBERED:
                 self._forget()

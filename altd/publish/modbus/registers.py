@@ -1,8 +1,8 @@
-"""The register table: the one definition of what a controller reads, and how a measurement becomes registers.
+"""Register table: the only definition of the registers, and the conversion of measurements to them.
 
 Addresses are those of the protocol data unit, counted from 0 (Modbus Application Protocol V1.1b3, 4.4).
 A register is sent high byte first (ibid. 4.2). A 32-bit value takes two registers, high word first unless the
-settings ask for another ``WordOrder``. ``docs/modbus.md`` is generated from this file.
+settings choose another ``WordOrder``. ``docs/modbus.md`` is generated from this file.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from altd.publish.modbus import values
 from altd.publish.modbus.values import Reading, Snapshot
 
 MAP_VERSION = 1
-"""Counts up when a register changes its meaning or place; a new register in a gap leaves it."""
+"""Version of the table; counts changes of a register's meaning or address, not new registers in gaps."""
 
 SIZE = 120
-"""Registers in the image. A request reads at most 125 (V1.1b3, 6.3): one request reads all of it."""
+"""Number of registers in the table. A request reads up to 125 (V1.1b3, 6.3), so one reads the whole table."""
 
 FLOATS, SCALED, TESTS, PLATE = 20, 60, 100, 108
-"""The first addresses of the blocks; the header begins at 0."""
+"""First addresses of the blocks; the header begins at 0."""
 
 PER_UNIT = 10_000
 """Counts per mm, degree or mm/m in the scaled block."""
 
 
 class WordOrder(StrEnum):
-    """The order of the bytes of a 32-bit value, A the highest."""
+    """Order of the bytes of a 32-bit value; A is the highest."""
 
     ABCD = "ABCD"
     CDAB = "CDAB"
@@ -39,7 +39,7 @@ class WordOrder(StrEnum):
     DCBA = "DCBA"
 
     def arranged(self, words: tuple[int, int]) -> tuple[int, int]:
-        """The registers of a value, of which ``words`` are the high one and the low one."""
+        """Return the registers of a value from its ``words``, high and low."""
         high, low = words
         if self in (WordOrder.BADC, WordOrder.DCBA):
             high, low = _swapped(high), _swapped(low)
@@ -55,7 +55,7 @@ _FLOAT32_MAX = float.fromhex("0x1.fffffep127")
 
 
 class Type(StrEnum):
-    """The representation of a value in registers."""
+    """Representation of a value in registers."""
 
     U16 = "u16"
     U32 = "u32"
@@ -66,7 +66,7 @@ class Type(StrEnum):
 
     @property
     def words(self) -> int:
-        """Registers that a value takes."""
+        """Number of registers of a value."""
         return _WORDS[self]
 
     @property
@@ -76,12 +76,12 @@ class Type(StrEnum):
 
     @property
     def is_text(self) -> bool:
-        """Whether a value is text of so many characters."""
+        """Whether a value is text, of up to 16 or 32 characters."""
         return self in (Type.TEXT16, Type.TEXT32)
 
     @property
     def unknown(self) -> tuple[int, ...]:
-        """The registers that say "not known", which no value gives: all ones, most negative, NaN, no text."""
+        """Registers for "not known", which no known value has: all ones, most negative, NaN, empty text."""
         return {
             Type.U16: (0xFFFF,),
             Type.U32: (0xFFFF, 0xFFFF),
@@ -90,10 +90,10 @@ class Type(StrEnum):
         }.get(self, (0,) * self.words)
 
     def pack(self, value: float | str | None) -> tuple[int, ...]:
-        """The registers of a value: integers are rounded, what is out of range is held at the range's end.
+        """Return the registers of a value: integers are rounded, values out of range are clamped.
 
-        Text is ASCII, two characters a register, the first in the high byte; zeros follow it, and a character
-        that is not ASCII is sent as a question mark.
+        Text is ASCII, two characters per register, the first in the high byte, padded with zeros. Characters
+        outside ASCII are sent as question marks.
         """
         if isinstance(value, str):
             text = value.encode("ascii", "replace")[: 2 * self.words]
@@ -116,7 +116,7 @@ _WORDS = {Type.U16: 1, Type.U32: 2, Type.S32: 2, Type.F32: 2, Type.TEXT16: 8, Ty
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A row of the table: where a value lies, what it means, and where it comes from."""
+    """A row of the table: address, meaning and source of a value."""
 
     address: int
     name: str
@@ -125,7 +125,7 @@ class Register:
     meaning: str
     value: Reading
     is_ageing: bool = False
-    """The value depends on when it is read, not on the measurement alone."""
+    """Whether the value depends on the time of reading, not on the measurement alone."""
 
 
 def _scaled(value: Reading) -> Reading:
@@ -133,7 +133,7 @@ def _scaled(value: Reading) -> Reading:
         plain = value(snapshot)
         if not isinstance(plain, (int, float)) or not math.isfinite(plain):
             return None
-        return max(-_FLOAT_MAX, min(PER_UNIT * plain, _FLOAT_MAX))  # a product that overflows is held, too
+        return max(-_FLOAT_MAX, min(PER_UNIT * plain, _FLOAT_MAX))  # clamps a product that overflows, too
 
     return counts
 
@@ -204,7 +204,7 @@ PLATE_BLOCK = tuple(
     Register(PLATE + 2 * row, name, Type.F32, unit, meaning, value)
     for row, (name, unit, meaning, value) in enumerate(_OF_PLATE)
 )
-"""Not known of a beam, as the others are of a plate: an address has one meaning with every instrument."""
+"""Values of a plate; not known for a beam, as the others for a plate, since an address has one meaning."""
 
 REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK + PLATE_BLOCK
 
@@ -218,7 +218,7 @@ class Table:
     size: int = SIZE
 
     def place(self, address: int, count: int) -> slice | None:
-        """The slice of so many registers in the block; None: not all of them are in it."""
+        """Return the slice of ``count`` registers in the block; None: not all of them are in it."""
         begin = address - self.first
         return slice(begin, begin + count) if begin >= 0 and begin + count <= self.size else None
 
@@ -226,12 +226,12 @@ class Table:
 MEASUREMENT = Table()
 
 PER_PLACE, PLACES_AT_ONCE = 12, 8
-"""Registers of a place of a row, and places in one table."""
+"""Number of registers per place of a row, and of places per table."""
 _ROW_HEAD_SIZE = 10
 
 
 def row_head(first: int, name: str) -> tuple[Register, ...]:
-    """The registers before the places: what is to be read of the round together with them."""
+    """Return the registers before the places: values of the round that are read together with them."""
     about, age = "number of the round's last exposure", "since the middle of the round"
     return (
         Register(first, f"{name}_status", Type.U16, "", "as `status`", values.status),
@@ -243,7 +243,7 @@ def row_head(first: int, name: str) -> tuple[Register, ...]:
 
 
 def place_registers(first: int, number: int) -> tuple[Register, ...]:
-    """The registers of a place, counted from 1 in beam order."""
+    """Return the registers of a place, counted from 1 in beam order."""
     of = values.of_place
     floats = (
         ("dx", "mm", "displacement since the baseline, to the right", of(number, "dx_mm")),
@@ -272,21 +272,21 @@ def _row_table(first: int, name: str, numbers: Sequence[int]) -> Table:
 
 
 NEAR, FAR = _row_table(600, "near", range(1, 9)), _row_table(720, "far", range(9, 17))
-"""Of a row of switched targets, the first eight and the others: one request reads a table.
+"""Tables of a row of switched targets, the first eight and the others: one request reads a table.
 
-Beyond the row's targets, and with other instruments, nothing is known.
+Values beyond the row's targets, and with other instruments, are not known.
 """
 
 
 def image(snapshot: Snapshot, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:
-    """All registers of a table; gaps are 0."""
+    """Return all registers of a table; gaps are 0."""
     words = [0] * table.size
     _fill(words, table.rows, snapshot, table.first, order)
     return words
 
 
 class RegisterImage:
-    """The image as it is read: made once a measurement; only what ages is made again for each reading."""
+    """Registers of a table, computed once per measurement; only ageing values are computed for each read."""
 
     def __init__(self, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> None:
         self.table, self._order = table, order
@@ -296,7 +296,7 @@ class RegisterImage:
         self._words: list[int] = []
 
     def at(self, snapshot: Snapshot) -> list[int]:
-        """All registers of a snapshot; true until the next call."""
+        """Return all registers of a snapshot; the list is valid until the next call."""
         made_of, self._of = self._of, snapshot
         is_same = made_of is not None and made_of.measurement is snapshot.measurement
         if made_of is None or not is_same or made_of.published != snapshot.published:

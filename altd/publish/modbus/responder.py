@@ -1,7 +1,7 @@
-"""From a request to its response: the protocol data unit, the same on every wire.
+"""Responses to requests: the protocol data units, which are the same on every transport.
 
-Numbers of sections are those of the Modbus Application Protocol V1.1b3. ``docs/decisions/0002-modbus.md``
-says why pymodbus does not answer.
+Section numbers refer to the Modbus Application Protocol V1.1b3. ``docs/decisions/0002-modbus.md`` explains
+why pymodbus does not answer.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from altd.status.zero import NoZeroError
 log = logging.getLogger("altd")
 
 WRITE_SINGLE_REGISTER = 6
-"""6.6: function, address, value; the response is the request again."""
+"""Function code (6.6): function, address, value; the response repeats the request."""
 
 SELF_CHECK_ADDRESS, ZERO_ADDRESS = 1000, 1001
-"""Beyond the registers that are read, so that no read block reaches them."""
+"""Addresses of the commands, beyond the registers that are read, so that no read block reaches them."""
 SELF_CHECK_NOW = 1
 
 _REQUEST = struct.Struct(">BHH")
@@ -44,18 +44,18 @@ OBJECTS = {0: "altd", 1: "ALT", 2: __version__, 4: "Active Laser Target"}
 """Vendor, product code, version and product name, by object id."""
 
 SERIAL, CALIBRATION_DATE, CALIBRATION_CHECKSUM = 0x80, 0x81, 0x82
-"""Objects of the unit, as the extended category has them; with the others they fit into one response."""
+"""Ids of the unit's objects in the extended category; with the others they fit into one response."""
 
 _STREAMS = {1: range(3), 2: range(0x80), 3: range(0x100)}
-"""The objects of a category, by the read code that asks for them as a stream: basic, regular, extended."""
+"""Object ids by the read code that requests them as a stream: basic, regular, extended category."""
 
 _INDIVIDUAL = 4
 _CONFORMITY = 0x83
-"""Every category, as a stream and one by one."""
+"""Conformity level: every category, as a stream and individually."""
 
 
 def objects_of(health: Health) -> Mapping[int, bytes]:
-    """The objects of function 43/14, as ASCII; unknown ones are absent."""
+    """Return the objects of function 43/14, as ASCII; unknown ones are absent."""
     summary = health.calibration.summary
     texts = OBJECTS | {
         SERIAL: health.facts.get("serial"),
@@ -66,7 +66,7 @@ def objects_of(health: Health) -> Mapping[int, bytes]:
 
 
 def identification(request: bytes, objects: Mapping[int, bytes]) -> bytes | ExcCodes:
-    """The response to a request, both from the function code on; or the code of the exception."""
+    """Return the response to a request, both from the function code on; or the exception code."""
     if len(request) > 1 and request[1] != MEI_TYPE:
         return ExcCodes.ILLEGAL_FUNCTION
     if len(request) != 4:
@@ -90,29 +90,29 @@ def _response(read_code: int, objects: Mapping[int, bytes]) -> bytes:
 
 
 READ_DISCRETE_INPUTS = 2
-"""6.2; eight inputs a byte, the first in the lowest bit."""
+"""Function code (6.2); eight inputs per byte, the first in the lowest bit."""
 
 MAX_INPUTS = 2000
-"""In one response (6.2)."""
+"""Maximum number of inputs in one response (6.2)."""
 
 READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
-"""6.3, 6.4; holding and input registers are the same."""
+"""Function codes (6.3, 6.4); holding and input registers are the same."""
 
 MAX_READ = 125
-"""Registers in one response (6.3)."""
+"""Maximum number of registers in one response (6.3)."""
 
 
 TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR)
-"""The tables for functions 3 and 4; a read stays within one of them."""
+"""Tables for functions 3 and 4; a read must not extend beyond one of them."""
 
 _SHARES_EVERY_S = 10.0
-"""Counting the time that was valid in 31 days takes milliseconds."""
+"""Minimum interval between counts of the valid time: counting 31 days takes milliseconds."""
 
 
 class Responder:
-    """Answers requests and counts them; each is answered from one reading of the board.
+    """Answers requests and counts them; each response uses one reading of the board.
 
-    ``health`` knows the unit and its condition, and carries commands out, those that ``settings`` allow.
+    ``health`` provides the unit and its condition, and executes the commands that ``settings`` allow.
     """
 
     def __init__(
@@ -136,16 +136,16 @@ class Responder:
         self._commands = {address for address, is_allowed in allowed.items() if is_allowed}
 
     def answer(self, request: bytes, may_command: bool = True) -> bytes:
-        """The response to a request, both from the function code on and not empty.
+        """Return the response to a request, both from the function code on and not empty.
 
-        ``may_command``: whether this client may give the commands that the settings allow.
+        ``may_command``: whether this client may send the commands that the settings allow.
         """
         try:
             if request[0] == WRITE_SINGLE_REGISTER and self._commands and may_command:
                 response = self._command(request)
             else:
                 response = self._response(request)
-        except Exception:  # a defect costs the request that meets it, never the other clients
+        except Exception:  # a defect affects one request, never the other clients
             log.exception("modbus: a defect, at request %s", request.hex())
             response = ExcCodes.DEVICE_FAILURE
         self._component.count("requests")
@@ -156,7 +156,7 @@ class Responder:
         return response
 
     def _response(self, request: bytes) -> bytes | ExcCodes:
-        """The response, or the code of the exception."""
+        """Return the response, or the exception code."""
         function = request[0]
         if function == READ_DEVICE_IDENTIFICATION:
             return identification(request, objects_of(self._health))
@@ -175,7 +175,7 @@ class Responder:
         return struct.pack(f">BB{count}H", function, 2 * count, *words)
 
     def _command(self, request: bytes) -> bytes | ExcCodes:
-        """Carry a write out; the request again, or the code of the exception, and then nothing is changed."""
+        """Execute a write; returns the request, or the exception code if nothing was changed."""
         self._component.count("commands")
         if len(request) != _REQUEST.size:
             return ExcCodes.ILLEGAL_VALUE
@@ -204,7 +204,7 @@ class Responder:
         return bytes([READ_DISCRETE_INPUTS, len(content)]) + content
 
     def _registers(self, address: int, count: int) -> list[int] | None:
-        """So many registers from an address on; None: not all of them are in one table."""
+        """Return ``count`` registers from an address on; None: not all of them are in one table."""
         if place := MEASUREMENT.place(address, count):
             return self._image.at(self._snapshot())[place]
         if place := BLOCK.place(address, count):
@@ -225,28 +225,28 @@ class Responder:
         return self._board.running_ns() * 1e-9
 
     def _snapshot(self, **more: Any) -> Snapshot:
-        """Board and unit at this moment."""
+        """Return the current snapshot of board and unit."""
         board, uptime_s = self._board, self._running_s()
         about = {"identity": board.identity, "uptime_s": uptime_s, "health": self._health, **more}
         return Snapshot(board.read(), board.age_s(), board.published, **about)
 
 
 DIAGNOSTICS, REPORT_SERVER_ID = 8, 17
-"""6.8, 6.13: functions of serial lines alone."""
+"""Function codes that exist only on serial lines (6.8, 6.13)."""
 
 SERVER_ID, RUNNING = 0xA1, 0xFF
-"""One byte each, and then text: so libmodbus and mbpoll read it (6.13 leaves the lengths open)."""
+"""Server id and run status, one byte each, as libmodbus and mbpoll read them; 6.13 leaves lengths open."""
 
 _CLEAR = 10
 
 
 @dataclass(slots=True)
 class LineCounters:
-    """Counters of the line since the daemon opened it; each is sent modulo 65536.
+    """Counters of the line since it was opened or a client cleared them; each is sent modulo 65536.
 
-    ``messages`` are whole frames of any unit, ``errors`` pieces that were none, ``requests`` those to this
-    unit, ``exceptions`` those of its responses that were one, ``unanswered`` those for which the line had no
-    room.
+    ``messages`` counts whole frames of any unit, ``errors`` fragments that are not frames, ``requests`` the
+    requests to this unit, ``exceptions`` its exception responses, ``unanswered`` its responses for which the
+    line had no room.
     """
 
     messages: int = 0
@@ -257,11 +257,11 @@ class LineCounters:
 
 
 COUNTERS = {11: "messages", 12: "errors", 13: "exceptions", 14: "requests", 15: "unanswered"}
-"""By sub-function (6.8.1)."""
+"""Counters by sub-function (6.8.1)."""
 
 
 def serial_response(request: bytes, counters: LineCounters, health: Health) -> bytes | None:
-    """The response to a request, both from the function code on; None: it is no function of serial lines."""
+    """Return the response to a request, both from the function code on; None for other functions."""
     if request[0] == DIAGNOSTICS:
         response = _diagnostics(request, counters)
     elif request[0] == REPORT_SERVER_ID:

@@ -1,10 +1,10 @@
 """Modbus RTU on a serial port, alone or as one of many units on an RS485 bus.
 
 "Serial" is the Modbus over Serial Line Specification V1.02, "Application" the Modbus Application Protocol
-V1.1b3. A frame begins after a silence, and its CRC says where it ends (Serial 2.5.1). The end of another
-unit's answer can be, byte for byte, a request to this unit with a CRC that fits. So the bytes since a silence
-are first read as whole frames, one behind the other, with the answer that is awaited on the bus in mind; only
-where that does not work, after noise, is a request looked for at their end.
+V1.1b3. A frame begins after a silence, and its CRC determines its end (Serial 2.5.1). The end of another
+unit's response can equal a request to this unit, including a valid CRC. So bytes since a silence are first
+parsed as a sequence of whole frames, considering the response that is awaited on the bus. Only if that fails,
+after noise, is a request searched for at their end.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ from altd.status.board import Board
 from altd.status.health import Component, Health, State
 
 MAX_FRAME_BYTES = 256
-"""Bytes of the longest frame (Serial 2.5.1)."""
+"""Maximum length of a frame (Serial 2.5.1)."""
 
 MIN_FRAME_BYTES = 4
-"""Unit id, function and CRC."""
+"""Minimum length of a frame: unit id, function and CRC."""
 
 MAX_UNIT_ID = 247
-"""The largest unit id; 0 is everybody (Serial 2.2)."""
+"""Largest unit id; 0 is a broadcast (Serial 2.2)."""
 
 _MAX_FRAGMENTS = 16
-"""In which adapters deliver a frame. More is noise, and each costs a check of all that begin before it."""
+"""Maximum number of fragments of a frame from an adapter. More are noise; each adds a check per fragment."""
 FRAGMENT_TIMEOUT_S = 0.1
-"""A silence that no frame bridges. The specification says 1.5 characters (Serial 2.5.1.1), but USB adapters
-hand over what they have every 16 ms."""
+"""Silence after which no frame continues. The specification requires 1.5 characters (Serial 2.5.1.1), but
+USB adapters deliver received bytes every 16 ms."""
 
 RESPONSE_TIMEOUT_S = 1.0
-"""A unit that has not answered by then is not waited for (Serial 2.4.1: "from 1 s to several seconds")."""
+"""Time for which another unit's response is awaited (Serial 2.4.1: "from 1 s to several seconds")."""
 
 _BIT_READS, _REGISTER_READS, _SINGLE_WRITES, _MULTIPLE_WRITES = {1, 2}, {3, 4}, {5, 6}, {15, 16}
-"""Functions by the lengths of their frames (Application 6.1 to 6.6, 6.11, 6.12)."""
+"""Functions, grouped by the lengths of their frames (Application 6.1 to 6.6, 6.11, 6.12)."""
 
 _EXCEPTION_BIT = 0x80
 
 _REQUESTS_AFTER_NOISE = ((8, bytes([2])), (8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
-"""Length and first bytes of the requests that are looked for behind noise."""
+"""Length of each request that is searched for after noise, and its first bytes after the unit id."""
 
 
 def _crc_table() -> tuple[int, ...]:
-    """The table of the CRC with the polynomial 0xA001 (Serial 6.2.2)."""
+    """Return the table of the CRC with the polynomial 0xA001 (Serial 6.2.2)."""
     table = []
     for register in range(256):
         for _ in range(8):
@@ -65,7 +65,7 @@ _CRC = _crc_table()
 
 @dataclass(frozen=True, slots=True)
 class _AwaitedResponse:
-    """The response that another unit is to send."""
+    """Response expected from another unit."""
 
     unit_id: int
     function: int
@@ -74,7 +74,7 @@ class _AwaitedResponse:
 
     @classmethod
     def after(cls, frame: bytes, now_s: float) -> Self | None:
-        """The expected answer after a frame, if that is a request whose answer's length is known."""
+        """Return the response expected after a frame; None without one, or if its length is not known."""
         unit_id, function = frame[0], frame[1]
         count = int.from_bytes(frame[4:6], "big")
         if function in _MULTIPLE_WRITES and len(frame) > 8:
@@ -92,12 +92,12 @@ class _AwaitedResponse:
         return cls(unit_id, function, length, now_s + RESPONSE_TIMEOUT_S)
 
     def is_begun_by(self, received: bytes) -> bool:
-        """Whether the answer can begin, or be damaged, like this."""
+        """Whether these bytes can be the start of the response, or a damaged response."""
         return received[0] == self.unit_id and received[1:2] in (b"", bytes([self.function]))
 
 
 class Bus:
-    """Follows one line for one unit."""
+    """Tracks the frames on one line for one unit."""
 
     def __init__(self, unit_id: int) -> None:
         self._unit_id = unit_id
@@ -107,7 +107,7 @@ class Bus:
         self._awaited: _AwaitedResponse | None = None
 
     def receive(self, received: bytes, now_s: float) -> bytes | None:
-        """Take what was received up to a silence; the request to this unit that ends it, without id, CRC."""
+        """Take the bytes up to a silence; returns a request to this unit at their end, without id and CRC."""
         if now_s - self._received_s > FRAGMENT_TIMEOUT_S and self._fragments:
             self.counters.errors += 1
             self._fragments.clear()
@@ -127,10 +127,10 @@ class Bus:
                 return self._take(frames, now_s)
             if first == 0 and self._awaited is not None and self._awaited.is_begun_by(whole):
                 if len(whole) < self._awaited.length:
-                    return None  # the rest is to come
+                    return None  # the rest follows
                 if len(whole) == self._awaited.length:
                     self.counters.errors += 1
-                    self.reset()  # damaged on its way
+                    self.reset()  # damaged in transit
                     return None
         request = request_after_noise(received, self._unit_id)
         if request is not None:
@@ -140,7 +140,7 @@ class Bus:
         return request
 
     def reset(self) -> None:
-        """Discard what was received so far, and await no response."""
+        """Discard the bytes received so far, and await no response."""
         self._fragments.clear()
         self._awaited = None
 
@@ -157,9 +157,9 @@ class Bus:
 
 
 def frames_of(received: bytes, unit_id: int) -> list[bytes] | None:
-    """``received`` as whole frames, one behind the other; None when it is something else.
+    """Return ``received`` as a sequence of whole frames; None if it is something else.
 
-    A frame of another unit has a length that its function knows; one to ``unit_id`` may be malformed.
+    A frame of another unit has a length that its function allows; one to ``unit_id`` may be malformed.
     """
     begun_at: dict[int, int] = {}  # the end of a frame, and the start of the first one with that end
     begins = [0]
@@ -181,7 +181,7 @@ def frames_of(received: bytes, unit_id: int) -> list[bytes] | None:
 
 
 def request_after_noise(received: bytes, unit_id: int) -> bytes | None:
-    """The request to this unit at the end of bytes that are no frames, without id and CRC."""
+    """Return the request to this unit, without id and CRC, at the end of bytes that are not frames."""
     for length, head in _REQUESTS_AFTER_NOISE:
         frame = received[-length:]
         if frame.startswith(bytes([unit_id]) + head) and len(frame) == length:
@@ -192,7 +192,7 @@ def request_after_noise(received: bytes, unit_id: int) -> bytes | None:
 
 
 def _ends_of_frames(received: bytes, begin: int) -> list[int]:
-    """The possible ends of a frame that begins there, the last first: those with a correct CRC."""
+    """Return the possible ends of a frame that starts at ``begin``, by a correct CRC, the last first."""
     register, ends = 0xFFFF, []
     for place in range(begin, min(len(received), begin + MAX_FRAME_BYTES)):
         register = (register >> 8) ^ _CRC[(register ^ received[place]) & 0xFF]
@@ -202,7 +202,7 @@ def _ends_of_frames(received: bytes, begin: int) -> list[int]:
 
 
 def _has_its_length(frame: bytes) -> bool:
-    """Whether a request or an answer of this function can be so long; of most functions it is not known."""
+    """Whether a request or response of its function can have this length; True for other functions."""
     function, length = frame[1], len(frame)
     if function & _EXCEPTION_BIT:
         return length == 5
@@ -218,16 +218,16 @@ def _has_its_length(frame: bytes) -> bool:
 BITS_PER_CHARACTER = 11
 
 MAX_BUFFERED_BYTES = 1024
-"""Of what comes without a silence: a busy computer receives some frames at once."""
+"""Maximum number of stored bytes without a silence: a busy computer receives several frames at once."""
 
 
 def silence_s(baud: int) -> float:
-    """The silence that ends a frame: 3.5 characters, above 19200 baud 1.75 ms (Serial 2.5.1.1)."""
+    """Return the silence that ends a frame: 3.5 characters, above 19200 baud 1.75 ms (Serial 2.5.1.1)."""
     return 1.75e-3 if baud > 19200 else 3.5 * BITS_PER_CHARACTER / baud
 
 
 class ModbusRtuPublisher:
-    """Serves the board over Modbus RTU; is silent to any unit id but its own."""
+    """Serves the board over Modbus RTU; answers only requests to its own unit id."""
 
     def __init__(
         self, settings: ModbusRtuPortSettings, board: Board, component: Component, health: Health
@@ -238,7 +238,7 @@ class ModbusRtuPublisher:
         self._health = health
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the port cannot be had or is gone."""
+        """Serve until cancelled; raises OSError if the port is not available or is lost."""
         async with opened(self._settings, limit=MAX_FRAME_BYTES, fresh=True) as port:
             ready()
             unit = f"unit id {self._settings.unit_id} on {describe(self._settings)}"
@@ -254,10 +254,10 @@ class ModbusRtuPublisher:
             if request is None:
                 continue
             if self._framed(request) == answered and clock() < echo_until_s:
-                echo_until_s = 0.0  # a two-wire adapter hears itself, once
+                echo_until_s = 0.0  # a two-wire adapter receives its own output, once
             else:
                 answered = self._framed(self._response(request, bus.counters))
-                if not port.write(answered):  # the controller does not listen; it asks again when it does
+                if not port.write(answered):  # the controller is not receiving; it repeats the request
                     self._component.count("answers_dropped")
                     bus.counters.unanswered += 1
                 echo_until_s = clock() + seconds_on_line(self._settings, len(answered)) + FRAGMENT_TIMEOUT_S
@@ -269,7 +269,7 @@ class ModbusRtuPublisher:
         return response
 
     async def _until_silence(self, port: Port) -> bytes:
-        """The bytes received before the line falls silent."""
+        """Return the bytes received before the line falls silent."""
         received = b""
         with contextlib.suppress(TimeoutError):
             while True:

@@ -1,7 +1,7 @@
-"""Modbus TCP: requests in their MBAP frames, for a few controllers at once, with or without TLS.
+"""Modbus TCP: requests in MBAP frames, from a few controllers at once, with or without TLS.
 
 With a certificate the interface is Modbus/TCP Security: a client gets a place once its TLS handshake is over.
-Handshakes in progress have places of their own, for which the same rule chooses who makes room (``places``).
+Handshakes in progress have their own places, with the same rule for displacing connections (``places``).
 
 "Messaging" is the Modbus Messaging on TCP/IP Implementation Guide V1.0b, "Security" the MODBUS/TCP Security
 Protocol Specification v36.
@@ -44,22 +44,22 @@ from altd.tcp_port import (
 log = logging.getLogger("altd")
 
 MBAP = struct.Struct(">HHHB")
-"""Transaction, protocol (0), bytes that follow the length, unit (Messaging 3.1.3)."""
+"""Header: transaction, protocol (0), number of bytes after the length, unit (Messaging 3.1.3)."""
 
 MAX_LENGTH = 254
-"""The largest length field: the unit and a protocol data unit of 253 bytes."""
+"""Maximum of the length field: the unit and a protocol data unit of 253 bytes."""
 
 MAX_CLIENTS = 32
-"""With more, one is closed (Messaging 4.2); ``places`` chooses it."""
+"""Maximum number of clients; with more, one is closed (Messaging 4.2), which ``places`` selects."""
 
 RESERVED_DESCRIPTORS = 4
 """File descriptors reserved for cameras and ports."""
 
 _DIRECT = frozenset({0, 255})
-"""Unit ids for the device itself, not for something behind a gateway (Messaging 4.4.1.2)."""
+"""Unit ids of the device itself, not of a device behind a gateway (Messaging 4.4.1.2)."""
 
 READ_AHEAD_BYTES = 1024
-"""While more than twice as many bytes wait for their answers, nothing more is read from a client."""
+"""Limit of bytes that wait for a response: reading from a client pauses above twice as many."""
 
 
 _Tasks = dict[Connection, asyncio.Task[None]]
@@ -87,12 +87,12 @@ class ModbusTcpPublisher:
         self._addresses = Addresses()
         self._reserved = Networks(settings.reserved)
         self._response_turn = asyncio.Lock()
-        """One answer a turn of the loop, from any client: a crowd of clients never holds the unit up."""
+        """Limits all clients to one response per turn of the loop: many clients never block the unit."""
         self.port = settings.port_or_default
-        """The port that is served; it differs from the setting when that is 0, once it listens."""
+        """Port in use; for a setting of 0, the port that the system chose, once it listens."""
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the address cannot be had."""
+        """Serve until cancelled; raises OSError if the address is not available."""
         with listen(self._settings.host, self._settings.port_or_default) as listener:
             _detect_dead_peers(listener)
             self.port = listener.getsockname()[1]
@@ -103,7 +103,7 @@ class ModbusTcpPublisher:
                 await accept(listener, self._component, admit)
 
     def _tell(self, complaint: str) -> None:
-        """Set the state; ``complaint`` says why a renewed certificate cannot be used."""
+        """Set the state; ``complaint`` is the reason why a renewed certificate cannot be used, or empty."""
         if complaint:
             log.warning("%s: %s", self._component.name, complaint)
         tls = " with TLS" if self._context is not None else ""
@@ -111,7 +111,7 @@ class ModbusTcpPublisher:
         self._component.set_state(state, complaint or f"Modbus TCP on port {self.port}{tls}")
 
     async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
-        """Serve a connection, or begin its handshake, or close it."""
+        """Serve a connection, begin its handshake, or close it."""
         client = self._client(connection.getpeername()[0], asyncio.get_running_loop().time())
         if self._context is None:
             await self._connect(tasks, client, connection, {})
@@ -121,12 +121,12 @@ class ModbusTcpPublisher:
         elif self._has_room(self._handshakes, MAX_HANDSHAKES, client, connection):
             shaking = self._shake_hands(tasks, client, connection, self._context())
             self._handshakes[client] = tasks.create_task(shaking, name="modbus tls handshake")
-            await asyncio.sleep(0)  # it begins: a task that is cancelled before would leave the socket open
+            await asyncio.sleep(0)  # start it: a task cancelled before its start would leave the socket open
         else:
             connection.close()
 
     def _has_room(self, present: _Tasks, limit: int, client: Connection, connection: socket.socket) -> bool:
-        """Whether a client gets a place; where there are enough, another one makes room."""
+        """Whether a client gets a place; if all are taken, another client may be displaced."""
         if len(present) < limit and not is_among_last(connection, RESERVED_DESCRIPTORS):
             return True
         displaced = connection_to_displace(list(present), client, asyncio.get_running_loop().time())
@@ -147,7 +147,7 @@ class ModbusTcpPublisher:
         }
         try:
             await self._connect(tasks, client, connection, tls)
-        except OSError:  # no TLS, no certificate that is accepted, or it left; ssl's errors are among these
+        except OSError:  # no TLS, no accepted certificate, or the client left; includes ssl's errors
             self._component.count("handshakes_failed")
         finally:
             self._handshakes.pop(client, None)
@@ -155,7 +155,7 @@ class ModbusTcpPublisher:
     async def _connect(
         self, tasks: asyncio.TaskGroup, client: Connection, connection: socket.socket, tls: Mapping[str, Any]
     ) -> None:
-        """Serve a connection once it is there, with ``tls`` after the handshake; raises OSError."""
+        """Serve a connection once it is established, with ``tls`` after the handshake; raises OSError."""
 
         def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             self._handshakes.pop(client, None)  # from here on nothing displaces it as a handshake
@@ -190,9 +190,9 @@ class ModbusTcpPublisher:
     async def _serve(
         self, client: Connection, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        """Answer one client until it leaves or stops making sense."""
+        """Answer one client until it disconnects or sends an invalid header."""
         clock = asyncio.get_running_loop().time
-        with contextlib.suppress(OSError, asyncio.IncompleteReadError):  # it left
+        with contextlib.suppress(OSError, asyncio.IncompleteReadError):  # the client left
             while True:
                 transaction, protocol, length, unit = MBAP.unpack(await reader.readexactly(MBAP.size))
                 if protocol != 0 or not 2 <= length <= MAX_LENGTH:
@@ -214,7 +214,7 @@ class ModbusTcpPublisher:
 
 
 def _detect_dead_peers(listener: socket.socket) -> None:
-    """Have the kernel end a connection whose other end has been gone for a minute (Messaging 4.3.2)."""
+    """Make the kernel close connections whose peer has been gone for a minute (Messaging 4.3.2)."""
     # every accepted connection inherits these options
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 30)

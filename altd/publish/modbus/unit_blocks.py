@@ -1,4 +1,4 @@
-"""Three blocks, one request each: which unit this is, in which condition, and values relative to the zero."""
+"""Three blocks, one request each: identity of the unit, its condition, and values relative to the zero."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from altd.status.availability import SPANS
 from altd.status.health import MEASURING, Component, Health
 
 BLOCK_VERSION = 1
-"""Counts up when a register of these blocks changes its meaning or place."""
+"""Version of these blocks; incremented when a register changes its meaning or address."""
 
 VERDICTS = {"good": 1, "suspect": 2, "bad": 3, "unknown": 4}
-"""Numbers of a self-check's verdicts; 0: none has ended since the start."""
+"""Numbers of a self-check's verdicts; 0: no check has ended since the start."""
 
 THERMOMETERS = 4
-"""Temperatures that have registers."""
+"""Number of temperatures that have registers."""
 
 TARGETS = ("front", "rear")
 _DAY_S = 86_400
@@ -46,13 +46,13 @@ def _calibration_age_days(health: Health) -> float | None:
 
 
 def _first_32_bits(digest: str | None) -> int | None:
-    """Of hexadecimal digits, the name of the algorithm may precede them: ``sha256:89ab…``."""
+    """First 32 bits of a hexadecimal digest; the name of the algorithm may precede it: ``sha256:89ab…``."""
     digits = (digest or "").rpartition(":")[2][:8]
     return int(digits, 16) if digits else None
 
 
 def _is_rehearsal(snapshot: Snapshot) -> int | None:
-    """None before the first measurement, which carries the reason."""
+    """Whether the unit rehearses; None before the first measurement, which carries the reason."""
     measurement = snapshot.measurement
     return None if measurement is None else values.has(measurement, Reason.REHEARSAL)
 
@@ -114,7 +114,7 @@ def _figure(component: Component | None, name: str) -> float | None:
 
 
 def _of_camera(target: str, name: str) -> Reading:
-    """A figure of the camera that looks at a target."""
+    """A figure of the camera of a target."""
 
     def read(health: Health) -> float | None:
         cameras = (area.camera for area in health.targets if area.name == target)
@@ -128,7 +128,7 @@ def _of_measuring(name: str) -> Reading:
 
 
 def _lost_frames(health: Health) -> int:
-    """Frames that a driver or the daemon did not pass on, of all cameras."""
+    """Number of frames of all cameras that drivers lost or the daemon dropped."""
     lost = sum(component.counters.get("lost", 0) for component in health if _is(component, "camera"))
     measuring = _component(health, MEASURING)
     counters = measuring.counters if measuring else {}
@@ -182,7 +182,7 @@ def _roll_age_ms(snapshot: Snapshot) -> float | None:
 
 
 def _condition_rows() -> Iterator[Register]:
-    """In the order of their addresses."""
+    """Yield the registers in the order of their addresses."""
     version = values.constant(BLOCK_VERSION)
     yield Register(400, "block_version", Type.U16, "", "version of this block", version)
     yield Register(401, "state", Type.U16, "", values.STATE_MEANING, values.state)
@@ -245,7 +245,7 @@ def _difference(key: str, is_sigma: bool) -> Reading:
 
 
 def _relative_rows() -> Iterator[Register]:
-    """In the order of their addresses."""
+    """Yield the registers in the order of their addresses."""
     version = values.constant(BLOCK_VERSION)
     yield Register(500, "block_version", Type.U16, "", "version of this block", version)
     text = "zeros set since the daemon started"

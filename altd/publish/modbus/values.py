@@ -1,4 +1,4 @@
-"""The sources of the values of registers: each function reads one of them out of a snapshot.
+"""Sources of the register values: each function reads one from a snapshot.
 
 Status bits and reason codes are contracts with controllers: new ones are added, old ones never change their
 meaning.
@@ -26,16 +26,16 @@ class StatusBit:
     meaning: str
     reasons: frozenset[Reason] = frozenset()
     target: str | None = None
-    """Only the reasons of this target count; None: of any target and of the whole unit."""
+    """Target whose reasons set the bit; None: any target and the whole unit."""
 
     @property
     def warnings(self) -> tuple[Reason, ...]:
-        """The reasons among these that a valid measurement may carry."""
+        """Reasons among these that a valid measurement may carry."""
         return tuple(reason for reason in Reason if reason in self.reasons and reason.is_warning)
 
 
 VALID, NOTHING_YET = 0, 1
-"""Bits that say something of the measurement itself."""
+"""Bits that describe the measurement itself."""
 
 
 def _of(group: StatusGroup) -> frozenset[Reason]:
@@ -67,7 +67,7 @@ STATUS_BITS = (
         _of(StatusGroup.NOT_TRUSTED),
     ),
 )
-"""The status word; bits that are not listed are 0."""
+"""Bits of the status word; unlisted bits are 0."""
 
 PLACE_WARNINGS = (
     Reason.ALARM_DISPLACEMENT,
@@ -78,7 +78,7 @@ PLACE_WARNINGS = (
     Reason.NO_BASELINE,
     Reason.SWITCH_UNSEEN,
 )
-"""The warnings of a place, bit by bit."""
+"""Warnings of a place, in the order of their bits."""
 
 ROW_WARNINGS = (
     Reason.BASELINE_INCOMPLETE,
@@ -87,7 +87,7 @@ ROW_WARNINGS = (
     Reason.BEAM_DRIFT_UNKNOWN,
     Reason.BEAM_NOT_CLOSED,
 )
-"""The same of the whole row."""
+"""Warnings of the whole row, in the order of their bits."""
 
 WITHOUT_BIT = tuple(
     reason
@@ -96,16 +96,16 @@ WITHOUT_BIT = tuple(
     and reason not in (*PLACE_WARNINGS, *ROW_WARNINGS)
     and not any(reason in row.reasons for row in STATUS_BITS)
 )
-"""Warnings without a bit: those of sensors, for all of the status word's are taken."""
+"""Warnings without a bit: ``rehearsal`` and those of sensors; all bits of the status word are taken."""
 
 REASON_CODES = tuple(
     sorted((reason for reason in Reason if reason.modbus_code), key=lambda reason: reason.modbus_code)
 )
-"""Every reason that is not a warning, by its number; 0 is none."""
+"""All reasons except warnings, sorted by number; 0 means no reason."""
 
 
 def status_word(measurement: Measurement | None) -> int:
-    """The status word of a measurement, or of none yet."""
+    """Return the status word of a measurement; None: no measurement yet."""
     if measurement is None:
         return 1 << NOTHING_YET
     word = int(measurement.valid) << VALID
@@ -117,7 +117,7 @@ def status_word(measurement: Measurement | None) -> int:
 
 
 def reason_code(measurement: Measurement | None, target: str | None) -> int:
-    """The code of the first reason, warnings aside, that concerns this target (None: the whole unit)."""
+    """Return the code of the first reason, except warnings, of this target (None: the whole unit), else 0."""
     if measurement is None:
         return Reason.WARMING_UP.modbus_code if target is None else 0
     for fault in measurement.status:
@@ -131,11 +131,11 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The data for one request: the board at one instant.
+    """Data for one request: the board at one instant.
 
-    ``age_s`` is None before the first measurement; ``published`` counts the measurements put up so far.
-    ``stamp``, ``report`` of the unit's state and ``shares``, the share of time valid by span, are filled as
-    far as a block needs them.
+    ``age_s`` is None before the first measurement; ``published`` counts the measurements published so far.
+    ``stamp``, ``report`` of the unit's state and ``shares``, the share of valid time by span, are set only
+    if a block needs them.
     """
 
     measurement: Measurement | None
@@ -150,7 +150,7 @@ class Snapshot:
 
 
 Reading = Callable[[Snapshot], float | str | None]
-"""A value of a snapshot, text for a register of text; None: not known."""
+"""Function that reads a value from a snapshot, text for a register of text; None: not known."""
 
 
 def has(measurement: Measurement, *reasons: Reason) -> bool:
@@ -159,18 +159,18 @@ def has(measurement: Measurement, *reasons: Reason) -> bool:
 
 
 def state(snapshot: Snapshot) -> int | None:
-    """The number of the unit's signal."""
+    """Number of the unit's signal; None: not known."""
     return None if snapshot.report is None else snapshot.report.signal.number
 
 
 STATE_MEANING = "NAMUR NE 107: " + ", ".join(
     f"{signal.number} {signal.replace('_', ' ')}" for signal in sorted(Signal, key=lambda each: each.number)
 )
-"""Of a register with ``state``."""
+"""Meaning of a register with ``state``."""
 
 
 def of_identity(name: str) -> Reading:
-    """``unit`` or ``session``."""
+    """``unit`` or ``session`` of the identity, by ``name``."""
     return lambda snapshot: getattr(snapshot.identity, name)
 
 
@@ -185,12 +185,12 @@ def status(snapshot: Snapshot) -> int:
 
 
 def reason(target: str | None) -> Reading:
-    """The code of the first reason that concerns a target; None: the whole unit."""
+    """Code of the first reason of a target; None: the whole unit."""
     return lambda snapshot: reason_code(snapshot.measurement, target)
 
 
 def exposures(snapshot: Snapshot) -> float | None:
-    """The exposures that the measurement is the mean of."""
+    """Number of exposures that were averaged for the measurement."""
     return snapshot.measurement.frames if snapshot.measurement else None
 
 
@@ -210,7 +210,7 @@ def sigma_random(key: str) -> Reading:
 
 
 def sigma_now(key: str) -> Reading:
-    """The standard deviation of a quantity as a statement about the truth when it is read."""
+    """Standard deviation of a quantity as a statement about the truth at the time of reading."""
 
     def sigma(snapshot: Snapshot) -> float | None:
         if snapshot.measurement is None or snapshot.age_s is None:
@@ -241,7 +241,7 @@ def of_target(target: str, key: str) -> Reading:
 
 
 def targets(snapshot: Snapshot) -> int | None:
-    """The number of targets of a row; None: no row was measured yet."""
+    """Number of targets of a row; None: no row was measured yet."""
     measurement = snapshot.measurement
     return len(measurement.targets) if measurement and measurement.quantities.has_places else None
 
@@ -268,7 +268,7 @@ def of_place(number: int, key: str, part: str = "value") -> Reading:
 
 
 def reason_of_place(number: int) -> Reading:
-    """The code of the first reason why a place was not measured."""
+    """Code of the first reason why a place was not measured."""
 
     def code(snapshot: Snapshot) -> int | None:
         place = _place(snapshot, number)
@@ -302,12 +302,12 @@ def _bits(measurement: Measurement, target: str | None, reasons: Sequence[Reason
 
 
 def age_tenths(snapshot: Snapshot) -> float | None:
-    """Tenths of seconds since the middle of the exposures: a round takes long."""
+    """Time since the middle of the exposures in units of 0.1 s, because a round takes long."""
     return None if snapshot.age_s is None else 10.0 * snapshot.age_s
 
 
 def sequence(snapshot: Snapshot) -> int | None:
-    """The number of the last exposure, which after 0xFFFFFFFE begins again at 0."""
+    """Number of the last exposure; after 0xFFFFFFFE it restarts at 0."""
     return snapshot.measurement.sequence % 0xFFFF_FFFF if snapshot.measurement else None
 
 
@@ -317,13 +317,13 @@ def age_ms(snapshot: Snapshot) -> float | None:
 
 
 def utc_s(snapshot: Snapshot) -> int | None:
-    """Seconds since 1970 in UTC of the middle of the exposures."""
+    """Middle of the exposures, seconds since 1970, UTC."""
     ms = _utc_ms(snapshot)
     return None if ms is None else ms // 1000
 
 
 def utc_rest_ms(snapshot: Snapshot) -> int | None:
-    """The milliseconds that go with ``utc_s``."""
+    """Milliseconds that follow ``utc_s``, 0 to 999."""
     ms = _utc_ms(snapshot)
     return None if ms is None else ms % 1000
 
@@ -334,13 +334,13 @@ def _utc_ms(snapshot: Snapshot) -> int | None:
 
 
 def constant(value: float | None) -> Reading:
-    """Always the same; None: never known."""
+    """A constant value; None: never known."""
     return lambda _: value
 
 
 @dataclass(frozen=True, slots=True)
 class DiscreteInput:
-    """A bit that function 2 reads, at the address that is its place in ``DISCRETE_INPUTS``."""
+    """A bit that function 2 reads; its address is its index in ``DISCRETE_INPUTS``."""
 
     name: str
     meaning: str

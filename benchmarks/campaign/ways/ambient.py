@@ -1,4 +1,4 @@
-"""Ways by other light: lamps, the sun, welding; with the laser and without."""
+"""Ways with other light: lamps, the sun, welding; with and without the laser."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WAYS = Registry("ambient")
 
 
 def _lamp(scene: Scene, u_px: float, v_px: float, width_mm: float, shape: str) -> Image:
-    """A patch of light of height 1: a disc with an edge, or a hump."""
+    """A patch of light of height 1: a disc with an edge, or a smooth hump."""
     far = np.hypot(
         np.arange(scene.beam.shape[1], dtype=np.float32)[None, :] - np.float32(u_px),
         np.arange(scene.beam.shape[0], dtype=np.float32)[:, None] - np.float32(v_px),
@@ -30,7 +30,7 @@ def _lamp(scene: Scene, u_px: float, v_px: float, width_mm: float, shape: str) -
 
 
 def _lamp_only(scene: Scene, place: tuple[float, float], width_mm: float, shape: str, level: float) -> Scene:
-    """A lamp so many mm right of and below the picture's middle, and no laser."""
+    """A lamp at this distance right of and below the picture's centre, mm, and no laser."""
     rows, columns = scene.beam.shape
     u, v = columns / 2 + place[0] * scene.px_per_mm, rows / 2 + place[1] * scene.px_per_mm
     lamp = _lamp(scene, u, v, width_mm, shape)
@@ -43,7 +43,7 @@ _LIKE_A_LASER = (
 
 
 def _lamp_alone(draw: Draw, shape: str) -> Spoil:
-    """Lamps on both targets, anywhere on them, and no laser."""
+    """Lamps on both targets, at any position, and no laser."""
     widths = {camera: draw.log(3.0, 30.0) for camera in CAMERAS}
     places = {camera: (draw.uniform(-40, 40), draw.uniform(-30, 30)) for camera in CAMERAS}
     level = draw.log(0.05, 1.0)

@@ -1,4 +1,4 @@
-"""Ways by the wrong camera, or by one that is not where it was calibrated."""
+"""Ways with a wrong camera, or a camera that has moved since its calibration."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def upside_down(draw: Draw) -> Spoil:
 
 
 def _mapped(pixels: PixelArray, matrix: np.ndarray, bits: int) -> PixelArray:
-    """A picture, moved by an affine map."""
+    """A picture after an affine map."""
     rows, columns = pixels.shape
     warped = cv2.warpAffine(
         pixels, matrix, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
@@ -76,7 +76,7 @@ def _mapped(pixels: PixelArray, matrix: np.ndarray, bits: int) -> PixelArray:
 
 
 def _moved(draw: Draw, note: str, matrix: np.ndarray) -> Spoil:
-    """The picture of some cameras, moved by an affine map."""
+    """Pictures of some cameras after an affine map."""
     cameras = draw.targets()
     return Spoil(
         note,
@@ -87,7 +87,7 @@ def _moved(draw: Draw, note: str, matrix: np.ndarray) -> Spoil:
 
 
 def _moving(draw: Draw, note: str, matrix_of: Callable[[int], np.ndarray]) -> Spoil:
-    """The picture of some cameras, moved by another map at each exposure since the onset."""
+    """Pictures of some cameras after a map that changes with each exposure since the onset."""
     cameras = draw.targets()
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
@@ -102,7 +102,7 @@ def _moving(draw: Draw, note: str, matrix_of: Callable[[int], np.ndarray]) -> Sp
 
 
 def _shifted(draw: Draw, by_px: int) -> Spoil:
-    """Whole pixels, as another region of the chip is read."""
+    """Shift by whole pixels, as when another region of the sensor is read."""
     right, down = ((by_px, 0), (0, by_px), (-by_px, 0), (0, -by_px), (by_px, by_px), (-by_px, by_px))[
         draw.whole(0, 5)
     ]

@@ -1,4 +1,4 @@
-"""Ways by the order of whole frames: repeated, frozen, late or exchanged pictures."""
+"""Ways that change the order of whole frames: repeated, frozen, late or exchanged pictures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WAYS = Registry("frames")
 def _pixels_from(
     cameras: frozenset[str], source: Callable[[int, int], int]
 ) -> Callable[[list[Shot], int], list[Shot]]:
-    """A stream in which exposure k of some cameras shows what exposure ``source(k, onset)`` showed."""
+    """A stream in which exposure k of some cameras shows the picture of exposure ``source(k, onset)``."""
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
         first = min(shot.k for shot in shots)

@@ -1,4 +1,4 @@
-"""Ways by the electronics: what happens to the grey values of a frame on their way."""
+"""Ways by faults of the electronics, which change the grey values of a frame during transfer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WAYS = Registry("frames")
 
 
 def _sometimes(share: float, seed: int, change: OnPixels) -> OnPixels:
-    """Only some of the frames."""
+    """Apply the change to a share of the frames."""
     rng = np.random.default_rng(seed)
 
     def maybe(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -22,7 +22,7 @@ def _sometimes(share: float, seed: int, change: OnPixels) -> OnPixels:
 
 
 def _often(draw: Draw) -> tuple[float, str]:
-    """All frames, or a share of them."""
+    """Draw the share of disturbed frames, all or some, with its text."""
     share = 1.0 if draw.rng.random() < 0.5 else draw.uniform(0.1, 0.9)
     return share, f", {share:.0%} of the frames" if share < 1 else ""
 
@@ -93,7 +93,7 @@ def row_shift(draw: Draw) -> Spoil:
 
 
 def _packets_lost(draw: Draw, most: int, shows_the_frame_before: bool) -> Spoil:
-    """Up to so many packets of 1 to 9 kB are lost."""
+    """Loss of up to ``most`` packets of 1 to 9 kB."""
     size, count, seed = draw.whole(1400, 9000), draw.whole(1, most), draw.seed()
     rng = np.random.default_rng(seed)
 

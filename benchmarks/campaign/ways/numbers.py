@@ -1,4 +1,4 @@
-"""Ways by numbers that none can be: in the config and in the calibration file, which must be refused."""
+"""Ways with invalid numbers, in the config and in the calibration file, which must be refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Misnumbered:
 
     @property
     def is_none(self) -> bool:
-        """Whether the number is NaN or infinite: every measurement with it is wrong."""
+        """Whether the number is NaN or infinite, so that every measurement with it is wrong."""
         return not math.isfinite(float(self.value))
 
 
@@ -67,7 +67,7 @@ WAYS = [
 def accepted(
     way: Misnumbered, calibration: Calibration
 ) -> tuple[Calibration, Measuring, Installation] | None:
-    """The calibration from the files when they are accepted; None when they are refused, as they must be."""
+    """Calibration and settings from the files if these are accepted; None if refused, as required."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             if way.file == "config":
@@ -86,7 +86,7 @@ def accepted(
 
 
 def _spoil(file: Path, way: Misnumbered) -> None:
-    """Put the number in; the checksum is that of the changed content."""
+    """Write the number, with a checksum of the changed content."""
     document: dict[str, Any] = json.loads(file.read_text())
     document.pop("checksum")
     groups: dict[str, list[tuple[Any, Any]]] = {}
@@ -102,7 +102,7 @@ def _spoil(file: Path, way: Misnumbered) -> None:
 
 
 def _numbers(value: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
-    """The places of a document's numbers, with their keys; those of one list are one group."""
+    """Positions of a document's numbers, with their keys; the numbers of a list are one group."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, inner in items:
         if isinstance(inner, float | int) and not isinstance(inner, bool):

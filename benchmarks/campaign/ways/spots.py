@@ -19,7 +19,7 @@ BEAMS = Path(__file__).resolve().parents[4] / "shared/data/beams"
 
 
 def _aside(draw: Draw, low_mm: float = 1.0, high_mm: float = 15.0) -> tuple[float, float, str]:
-    """A direction and distance in mm, and both in words."""
+    """Draw a direction and a distance in mm, and describe both."""
     far_mm, angle = draw.log(low_mm, high_mm), draw.angle()
     return far_mm * math.cos(angle), far_mm * math.sin(angle), f"{far_mm:.1f} mm aside"
 
@@ -30,7 +30,7 @@ def _second_spot(scene: Scene, right_mm: float, down_mm: float, scale: float, sh
 
 
 def _near(cameras: frozenset[str], share: float, far_mm: float) -> Undetectable:
-    """The limit of a second spot beside the first on these targets."""
+    """Limit of a second spot beside the first on these targets."""
     return near_on_one(share, far_mm) if len(cameras) == 1 else near_on_both(far_mm)
 
 
@@ -163,7 +163,7 @@ def clipped_beam(draw: Draw) -> Spoil:
     depth, angle, soft_mm = draw.uniform(-0.6, 0.95), draw.angle(), draw.uniform(0.1, 1.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        # the front picture is mirrored: right there is left here
+        # the front picture is mirrored: its right is the rear's left
         direction = angle if scene.camera == "rear" else math.pi - angle
         passed = scene.edge(direction, depth * scene.spot.radius_px, soft_mm * scene.px_per_mm)
         return scene.beam_times(passed)
@@ -222,7 +222,7 @@ def two_lobes(draw: Draw) -> Spoil:
 
 @cache
 def _photographs() -> tuple[Image, ...]:
-    """The beams' photographs less their background, each with its brightest pixel at 1."""
+    """Photographs of beams less their background, each with its brightest pixel at 1."""
     pictures = []
     for path in sorted(BEAMS.glob("*.p[gn][mg]")):
         picture = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.float32)

@@ -1,4 +1,4 @@
-"""Ways that disturb what the light meets: dirt, water, scratches, hands and cables, print that is lost."""
+"""Ways that disturb surfaces in the light: dirt, water, scratches, hands and cables, lost print."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WAYS = Registry("surfaces")
 
 
 def _disc(scene: Scene, at: float, angle: float, width_mm: float, soft_px: float) -> Image:
-    """1 inside a disc, ``at`` radii from the spot's middle in a direction, 0 outside."""
+    """1 inside a disc, ``at`` radii from the spot's centre in a direction, 0 outside."""
     u, v = scene.from_spot()
     right_px, down_px = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
     far = np.sqrt((u - np.float32(right_px)) ** 2 + (v - np.float32(down_px)) ** 2)
@@ -236,7 +236,7 @@ def defocused(draw: Draw) -> Spoil:
 
 
 def _bent(draw: Draw, camera: str) -> Spoil:
-    """The picture around the spot is drawn aside: by heat, by a drop on the lens, by a pane."""
+    """The picture around the spot is distorted: by heat, by a drop on the lens, by a pane."""
     shift_px, angle, size_px = draw.log(0.5, 6.0), draw.angle(), draw.uniform(40.0, 200.0)
 
     def light(scene: Scene, since: int) -> Scene:

@@ -1,4 +1,4 @@
-"""Ways by times and numbers of frames that are not true, and by a process that was held."""
+"""Ways with wrong times and numbers of frames, and with a process that was held."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PERIOD_NS = 50 * MS
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """A frame on its way: ``true_ns`` when it was exposed, its number and stamp, and when it arrives."""
+    """A frame in transfer: its exposure time ``true_ns``, its number and stamp, and its arrival."""
 
     camera: str
     true_ns: int
@@ -30,10 +30,10 @@ Change = Callable[[list[Delivery], int], list[Delivery]]
 class Mistimed:
     """One way with its parameters drawn.
 
-    ``change`` turns the deliveries of a run, whose disturbance begins at ``onset_ns``, into what arrives. It
-    is over at ``end_ns`` after the onset, None: never. ``held_ns``: the process stands still for so long.
-    ``own_clock``: the stamps are of a clock in the camera, as a GigE camera's, and the driver maps them;
-    otherwise they are the host's, as of a V4L2 camera.
+    ``change`` converts the deliveries of a run, whose disturbance begins at ``onset_ns``, to the actual
+    arrivals. It is over ``end_ns`` after the onset, None: never. ``held_ns``: duration for which the process
+    is stopped. ``own_clock``: the stamps are from a clock in the camera, as for a GigE camera, and the driver
+    maps them; otherwise they are from the host's clock, as for a V4L2 camera.
     """
 
     note: str
@@ -58,7 +58,7 @@ _STEADY_DELAY = (
 def _entered(
     own_clock: Callable[[Draw], bool], invisible: str = ""
 ) -> Callable[[Callable[[Draw], Mistimed]], Callable[[Draw], Mistimed]]:
-    """A decorator that enters a way of times or numbers; ``own_clock``: whether a camera's clock stamps."""
+    """Decorator that registers a way of times or numbers; ``own_clock``: whether a camera's clock stamps."""
 
     def enter(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
         def of_camera(draw: Draw) -> Mistimed:
@@ -73,11 +73,11 @@ def _entered(
 
 _enter = _entered(lambda draw: bool(draw.rng.random() < 0.5))
 _of_a_clock = _entered(lambda draw: True)
-"""Faults of a clock in the camera alone: a V4L2 camera is stamped by the kernel of the host."""
+"""Registers faults of a clock in the camera only: a V4L2 camera is stamped by the kernel of the host."""
 
 
 def _each(change: _One, cameras: frozenset[str], length_ns: int | None) -> Change:
-    """Change the frames of some cameras from the onset on, for so long."""
+    """Change the frames of some cameras from the onset on, for this duration."""
 
     def changed(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
         def of(one: Delivery) -> Delivery:
@@ -135,7 +135,7 @@ def clock_steps(draw: Draw) -> Mistimed:
 
 
 def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mistimed:
-    """For a while frames repeat the number or the stamp of the first one."""
+    """Let frames repeat the number or the stamp of the first one for a while."""
     length_ns, cameras = draw.whole(2, 40) * PERIOD_NS, draw.targets()
 
     def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
@@ -282,7 +282,7 @@ def out_of_order(draw: Draw) -> Mistimed:
 
 
 def _without(is_lost: Callable[[Delivery, int], bool]) -> Change:
-    """Leave out the frames that ``is_lost`` names by when their light fell since the onset, ns."""
+    """Omit the frames selected by ``is_lost``, which gets the time of exposure since the onset, ns."""
 
     def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
         return [one for one in deliveries if not is_lost(one, one.true_ns - onset_ns)]
