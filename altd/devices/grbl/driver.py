@@ -24,7 +24,8 @@ from altd.ports import (
 )
 
 _POSITION_TOLERANCE_MM = 0.02
-"""Step of a coarse table; the reported position is recorded, not the target."""
+"""Maximum distance from the target at rest: a coarse table's step. The reported position is recorded, not the
+target."""
 
 
 class GrblStage:

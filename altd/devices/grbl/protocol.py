@@ -132,8 +132,7 @@ Point = tuple[float, float]
 class Status:
     """``<State|…>``: status report, with the positions x, y in mm that it contains.
 
-    A report has the machine or the work position, and occasionally the offset between the two: work = machine
-    − offset.
+    A report has the machine or the work position, and occasionally the offset: work = machine − offset.
     """
 
     state: str

@@ -202,7 +202,7 @@ class BeamInstrument:
 def _unexplained(
     mean: MeanSpots, points: Sequence[TargetPoint], doubts_mm: FloatArray, covariance_mm2: FloatArray
 ) -> Fault | None:
-    """Fault of the target whose light makes a measurement too uncertain; None where motion does."""
+    """Fault of the target whose light makes a measurement too uncertain; None where motion causes that."""
     scale = [math.sqrt(abs(float(np.linalg.det(point.jacobian_mm_per_px)))) for point in points]
     unexplained_mm = np.hypot(np.array(mean.excess_px) * scale, doubts_mm)
     worst = int(unexplained_mm.argmax())

@@ -112,9 +112,9 @@ def distances_mm(machine: Machine, poses: ArrayLike) -> FloatArray:
 def poses_of(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
     """Forward kinematics: poses (..., 2, 3) of both assembly modes, NaN where the machine cannot close.
 
-    The weighted sum of the three constraints n·P − n·(a, b) = offset does not contain (a, b), because Σ w n =
-    0. It is A cos φ + B sin φ = C, so φ = atan2(B, A) ± acos(C / √(A² + B²)): mode 0 has the plus sign. φ is
-    in (−180°, 180°].
+    The weighted sum of the three constraints n·P − n·(a, b) = offset is free of (a, b), because Σ w n = 0. It
+    is A cos φ + B sin φ = C, so φ = atan2(B, A) ± acos(C / √(A² + B²)): mode 0 has the plus sign. φ is in
+    (−180°, 180°].
     """
     points = machine.rail_points_mm(joints_mm)
     weights, normals = machine.weights, _normal(np.radians(machine.edge_deg))

@@ -20,7 +20,7 @@ Pose = tuple[float, float, float]
 
 _MAX_HYPOTHESES = 60_000
 _MAX_STRETCH = 2.5
-"""Maximum ratio of the two scales of an affine picture: a camera that views the plate at 66°."""
+"""Maximum ratio of the two scales of an affine picture: a camera at 66° to the plate's normal."""
 _AFFINE_SHARE = 0.25
 """Maximum deviation of a light from an affine picture, as a share of the LEDs' minimum distance."""
 _FITTED_SHARE = 0.02

@@ -26,8 +26,8 @@ _NEGLIGIBLE_MM = 1e-7
 class PlaneCamera:
     """Places (n, 2) mm of the plane ↔ (n, 2) px, through a homography or a lens with Brown's distortion.
 
-    Both models are relative to ``origin_mm``. ``parameters`` of the homography are h1 … h8 of mm → px with h9
-    = 1, those of the lens are ``Camera.parameters``.
+    Both are relative to ``origin_mm``. ``parameters`` of the homography are h1 … h8 of mm → px with h9 = 1,
+    those of the lens are ``Camera.parameters``.
     """
 
     model: Model

@@ -67,6 +67,7 @@ class ServedPath:
 COMMON_ERRORS = {
     400: "not an HTTP request",
     404: "there is no such path",
+    411: "the body has no `Content-Length`",
     414: "the path with its query is too long",
     431: "the header is too large, or has too many lines",
     405: "the path has no such method; `Allow` has those that it has",

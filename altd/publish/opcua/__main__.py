@@ -159,7 +159,7 @@ async def serve(descriptor: int) -> None:
         while line := await reader.readline():
             await unit.take(line)
             if keeping.done():
-                break
+                keeping.result()  # it ends only with an error
     finally:
         keeping.cancel()
         await asyncio.gather(keeping, return_exceptions=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
 import os
 import signal
@@ -15,7 +16,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pytest
 from asyncua import Client, ua
@@ -29,12 +30,14 @@ from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash
 from altd.errors import BadInputError
 from altd.history.history import History
+from altd.publish.opcua import __main__ as opcua_process
 from altd.publish.opcua import publisher
 from altd.publish.opcua.quality import Status
 from altd.reasons import Reason
 from altd.runtime.supervision import keep_running
 from altd.status.health import State
 from altd.status.measurement_json import checked_line
+from altd.tcp_port import listen
 from tools.pages.example import SERIAL
 
 pytestmark = pytest.mark.real_time  # the server has a low priority
@@ -200,6 +203,31 @@ async def test_a_server_that_is_killed_is_started_again_and_health_says_what_it_
         async with connected(there.unit.url) as client:
             await there.until(lambda: there.unit.component.figures.get("clients") == 1)
             assert (await read(client, "x_mm"))["x_mm"].status is Status.GOOD
+
+
+async def test_a_defect_while_serving_ends_the_process_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Status 0 and no message would leave the health of the daemon without a cause."""
+
+    async def fail(_: object) -> None:
+        raise RuntimeError("planted")
+
+    async def measuring(lines: BinaryIO) -> None:
+        for sequence in range(10**9):
+            unit.measure(sequence)
+            lines.write(unit.line())
+            await asyncio.sleep(0.05)
+
+    unit, (receiver, sender) = OpcUaUnit(), os.pipe()
+    monkeypatch.setattr(opcua_process, "_keep", fail)
+    monkeypatch.setattr(sys, "stdin", os.fdopen(receiver))
+    with listen("127.0.0.1", 0) as listener, os.fdopen(sender, "wb", 0) as lines:
+        unit.publisher.port = listener.getsockname()[1]
+        lines.write(unit.start.to_line())
+        measured = asyncio.create_task(measuring(lines))
+        with pytest.raises(RuntimeError, match="planted"):
+            await opcua_process.serve(os.dup(listener.fileno()))
+        measured.cancel()
+    gc.unfreeze()
 
 
 async def test_a_server_that_was_held_up_shows_nothing_that_is_old() -> None:
