@@ -1,4 +1,4 @@
-"""Check the Markdown pages: lines of at most 120 characters, and a heading for each table.
+"""Check the Markdown pages: lines of at most 120 characters, and whole tables.
 
 ``python -m tools.markdown FILE…`` lists the lines that violate this; with ``--wrap`` it wraps long lines.
 Tables, code and headings are ignored, and only the text of a link counts.
@@ -43,14 +43,19 @@ def long_lines(page: str) -> Iterator[int]:
                 yield number
 
 
-def rows_without_table(page: str) -> Iterator[int]:
-    """Yield the numbers, from 1, of first rows without a table heading: browsers show such rows as text."""
+def table_faults(page: str) -> Iterator[tuple[int, str]]:
+    """Yield number, from 1, and fault of lines that browsers show otherwise than they are meant.
+
+    A row without a heading appears as text, and text directly below a row as a row.
+    """
     before, is_fenced = "", False
     for number, (line, following) in enumerate(pairwise([*page.split("\n"), ""]), 1):
         is_fenced ^= line.startswith(_FENCE)
-        is_first = line.startswith("|") and not before.startswith("|")
-        if is_first and not is_fenced and not _TABLE_RULE.match(following):
-            yield number
+        is_row, is_below = line.startswith("|"), before.startswith("|")
+        if is_row and not is_below and not is_fenced and not _TABLE_RULE.match(following):
+            yield number, "a table row without a heading"
+        if is_below and not is_row and line.strip() and not is_fenced:
+            yield number, "text directly below a table"
         before = line
 
 
@@ -106,7 +111,7 @@ def _check(paths: Iterable[str]) -> int:
     for path in paths:
         page = Path(path).read_text()
         faults += [f"{path}:{number}: longer than {MAX_LETTERS} characters" for number in long_lines(page)]
-        faults += [f"{path}:{number}: a table row without a heading" for number in rows_without_table(page)]
+        faults += [f"{path}:{number}: {fault}" for number, fault in table_faults(page)]
     for fault in faults:
         print(fault, file=sys.stderr)
     return int(bool(faults))

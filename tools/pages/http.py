@@ -58,7 +58,9 @@ answer; `/api/v1/openapi.json` is the same as an [OpenAPI](https://spec.openapis
 
 | path | gives |
 |---|---|
-{paths} Paths and keys under `/api/v1` keep their meaning; keys may be added. Pictures of the targets are
+{paths}
+
+Paths and keys under `/api/v1` keep their meaning; keys may be added. Pictures of the targets are
 sent over a WebSocket at `/api/v1/pictures`, which is not part of the OpenAPI document.
 
 ## The measurement

@@ -76,7 +76,9 @@ With `checked = true` in the port's table, `$PALTC` follows the two sentences of
 ```
 {telegram}```
 
-{sentence_table(PROOF)} The CRC is over every character from the `$` of `$PALTM` to the comma before the CRC,
+{sentence_table(PROOF)}
+
+The CRC is over every character from the `$` of `$PALTM` to the comma before the CRC,
 with the checksums and line ends (CR LF) of the first two sentences. `age_ms` and `clock_ms` are those of the
 first character: add the time on the line, {len(telegram) + 3} characters here, 0.18 s at 9600 baud.
 [Readers in Python and C](telegram.md#readers-in-python-and-c) make all of these checks.

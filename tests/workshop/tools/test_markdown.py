@@ -65,12 +65,16 @@ def test_each_long_line_is_named_by_its_file_and_number(
     assert main([str(bad)]) == 0
 
 
-def test_rows_without_a_table_heading_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_broken_tables_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.md"
     table = "| a | b |\n|---|---|\n| 1 | 2 |\n"
-    page.write_text(f"{table}\n{table}```\n| code |\n```\n")
+    page.write_text(f"{table}\n{table}```\n| code |\nnot text\n```\n")
     assert main([str(page)]) == 0
     page.write_text(f"{table}\n| 3 | 4 |\n| | |\n\n{table}| 7 | broken\noff |\n| 8 | 9 |\n")
     assert main([str(page)]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert lines == [f"{page}:{number}: a table row without a heading" for number in (5, 13)]
+    assert lines == [
+        f"{page}:5: a table row without a heading",
+        f"{page}:12: text directly below a table",
+        f"{page}:13: a table row without a heading",
+    ]
