@@ -44,7 +44,7 @@ _SILENT = 10
 _SAMPLE = 15 * MINUTE
 _WARM_HOURS = 5.0
 """Time in which buffers, the ring of frames and the trends' minutes fill up."""
-_MIN_HOURS = 1.0
+_MIN_HOURS, _MAX_HOURS = 1.0, 10_000.0
 _TRANSFER_NS = 5_000_000
 
 
@@ -132,8 +132,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=100.0, help="of the set clock (default 100)")
     options = parser.parse_args()
-    if not options.hours >= _MIN_HOURS:
-        parser.error(f"--hours: at least {_MIN_HOURS:g}, of which the growth is a line through two samples")
+    if not _MIN_HOURS <= options.hours <= _MAX_HOURS:
+        parser.error(f"--hours: {_MIN_HOURS:g} to {_MAX_HOURS:g}; the growth needs two samples")
     logging.getLogger("altd").setLevel(logging.CRITICAL)
     cv2.setNumThreads(1)
     rig, port, began_s = rig_of(UNIT), free_port(), time.monotonic()
