@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar unit test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults soak studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults soak studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -28,11 +28,6 @@ SPRAY_S ?= 600
 cores := $(shell nproc)
 side_by_side := --numprocesses $(shell expr $(cores) '*' 3 / 2) --dist loadfile
 pytest := $(python) -m pytest
-# The tests of tests/system that `make test` runs too: the main line, from frames to numbers, and bad files.
-core_system := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config mapping/test_monte_carlo.py \
-    measuring/test_chain_lies.py measuring/test_synchrony.py recording \
-    test_bad_files.py test_invalid_cases.py test_layers.py vision/test_bit_depths.py)
-core := tests/unit $(core_system) -m 'not real_time and not alone and not own_network'
 
 # Pages and other files of docs/, and the modules that write them.
 pages := \
@@ -75,11 +70,8 @@ demo-fleet: venv ## twenty simulated units, a broker, PostgreSQL and the ingest;
 	@.ci/programs must mosquitto '/usr/lib/postgresql/*/bin/initdb=postgresql'
 	exec $(python) -m benchmarks.demo_fleet
 
-unit: venv ## the tests within one process, on all cores: two minutes on two
-	@exec $(pytest) $(side_by_side) tests/unit
-
-test: venv ## the tests that need Python alone: five minutes on two cores, set-up included
-	@$(pytest) $(side_by_side) $(core)
+test: venv ## the tests that need Python alone: three to six minutes on two cores, set-up included
+	@$(pytest) $(side_by_side) -m 'not long and not own_network' tests/unit
 	echo "make test-all adds: real kernel drivers, Aravis, Chromium, systemd, foreign clients, real time, and the longer tests."
 
 test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
@@ -98,8 +90,8 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	    cat .pytest_cache/v/cache/lastfailed | tee -a .pytest_cache/repeated
 	    $(pytest) --last-failed --last-failed-no-failures none -m "$$1" tests/system
 	}
-	part core $(pytest) $(side_by_side) $(core)
-	part system timed 'not real_time and not alone' $(side_by_side) $(addprefix --ignore=,$(core_system))
+	part unit $(pytest) $(side_by_side) -m 'not own_network' tests/unit
+	part system timed 'not real_time and not alone' $(side_by_side)
 	part real-time timed 'real_time and not alone' --numprocesses $(cores) --dist loadfile
 	part alone timed alone
 	[[ ! -e .pytest_cache/repeated ]] || { echo "altd: failed once and repeated:"; cat .pytest_cache/repeated; }

@@ -43,8 +43,11 @@ def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float, levels: tuple[flo
     cover = np.zeros_like(x_mm)
     for (led_x, led_y), level in zip(LED_POSITIONS_MM, levels, strict=True):
         if level:
-            distance = np.hypot(x_mm - np.float32(led_x), y_mm - np.float32(led_y))
-            cover += np.float32(level) * soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
+            reach_mm = np.float32(LED_DIAMETER_MM / 2.0 + softness_mm)
+            near = np.abs(x_mm - np.float32(led_x)) < reach_mm
+            near &= np.abs(y_mm - np.float32(led_y)) < reach_mm
+            distance = np.hypot(x_mm[near] - np.float32(led_x), y_mm[near] - np.float32(led_y))
+            cover[near] += np.float32(level) * soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
     return cover
 
 

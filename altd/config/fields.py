@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -89,21 +90,20 @@ def _step(annotation: Any, key: str | int, node: Any) -> tuple[Any, list[Any]] |
     return None
 
 
-def _options(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[Any, tuple[Any, ...]]]:
-    """Yield the types inside ``Annotated`` and unions, without None."""
+@cache
+def _options(annotation: Any) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+    """Return the types inside ``Annotated`` and unions, with their metadata, without None."""
     if get_origin(annotation) is Annotated:
         inner, *more = get_args(annotation)
-        yield from _options(inner, (*metadata, *more))
-    elif get_origin(annotation) in (Union, types.UnionType):
-        for option in get_args(annotation):
-            yield from _options(option, metadata)
-    elif annotation is not types.NoneType:
-        yield annotation, metadata
+        return tuple((option, (*more, *metadata)) for option, metadata in _options(inner))
+    if get_origin(annotation) in (Union, types.UnionType):
+        return tuple(found for option in get_args(annotation) for found in _options(option))
+    return () if annotation is types.NoneType else ((annotation, ()),)
 
 
 def _plain(annotation: Any, metadata: list[Any]) -> tuple[Any, list[Any]]:
     """Return the only type inside ``Annotated`` and ``| None``; if there are several, the union."""
-    options = list(_options(annotation))
+    options = _options(annotation)
     if len(options) == 1 or (options and all(_is_table(option) for option, _ in options)):
         return options[0][0], [*metadata, *options[0][1]]
     return annotation, metadata

@@ -1,4 +1,4 @@
-"""``python -m tools.defects``: run the unit tests on a copy of altd with one defect at a time."""
+"""``python -m tools.defects``: run the tests of ``make test`` on a copy of altd with one defect at a time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from tools.defects.catalogue import DEFECTS, Defect
 
 ROOT = Path(__file__).resolve().parents[2]
-_PYTEST = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--maxfail=3"]
+_PYTEST = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--maxfail=3", "-m", "not long"]
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
 

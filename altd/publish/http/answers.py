@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,6 +50,14 @@ class PageFile:
 
     media_type: str
     content: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """The OpenAPI document as JSON, and the page made from it."""
+
+    document: bytes
+    page: str
 
 
 def page_of(quantities: Quantities) -> str:
@@ -101,11 +109,19 @@ BODY_TIMEOUT_S = 10.0
 class Answers:
     """Handlers of one interface, its own and those of its parts. ``guard`` checks permissions.
 
-    ``document``, the OpenAPI document as JSON, and ``api_page`` are constant: encoding 70 kB of JSON for each
-    request would block the loop for about 10 ms.
+    ``describe`` returns the description of the API. It is called in a thread, when the first client asks:
+    making the description takes 0.1 to 0.3 s, which would delay the start or block the loop.
     """
 
-    def __init__(self, board: Board, health: Health, component: Component, guard: Guard, past: Past) -> None:
+    def __init__(
+        self,
+        board: Board,
+        health: Health,
+        component: Component,
+        guard: Guard,
+        past: Past,
+        describe: Callable[[], Description],
+    ) -> None:
         self._board = board
         self._health = health
         self._component = component
@@ -122,8 +138,8 @@ class Answers:
         self.recordings = Recordings(health.recordings, guard, downloads)
         self.calibration = LoadedCalibration(health.calibration, guard, downloads)
         self.diagnostics = Diagnostics(board, health, past, self._metrics, guard, downloads)
-        self.document = b""
-        self.api_page = ""
+        self._describe = describe
+        self._describing = asyncio.Lock()
 
     async def index(self, _: Request) -> Response:
         """Return the page."""
@@ -138,11 +154,16 @@ class Answers:
 
     async def api(self, _: Request) -> Response:
         """Return the page of the API."""
-        return HTMLResponse(self.api_page, headers={"Content-Security-Policy": API_PAGE_POLICY})
+        description = await self._description()
+        return HTMLResponse(description.page, headers={"Content-Security-Policy": API_PAGE_POLICY})
 
     async def openapi(self, _: Request) -> Response:
         """Return the OpenAPI document."""
-        return Response(self.document, media_type="application/json")
+        return Response((await self._description()).document, media_type="application/json")
+
+    async def _description(self) -> Description:
+        async with self._describing:  # clients that ask at the same time wait for one description
+            return await asyncio.to_thread(self._describe)
 
     async def measurement(self, _: Request) -> Response:
         """Return the latest measurement; 503 before the first."""

@@ -8,7 +8,7 @@ import json
 import logging
 import socket
 from collections.abc import Awaitable, Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from starlette.applications import Starlette
@@ -22,7 +22,7 @@ from altd.credentials.certificates import RenewedContext, server_context
 from altd.credentials.file import CredentialsKeeper
 from altd.history.history import History
 from altd.local_socket import identity_at, listening
-from altd.publish.http.answers import Answers
+from altd.publish.http.answers import Answers, Description
 from altd.publish.http.clients import REQUESTS, Allowed, OwnNames, host_of
 from altd.publish.http.errors import HANDLERS, misdirected, refusal
 from altd.publish.http.guard import Guard, too_many
@@ -32,6 +32,7 @@ from altd.publish.http.past import Past
 from altd.publish.http.paths import ALIVE, PATHS
 from altd.publish.http.pictures import PATH
 from altd.publish.http.server import ConnectionPolicy, listen, serve
+from altd.records import Quantities
 from altd.status.board import Board
 from altd.status.event_log import EventLog
 from altd.status.health import Component, Health, State
@@ -142,6 +143,13 @@ def _malformed(scope: Scope) -> Response | None:
     return None
 
 
+@cache
+def _description_of(quantities: Quantities, version: str) -> Description:
+    """Return the description, one for all interfaces of the daemon."""
+    document = document_of(PATHS, quantities, version)
+    return Description(json.dumps(document).encode(), api_page_of(document))
+
+
 class HttpPublisher:
     """Serves the unit's page and its API.
 
@@ -184,10 +192,8 @@ class HttpPublisher:
         is_open = certificate is None and not self.is_local
         self._names = OwnNames(settings.names) if is_open else None
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
-        self.answers = Answers(board, health, component, guard, past)
-        document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
-        self.answers.document = json.dumps(document).encode()
-        self.answers.api_page = api_page_of(document)
+        describe = partial(_description_of, board.quantities, health.facts.get("version", ""))
+        self.answers = Answers(board, health, component, guard, past, describe)
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError if the address is not available."""

@@ -21,6 +21,7 @@ from support.unit_toml import write_config
 
 from altd.app.backup import back_up
 from altd.app.restore import BEFORE_RESTORE, restore
+from altd.credentials import hashes
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
 from altd.errors import BadInputError
@@ -42,6 +43,7 @@ def settings(played_unit: PlayedUnit, tmp_path: Path, monkeypatch: pytest.Monkey
     data.mkdir()
     monkeypatch.setenv("STATE_DIRECTORY", str(data))
     shutil.copy(played_unit.calibration, etc / "cal.json")
+    monkeypatch.setattr(hashes, "SCRYPT_N", 2)
     change(etc / "credentials", "ana", lambda known: known.with_password("ana", PasswordHash.of("a" * 12)))
     (etc / "credentials").chmod(0o640)
     (data / CHECKS).write_text("{}")

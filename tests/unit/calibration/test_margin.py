@@ -37,6 +37,7 @@ def around(rng: np.random.Generator, count: int) -> FloatArray:
     return places[(np.abs(places) > (62.5, 50.0)).any(axis=1)][:count]
 
 
+@pytest.mark.long
 def test_half_a_pitch_outside_of_the_nodes_errors_are_what_sigma_says() -> None:
     normalised, known = [], 0
     for seed in range(8):
@@ -53,6 +54,7 @@ def test_half_a_pitch_outside_of_the_nodes_errors_are_what_sigma_says() -> None:
     assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate(normalised)))) < 1.25
 
 
+@pytest.mark.long
 def test_where_no_model_fits_nothing_wrong_is_called_known() -> None:
     errors, sigmas, known = [], [], 0
     for seed in range(6):

@@ -11,6 +11,8 @@ from support.prints import NODES_MM, Dots, Scene, steps
 
 from altd.calibration.scan_grid import cut_sides
 
+pytestmark = pytest.mark.long
+
 PRINT = Dots(steps(1.0, 60, 1.3), 0.25)
 ALL = ("x -70", "x 70", "y -56", "y 56")
 Inside = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -92,6 +92,7 @@ def test_a_clock_that_jumps_far_ahead_deletes_no_summary(tmp_path: Path) -> None
         assert len(list(reader.summaries(SECONDS, 0, 2**62))) == 21
 
 
+@pytest.mark.long
 def test_the_size_is_bounded_seconds_go_before_minutes_and_it_is_said(tmp_path: Path) -> None:
     limit = 13 << 20  # of which 12 MB are held in reserve
     writing = store(tmp_path, max_bytes=limit)

@@ -75,6 +75,7 @@ def test_lost_steps_displace_it_for_good() -> None:
     assert np.hypot(*(losing.pose - true.pose)[:2]) > 0.02
 
 
+@pytest.mark.long
 def test_its_geometry_is_found_from_its_poses() -> None:
     """Eq. 2.63 on the machine's own motion, with the uncertainty of a camera and of one step."""
     simulated, rng = machine(place_mm=1.0, direction_deg=0.2, screw_ppm=500.0), np.random.default_rng(5)

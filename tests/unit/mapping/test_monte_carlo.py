@@ -20,6 +20,7 @@ def brown(px: np.ndarray) -> Fit:
     return fit_lens_map(Nodes.ordinary(NODES, px), HULL, SIZE)
 
 
+@pytest.mark.long
 def test_what_the_nodes_leave_in_the_map_is_that_of_monte_carlo_at_every_place() -> None:
     """The map's own share alone, without the spot's: of one lens, at its corners and in its middle."""
     rng = np.random.default_rng(2)
@@ -37,6 +38,7 @@ def test_what_the_nodes_leave_in_the_map_is_that_of_monte_carlo_at_every_place()
     assert np.sqrt(np.mean(predicted, axis=0)) / scatter == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.long
 def test_noise_that_is_larger_along_u_is_so_in_the_map_too() -> None:
     rng = np.random.default_rng(3)
     lens = make_lens(TABLE_3_2[1], rng)

@@ -240,6 +240,7 @@ class TestTwoSenders:
         assert rig.assembler.contradictions == 1
 
 
+@pytest.mark.long
 class TestHostilePackets:
     def test_take_no_memory(self) -> None:
         """The largest frame, packet and block numbers; a hundred thousand packets."""

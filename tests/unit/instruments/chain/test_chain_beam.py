@@ -87,6 +87,7 @@ def displacement(day: float, x_mm: float, lasting_mm: float = 0.0) -> Displaceme
     return Displacement(round(day * DAY_NS), np.array([x_mm, 0.0]), random + lasting, random, lasting)
 
 
+@pytest.mark.long
 def test_the_rate_is_that_of_the_last_day_with_its_sigma() -> None:
     rng = np.random.default_rng(2)
     errors = []

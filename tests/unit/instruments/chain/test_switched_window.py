@@ -134,12 +134,14 @@ def ratios(frequency_hz: float, is_shuffled: bool = True) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.long
 def test_sigma_is_honest_under_vibration_of_any_frequency() -> None:
     rms = {hz: float(np.sqrt(np.mean(ratios(hz) ** 2))) for hz in TONES_HZ}
     assert max(rms.values()) < 2.2, rms
     assert 0.7 < math.sqrt(sum(value**2 for value in rms.values()) / len(rms)) < 1.4, rms
 
 
+@pytest.mark.long
 def test_in_a_fixed_order_a_vibration_in_step_with_the_rounds_would_be_wrong_by_many_sigma() -> None:
     """Which is why the cycle shuffles its rounds."""
     worst = max(float(np.sqrt(np.mean(ratios(hz, is_shuffled=False) ** 2))) for hz in (0.5, 0.55, 0.6))
@@ -163,6 +165,7 @@ def test_a_motion_that_begins_ends_or_turns_is_in_sigma(course: str, px_per_s: f
                 assert abs(mean.px[1, 0] - mean.px[0, 0] - 10.0) < 5.0 * sigma_px
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jump_px", [0.3, 1.0, 5.0, 40.0])
 def test_a_beam_that_jumps_between_two_visits_gives_no_wrong_number(jump_px: float) -> None:
     for seed, at_s in enumerate(np.arange(15.0, 18.0, 0.25)):
@@ -250,6 +253,7 @@ def test_light_that_fades_in_the_visit_of_the_other_target_is_a_slow_glass() -> 
     assert "front_slow" in codes(found[-1])
 
 
+@pytest.mark.long
 def test_a_visit_that_does_not_end_does_not_fill_the_memory_and_a_foreign_name_is_not_measured() -> None:
     window = window_of()
     for number in range(10_000):

@@ -283,6 +283,7 @@ class TestWorkspace:
             to_pose = pose[:2] - corners
             assert (after[:, 0] * to_pose[:, 1] - after[:, 1] * to_pose[:, 0] > -1e-6).all()
 
+    @pytest.mark.long
     def test_volume_by_slices_is_that_by_the_joints(self) -> None:
         """∫ |∂(a, b, φ)/∂(joints)| over the joints by a lattice, both modes, against the slices."""
         count, ratio = 2**18, 1.2207440846057596

@@ -119,6 +119,7 @@ async def test_events_and_trend_are_those_of_the_history(
     assert {"sigma_x_mm", "min_x_mm", "max_x_mm", "worst", "worst_cause", "lost_to"} <= set(rows[0])
 
 
+@pytest.mark.long
 async def test_what_cannot_be_had_is_named_and_costs_no_other(
     board: Board, health: Health, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
+import threading
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
 from openapi_spec_validator import OpenAPIV31SpecValidator
-from starlette.responses import JSONResponse
 from support.clock import FakeClock
 from support.measurements import changed, measured
 
@@ -17,6 +19,7 @@ from altd.acquisition.self_check.judging import Judged
 from altd.acquisition.self_check.schedule import Cause
 from altd.acquisition.self_check.service import Occasion, report_of
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.publish.http import publisher
 from altd.publish.http.openapi import api_page_of, document_of
 from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
@@ -55,12 +58,24 @@ async def test_it_is_served_as_it_is(served: Served, health: Health) -> None:
     assert answer.json == document_of(PATHS, QUANTITIES, health.facts["version"])
 
 
-async def test_it_is_made_once_and_not_for_each_who_asks(
-    served: Served, monkeypatch: pytest.MonkeyPatch
+async def test_it_is_made_once_in_a_thread_when_a_client_asks(
+    served: Served, health: Health, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async with served() as unit:
-        monkeypatch.setattr(JSONResponse, "render", lambda *_: pytest.fail("it is made in the loop"))
-        assert (await unit.ask("/api/v1/openapi.json")).status == 200
+    threads = list[int]()
+
+    def observed(*arguments: Any) -> dict[str, Any]:
+        threads.append(threading.get_ident())
+        return document_of(*arguments)
+
+    monkeypatch.setattr(publisher, "document_of", observed)
+    health.facts["version"] = "of this test"
+    async with served() as unit, served() as other:
+        assert threads == []
+        asked = [each.ask(path) for each in (unit, other) for path in ("/api/v1/", "/api/v1/openapi.json")]
+        assert {answer.status for answer in await asyncio.gather(*asked)} == {200}
+        assert (await unit.ask("/api/v1/openapi.json")).json["info"]["version"] == "of this test"
+    assert 1 <= len(threads) <= 2  # both interfaces may begin at the same time
+    assert threading.get_ident() not in threads
 
 
 async def test_measurements_of_every_kind_are_what_the_document_says(

@@ -52,6 +52,7 @@ def test_a_unit_that_does_not_answer_is_not_waited_for() -> None:
     assert received(READ_OF_20, b"\x13" + frame(ONE)) == [None, ONE]
 
 
+@pytest.mark.long
 def test_random_traffic_of_others_is_never_a_request() -> None:
     """40,000 polls of others, their registers full of this unit's id and of reads."""
     random_numbers = random.Random(9)
