@@ -71,7 +71,7 @@ demo-fleet: venv ## twenty simulated units, a broker, PostgreSQL and the ingest;
 	exec $(python) -m benchmarks.demo_fleet
 
 test: venv ## the tests that need Python alone: three to six minutes on two cores, set-up included
-	@$(pytest) $(side_by_side) -m 'not long and not own_network' tests/unit
+	@$(pytest) $(side_by_side) -m 'not long' tests/unit
 	echo "make test-all adds: real kernel drivers, Aravis, Chromium, systemd, foreign clients, real time, and the longer tests."
 
 test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
@@ -90,7 +90,7 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	    cat .pytest_cache/v/cache/lastfailed | tee -a .pytest_cache/repeated
 	    $(pytest) --last-failed --last-failed-no-failures none -m "$$1" tests/system
 	}
-	part unit $(pytest) $(side_by_side) -m 'not own_network' tests/unit
+	part unit $(pytest) $(side_by_side) tests/unit
 	part system timed 'not real_time and not alone' $(side_by_side)
 	part real-time timed 'real_time and not alone' --numprocesses $(cores) --dist loadfile
 	part alone timed alone

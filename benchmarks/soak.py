@@ -88,6 +88,7 @@ async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | 
     """Run for this number of hours."""
     with interfaces(1) as places, contextlib.closing(TelegramLine(folder / "ttyUSB0")) as telegram:
         del places.tables["opcua"]
+        places.tables["serial"][0]["interval_s"] = 1.0  # the default; a new value comes each second
         places.tables["history"] = {"file": folder / "history.db"}
         places.tables["kept_frames"] = {"folder": folder / "recordings", "disk_mb": 50}
         places.tables["mqtt"]["port"] = broker_port
