@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,8 +109,7 @@ BODY_TIMEOUT_S = 10.0
 class Answers:
     """Handlers of one interface, its own and those of its parts. ``guard`` checks permissions.
 
-    ``describe`` returns the description of the API. It is called in a thread, when the first client asks:
-    making the description takes 0.1 to 0.3 s, which would delay the start or block the loop.
+    ``description`` is made before: making it for each request would block the loop for 0.1 to 0.3 s.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class Answers:
         component: Component,
         guard: Guard,
         past: Past,
-        describe: Callable[[], Description],
+        description: Description,
     ) -> None:
         self._board = board
         self._health = health
@@ -138,8 +137,7 @@ class Answers:
         self.recordings = Recordings(health.recordings, guard, downloads)
         self.calibration = LoadedCalibration(health.calibration, guard, downloads)
         self.diagnostics = Diagnostics(board, health, past, self._metrics, guard, downloads)
-        self._describe = describe
-        self._describing = asyncio.Lock()
+        self._description = description
 
     async def index(self, _: Request) -> Response:
         """Return the page."""
@@ -154,16 +152,11 @@ class Answers:
 
     async def api(self, _: Request) -> Response:
         """Return the page of the API."""
-        description = await self._description()
-        return HTMLResponse(description.page, headers={"Content-Security-Policy": API_PAGE_POLICY})
+        return HTMLResponse(self._description.page, headers={"Content-Security-Policy": API_PAGE_POLICY})
 
     async def openapi(self, _: Request) -> Response:
         """Return the OpenAPI document."""
-        return Response((await self._description()).document, media_type="application/json")
-
-    async def _description(self) -> Description:
-        async with self._describing:  # clients that ask at the same time wait for one description
-            return await asyncio.to_thread(self._describe)
+        return Response(self._description.document, media_type="application/json")
 
     async def measurement(self, _: Request) -> Response:
         """Return the latest measurement; 503 before the first."""

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import re
-import threading
 from html.parser import HTMLParser
 from typing import Any
 
@@ -58,24 +56,22 @@ async def test_it_is_served_as_it_is(served: Served, health: Health) -> None:
     assert answer.json == document_of(PATHS, QUANTITIES, health.facts["version"])
 
 
-async def test_it_is_made_once_in_a_thread_when_a_client_asks(
+async def test_it_is_made_once_for_all_interfaces_and_requests(
     served: Served, health: Health, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    threads = list[int]()
+    made = list[str]()
 
     def observed(*arguments: Any) -> dict[str, Any]:
-        threads.append(threading.get_ident())
+        made.append(arguments[2])
         return document_of(*arguments)
 
     monkeypatch.setattr(publisher, "document_of", observed)
     health.facts["version"] = "of this test"
     async with served() as unit, served() as other:
-        assert threads == []
-        asked = [each.ask(path) for each in (unit, other) for path in ("/api/v1/", "/api/v1/openapi.json")]
-        assert {answer.status for answer in await asyncio.gather(*asked)} == {200}
-        assert (await unit.ask("/api/v1/openapi.json")).json["info"]["version"] == "of this test"
-    assert 1 <= len(threads) <= 2  # both interfaces may begin at the same time
-    assert threading.get_ident() not in threads
+        for each in (unit, other, unit):
+            assert (await each.ask("/api/v1/openapi.json")).json["info"]["version"] == "of this test"
+            assert (await each.ask("/api/v1/")).status == 200
+    assert made == ["of this test"]
 
 
 async def test_measurements_of_every_kind_are_what_the_document_says(
