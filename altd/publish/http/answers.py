@@ -109,7 +109,7 @@ BODY_TIMEOUT_S = 10.0
 class Answers:
     """Handlers of one interface, its own and those of its parts. ``guard`` checks permissions.
 
-    ``description`` is made before: making it for each request would block the loop for 0.1 to 0.3 s.
+    ``description`` is made beforehand: to make it for a request would block the loop for 0.1 s or more.
     """
 
     def __init__(
