@@ -28,6 +28,10 @@ SPRAY_S ?= 600
 cores := $(shell nproc)
 side_by_side := --numprocesses $(shell expr $(cores) '*' 3 / 2) --dist loadfile
 pytest := $(python) -m pytest
+# Tests of tests/system that do not depend on real time: `make test-all` does not repeat one that failed.
+never_repeated := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config mapping/test_monte_carlo.py \
+    measuring/test_chain_lies.py measuring/test_synchrony.py recording \
+    test_bad_files.py test_invalid_cases.py test_layers.py vision/test_bit_depths.py)
 
 # Pages and other files of docs/, and the modules that write them.
 pages := \
@@ -90,8 +94,8 @@ test-all: programs venv kernel ## all tests, with real parts: installs Debian pa
 	    cat .pytest_cache/v/cache/lastfailed | tee -a .pytest_cache/repeated
 	    $(pytest) --last-failed --last-failed-no-failures none -m "$$1" tests/system
 	}
-	part unit $(pytest) $(side_by_side) tests/unit
-	part system timed 'not real_time and not alone' $(side_by_side)
+	part unit $(pytest) $(side_by_side) -m 'not real_time and not alone and not own_network' tests/unit $(never_repeated)
+	part system timed 'not real_time and not alone' $(side_by_side) $(addprefix --ignore=,$(never_repeated))
 	part real-time timed 'real_time and not alone' --numprocesses $(cores) --dist loadfile
 	part alone timed alone
 	[[ ! -e .pytest_cache/repeated ]] || { echo "altd: failed once and repeated:"; cat .pytest_cache/repeated; }
