@@ -100,19 +100,19 @@ class _PunctualSocket(socket.socket):
     def __init__(self, deadline_s: float) -> None:
         super().__init__(socket.AF_UNIX, socket.SOCK_STREAM)
         self._deadline_s = deadline_s
-        self._hurry()
+        self._limit_time()
 
     def recv_into(self, *arguments: Any) -> int:
         """Receive, for ``makefile``, within the deadline."""
-        self._hurry()
+        self._limit_time()
         return super().recv_into(*arguments)
 
     def sendall(self, *arguments: Any) -> None:
         """Send within the deadline."""
-        self._hurry()
+        self._limit_time()
         super().sendall(*arguments)
 
-    def _hurry(self) -> None:
+    def _limit_time(self) -> None:
         left_s = self._deadline_s - time.monotonic()
         if left_s <= 0:
             raise TimeoutError

@@ -190,7 +190,7 @@ class Buckets:
             self._full_ns.popitem(last=False)
         return 0.0
 
-    def give_back(self, key: str) -> None:
+    def put_back(self, key: str) -> None:
         """Return a token that was taken."""
         if key in self._full_ns:
             self._full_ns[key] -= round(1e9 / self._rate.per_s)

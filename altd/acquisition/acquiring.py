@@ -152,11 +152,11 @@ class _Acquirer:
 
     def run(self) -> None:
         try:
-            self._acquire_for_ever()
+            self._acquire_frames()
         except CameraEndedError as error:
             self._call_in_loop(self._report.ended, self.deliveries, str(error))
 
-    def _acquire_for_ever(self) -> None:
+    def _acquire_frames(self) -> None:
         backoff_s, failed_ns, logged = _MIN_BACKOFF_S, self._clock.monotonic_ns(), set[str]()
         while not self.stop.is_set():
             self._has_delivered = False

@@ -108,7 +108,7 @@ class Pipeline:
         for pair in pairs:
             for located in pair.all_items:
                 if isinstance(located, Located) and located.is_shown:
-                    self._look(located)
+                    self._add_located(located)
             measurement = self.chain.add(pair)
             if measurement is None:
                 why = "its LEDs were lit" if any(one.leds_on for one in pair.all_items) else "no mean is due"
@@ -118,23 +118,23 @@ class Pipeline:
         if is_silent:
             self._heard_ns = self._clock.monotonic_ns()
             self._publish(self.chain.silence(self._heard_ns))
-        not_told = dict.fromkeys(self.component.figures)
-        self.component.observe(not_told | dict(self.chain.figures()))
+        absent = dict.fromkeys(self.component.figures)
+        self.component.observe(absent | dict(self.chain.figures()))
         self.component.counters["late_frames"] = self.chain.pairer.late
         for camera, dropped in self.located.frames.dropped.items():
             self.component.counters[f"dropped_{camera}"] = dropped
         if (self.chain.frame_sets, self.board.published) != before:
             self.progress()
 
-    def _look(self, located: Located) -> None:
+    def _add_located(self, located: Located) -> None:
         if self.checks is not None:
-            self.checks.look(located)
+            self.checks.add(located)
         if self.trends is not None:
             self.trends.add(located)
 
     def _publish(self, measurement: Measurement) -> None:
         if self.checks is not None:
-            checked = self.checks.pass_on(measurement)
+            checked = self.checks.apply(measurement)
             if checked is None:
                 steps.debug("exposure %d: held back by a self-check", measurement.sequence)
                 return

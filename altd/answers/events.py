@@ -17,7 +17,7 @@ from altd.files.reading import os_reason
 from altd.history.reader import Reader
 from altd.history.records import StoredEvent
 from altd.history.schema import UnusableFileError
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 from altd.records import utc_text
 from altd.status.event_log import EventKind
 from altd.tables import Column, CsvTable, Type, text
@@ -45,8 +45,8 @@ def opened(path: Path) -> Iterator[Reader]:
         raise BadInputError(path, "is no path") from error
 
 
-_LOOK_INTERVAL_S = 0.5
-_MAX_LOOKS = 60
+_CHECK_INTERVAL_S = 0.5
+_MAX_CHECKS = 60
 """Maximum number of checks for a new file: a slow disk takes seconds for each write."""
 
 COLUMNS = (
@@ -84,7 +84,7 @@ def answer(
                 if not follow:
                     return
                 sys.stdout.flush()
-                time.sleep(_LOOK_INTERVAL_S)
+                time.sleep(_CHECK_INTERVAL_S)
                 now = _identity(history)
                 if now is not None and now != file:  # moved aside: the daemon has begun another file
                     break
@@ -93,8 +93,8 @@ def answer(
 
 def _wait_until_begun(file: Path) -> None:
     """Wait until the daemon has made a history of its new file, for a limited time."""
-    for _ in range(_MAX_LOOKS):
-        time.sleep(_LOOK_INTERVAL_S)
+    for _ in range(_MAX_CHECKS):
+        time.sleep(_CHECK_INTERVAL_S)
         with suppress(BadInputError), opened(file):
             return
 
@@ -127,7 +127,7 @@ def _writer(form: str) -> Callable[[StoredEvent], object]:
         )
     if form == "jsonl":
         return lambda event: write(line_of(_document(event)) + "\n")
-    return lambda event: say(event_line(event))
+    return lambda event: print_lines(event_line(event))
 
 
 def _document(event: StoredEvent) -> dict[str, object]:

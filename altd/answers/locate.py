@@ -19,10 +19,10 @@ _MAX_DIFFERENCE_SIGMAS = 5.0
 """Maximum difference of the localisers; on a clean spot it fits their sigmas (``docs/locate.md``)."""
 
 
-def answer(images: Iterable[Path], form: TextFormat, complain: Callable[[str], object]) -> int:
+def answer(images: Iterable[Path], form: TextFormat, report_error: Callable[[str], object]) -> int:
     """Write a row for each picture to standard output; return the exit status, 2 if one could not be read.
 
-    That picture has a row too, so that rows match pictures, and ``complain`` receives the reason.
+    That picture has a row too, so that rows match pictures, and ``report_error`` receives the reason.
     """
     table = TEXT_FORMATS[form](sys.stdout.write, SPOT_COLUMNS)
     status = 0
@@ -30,7 +30,7 @@ def answer(images: Iterable[Path], form: TextFormat, complain: Callable[[str], o
         try:
             pixels = read_picture(path)
         except BadInputError as error:
-            complain(str(error))
+            report_error(str(error))
             table.add({"image": str(path), "reason": UNREADABLE, "detail": error.message})
             status = 2
         else:

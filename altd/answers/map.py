@@ -29,7 +29,9 @@ def _write_plain(row: Row) -> None:
         sys.stdout.write(" ".join(f"{value:.{_DECIMALS}f}" for value in numbers) + "\n")
 
 
-def answer(calibration: Path, name: str, form: TextFormat | None, complain: Callable[[str], object]) -> int:
+def answer(
+    calibration: Path, name: str, form: TextFormat | None, report_error: Callable[[str], object]
+) -> int:
     """Write a row for each line ``u v`` of standard input that is not blank; return the exit status.
 
     It is 2 if a line is not ``u v``; such a line has a row too, so that rows match lines, and is reported.
@@ -37,7 +39,7 @@ def answer(calibration: Path, name: str, form: TextFormat | None, complain: Call
     """
     target = target_of(load_calibration(calibration), calibration, name)
     if target.simulated:
-        complain(f"{calibration}: {name} was calibrated from SIMULATED frames")
+        report_error(f"{calibration}: {name} was calibrated from SIMULATED frames")
     add: Add = _write_plain if form is None else TEXT_FORMATS[form](sys.stdout.write, POINT_COLUMNS).add
     status = 0
     for number, line in enumerate(_lines_of_input(), start=1):
@@ -47,7 +49,7 @@ def answer(calibration: Path, name: str, form: TextFormat | None, complain: Call
         place = _place(line)
         if place is None:
             got = line.decode(errors="backslashreplace").strip()
-            complain(f"stdin: line {number}: expected 'u v', got {got[:60]!r}")
+            report_error(f"stdin: line {number}: expected 'u v', got {got[:60]!r}")
             add({**row, "reason": UNREADABLE})
             status = 2
         else:

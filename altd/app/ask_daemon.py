@@ -57,32 +57,32 @@ class RunningDaemon:
 
     def reading(self) -> tuple[Reading | None, object]:
         """Request the latest measurement and its document; None: no measurement so far."""
-        return self._asked(
+        return self._document(
             "/api/v1/measurement", lambda document: reading_of(document, _quantities_of(document))
         )
 
     def status(self) -> tuple[StatusDocument, object]:
         """Request the unit's state, causes, availability and components, and the document."""
-        return self._asked("/api/v1/status", StatusDocument.checked)
+        return self._document("/api/v1/status", StatusDocument.checked)
 
     def self_check(self) -> tuple[SelfCheckDocument, object]:
         """Request the last self-check and its document."""
-        return self._asked("/api/v1/self-check", SelfCheckDocument.checked)
+        return self._document("/api/v1/self-check", SelfCheckDocument.checked)
 
     def calibration(self) -> tuple[CalibrationDocument, object]:
         """Request the quality of the targets' calibration and its document."""
-        return self._asked("/api/v1/calibration", CalibrationDocument.checked)
+        return self._document("/api/v1/calibration", CalibrationDocument.checked)
 
     def targets(self) -> tuple[TargetsDocument, object]:
         """Request the areas in which the targets are measured and their document."""
-        return self._asked("/api/v1/targets", TargetsDocument.checked)
+        return self._document("/api/v1/targets", TargetsDocument.checked)
 
-    def _asked(self, target: str, understood: Callable[[object], Document]) -> tuple[Document, object]:
+    def _document(self, target: str, checked: Callable[[object], Document]) -> tuple[Document, object]:
         status, document = ask(self.path, target, self.timeout_s)
         if status not in _GOOD:
             raise NoAnswerError(f"the server at {self.path} has no {target}: it answers {status}")
         try:
-            return understood(document), document
+            return checked(document), document
         except ValueError as error:
             raise NoAnswerError(f"the server at {self.path} gives no usable {target}: {error}") from error
 
@@ -149,11 +149,11 @@ def _ask_http(host: str, port: int) -> tuple[int, Any]:
 
 READING_INTERVAL_S = 0.2
 STATUS_INTERVAL_S = 0.5
-SELDOM_INTERVAL_S = 5.0
-_MAX_HEARD = 64
+DOCUMENTS_INTERVAL_S = 5.0
+_MAX_UPDATES = 64
 """Maximum number of responses that wait for display; further ones are dropped."""
 
-Telling = Callable[[Knowledge], None]
+Update = Callable[[Knowledge], None]
 
 
 class Follower:
@@ -161,7 +161,7 @@ class Follower:
 
     def __init__(self, daemon: RunningDaemon) -> None:
         self._daemon = daemon
-        self._heard: queue.Queue[Telling] = queue.Queue(_MAX_HEARD)
+        self._updates: queue.Queue[Update] = queue.Queue(_MAX_UPDATES)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="follow the daemon", daemon=True)
 
@@ -173,27 +173,27 @@ class Follower:
         self._end.set()
         self._thread.join(timeout=2 * self._daemon.timeout_s)
 
-    def tell(self, knowledge: Knowledge) -> None:
+    def update(self, knowledge: Knowledge) -> None:
         """Pass on all responses since the last call."""
         with contextlib.suppress(queue.Empty):
             while True:
-                self._heard.get_nowait()(knowledge)
+                self._updates.get_nowait()(knowledge)
 
     def _follow(self) -> None:
-        due_status_s = due_seldom_s = 0.0
+        due_status_s = due_documents_s = 0.0
         while not self._end.is_set():
             begun_s = time.monotonic()
             try:
                 self._ask_reading()
-                if begun_s >= due_seldom_s:
-                    self._ask_seldom()
-                    due_seldom_s = begun_s + SELDOM_INTERVAL_S
+                if begun_s >= due_documents_s:
+                    self._ask_documents()
+                    due_documents_s = begun_s + DOCUMENTS_INTERVAL_S
                 if begun_s >= due_status_s:
                     self._ask_status()
                     due_status_s = begun_s + STATUS_INTERVAL_S
             except NoAnswerError as error:
-                due_status_s = due_seldom_s = 0.0
-                self._put(partial(Knowledge.hear_nothing, why=str(error)))
+                due_status_s = due_documents_s = 0.0
+                self._put(partial(Knowledge.set_lost, why=str(error)))
             self._end.wait(max(begun_s + READING_INTERVAL_S - time.monotonic(), 0.05))
 
     # The age of a response counts from its request: the response may have been delayed.
@@ -201,18 +201,18 @@ class Follower:
     def _ask_reading(self) -> None:
         asked_s = time.monotonic()
         reading, _ = self._daemon.reading()
-        self._put(lambda knowledge: knowledge.hear_reading(reading, asked_s))
+        self._put(lambda knowledge: knowledge.set_reading(reading, asked_s))
 
     def _ask_status(self) -> None:
         asked_s = time.monotonic()
         status, _ = self._daemon.status()
-        self._put(lambda knowledge: knowledge.hear_status(status, asked_s))
+        self._put(lambda knowledge: knowledge.set_status(status, asked_s))
 
-    def _ask_seldom(self) -> None:
+    def _ask_documents(self) -> None:
         check, _ = self._daemon.self_check()
         targets, _ = self._daemon.targets()
-        self._put(lambda knowledge: knowledge.hear_about(check, targets))
+        self._put(lambda knowledge: knowledge.set_documents(check, targets))
 
-    def _put(self, telling: Telling) -> None:
+    def _put(self, update: Update) -> None:
         with contextlib.suppress(queue.Full):
-            self._heard.put_nowait(telling)
+            self._updates.put_nowait(update)

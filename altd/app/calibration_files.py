@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from altd.calibration.file import MAX_BYTES
-from altd.calibration.report.write import HEAD_BYTES, checksum_in, page_beside
+from altd.calibration.report.write import HEAD_BYTES, checksum_in, page_path
 from altd.errors import BadInputError
 from altd.files.reading import read_file, read_head
 from altd.measuring.calibration import CalibrationFile
@@ -27,7 +27,7 @@ class ReadCalibrationFiles:
     def __init__(self, path: Path, loaded: CalibrationFile | None) -> None:
         self.name = path.name
         self._path = path
-        self._page = page_beside(path)
+        self._page = page_path(path)
         self._loaded = loaded
         self._thread: DeviceThread | None = None
 

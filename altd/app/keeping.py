@@ -84,7 +84,7 @@ def frame_keeper(
 
 log = logging.getLogger("altd")
 
-LOOK_INTERVAL_S = 5.0
+CHECK_INTERVAL_S = 5.0
 """Interval of checks of the clock, longer than the history takes to write that the clock was set."""
 CLOCK_STEP_US = 500_000
 
@@ -113,7 +113,7 @@ class PastAvailability:
                     log.exception("availability: a defect")
                     return
             seen_us = start_us
-            await self._clock.sleep(LOOK_INTERVAL_S)
+            await self._clock.sleep(CHECK_INTERVAL_S)
 
     def _start_us(self) -> int | None:
         """Return the UTC of this start by the current clock, µs; None: UTC is not known."""

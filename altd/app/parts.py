@@ -45,7 +45,7 @@ class MissingFile:
 
     def __str__(self) -> str:
         whole = "; ~ is no folder of a user here: write the whole path" if "~" in self.path.parts else ""
-        return f"{self.keys}: {self.path} is not there yet; {self.maker} makes it{whole}"
+        return f"{self.keys}: {self.path} does not exist yet; {self.maker} makes it{whole}"
 
 
 def missing_files(config: Config) -> list[MissingFile]:

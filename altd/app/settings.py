@@ -66,7 +66,7 @@ def load_settings(path: Path) -> Config:
 
 def settings_of(content: bytes, path: Path) -> Config:
     """Return the settings in the content of a config file; raises BadInputError like ``load_settings``."""
-    return config_of(content, path, (telegrams_fit_their_lines, targets_can_be_told))
+    return config_of(content, path, (telegrams_fit_their_lines, targets_have_usable_names))
 
 
 def load_beam_settings(path: Path) -> Config:
@@ -77,7 +77,7 @@ def load_beam_settings(path: Path) -> Config:
     return config
 
 
-def targets_can_be_told(draft: Draft) -> Iterator[Fault]:
+def targets_have_usable_names(draft: Draft) -> Iterator[Fault]:
     """Yield a fault for each target whose name collides with another key of the same output."""
     for number, target in enumerate(draft.targets):
         if target is not None and (why := why_unusable(target.name)):

@@ -163,7 +163,7 @@ def _flat_doubts(correlation: float, name: str) -> tuple[str, ...]:
     if not correlation < _MIN_CORRELATION:  # also for NaN: a flat too even to tell is no worse than none
         return ()
     return (
-        f"{name}: the flat is not what the spots show (likeness {correlation:.2f} of 1): "
+        f"{name}: the flat is not what the spots show (correlation {correlation:.2f} of 1): "
         "was it recorded before camera, lens or window were moved?",
     )
 

@@ -89,7 +89,9 @@ class PlanarResult:
     def lines(self) -> tuple[str, ...]:
         """Return the lines of a summary of the calibration."""
         of = self.calibration
-        simulated = ("made from SIMULATED frames: every measurement with it says `simulated`",) * of.simulated
+        simulated = (
+            "made from SIMULATED frames: every measurement with it is marked `simulated`",
+        ) * of.simulated
         errors = (
             f"{model}: leave-one-out error a, b {mm:.4f} mm, phi {deg:.4f}° rms"
             for model, (mm, deg) in of.rms.items()

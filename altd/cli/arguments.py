@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from altd.errors import BadInputError, did_you_mean
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import print_errors
 
 DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
 """The settings file of the service (docs/install.md)."""
@@ -173,7 +173,7 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             self._command(options.command).refuse_unknown(unknown)
         if options.command is None:
-            complain(*self.format_help().splitlines())
+            print_errors(*self.format_help().splitlines())
             return None
         return options
 
@@ -184,7 +184,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with status 2 and one line."""
-        complain(str(BadInputError(self.prog, self._worded(message))))
+        print_errors(str(BadInputError(self.prog, self._worded(message))))
         raise SystemExit(2)
 
     def _worded(self, message: str) -> str:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.cli.arguments import add_config
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "write settings, calibration, credentials, self-check state and history into one archive"
 
@@ -33,6 +33,6 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or Path(f"altd-backup-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
     left_out = back_up(options.config, output)
     for line in left_out:
-        complain(f"altd backup: {line}")
-    say(f"{output}: has passwords and keys: keep it where only administrators can read it")
+        print_errors(f"altd backup: {line}")
+    print_lines(f"{output}: has passwords and keys: keep it where only administrators can read it")
     return 1 if left_out else 0

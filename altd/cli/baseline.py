@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from altd.cli.arguments import DEFAULT_CONFIG, add_config, progress_on
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "store the baseline of a row of switched targets"
 
@@ -33,5 +33,5 @@ def run(options: argparse.Namespace) -> int:
     for line in store_baseline(
         load_settings(place), place, options.recording, options.replace, progress_on("frames")
     ):
-        say(line)
+        print_lines(line)
     return 0

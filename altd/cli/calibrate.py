@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from altd.cli.arguments import add_output, progress_on
 from altd.errors import BadInputError
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 if TYPE_CHECKING:
     from altd.calibration.report.certificate_facts import Facts
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
             if why := why_unusable(target.name):
                 raise BadInputError(path, f"target {target.name!r} {why}: record it with another name")
         for line in gap_lines(recording):
-            complain(f"altd calibrate: {line}")
+            print_errors(f"altd calibrate: {line}")
     flat = None if options.flat is None else open_recording(options.flat)
     result = calibrate(recordings, flat, progress_on("frames"))
     report = {} if options.report is None else _report(options, recordings, result, facts)
@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         write_together(folder, report)
     _print_result(result)
     if report:
-        say(f"report: {', '.join(str(folder / name) for name in report)}")
+        print_lines(f"report: {', '.join(str(folder / name) for name in report)}")
     return 0
 
 
@@ -117,32 +117,32 @@ def _run_planar(options: argparse.Namespace, recordings: Sequence[Recording]) ->
         if getattr(options, option) is not None:
             raise BadInputError(f"--{option}", "is not made of a recording of kind 'planar'")
     for line in itertools.chain.from_iterable(map(gap_lines, recordings)):
-        complain(f"altd calibrate: {line}")
+        print_errors(f"altd calibrate: {line}")
     result = calibrate_planar(recordings, progress_on("frames"))
     save_planar_calibration(result.calibration, options.output)
     for line in result.refused:
-        complain(f"altd calibrate: left out: {line}")
+        print_errors(f"altd calibrate: left out: {line}")
     for line in result.doubts:
-        complain(f"altd calibrate: doubtful: {line}")
+        print_errors(f"altd calibrate: doubtful: {line}")
     for line in result.lines():
-        say(line)
+        print_lines(line)
     return 0
 
 
 def _print_result(result: CalibrationResult) -> None:
     for line in result.refused:
-        complain(f"altd calibrate: left out: {line}")
+        print_errors(f"altd calibrate: left out: {line}")
     for line in result.doubts:
-        complain(f"altd calibrate: doubtful: {line}")
-    say(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
+        print_errors(f"altd calibrate: doubtful: {line}")
+    print_lines(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
     if result.calibration.simulated:
-        say("made from SIMULATED frames: every measurement with it says `simulated`")
-    say(
+        print_lines("made from SIMULATED frames: every measurement with it is marked `simulated`")
+    print_lines(
         "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
         "   cross-check    apart / bound px"
     )
     for target in result.calibration.targets:
-        say(
+        print_lines(
             f"{target.name:<7} {target.map.name:<14} {target.leave_one_out_px:.3f}         "
             f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
             f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
@@ -151,7 +151,7 @@ def _print_result(result: CalibrationResult) -> None:
             f"{target.cross_check.limit_px:.2f}"
         )
     for line in result.remarks:
-        say(line)
+        print_lines(line)
 
 
 def _report(

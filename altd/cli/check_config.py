@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from altd.cli.arguments import add_config
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 if TYPE_CHECKING:
     from altd.config import Config
@@ -36,22 +36,22 @@ def run(options: argparse.Namespace) -> int:
     config = load_settings(Path(options.config))
     calibration, errors = check_files(config)
     for error in errors:
-        complain(f"altd check-config: {error}")
+        print_errors(f"altd check-config: {error}")
     if errors:
         return 2
     if config.unit.instrument == "chain" and not _powers_suffice(config):
         return 2
     if config.switched_targets:
         shortest_s, longest_s = round_s(config, fps_of(config))
-        say(f"a round takes {shortest_s:.1f} to {longest_s:.1f} s")
+        print_lines(f"a round takes {shortest_s:.1f} to {longest_s:.1f} s")
     simulated = calibration is not None and calibration.simulated
     origin = ", calibrated from SIMULATED frames" if simulated else ""
     has = f"{len(config.targets)} targets" if config.targets else counted(len(config.cameras), "camera")
-    say(f"{options.config}: good: unit {config.unit.serial}, {has}{origin}")
+    print_lines(f"{options.config}: good: unit {config.unit.serial}, {has}{origin}")
     if simulated or any(isinstance(camera, RecordingCameraSettings) for camera in config.cameras.values()):
-        say(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
+        print_lines(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
     for missing in missing_files(config):
-        say(f"{options.config}: {missing}")
+        print_lines(f"{options.config}: {missing}")
     return 0
 
 
@@ -63,10 +63,12 @@ def _powers_suffice(config: Config) -> bool:
     chain = config.chain or ChainSettings()
     powers = powers_mw(chain, len(config.targets))
     for number, (target, power_mw) in enumerate(zip(config.targets, powers, strict=True)):
-        say(f"{target.name}: {power_mw:.4f} mW, {chain.transmission:g}^{number} of {chain.laser_mw:g} mW")
+        print_lines(
+            f"{target.name}: {power_mw:.4f} mW, {chain.transmission:g}^{number} of {chain.laser_mw:g} mW"
+        )
     weak = [target.name for target, mw in zip(config.targets, powers, strict=True) if mw < chain.min_mw]
     if weak:
-        complain(
+        print_errors(
             f"altd check-config: {', '.join(weak)}: less than chain.min_mw, {chain.min_mw:g} mW: too dim"
         )
     return not weak

@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Iterator
 from textwrap import wrap
 
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "list the connected cameras, GPIO lines and serial ports as settings name them"
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(_options: argparse.Namespace) -> int:
     """Print what is connected."""
     for line in lines():
-        say(line)
+        print_lines(line)
     return 0
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from altd.cli.arguments import add_config
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "write an archive for remote diagnostics, also while the daemon does not run"
 
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
 
     name, content, why = diagnose(options.config)
     if why:
-        complain(f"altd diagnose: {why}: only its files are in the archive")
+        print_errors(f"altd diagnose: {why}: only its files are in the archive")
     write_file(output := options.output or Path(name), content)
-    say(str(output))
+    print_lines(str(output))
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from altd.cli.arguments import add_config
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "list the faults of this computer, with remedies"
 
@@ -16,10 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the findings; return 1 if something is wrong."""
+    """Print the findings; return 1 if there are errors."""
     from altd.doctor.checks import examine
     from altd.doctor.finding import Verdict, in_lines
 
     findings = examine(options.config)
-    say(*in_lines(findings))
-    return int(any(finding.verdict is Verdict.WRONG for finding in findings))
+    print_lines(*in_lines(findings))
+    return int(any(finding.verdict is Verdict.ERROR for finding in findings))

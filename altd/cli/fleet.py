@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "print all units with state, lag, share of valid measurements and backlog (extra altd[fleet])"
 
@@ -25,5 +25,5 @@ def run(options: argparse.Namespace) -> int:
     from altd.fleet.table import as_json, as_text, units
 
     rows = units(settings)
-    say(*([as_json(rows)] if options.json else as_text(rows)))
+    print_lines(*([as_json(rows)] if options.json else as_text(rows)))
     return 0

@@ -12,7 +12,7 @@ from types import FrameType
 from altd.cli.arguments import add_config
 from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "switch frame LEDs and indicators while the daemon is stopped"
 
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLampsSettings) else {}
     fitted = [Indicator(key) for key in config.indicators.lines] if config.indicators is not None else []
     lamps, indicators = lamps_of(config, cameras, place, alone=True), indicators_of(config)
-    by_hand = LampsByHand(lamps, indicators, fitted, say)
+    by_hand = LampsByHand(lamps, indicators, fitted, print_lines)
     failed = os.environ.get("SERVICE_RESULT", "success") != "success"
     actions: dict[str, Callable[[], None]] = {
         "off": lambda: by_hand.leave_lit(frozenset()),
@@ -70,6 +70,6 @@ def run(options: argparse.Namespace) -> int:
         if interrupts:
             raise interrupts[0]
     except LampsError as error:
-        complain(f"altd lamps: {error}")
+        print_errors(f"altd lamps: {error}")
         return 1
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import print_errors
 
 SUMMARY = "find the laser spot in pictures with two localisers"
 
@@ -22,4 +22,4 @@ def run(options: argparse.Namespace) -> int:
     """Write one row per image; return 2 if one could not be read."""
     from altd.answers.locate import answer
 
-    return answer(options.images, options.format, lambda line: complain(f"altd locate: {line}"))
+    return answer(options.images, options.format, lambda line: print_errors(f"altd locate: {line}"))

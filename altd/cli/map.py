@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import print_errors
 
 SUMMARY = "convert px to mm: reads lines 'u v' from standard input"
 
@@ -28,5 +28,5 @@ def run(options: argparse.Namespace) -> int:
     from altd.answers.map import answer
 
     return answer(
-        options.calibration, options.target, options.format, lambda line: complain(f"altd map: {line}")
+        options.calibration, options.target, options.format, lambda line: print_errors(f"altd map: {line}")
     )

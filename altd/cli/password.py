@@ -8,7 +8,7 @@ import sys
 
 from altd.cli.arguments import add_credentials
 from altd.errors import BadInputError
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "set or remove a password for the unit's page and API"
 
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         password = PasswordHash.of(_typed(options.name))
         change(options.file, options.name, lambda known: known.with_password(options.name, password))
-    say(f"{options.file}: {options.name} has {'no password' if options.remove else 'a new password'}")
+    print_lines(f"{options.file}: {options.name} has {'no password' if options.remove else 'a new password'}")
     return 0
 
 

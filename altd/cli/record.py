@@ -12,7 +12,7 @@ from altd.cli.arguments import add_config, add_output, progress_on
 from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import print_errors
 
 if TYPE_CHECKING:
     from altd.recording.header import PlateHeader
@@ -73,16 +73,16 @@ def run(options: argparse.Namespace) -> int:
         try:
             exposures = asyncio.run(until_signal(work))
         except EndedBySignal:
-            complain(
+            print_errors(
                 f"altd record: interrupted: {counted(kept, 'exposure')} in {options.output}"
                 if kept
                 else "altd record: interrupted before the first exposure"
             )
             raise
         except (LampsError, CameraError) as error:
-            complain(f"altd record: {error}")
+            print_errors(f"altd record: {error}")
             return 1
-    complain(f"{counted(exposures, 'exposure')} in {options.output}")
+    print_errors(f"{counted(exposures, 'exposure')} in {options.output}")
     return 0
 
 

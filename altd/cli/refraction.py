@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "print how far a temperature gradient in the tunnel bends the beam"
 
@@ -75,15 +75,15 @@ def run(options: argparse.Namespace) -> int:
     """Print a line for each distance."""
     air = options.temperature, options.pressure
     per_kelvin = index_per_kelvin(*air)
-    say("air at {:g} °C and {:g} hPa: ".format(*air) + f"n - 1 = {1e6 * refractivity(*air):.1f}e-6")
-    say(f"dn/dT = {1e6 * per_kelvin:.3f}e-6 per K")
-    say(f"gradient across the beam: {options.gradient:g} K/m")
-    say(_ROW.format("distance m", "deviation mm", "angle mm/m", "angle deg"))
+    print_lines("air at {:g} °C and {:g} hPa: ".format(*air) + f"n - 1 = {1e6 * refractivity(*air):.1f}e-6")
+    print_lines(f"dn/dT = {1e6 * per_kelvin:.3f}e-6 per K")
+    print_lines(f"gradient across the beam: {options.gradient:g} K/m")
+    print_lines(_ROW.format("distance m", "deviation mm", "angle mm/m", "angle deg"))
     for distance_m in options.distance:
         bent = bending(abs(per_kelvin) * options.gradient, distance_m)
         numbers = f"{bent.deviation_mm:.3f}", f"{bent.angle_mm_per_m:.4f}", f"{bent.angle_deg:.5f}"
-        say(_ROW.format(f"{distance_m:g}", *numbers))
-    say("The beam bends towards the colder air. altd does not correct this.")
+        print_lines(_ROW.format(f"{distance_m:g}", *numbers))
+    print_lines("The beam bends towards the colder air. altd does not correct this.")
     return 0
 
 

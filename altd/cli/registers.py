@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "print the Modbus register table as JSON, CSV or Structured Text"
 
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the table."""
     lines = {"json": _json, "csv": _csv, "st": _structured_text}[options.format]
     for line in lines(list(_rows())):
-        say(line)
+        print_lines(line)
     return 0
 
 

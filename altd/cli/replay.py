@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from altd.cli.arguments import progress_on
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import print_errors
 
 SUMMARY = "measure a recording again; write the values as JSON, table or plot"
 _MAX_EXPOSURES = 1000
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     )
     into_file = options.output is not None
     progress = progress_on("frames") if into_file else lambda done, total: None
-    answer(question, lambda line: complain(f"altd replay: {line}"), progress)
+    answer(question, lambda line: print_errors(f"altd replay: {line}"), progress)
     return 0
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from altd.cli.arguments import DEFAULT_CONFIG
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "put back what `altd backup` has written; the daemon must be stopped"
 
@@ -28,5 +28,5 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.restore import restore
 
     serial = restore(options.archive, options.config)
-    say(f"{options.config}: unit {serial} is restored; altd check-config and altd doctor check it")
+    print_lines(f"{options.config}: unit {serial} is restored; altd check-config and altd doctor check it")
     return 0

@@ -15,7 +15,7 @@ from altd.cli.arguments import add_config, add_output
 from altd.errors import one_line
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import print_errors
 
 if TYPE_CHECKING:
     from altd.acquisition.scan.scanner import Scanner
@@ -58,16 +58,16 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
     try:
         result = asyncio.run(until_signal(scanner.run()))
     except ScanStoppedError as error:
-        screen.say(f"stopped: {error}; {again}")
+        screen.report(f"stopped: {error}; {again}")
         return 1
     except EndedBySignal:
-        screen.say(f"interrupted; {again}")
+        screen.report(f"interrupted; {again}")
         raise
     finally:
         screen.clear()
     for line in result.refused:
-        screen.say(f"without {line}")
-    screen.say(f"{result.exposures} exposures in {output}")
+        screen.report(f"without {line}")
+    screen.report(f"{result.exposures} exposures in {output}")
     return 0
 
 
@@ -79,10 +79,10 @@ class ScanScreen:
         self._terminal = sys.stderr.isatty()
         self._first: tuple[float, int] | None = None
 
-    def say(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Print a line of its own, above the bar."""
         self.clear()
-        complain(f"{self._name}: {line}")
+        print_errors(f"{self._name}: {line}")
 
     def progress(self, done: int, total: int, doing: str) -> None:
         """Redraw the bar; do nothing in a pipe."""

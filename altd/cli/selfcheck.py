@@ -9,7 +9,7 @@ from typing import Any
 
 from altd.cli.arguments import DEFAULT_CONFIG
 from altd.errors import BadInputError
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "check that each camera is where it was calibrated: a running unit, or a recording"
 
@@ -46,15 +46,15 @@ def run(options: argparse.Namespace) -> int:
         document = _document(options)
         check = SelfCheckDocument.checked(document)
     except NoAnswerError as error:
-        complain(f"altd selfcheck: {error}")
+        print_errors(f"altd selfcheck: {error}")
         return 1
     except ValueError as error:
-        complain(f"altd selfcheck: the answer is no self-check: {error}")
+        print_errors(f"altd selfcheck: the answer is no self-check: {error}")
         return 1
     if options.json:
-        say(json.dumps(document))
+        print_lines(json.dumps(document))
     else:
-        say(*self_check_table(check))
+        print_lines(*self_check_table(check))
     return 0 if check.verdict == "good" else 1
 
 

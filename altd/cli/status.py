@@ -7,7 +7,7 @@ import json
 import sys
 
 from altd.cli.arguments import add_socket, socket_of
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 SUMMARY = "print values, state, causes and remedies of the running daemon"
 
@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     """Print one screen of text; return 0 if it measures and is good or needs maintenance, otherwise 1."""
     from altd.app.ask_daemon import RunningDaemon
     from altd.local_socket import NoAnswerError
-    from altd.terminal.lines import is_fine, status_text
+    from altd.terminal.lines import is_healthy, status_text
 
     daemon = RunningDaemon(socket_of(options), _TIMEOUT_S)
     try:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         check, check_document = daemon.self_check()
         calibration, calibration_document = daemon.calibration()
     except NoAnswerError as error:
-        complain(f"altd status: {error}")
+        print_errors(f"altd status: {error}")
         return 1
     if options.json:
         documents = {
@@ -46,5 +46,5 @@ def run(options: argparse.Namespace) -> int:
     else:
         encoding = sys.stdout.encoding or "ascii"
         text = status_text(reading, status, check, calibration).encode(encoding, "replace").decode(encoding)
-    say(*text.split("\n"))
-    return 0 if is_fine(reading, status) else 1
+    print_lines(*text.split("\n"))
+    return 0 if is_healthy(reading, status) else 1

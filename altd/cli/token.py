@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from altd.cli.arguments import add_credentials
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "make or remove a token for the unit's API; print a new one once"
 
@@ -22,9 +22,9 @@ def run(options: argparse.Namespace) -> int:
 
     if options.remove:
         change(options.file, options.name, lambda known: known.with_token(options.name, None))
-        say(f"{options.file}: {options.name} has no token")
+        print_lines(f"{options.file}: {options.name} has no token")
         return 0
     token = new_token()
     change(options.file, options.name, lambda known: known.with_token(options.name, token_digest(token)))
-    say(token)
+    print_lines(token)
     return 0

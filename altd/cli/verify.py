@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from altd.cli.arguments import progress_on
-from altd.process.standard_streams import say
+from altd.process.standard_streams import print_lines
 
 SUMMARY = "check a unit against known beams, in the manner of ISO 17123: verdict, statistics, limits"
 
@@ -56,11 +56,11 @@ def run(options: argparse.Namespace) -> int:
         page = html_page(verification_page(document))
         write_together(options.output, dict(zip(names, (page, text.encode() + b"\n"), strict=True)))
     if options.json:
-        say(text)
+        print_lines(text)
     else:
-        say(*_lines(document))
+        print_lines(*_lines(document))
         if options.output is not None:
-            say(f"written: {', '.join(str(options.output / name) for name in names)}")
+            print_lines(f"written: {', '.join(str(options.output / name) for name in names)}")
     return 0 if document["verdict"] == "passed" else 1
 
 

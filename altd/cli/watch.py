@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         knowledge, view = Knowledge(), View()
         with Follower(RunningDaemon(path, _TIMEOUT_S)) as follower:
             while True:
-                follower.tell(knowledge)
+                follower.update(knowledge)
                 canvas = terminal.canvas()
                 view = draw(knowledge, time.monotonic(), view, canvas)
                 terminal.show(canvas)

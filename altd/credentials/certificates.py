@@ -110,13 +110,13 @@ class RenewedContext:
 
     :param make: creates it; raises BadInputError, which is passed on at the start.
     :param files: the files that it is made from.
-    :param complain: receives the reason if renewed files cannot be used, and an empty text once they can.
+    :param report_error: receives the reason if renewed files cannot be used, and an empty text once they can.
     """
 
     def __init__(
-        self, make: Callable[[], ssl.SSLContext], files: Sequence[Path], complain: Callable[[str], object]
+        self, make: Callable[[], ssl.SSLContext], files: Sequence[Path], report_error: Callable[[str], object]
     ) -> None:
-        self._make, self._files, self._complain = make, files, complain
+        self._make, self._files, self._report_error = make, files, report_error
         self._stamp = self._stamp_now()
         self._context = make()
 
@@ -127,9 +127,9 @@ class RenewedContext:
             self._stamp = stamp
             try:
                 self._context = self._make()
-                self._complain("")
+                self._report_error("")
             except BadInputError as error:
-                self._complain(str(error))
+                self._report_error(str(error))
         return self._context
 
     def _stamp_now(self) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
-from altd.credentials.hashes import NOBODYS, PasswordHash, token_digest
+from altd.credentials.hashes import DUMMY_HASH, PasswordHash, token_digest
 from altd.errors import BadInputError
 from altd.files.reading import os_reason, read_file
 from altd.files.writing import write_file
@@ -46,7 +46,7 @@ class Credentials:
     def is_password(self, name: str, password: str) -> bool:
         """Whether it is the password of this name; an unknown name takes as long. Takes 0.2 s."""
         known = self.passwords.get(name)
-        fits = (known or NOBODYS).fits(password)
+        fits = (known or DUMMY_HASH).fits(password)
         return fits and known is not None
 
     def password_of(self, name: str) -> PasswordHash | None:
@@ -215,14 +215,13 @@ _Stamp = tuple[int, int, int, int] | None
 class CredentialsKeeper:
     """Reads the file again when it was replaced or changed.
 
-    ``complain`` is called with the reason when the file cannot be used, and with an empty text when it can
-    be used again. Without a usable file no user may act. Raises BadInputError when the file cannot be used at
-    the start.
+    ``report_error`` receives the reason if the file cannot be used, and an empty text once it can. Without a
+    usable file no user may act. Raises BadInputError when the file cannot be used at the start.
     """
 
-    def __init__(self, path: Path, complain: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(self, path: Path, report_error: Callable[[str], object] = lambda _: None) -> None:
         self._path = path
-        self._complain = complain
+        self._report_error = report_error
         self._stamp = self._stamp_now()
         self._known = load_credentials(path)
 
@@ -233,10 +232,10 @@ class CredentialsKeeper:
             self._stamp = stamp
             try:
                 self._known = load_credentials(self._path)
-                self._complain("")
+                self._report_error("")
             except BadInputError as error:
                 self._known = Credentials()
-                self._complain(str(error))
+                self._report_error(str(error))
         return self._known
 
     def _stamp_now(self) -> _Stamp:

@@ -73,7 +73,7 @@ class PasswordHash:
         return 128 * self.r * (self.n + self.p + 2)
 
 
-NOBODYS = PasswordHash(SCRYPT_N, SCRYPT_R, SCRYPT_P, secrets.token_bytes(16), secrets.token_bytes(32))
+DUMMY_HASH = PasswordHash(SCRYPT_N, SCRYPT_R, SCRYPT_P, secrets.token_bytes(16), secrets.token_bytes(32))
 """Compared with the password of an unknown name, so that it takes as long as a known one."""
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from altd.app.settings import load_settings
 from altd.config import Config
 from altd.doctor import devices, keeping, network, system
-from altd.doctor.finding import Finding, better
+from altd.doctor.finding import Finding
 from altd.doctor.machine import Machine
 
 Check = Callable[[], Iterator[Finding]]
@@ -23,7 +23,7 @@ def examine(place: Path | None, machine: Machine | None = None) -> list[Finding]
         try:
             findings += check()
         except Exception as error:  # a check that fails on an unusual computer must not hide the others
-            findings.append(better(name, f"could not be looked at: {type(error).__name__}: {error}"))
+            findings.append(Finding.warning(name, f"could not be checked: {type(error).__name__}: {error}"))
     return findings
 
 

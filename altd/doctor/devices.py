@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from altd.config import Config, V4l2CameraSettings
-from altd.doctor.finding import Finding, good, skipped, wrong
+from altd.doctor.finding import Finding
 from altd.doctor.machine import Account, Machine, group_name, user_name
 from altd.serial_port.opening import has_hardware
 
@@ -49,10 +49,10 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
         subject, speed = f"USB bus {number}", speeds[number]
         text = f"its cameras need {needed:.0f} Mbit/s of {speed}"
         if needed <= _MAX_USB_SHARE * speed:
-            yield good(subject, text)
+            yield Finding.good(subject, text)
         else:
             remedy = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"
-            yield wrong(subject, f"{text}: too much", remedy)
+            yield Finding.error(subject, f"{text}: too much", remedy)
 
 
 def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
@@ -64,7 +64,7 @@ def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
             yield from _device(subject, Path(path), ("/dev/gpiochip*",), machine)
         else:
             there = _alternatives(("/dev/gpiochip*",), machine)
-            yield wrong(subject, f"none that may be opened is called so; {there}", "sudo gpiodetect")
+            yield Finding.error(subject, f"no accessible chip has this name; {there}", "sudo gpiodetect")
 
 
 def gpio_lines(config: Config) -> Iterator[Finding]:
@@ -83,14 +83,16 @@ def gpio_lines(config: Config) -> Iterator[Finding]:
             chip = find_chip(wanted)
         except LampsError:
             continue  # the finding of the chip itself reports it
-        subject, remedy = f"gpio {wanted} {name}", "altd devices   # take one of these names into altd.toml"
+        subject, remedy = f"gpio {wanted} {name}", "altd devices   # use one of these names in altd.toml"
         try:
             line = find_line(chip, name)
         except LampsError as error:
-            yield wrong(subject, f"{key}: {error}", remedy)
+            yield Finding.error(subject, f"{key}: {error}", remedy)
             continue
         if (other := first.setdefault((chip.path, line.offset), key)) != key:
-            yield wrong(subject, f"{key} is the same line as {other}, {line.offset} of {chip}", remedy)
+            yield Finding.error(
+                subject, f"{key} is the same line as {other}, {line.offset} of {chip}", remedy
+            )
 
 
 def found_devices(machine: Machine) -> Iterator[Finding]:
@@ -104,16 +106,18 @@ def found_devices(machine: Machine) -> Iterator[Finding]:
         for path in paths:
             yield from _permission(f"{what} {path}", path, machine)
         if not paths:
-            yield skipped(what, "there is none")
+            yield Finding.skipped(what, "none present")
 
 
 def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine) -> Iterator[Finding]:
     status = machine.status(device)
     if status is None:
-        remedy = f"plug it in, or take one of these names into altd.toml: ls -l {names[0]}"
-        yield wrong(subject, f"is not there; {_alternatives(names, machine)}", remedy)
+        remedy = f"plug it in, or use one of these names in altd.toml: ls -l {names[0]}"
+        yield Finding.error(subject, f"does not exist; {_alternatives(names, machine)}", remedy)
     elif not stat.S_ISCHR(status.st_mode):
-        yield wrong(subject, "is no device", f"ls -l {names[0]}   # take one of these names into altd.toml")
+        yield Finding.error(
+            subject, "is not a device", f"ls -l {names[0]}   # use one of these names in altd.toml"
+        )
     else:
         yield from _permission(subject, str(device), machine)
         yield from _other_users(subject, machine.at(device).resolve().name, status, machine)
@@ -128,8 +132,8 @@ def _duplicates(what: str, devices: Mapping[str, Path], machine: Machine) -> Ite
             continue
         if (other := first.setdefault(status.st_rdev, name)) != name:
             node = machine.at(device).resolve().name
-            remedy = f"ls -l /dev | grep {node}   # take another device into altd.toml for one of them"
-            yield wrong(f"{what} {name}", f"is the same device as {other}, {node}", remedy)
+            remedy = f"ls -l /dev | grep {node}   # use another device for one of them in altd.toml"
+            yield Finding.error(f"{what} {name}", f"is the same device as {other}, {node}", remedy)
 
 
 def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
@@ -150,15 +154,15 @@ def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding
             remedy = f"sudo usermod -aG {group} {account.name}   # and log in again"
         else:
             remedy = f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
-        yield wrong(subject, f"{account.name} may not open it ({rights})", remedy)
+        yield Finding.error(subject, f"{account.name} may not open it ({rights})", remedy)
     drivers = machine.drivers(status)
     if service is not None and not service.allows(device, drivers):
         names = " or ".join(sorted(drivers)) or "?"
         remedy = f"sudo systemctl edit altd   # [Service] DeviceAllow=char-{names} rw"
-        yield wrong(subject, f"the service's unit does not list its kind, {names}", remedy)
+        yield Finding.error(subject, f"the service's unit does not list its kind, {names}", remedy)
     elif not refused:
         whom = " and ".join(account.name for account in accounts)
-        yield good(subject, f"{whom} may open it ({rights})")
+        yield Finding.good(subject, f"{whom} may open it ({rights})")
 
 
 def _other_users(subject: str, node: str, status: os.stat_result, machine: Machine) -> Iterator[Finding]:
@@ -166,14 +170,14 @@ def _other_users(subject: str, node: str, status: os.stat_result, machine: Machi
         if number == os.getpid():
             continue
         if name == "altd":
-            yield good(subject, f"altd has it (process {number})")
+            yield Finding.good(subject, f"in use by altd (process {number})")
         else:
             remedies = {
                 "agetty": f"sudo systemctl disable --now serial-getty@{node}",
                 "ModemManager": "sudo systemctl disable --now ModemManager",
             }
-            yield wrong(
-                subject, f"{name} has it (process {number})", remedies.get(name, f"sudo kill {number}")
+            yield Finding.error(
+                subject, f"in use by {name} (process {number})", remedies.get(name, f"sudo kill {number}")
             )
 
 
@@ -183,8 +187,8 @@ def _alternatives(names: tuple[str, ...], machine: Machine) -> str:
         found = _paths(pattern, machine)
         if found:
             more = f" and {len(found) - _MAX_NAMES_SHOWN} more" if len(found) > _MAX_NAMES_SHOWN else ""
-            return f"there is {', '.join(found[:_MAX_NAMES_SHOWN])}{more}"
-    return "nor is there any other"
+            return f"existing: {', '.join(found[:_MAX_NAMES_SHOWN])}{more}"
+    return "no other exists"
 
 
 def _paths(pattern: str, machine: Machine) -> list[str]:

@@ -1,18 +1,22 @@
-"""The result of a check: good, could be better, wrong, or nothing to check; and its remedy."""
+"""The result of a check: good, a warning, an error, or nothing to check; and its remedy."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
+
+from altd.records import counted
 
 
 class Verdict(StrEnum):
     """Severity of a finding."""
 
     GOOD = "good"
-    BETTER = "better"
+    WARNING = "warning"
     """The subject works but could be improved, or it could not be checked."""
-    WRONG = "WRONG"
+    ERROR = "ERROR"
+    """The subject fails or is unreliable."""
     SKIPPED = "skipped"
     """There is nothing to check: no such device, or the settings do without it."""
 
@@ -26,25 +30,25 @@ class Finding:
     text: str
     remedy: str = ""
 
+    @classmethod
+    def good(cls, subject: str, text: str) -> Self:
+        """Return a finding without a fault."""
+        return cls(Verdict.GOOD, subject, text)
 
-def good(subject: str, text: str) -> Finding:
-    """Return a finding for a subject without faults."""
-    return Finding(Verdict.GOOD, subject, text)
+    @classmethod
+    def warning(cls, subject: str, text: str, remedy: str = "") -> Self:
+        """Return a warning."""
+        return cls(Verdict.WARNING, subject, text, remedy)
 
+    @classmethod
+    def error(cls, subject: str, text: str, remedy: str) -> Self:
+        """Return an error, which must have a remedy."""
+        return cls(Verdict.ERROR, subject, text, remedy)
 
-def better(subject: str, text: str, remedy: str = "") -> Finding:
-    """Return a finding for a subject that works but could be improved."""
-    return Finding(Verdict.BETTER, subject, text, remedy)
-
-
-def wrong(subject: str, text: str, remedy: str) -> Finding:
-    """Return a finding for a subject that fails or is unreliable."""
-    return Finding(Verdict.WRONG, subject, text, remedy)
-
-
-def skipped(subject: str, text: str) -> Finding:
-    """Return a finding for a subject with nothing to check."""
-    return Finding(Verdict.SKIPPED, subject, text)
+    @classmethod
+    def skipped(cls, subject: str, text: str) -> Self:
+        """Return a finding for a subject with nothing to check."""
+        return cls(Verdict.SKIPPED, subject, text)
 
 
 def in_lines(findings: list[Finding]) -> list[str]:
@@ -54,10 +58,10 @@ def in_lines(findings: list[Finding]) -> list[str]:
         lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.text}")
         if finding.remedy:
             lines.append(f"        fix: {finding.remedy}")
-    wrongs, betters, goods, skips = (
+    errors, warnings, goods, skips = (
         sum(finding.verdict is verdict for finding in findings)
-        for verdict in (Verdict.WRONG, Verdict.BETTER, Verdict.GOOD, Verdict.SKIPPED)
+        for verdict in (Verdict.ERROR, Verdict.WARNING, Verdict.GOOD, Verdict.SKIPPED)
     )
-    counts = f"{wrongs} wrong, {betters} could be better, {goods} good"
+    counts = f"{counted(errors, 'error')}, {counted(warnings, 'warning')}, {goods} good"
     lines.append(f"{counts}, {skips} skipped" if skips else counts)
     return lines

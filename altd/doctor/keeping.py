@@ -14,7 +14,7 @@ from altd.acquisition.kept_frames.store import MIN_FREE_BYTES
 from altd.app.keeping import FILE_NAME, RECORDINGS
 from altd.app.settings import SERVICE_SOCKET
 from altd.config import Config
-from altd.doctor.finding import Finding, better, good, skipped, wrong
+from altd.doctor.finding import Finding
 from altd.doctor.machine import Machine
 from altd.doctor.system import STATE
 from altd.history.opening import check_pages, open_to_read
@@ -28,11 +28,13 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
     """Check the folder and the free space of the history, and whether its file is intact."""
     settings, subject = config.history, "history"
     if not settings.enabled:
-        yield skipped(subject, "off: disabled in [history]")
+        yield Finding.skipped(subject, "off: disabled in [history]")
         return
     path = settings.file or Path(STATE, FILE_NAME)
     if settings.file is None and machine.service() is None:
-        yield better(subject, "there will be none without the service", "[history] file = PATH in the config")
+        yield Finding.warning(
+            subject, "none configured, and no service is installed", "[history] file = PATH in the config"
+        )
         return
     if (refused := _folder(subject, path.parent, machine)) is not None:
         yield refused
@@ -42,7 +44,7 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
     except FileNotFoundError:
         taken_bytes = 0
     except OSError as error:
-        yield better(subject, f"{path} cannot be looked at: {error.strerror}", "sudo altd doctor")
+        yield Finding.warning(subject, f"{path} cannot be read: {error.strerror}", "sudo altd doctor")
         return
     yield _room(subject, path.parent, settings.max_mb * _MB - taken_bytes, "[history] max_mb", machine)
     if taken_bytes:
@@ -53,12 +55,14 @@ def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
     """Check the folder and the free space of recordings of the last seconds."""
     settings, subject = config.kept_frames, "kept frames"
     if not settings.memory_mb:
-        yield skipped(subject, "off: [kept_frames] memory_mb is 0")
+        yield Finding.skipped(subject, "off: [kept_frames] memory_mb is 0")
         return
     folder = settings.folder or Path(STATE, RECORDINGS)
     if settings.folder is None and machine.service() is None:
-        yield better(
-            subject, "there will be none without the service", "[kept_frames] folder = PATH in the config"
+        yield Finding.warning(
+            subject,
+            "none configured, and no service is installed",
+            "[kept_frames] folder = PATH in the config",
         )
         return
     if (refused := _folder(subject, folder, machine, made_by_altd=True)) is not None:
@@ -72,8 +76,10 @@ def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
 def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
     """Check the socket of ``altd status``, ``altd watch`` and ``altd selfcheck``."""
     if config.local is None and machine.service() is None:
-        yield better(
-            "local socket", "there will be none without the service", "[local] socket = PATH in the config"
+        yield Finding.warning(
+            "local socket",
+            "none configured, and no service is installed",
+            "[local] socket = PATH in the config",
         )
         return
     path = SERVICE_SOCKET if config.local is None else config.local.socket
@@ -81,14 +87,16 @@ def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
     try:
         mode = machine.at(path).lstat().st_mode
     except FileNotFoundError:
-        yield _folder(subject, path.parent, machine) or good(subject, "a daemon that starts makes it")
+        yield _folder(subject, path.parent, machine) or Finding.good(
+            subject, "the daemon creates it at its start"
+        )
         return
     except OSError as error:
-        yield better(subject, f"cannot be looked at: {error.strerror}", "sudo altd doctor")
+        yield Finding.warning(subject, f"cannot be read: {error.strerror}", "sudo altd doctor")
         return
     if not stat.S_ISSOCK(mode):
-        yield wrong(
-            subject, "there is a file that is no socket", f"sudo rm {path}   # or another [local] socket"
+        yield Finding.error(
+            subject, "the file is not a socket", f"sudo rm {path}   # or another [local] socket"
         )
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
@@ -96,12 +104,12 @@ def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
         try:
             trial.connect(str(machine.at(path)))
         except ConnectionRefusedError:
-            yield good(subject, "of a daemon that was killed: the next one replaces it")
+            yield Finding.good(subject, "left by a killed daemon; the next one replaces it")
         except PermissionError:
             remedy = "sudo altd status   # or Group= of the service, docs/console.md"
-            yield better(subject, f"{machine.account.name} may not open it", remedy)
+            yield Finding.warning(subject, f"{machine.account.name} may not open it", remedy)
         else:
-            yield good(subject, "a daemon answers there")
+            yield Finding.good(subject, "the daemon answers")
 
 
 def _folder(subject: str, folder: Path, machine: Machine, *, made_by_altd: bool = False) -> Finding | None:
@@ -111,15 +119,15 @@ def _folder(subject: str, folder: Path, machine: Machine, *, made_by_altd: bool 
         if service.may_write(folder):
             return None
         remedy = f"sudo systemctl edit altd   # [Service] ReadWritePaths={folder}; or a folder below {STATE}"
-        return wrong(subject, f"the service may not write to {folder}", remedy)
+        return Finding.error(subject, f"the service may not write to {folder}", remedy)
     there = folder
     while made_by_altd and not machine.at(there).exists() and there != there.parent:
         there = there.parent
     status = machine.status(there)
     if status is None or not stat.S_ISDIR(status.st_mode):
-        return wrong(subject, f"there is no folder {folder}", f"mkdir -p {folder}")
+        return Finding.error(subject, f"there is no folder {folder}", f"mkdir -p {folder}")
     if not machine.account.may_use(status):
-        return wrong(subject, f"{machine.account.name} may not write to {there}", f"ls -ld {there}")
+        return Finding.error(subject, f"{machine.account.name} may not write to {there}", f"ls -ld {there}")
     return None
 
 
@@ -130,9 +138,9 @@ def _room(subject: str, folder: Path, wanted_bytes: int, setting: str, machine: 
     free_bytes = shutil.disk_usage(there).free
     text = f"{folder}: {free_bytes / _MB:.0f} MB free"
     if wanted_bytes <= free_bytes:
-        return good(subject, text)
-    remedy = f"sudo du -xhd1 {folder} | sort -h   # what fills it; or a smaller {setting}"
-    return better(subject, f"{text}, and it may grow by {wanted_bytes / _MB:.0f} MB", remedy)
+        return Finding.good(subject, text)
+    remedy = f"sudo du -xhd1 {folder} | sort -h   # largest folders; or a smaller {setting}"
+    return Finding.warning(subject, f"{text}, and it may grow by {wanted_bytes / _MB:.0f} MB", remedy)
 
 
 def _file(path: Path, machine: Machine) -> Finding:
@@ -141,13 +149,13 @@ def _file(path: Path, machine: Machine) -> Finding:
         with closing(open_to_read(machine.at(path))) as connection:
             check_pages(connection)
     except NewerFileError as error:
-        return wrong(subject, str(error), f"sudo mv {path} {path}.newer   # or the newer release")
+        return Finding.error(subject, str(error), f"sudo mv {path} {path}.newer   # or the newer release")
     except (UnusableFileError, sqlite3.Error) as error:
-        remedy = "a daemon that starts moves a damaged one aside and begins a new one"
-        return better(subject, str(error), remedy)
+        remedy = "the daemon moves a damaged file aside at its start and creates a new one"
+        return Finding.warning(subject, str(error), remedy)
     except OSError as error:
-        return better(subject, f"cannot be looked at: {error.strerror}", "sudo altd doctor")
-    return good(subject, "every page of it is whole")
+        return Finding.warning(subject, f"cannot be read: {error.strerror}", "sudo altd doctor")
+    return Finding.good(subject, "the file is intact")
 
 
 def _size_of(path: Path) -> int:

@@ -42,7 +42,7 @@ class Account:
         return status.st_mode >> shift & 0o6 == 0o6
 
 
-def myself() -> Account:
+def own_account() -> Account:
     """The user of this process."""
     return Account(user_name(os.geteuid()), os.geteuid(), frozenset({os.getegid(), *os.getgroups()}))
 
@@ -76,7 +76,7 @@ class Machine:
     """The computer that this runs on, or a directory tree that looks like one."""
 
     root: Path = Path("/")
-    account: Account = field(default_factory=myself)
+    account: Account = field(default_factory=own_account)
 
     def at(self, path: str | Path) -> Path:
         """Path of a computer's file below the root in use."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from altd.config import AravisCameraSettings, Config, HttpSettings, ModbusTcpSettings
 from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import is_address
-from altd.doctor.finding import Finding, better, good, wrong
+from altd.doctor.finding import Finding
 from altd.doctor.machine import Machine
 from altd.process.port_owner import bytes_of, from_kernel, listening_sockets, owner_of_socket
 
@@ -46,7 +46,7 @@ def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
         except ValueError:
             reached = _wired(machine)
             if not reached:
-                yield wrong(f"camera {name}", "no network interface is up", "ip -brief link")
+                yield Finding.error(f"camera {name}", "no network interface is up", "ip -brief link")
         else:
             reached = yield from _way(f"camera {name} {address}", address, machine)
         yield from _answer(f"camera {name} {camera.device}", str(camera.device), machine)
@@ -74,21 +74,21 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
         if port == 0:
             continue
         subject = f"{name} {host}:{port}"
-        refused = [*_low_port(subject, port, machine), *_not_ours(subject, host, machine)]
+        refused = [*_low_port(subject, port, machine), *_missing_address(subject, host, machine)]
         yield from refused
         taken = next(listening_sockets(host, port, machine.root), None)
         if taken is not None:
             owner = owner_of_socket(taken, machine.root)
             if owner is not None and owner[1] == "altd":
-                yield good(subject, f"altd listens there (process {owner[0]})")
+                yield Finding.good(subject, f"altd listens there (process {owner[0]})")
                 continue
             remedy = f"sudo ss -ltnp 'sport = :{port}'"
             if owner is None:
-                yield better(subject, "another user's program listens there: altd itself?", remedy)
+                yield Finding.warning(subject, "another user's program listens there: altd itself?", remedy)
             else:
-                yield wrong(subject, f"{owner[1]} (process {owner[0]}) listens there", remedy)
+                yield Finding.error(subject, f"{owner[1]} (process {owner[0]}) listens there", remedy)
         elif not refused:
-            yield good(subject, "the address is free")
+            yield Finding.good(subject, "the address is free")
     if config.http is not None:
         yield from _openness(config.http)
 
@@ -101,11 +101,11 @@ def broker(config: Config) -> Iterator[Finding]:
     subject = f"mqtt {mqtt.host}:{port}"
     try:
         with socket.create_connection((mqtt.host, port), _CONNECT_TIMEOUT_S):
-            yield good(subject, "a program takes connections there")
+            yield Finding.good(subject, "accepts connections")
     except OSError as error:
         text = "no answer" if isinstance(error, TimeoutError) else error.strerror or str(error)
         remedy = "docs/mqtt.md   # [mqtt] host, port; is the broker running, does a firewall refuse?"
-        yield wrong(subject, f"the broker cannot be reached: {text}", remedy)
+        yield Finding.error(subject, f"the broker cannot be reached: {text}", remedy)
 
 
 def _openness(http: HttpSettings) -> Iterator[Finding]:
@@ -117,12 +117,12 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
     lacking = [name for name, value in wanted.items() if not value]
     subject = f"http {http.host}:{http.port}"
     if "allow" in lacking:
-        open_to = f"any computer that reaches it can read it, without {', '.join(lacking)}"
+        open_to = f"any computer that reaches it can read it without {', '.join(lacking)}"
         text = f"{open_to}: acceptable in a network of its own"
-        yield better(subject, text, "docs/http.md   # [http] allow, credentials, certificate")
+        yield Finding.warning(subject, text, "docs/http.md   # [http] allow, credentials, certificate")
     elif "TLS" in lacking and "credentials" not in lacking:
-        text = "passwords and tokens go over the network as they are, without TLS"
-        yield better(subject, text, "docs/http.md   # [http] certificate and key")
+        text = "passwords and tokens are sent unencrypted, without TLS"
+        yield Finding.warning(subject, text, "docs/http.md   # [http] certificate and key")
 
 
 def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
@@ -132,24 +132,24 @@ def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
         there = [camera for camera in tries if camera is not None][:1]
     else:
         found = gvcp.discover(_DISCOVERY_TIMEOUT_S)
-        there = [camera for camera in found if camera.is_called(device)]
+        there = [camera for camera in found if camera.has_name(device)]
     if len(there) != 1:
         text = f"{len(there)} cameras have this name" if there else "no GigE Vision camera answers"
-        remedy = "check its supply and cable; altd devices   # which cameras answer, and by which names"
-        yield wrong(subject, text, remedy)
+        remedy = "check its supply and cable; altd devices   # lists the cameras that answer"
+        yield Finding.error(subject, text, remedy)
         return
     (camera,) = there
     about = f"{camera.vendor} {camera.model} at {camera.address} answers"
     privilege = gvcp.control_privilege(camera.address, _ANSWER_TIMEOUT_S)
     if privilege is None:
-        yield wrong(
-            subject, f"{about}, but does not tell its registers", "switch the camera off and on again"
+        yield Finding.error(
+            subject, f"{about}, but its registers cannot be read", "switch the camera off and on again"
         )
     elif privilege == 0 or machine.runs_daemon():
-        yield good(subject, f"{about}; altd has it" if privilege else about)
+        yield Finding.good(subject, f"{about}; in use by altd" if privilege else about)
     else:
-        yield wrong(
-            subject, f"{about}; another program has it", "end that program, on whichever computer it runs"
+        yield Finding.error(
+            subject, f"{about}; in use by another program", "end that program, on whichever computer it runs"
         )
 
 
@@ -166,24 +166,22 @@ def _way(
         )
     )
     if address.is_loopback:
-        yield good(subject, "is on this computer")
+        yield Finding.good(subject, "is on this computer")
         return []
     if not direct:
-        over = (
-            f"packets for it go to the gateway at {routes[0].interface}" if routes else "nothing leads there"
-        )
+        over = f"packets for it go to the gateway at {routes[0].interface}" if routes else "no route to it"
         remedy = (
-            f"sudo ip address add {_neighbour(address)}/24 dev INTERFACE   # and for good in its settings"
+            f"sudo ip address add {_neighbour(address)}/24 dev INTERFACE   # and permanently in its settings"
         )
-        yield wrong(subject, f"no interface has an address in its network: {over}", remedy)
+        yield Finding.error(subject, f"no interface has an address in its network: {over}", remedy)
         return []
     if len(direct) > 1:
         strict = [name for name in direct if _filters(name, machine)]
         remedy = f"ip -brief address show dev {direct[1]}   # give each interface a network of its own"
-        drops = f", and {', '.join(strict)} drops what comes in on the other (rp_filter)" if strict else ""
-        yield wrong(subject, f"{' and '.join(direct)} have the same network{drops}", remedy)
+        drops = f", and {', '.join(strict)} drops packets received on the other (rp_filter)" if strict else ""
+        yield Finding.error(subject, f"{' and '.join(direct)} have the same network{drops}", remedy)
     else:
-        yield good(subject, f"is in the network of {direct[0]}")
+        yield Finding.good(subject, f"is in the network of {direct[0]}")
     return direct
 
 
@@ -191,40 +189,44 @@ def _interface(name: str, packet_bytes: int, machine: Machine) -> Iterator[Findi
     folder, subject = f"/sys/class/net/{name}", f"network {name}"
     state = machine.text(f"{folder}/operstate")
     if state in ("down", "lowerlayerdown"):
-        remedy = f"sudo ip link set {name} up   # and look at the cable and the camera's supply"
-        yield wrong(subject, "is down", remedy)
+        remedy = f"sudo ip link set {name} up   # and check the cable and the camera's supply"
+        yield Finding.error(subject, "is down", remedy)
         return
     speed = machine.number(f"{folder}/speed")
     if speed is None or speed < 0:
-        yield better(subject, "does not tell its speed", f"sudo ethtool {name}")
+        yield Finding.warning(subject, "does not report its speed", f"sudo ethtool {name}")
     elif speed < MIN_MBIT_S:
         remedy = (
             f"sudo ethtool -s {name} autoneg on   # all eight wires: another cable, another socket or switch"
         )
-        yield wrong(subject, f"runs at {speed} Mbit/s instead of {MIN_MBIT_S}", remedy)
+        yield Finding.error(subject, f"runs at {speed} Mbit/s instead of {MIN_MBIT_S}", remedy)
     else:
-        yield good(subject, f"runs at {speed} Mbit/s")
+        yield Finding.good(subject, f"runs at {speed} Mbit/s")
     mtu = machine.number(f"{folder}/mtu") or 0
-    larger = f"sudo ip link set {name} mtu 9000   # and for good in its settings; the switch must pass it on"
+    larger = (
+        f"sudo ip link set {name} mtu 9000   # and permanently in its settings; the switch must pass it on"
+    )
     if packet_bytes > mtu:
-        yield wrong(subject, f"its MTU is {mtu} but packet_bytes {packet_bytes}", larger)
+        yield Finding.error(subject, f"its MTU is {mtu} but packet_bytes {packet_bytes}", larger)
     elif mtu < MIN_JUMBO_BYTES:
-        yield better(subject, f"its MTU is {mtu}: it works, larger packets cost the processor less", larger)
+        yield Finding.warning(subject, f"its MTU is {mtu}: it works; larger packets need less CPU", larger)
     else:
-        yield good(subject, f"its MTU is {mtu}")
+        yield Finding.good(subject, f"its MTU is {mtu}")
 
 
 def _receive_buffer(frame_bytes: int, machine: Machine) -> Iterator[Finding]:
     path, subject = "/proc/sys/net/core/rmem_max", "network receive buffer"
     largest, wanted = machine.number(path), FRAMES_BUFFERED * frame_bytes
     if largest is None:
-        yield better(subject, f"{path} cannot be read")
+        yield Finding.warning(subject, f"{path} cannot be read")
     elif largest < wanted:
         setting = f"net.core.rmem_max={max(wanted, 1 << 22)}"
         remedy = f"echo {setting} | sudo tee /etc/sysctl.d/90-altd.conf && sudo sysctl --system"
-        yield better(subject, f"is {largest} bytes at most, {FRAMES_BUFFERED} frames are {wanted}", remedy)
+        yield Finding.warning(
+            subject, f"is {largest} bytes at most, {FRAMES_BUFFERED} frames are {wanted}", remedy
+        )
     else:
-        yield good(subject, f"up to {largest} bytes")
+        yield Finding.good(subject, f"up to {largest} bytes")
 
 
 def _source_check(machine: Machine) -> Iterator[Finding]:
@@ -237,10 +239,12 @@ def _source_check(machine: Machine) -> Iterator[Finding]:
     if open_ones:
         settings = "\\n".join(f"net.ipv4.conf.{name}.rp_filter=1" for name in ("all", *open_ones))
         remedy = f"printf '{settings}\\n' | sudo tee /etc/sysctl.d/91-altd.conf && sudo sysctl --system"
-        text = f"{', '.join(open_ones)} takes packets in a camera's name from another network (rp_filter)"
-        yield better(subject, text, remedy)
+        text = (
+            f"{', '.join(open_ones)} accepts packets with a camera's address from another network (rp_filter)"
+        )
+        yield Finding.warning(subject, text, remedy)
     else:
-        yield good(subject, "each network's packets come from its own interface alone")
+        yield Finding.good(subject, "packets are accepted only on the interface of their network")
 
 
 def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
@@ -251,13 +255,15 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
     if service is not None:
         if not service.low_ports:
             remedy = f"sudo sysctl net.ipv4.ip_unprivileged_port_start={port}   # and in /etc/sysctl.d"
-            yield wrong(subject, f"the service may not listen on a port below {first or 1024}", remedy)
+            yield Finding.error(
+                subject, f"the service may not listen on a port below {first or 1024}", remedy
+            )
     elif machine.account.uid != 0:
         remedy = "docs/install.md   # run it as the service, which may; or choose a port from 1024 on"
-        yield wrong(subject, f"{machine.account.name} may not listen on a port below 1024", remedy)
+        yield Finding.error(subject, f"{machine.account.name} may not listen on a port below 1024", remedy)
 
 
-def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
+def _missing_address(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
     """Check if an interface has the address; altd waits for a missing one, as it must during booting."""
     wanted = bytes_of(host)
     if host == "localhost" or not any(wanted) or ipaddress.ip_address(wanted).is_loopback:
@@ -265,9 +271,12 @@ def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
     ours = _addresses(machine)
     if ours and wanted not in ours:
         known = (ipaddress.ip_address(address) for address in sorted(ours))
-        there = ", ".join(str(address) for address in known if not address.is_loopback) or "none but its own"
-        remedy = "ip -brief address   # take one of these into altd.toml, or 0.0.0.0 for all of them"
-        yield wrong(subject, f"no interface of this computer has the address; it has {there}", remedy)
+        there = (
+            ", ".join(str(address) for address in known if not address.is_loopback)
+            or "only loopback addresses"
+        )
+        remedy = "ip -brief address   # use one of these in altd.toml, or 0.0.0.0 for all of them"
+        yield Finding.error(subject, f"no interface of this computer has the address; it has {there}", remedy)
 
 
 def _addresses(machine: Machine) -> set[bytes]:

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.config import AravisCameraSettings, Config, RecordingCameraSettings
-from altd.doctor.finding import Finding, better, good, wrong
+from altd.doctor.finding import Finding
 from altd.doctor.machine import Machine
 from altd.errors import BadInputError
 from altd.vision import kernel
@@ -30,10 +30,10 @@ def libraries(config: Config | None) -> Iterator[Finding]:
     cameras = () if config is None else tuple(config.cameras.values())
     lamps = () if config is None else (config.lamps, config.indicators)
     if kernel.is_compiled():
-        yield good("spot fit", "compiled")
+        yield Finding.good("spot fit", "compiled")
     else:
         remedy = "sudo apt-get install gcc   # and install the release again (docs/install.md)"
-        yield better("spot fit", f"{kernel.description}; it takes more CPU", remedy)
+        yield Finding.warning("spot fit", f"{kernel.description}; it takes more CPU", remedy)
     if config is None or any(table is not None and table.driver == "gpiod" for table in lamps):
         yield _library("gpiod", "gpiod")
     if config is None or any(isinstance(camera, AravisCameraSettings) for camera in cameras):
@@ -44,13 +44,17 @@ def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
     """Check the clock: UTC is in every output. ``synchronised`` is the kernel's report; None: unknown."""
     subject, remedy = "clock", "sudo timedatectl set-ntp true   # or set up chrony"
     if now.year < MIN_YEAR:
-        yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", remedy)
+        yield Finding.error(
+            subject, f"shows {now:%Y-%m-%d %H:%M}, which is in the past: it was never set", remedy
+        )
     elif synchronised:
-        yield good(subject, f"{now:%Y-%m-%d %H:%M} UTC, kept by a time server")
+        yield Finding.good(subject, f"{now:%Y-%m-%d %H:%M} UTC, synchronised with a time server")
     elif synchronised is None:
-        yield better(subject, f"{now:%Y-%m-%d %H:%M} UTC; whether it is kept is not known", "timedatectl")
+        yield Finding.warning(
+            subject, f"{now:%Y-%m-%d %H:%M} UTC; it is not known whether it is synchronised", "timedatectl"
+        )
     else:
-        yield wrong(subject, f"{now:%Y-%m-%d %H:%M} UTC, but no time server keeps it", remedy)
+        yield Finding.error(subject, f"{now:%Y-%m-%d %H:%M} UTC, not synchronised with a time server", remedy)
 
 
 def disk(machine: Machine) -> Iterator[Finding]:
@@ -61,9 +65,9 @@ def disk(machine: Machine) -> Iterator[Finding]:
     free = shutil.disk_usage(folder).free
     subject, text = f"disk of {STATE}", f"{free / 1e9:.1f} GB free"
     if free >= MIN_FREE_BYTES:
-        yield good(subject, text)
+        yield Finding.good(subject, text)
     else:
-        yield wrong(subject, text, f"sudo du -xhd1 {STATE} /var | sort -h   # what fills it")
+        yield Finding.error(subject, text, f"sudo du -xhd1 {STATE} /var | sort -h   # largest folders")
 
 
 def calibration(config: Config, place: Path) -> Iterator[Finding]:
@@ -75,20 +79,20 @@ def calibration(config: Config, place: Path) -> Iterator[Finding]:
     try:
         cameras = cameras_of(config, place) if played and config.cameras else {}
     except BadInputError as error:
-        yield wrong("recording", str(error), f"correct path in {place}, or copy the recording there")
+        yield Finding.error("recording", str(error), f"correct path in {place}, or copy the recording there")
         cameras = {}
     try:
         found = calibration_of(config, cameras)
     except BadInputError as error:
         remedy = f"altd calibrate SCAN -o {path}   # or copy the unit's own there, or correct {place}"
-        yield wrong("calibration", str(error), remedy)
+        yield Finding.error("calibration", str(error), remedy)
     else:
         text = f"{path} fits {config.unit.serial}, made on {found.created:%Y-%m-%d}"
         if found.simulated:
             remedy = f"altd calibrate SCAN -o {path}   # with a scan of the unit itself, made by altd scan"
-            yield better("calibration", f"{text}, of SIMULATED frames: for trying out only", remedy)
+            yield Finding.warning("calibration", f"{text}, of SIMULATED frames: for trials only", remedy)
         else:
-            yield good("calibration", text)
+            yield Finding.good("calibration", text)
 
 
 def now() -> datetime:
@@ -115,8 +119,8 @@ def _library(name: str, module: str) -> Finding:
     try:
         importlib.import_module(module)
     except Exception as error:  # an incomplete library can raise anything
-        return wrong(f"library {name}", _one_line(error), _REINSTALL)
-    return good(f"library {name}", "installed")
+        return Finding.error(f"library {name}", _one_line(error), _REINSTALL)
+    return Finding.good(f"library {name}", "installed")
 
 
 def _aravis(needed: bool) -> Finding:
@@ -130,10 +134,10 @@ def _aravis(needed: bool) -> Finding:
         gi.require_version("Aravis", "0.8")
         importlib.import_module("gi.repository.Aravis")
     except Exception as error:
-        return (wrong if needed else better)(
+        return (Finding.error if needed else Finding.warning)(
             subject, f"GigE Vision cameras need it: {_one_line(error)}", remedy
         )
-    return good(subject, "installed")
+    return Finding.good(subject, "installed")
 
 
 def _one_line(error: Exception) -> str:

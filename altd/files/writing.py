@@ -85,7 +85,7 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
 def _write_beside(path: Path, content: bytes) -> Path:
     """Write a new file in the same folder, on the disk; it is deleted on failure."""
-    with _opened_beside(path) as (file, temporary):
+    with _temporary_file(path) as (file, temporary):
         file.write(content)
     return temporary
 
@@ -93,7 +93,7 @@ def _write_beside(path: Path, content: bytes) -> Path:
 @contextmanager
 def _replaced(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file; it replaces ``path`` if the block ends normally, else it is deleted."""
-    with _opened_beside(path) as (file, temporary):
+    with _temporary_file(path) as (file, temporary):
         yield file
     try:
         temporary.replace(path)
@@ -103,7 +103,7 @@ def _replaced(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
+def _temporary_file(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
     """Open a new file in the same folder; on the disk when the block ends, deleted when it fails.
 
     It has the mode and the owner that ``path`` shall have: those of the replaced file, or 0666 reduced by the

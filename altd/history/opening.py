@@ -44,7 +44,7 @@ _DAMAGED_CODES = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 
 @contextmanager
-def damage_told() -> Iterator[None]:
+def typed_damage() -> Iterator[None]:
     """Convert the error of a value that Python cannot read as text or number to DamagedFileError."""
     try:
         yield
@@ -207,7 +207,7 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
 def _checked(connection: sqlite3.Connection) -> sqlite3.Connection:
     """Return the connection if its file is a history of this version; otherwise close it and raise."""
     try:
-        with damage_told():
+        with typed_damage():
             version = version_of(connection)
         if version == 0:
             raise UnusableFileError("is an empty history")
@@ -215,7 +215,7 @@ def _checked(connection: sqlite3.Connection) -> sqlite3.Connection:
             raise UnusableFileError(
                 f"is of version {version}, this program reads {VERSION}: a daemon that starts mends that"
             )
-        with damage_told():
+        with typed_damage():
             check_tables(connection)
     except BaseException:
         connection.close()

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from altd.history.columns import Column, columns_in
 from altd.history.facts import check_unit, codes_in, fault_in
-from altd.history.opening import damage_told, open_to_read
+from altd.history.opening import open_to_read, typed_damage
 from altd.history.records import (
     QueuedSecond,
     StoredEvent,
@@ -43,7 +43,7 @@ MAX_ROWS = 5000
 
 _US = 10**6
 _EVENT_FIELDS = "id, epoch, t_us, severity, kind, of, text, detail, held_back"
-_STEPS_BETWEEN_LOOKS = 20_000
+_STEPS_BETWEEN_CHECKS = 20_000
 """Steps of SQLite's virtual machine, about 0.2 ms, between two checks of the clock."""
 
 
@@ -61,9 +61,9 @@ class Reader:
         self._connection = open_to_read(path)
         if timeout_s is not None:
             self._start_clock()
-            self._connection.set_progress_handler(self._is_late, _STEPS_BETWEEN_LOOKS)
+            self._connection.set_progress_handler(self._is_late, _STEPS_BETWEEN_CHECKS)
         try:
-            with damage_told():
+            with typed_damage():
                 self._columns = columns_in(self._connection)
                 self.codes = codes_in(self._connection)
                 """Codes of reasons and causes by their numbers in the file."""
@@ -280,7 +280,7 @@ class Reader:
         """Return the rows of a query within its time; raises HistoryTimeoutError and UnusableFileError."""
         self._start_clock()
         try:
-            with damage_told():
+            with typed_damage():
                 return self._connection.execute(sql, values).fetchall()
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:

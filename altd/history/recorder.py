@@ -36,7 +36,7 @@ CLOCK_STEP_US = 500_000
 SLOW_S = 3.0
 _MAX_BACKOFF_S = 10.0
 _END_TIMEOUT_S = 2.0
-_NEVER_S = 1e9
+_NO_LIMIT_S = 1e9
 
 
 class HistoryRecorder:
@@ -83,7 +83,7 @@ class HistoryRecorder:
                     self.step()  # at once: opening a file takes time, and new measurements wait
                 except Exception as error:  # a defect here must not stop the measurement
                     log.exception("history: a defect")
-                    self._tell(f"a defect: {type(error).__name__}: {error}")
+                    self._report_fault(f"a defect: {type(error).__name__}: {error}")
                 await self._clock.sleep(WRITE_INTERVAL_S)
         finally:
             await self._end(self._thread)
@@ -97,7 +97,7 @@ class HistoryRecorder:
         if now_ns >= self._retry_ns and self._thread is not None:
             batch = self._written = self._next_batch(now_ns)
             self._begun_ns = now_ns
-            call = self._thread.call(self._store.write, batch, within_s=_NEVER_S)
+            call = self._thread.call(self._store.write, batch, within_s=_NO_LIMIT_S)
             self._writing = asyncio.create_task(call, name="history's disk")
 
     def _settle(self, writing: asyncio.Task[Written]) -> bool:
@@ -106,7 +106,7 @@ class HistoryRecorder:
         took_s = (now_ns - self._begun_ns) * 1e-9
         if not writing.done():
             if took_s >= SLOW_S:
-                self._tell(
+                self._report_fault(
                     f"the disk has not answered for {duration(took_s)}", f"the disk is slow: {took_s:.0f} s"
                 )
             return False
@@ -118,13 +118,13 @@ class HistoryRecorder:
             self._retry_ns = now_ns + round(self._backoff_s * 1e9)
             self._backoff_s = min(2 * self._backoff_s, _MAX_BACKOFF_S)
             what = "" if isinstance(error, MovedFileError) else "not written: "
-            self._tell(f"{what}{self._store.path}: {_sentence(error)}")
+            self._report_fault(f"{what}{self._store.path}: {_sentence(error)}")
             return True
         except Exception as error:  # a defect here must not stop the measurement
             log.exception("history: a defect")
             self._events_written = self._events_taken
             self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
-            self._tell(f"a defect: {type(error).__name__}: {error}")
+            self._report_fault(f"a defect: {type(error).__name__}: {error}")
             return True
         finally:
             del writing, batch  # an error raised in it refers to this frame
@@ -135,7 +135,7 @@ class HistoryRecorder:
             self._component.count("events_lost", self._events_lost)
         self._backoff_s = WRITE_INTERVAL_S
         if took_s >= SLOW_S + 2 * WRITE_INTERVAL_S:
-            self._tell(f"the disk is slow: the last second took {took_s:.1f} s to write")
+            self._report_fault(f"the disk is slow: the last second took {took_s:.1f} s to write")
         else:
             size = f"{written.used_bytes / 1e6:.1f} MB in {self._store.path}"
             self._component.set_state(State.OK, size)
@@ -188,7 +188,7 @@ class HistoryRecorder:
             )
         return wall_us
 
-    def _tell(self, sentence: str, logged: str = "") -> None:
+    def _report_fault(self, sentence: str, logged: str = "") -> None:
         if self._component.state is not State.DEGRADED:
             log.warning("history: %s", logged or sentence)
         self._component.set_state(State.DEGRADED, sentence)

@@ -18,7 +18,7 @@ MAX_MEASUREMENTS = 400_000
 """Maximum number of measurements: one hour at 110 per second, less than an hour at higher rates."""
 
 MAX_EVENTS = 100_000
-MAX_ASKED_EVENTS = 10_000
+MAX_REQUEST_EVENTS = 10_000
 """Maximum number of events of each kind that any client on the network can cause."""
 
 _ROWS_AT_ONCE = 2000
@@ -59,7 +59,7 @@ class Retention:
         if SECONDS.max_rows is not None and self.rows[SECONDS.name] > SECONDS.max_rows:
             self._delete_oldest(SECONDS, self.rows[SECONDS.name] - SECONDS.max_rows)
         deleted: list[Deleted] = []
-        too_many = [kind for kind in sorted(ASKED) if self.events[kind] > MAX_ASKED_EVENTS]
+        too_many = [kind for kind in sorted(ASKED) if self.events[kind] > MAX_REQUEST_EVENTS]
         deleted += [
             Deleted(f"{kind} events", self._delete_events("WHERE kind = ?", kind)) for kind in too_many
         ]
@@ -71,7 +71,7 @@ class Retention:
             deleted.append(Deleted("summaries of 1 s that no ingest has acknowledged", dropped))
         return deleted
 
-    def give_back(self) -> None:
+    def shrink(self) -> None:
         """Shrink the file if it exceeds its size limit; call outside a transaction."""
         if self._pragma("page_count") * self._pragma("page_size") > self._max_bytes:
             self._connection.execute(f"PRAGMA incremental_vacuum({_PAGES_AT_ONCE})").fetchall()

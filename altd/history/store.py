@@ -16,12 +16,12 @@ from altd.history.opening import (
     WriteLock,
     check_folder,
     check_pages,
-    damage_told,
     is_private,
     open_to_write,
     set_aside,
     touched,
     transaction,
+    typed_damage,
 )
 from altd.history.records import (
     About,
@@ -71,7 +71,7 @@ class Store:
         self._has_outbox = has_outbox
         self._session = secrets.token_hex(8)
         self._unwritten: list[Notice] = []
-        self._untold: list[Notice] = []
+        self._notices_left: list[Notice] = []
         self._open: _OpenStore | None = None
         self._lock: WriteLock | None = None
         self._was_open = False
@@ -82,7 +82,7 @@ class Store:
             if self._open is None:
                 self._open = self._opened(batch)
             used_bytes = self._open.write(batch)
-            notices, self._untold = [*self._untold, *self._open.take_notices()], []
+            notices, self._notices_left = [*self._notices_left, *self._open.take_notices()], []
             return Written(notices, used_bytes, self._open.outbox_mark() if self._has_outbox else None)
         except (OSError, sqlite3.Error, UnusableFileError) as error:
             self._close_file()
@@ -118,16 +118,16 @@ class Store:
         check_folder(self.path)
         self._lock = WriteLock(self.path)
         is_new = not self.path.exists() or not self.path.stat().st_size
-        with damage_told():
+        with typed_damage():
             connection = open_to_write(self.path)
         try:
-            with damage_told():
+            with typed_damage():
                 check_unit(connection, self._about.facts)
                 opened = _OpenStore(connection, self.path, self._max_bytes, self._about, self._has_outbox)
                 if opened.epochs.was_interrupted and not self._was_open:
                     check_pages(connection)  # interrupted in another daemon, or by a power cut
                 opened.begin(batch, self._session, [*self._unwritten, *_begun(self.path, is_new)])
-            self._unwritten, self._untold = [], [*self._untold, *opened.take_notices()]
+            self._unwritten, self._notices_left = [], [*self._notices_left, *opened.take_notices()]
         except BaseException:
             connection.close()
             raise
@@ -158,7 +158,7 @@ class _OpenStore:
         self._stream = secrets.token_hex(8)
         self._touched = touched(path)
         self._notices: list[Notice] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self.epochs = Epochs(connection)
         self.retention = Retention(connection, max_bytes)
         self._reasons = Reasons(connection)
@@ -213,12 +213,12 @@ class _OpenStore:
             self.epochs.save()
             age_s = (batch.monotonic_ns - self.epochs.began_ns) * 1e-9
             for deleted in self.retention.apply(self.epochs.number, age_s, batch.wall_us):
-                if deleted.what not in self._told:
-                    self._told.add(deleted.what)
+                if deleted.what not in self._reported:
+                    self._reported.add(deleted.what)
                     text = f"for want of room the oldest {deleted.what} are deleted"
                     self._notices.append(Notice(EventKind.HISTORY, text, {"rows": deleted.rows}))
                     self._add_notice(self._notices[-1], batch.wall_us)
-        self.retention.give_back()
+        self.retention.shrink()
         used_bytes = self.retention.used_bytes()
         self._touched = touched(self._path)  # the last statement may have checkpointed the log
         return used_bytes

@@ -71,7 +71,7 @@ class Window(Protocol):
     def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
         """Add a frame set; return the mean, the faults that prevent it, or None when no mean is due."""
 
-    def pass_over(self, sequence: int) -> None:
+    def skip(self, sequence: int) -> None:
         """Record the number of a frame set that is not measured, so that its absence causes no fault."""
 
     def forget(self) -> None:
@@ -93,37 +93,37 @@ class FrameSetWindow:
         self._window = window
         self._every = every
         self._frame_sets: deque[FrameSet] = deque(maxlen=window)
-        self._passed_over: deque[int] = deque(maxlen=window)
+        self._skipped: deque[int] = deque(maxlen=window)
         """Numbers of the frame sets that are not measured."""
         self._since_mean = 0
 
-    def pass_over(self, sequence: int) -> None:
+    def skip(self, sequence: int) -> None:
         """Record the number of a frame set that is not measured, so that its absence causes no fault."""
-        self._passed_over.append(sequence)
+        self._skipped.append(sequence)
 
     def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
         """Add a frame set; return the mean, the faults that prevent it, or None when no mean is due."""
         while self._frame_sets and frame_set.sequence - self._frame_sets[0].sequence >= self._window:
             self._frame_sets.popleft()
-        while self._passed_over and frame_set.sequence - self._passed_over[0] >= self._window:
-            self._passed_over.popleft()
+        while self._skipped and frame_set.sequence - self._skipped[0] >= self._window:
+            self._skipped.popleft()
         self._frame_sets.append(frame_set)
         self._since_mean += 1
         if self._since_mean < self._every:
             return None
         self._since_mean = 0
-        return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._passed_over))
+        return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._skipped))
 
     def forget(self) -> None:
         """Drop the frame sets before a gap; the count to the next mean continues."""
         self._frame_sets.clear()
-        self._passed_over.clear()
+        self._skipped.clear()
 
     def begin(self, window: int | None = None) -> None:
         """Drop all frame sets and restart the count to the next mean; ``window`` sets a new length."""
         self._window = window or self._window
         self._frame_sets = deque(maxlen=self._window)
-        self._passed_over = deque(maxlen=self._window)
+        self._skipped = deque(maxlen=self._window)
         self._since_mean = 0
 
 

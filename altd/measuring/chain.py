@@ -220,7 +220,7 @@ class MeasuringChain:
             if located.is_shown and not located.leds_on:
                 self._last_spots[self._views[located.camera].target] = located.spot
             self._view_status[located.camera] = located.view
-        if self._is_passed_over(pair):
+        if self._is_skipped(pair):
             return None
         measurement = self._after(self._frame_set(pair))
         return None if measurement is None else self._gate.admit(measurement)
@@ -237,7 +237,7 @@ class MeasuringChain:
         self._changed_light = ()
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
-    def _is_passed_over(self, pair: Pair[Located]) -> bool:
+    def _is_skipped(self, pair: Pair[Located]) -> bool:
         """Return whether frame LEDs were lit, or LEDs or targets switched, in any frame of a frame set.
 
         Such a frame set continues the time, so it leaves no gap in which anything may have happened. It is
@@ -251,7 +251,7 @@ class MeasuringChain:
         if last is None or pair.t_ns > last.t_ns:
             self.frame_sets += 1
             self._last_frame_set = FrameSet(pair.sequence, pair.t_ns, {})
-            self._window.pass_over(pair.sequence)
+            self._window.skip(pair.sequence)
         return True
 
     def _frame_set(self, pair: Pair[Located]) -> FrameSet:
@@ -311,7 +311,7 @@ class MeasuringChain:
         solution = self._instrument.solve(spots if self.correct is None else self.correct(spots))
         if isinstance(solution, Fault):
             return self._invalid(frame_set, spots.t_ns, (solution,))
-        self._light_balance.learn(mean)
+        self._light_balance.update(mean)
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         measurement = Measurement(
             sequence=frame_set.sequence,
@@ -334,7 +334,7 @@ class MeasuringChain:
     ) -> Mapping[str, Motion]:
         """Return the motion of the quantities, extended by that of earlier windows."""
         span_s = mean.motion.span_s if mean.motion else 0.0
-        return self._motion_memory.learn(mean.t_ns, newest_ns, span_s, of_window)
+        return self._motion_memory.add(mean.t_ns, newest_ns, span_s, of_window)
 
     def _invalid(self, frame_set: FrameSet, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
         """Return a measurement without numbers, even of targets with good spots: half a beam is no result."""

@@ -54,7 +54,7 @@ class LightBalance:
         changed = np.expm1(np.abs(differences.mean(axis=0))) * share
         return (0.0, *changed.tolist())
 
-    def learn(self, mean: MeanSpots) -> None:
+    def update(self, mean: MeanSpots) -> None:
         """Follow the light of a window that gave a valid measurement.
 
         From others the ratio would adapt to what it must reveal: a lamp in place of the beam.

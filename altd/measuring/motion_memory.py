@@ -55,7 +55,7 @@ class MotionMemory:
         self._rate_squares: dict[str, _Mean] = {}
         self._acceleration_squares: dict[str, _Mean] = {}
 
-    def learn(
+    def add(
         self, t_ns: int, newest_ns: int, span_s: float, motions: Mapping[str, Motion]
     ) -> dict[str, Motion]:
         """Return the motions of a window with the additions from the memory.

@@ -15,10 +15,10 @@ from typing import TypeVar
 from altd.errors import BadInputError
 from altd.process.standard_streams import (
     clear_counter,
-    complain,
     drop_unwritten,
     output_failure,
     prepare_streams,
+    print_errors,
 )
 
 Result = TypeVar("Result")
@@ -55,14 +55,14 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     try:
         status = work()
     except BadInputError as error:
-        complain(*(f"{name()}: {line}" for line in error.lines))
+        print_errors(*(f"{name()}: {line}" for line in error.lines))
         return 2
     except EndedBySignal as end:
         clear_counter()
         return end.status
     except ModuleNotFoundError as error:
         missing = f"the Python package {error.name!r} is missing in {sys.executable}"
-        complain(f"{name()}: {missing}: start the `altd` that was installed, see docs/install.md")
+        print_errors(f"{name()}: {missing}: start the `altd` that was installed, see docs/install.md")
         return 1
     except SystemExit as end:  # the parser has already printed the reason
         status = end.code if isinstance(end.code, int) else 1
@@ -73,7 +73,7 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     if (failure := output_failure()) is not None:
         status = status or 1
         if not isinstance(failure, BrokenPipeError):  # the reader of our output has ended
-            complain(f"{name()}: standard output: {failure.strerror}")
+            print_errors(f"{name()}: standard output: {failure.strerror}")
     return status
 
 

@@ -53,13 +53,13 @@ def prepare_streams() -> None:
         )
 
 
-def say(*lines: str) -> None:
+def print_lines(*lines: str) -> None:
     """Print lines on standard output, each ``escaped``."""
     sys.stdout.write("".join(f"{escaped(line)}\n" for line in lines))
     sys.stdout.flush()
 
 
-def complain(*lines: str) -> None:
+def print_errors(*lines: str) -> None:
     """Print lines on standard error, each ``escaped``, unless it is blocked for a second.
 
     A counter in the last line of a terminal is overwritten.

@@ -138,7 +138,7 @@ class Availability:
             for length_ns in (_MINUTE_NS, _HOUR_NS)
         }
 
-    def look(self, now_ns: int, lost_to: str | None) -> None:
+    def update(self, now_ns: int, lost_to: str | None) -> None:
         """Record that the unit measures at this moment (None), or the reason why it does not."""
         begun_ns, self._last_ns = self._last_ns, now_ns
         before, self._last = self._last, lost_to

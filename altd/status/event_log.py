@@ -14,7 +14,7 @@ from altd.ports import Clock
 MAX_EVENTS = 1000
 """Maximum number of events in memory; only the history has older ones."""
 
-MAX_ASKED_EVENTS = 250
+MAX_REQUEST_EVENTS = 250
 """Maximum number in memory, in addition, of the kinds that any client on the network can cause."""
 
 MAX_OF_ONE_IN_WINDOW = 10
@@ -23,7 +23,7 @@ MAX_OF_ONE_IN_WINDOW = 10
 MAX_IN_WINDOW = 200
 """Maximum number of noted events of all other kinds in ``WINDOW_S``."""
 
-MAX_ASKED_IN_WINDOW = 50
+MAX_REQUESTS_IN_WINDOW = 50
 """Maximum number, in addition, of the kinds that any client on the network can cause."""
 
 WINDOW_S = 60.0
@@ -114,7 +114,7 @@ class EventLog:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self._asked: deque[Event] = deque(maxlen=MAX_ASKED_EVENTS)
+        self._requests: deque[Event] = deque(maxlen=MAX_REQUEST_EVENTS)
         self._others: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._count = 0
         self._windows: dict[_Key, _Window] = {}
@@ -157,10 +157,10 @@ class EventLog:
 
     def _limit(self, event: Event) -> None:
         window = self._window_of((event.kind, event.of, event.detail.get("code")), event.t_ns)
-        is_asked = event.kind in ASKED
-        if window.noted < MAX_OF_ONE_IN_WINDOW and self._room[is_asked]:
+        is_request = event.kind in ASKED
+        if window.noted < MAX_OF_ONE_IN_WINDOW and self._room[is_request]:
             window.noted += 1
-            self._room[is_asked] -= 1
+            self._room[is_request] -= 1
             self._keep(event, window)
         else:
             window.held_back += 1
@@ -190,23 +190,23 @@ class EventLog:
         """Return the events with a larger number that are still in memory, oldest first."""
         if number >= self._count:
             return []
-        events = sorted((*self._asked, *self._others), key=lambda event: event.number)
+        events = sorted((*self._requests, *self._others), key=lambda event: event.number)
         return [event for event in events if event.number > number]
 
     def _make_room(self, now_ns: int) -> None:
         self._begun_ns = now_ns
-        self._room = {True: MAX_ASKED_IN_WINDOW, False: MAX_IN_WINDOW}
+        self._room = {True: MAX_REQUESTS_IN_WINDOW, False: MAX_IN_WINDOW}
 
     def _window_of(self, key: _Key, now_ns: int) -> _Window:
         if key not in self._windows:
-            is_asked = key[0] in ASKED
-            alike = sum((kind in ASKED) is is_asked for kind, _, _ in self._windows)
-            if alike >= (MAX_ASKED_IN_WINDOW if is_asked else MAX_IN_WINDOW):
+            is_request = key[0] in ASKED
+            alike = sum((kind in ASKED) is is_request for kind, _, _ in self._windows)
+            if alike >= (MAX_REQUESTS_IN_WINDOW if is_request else MAX_IN_WINDOW):
                 key = (key[0], None, None)  # limits the memory if names never repeat
         return self._windows.setdefault(key, _Window(now_ns))
 
     def _keep(self, event: Event, window: _Window) -> None:
         self._count += 1
         held_back, window.held_back = window.held_back, 0
-        events = self._asked if event.kind in ASKED else self._others
+        events = self._requests if event.kind in ASKED else self._others
         events.append(replace(event, number=self._count, held_back=held_back))

@@ -44,21 +44,21 @@ class UnitState:
     async def run(self) -> None:
         """Update the state regularly until cancelled."""
         while True:
-            self._look()
+            self._update()
             await self._clock.sleep(TICK_S)
 
     def read(self) -> StateReport:
         """Return the present state."""
-        now_ns, causes = self._look()
+        now_ns, causes = self._update()
         return StateReport(self._signal, self._since_ns, now_ns, causes, self.availability)
 
-    def _look(self) -> tuple[int, tuple[ShownCause, ...]]:
+    def _update(self) -> tuple[int, tuple[ShownCause, ...]]:
         now_ns = self._clock.monotonic_ns()
         measurement = self._board.read()
         running_s = (now_ns - self._started_ns) * 1e-9
         causes = causes_now(measurement, self._health, now_ns, running_s)
         causes += self._watched(now_ns)
-        self.availability.look(now_ns, _lost_to(measurement, running_s))
+        self.availability.update(now_ns, _lost_to(measurement, running_s))
         shown = self._filter.update(causes, now_ns)
         if (signal := worst(shown)) is not self._signal:
             self._signal, self._since_ns = signal, now_ns
@@ -105,18 +105,18 @@ class StateEvents:
     async def run(self) -> None:
         """Observe until cancelled."""
         while True:
-            self.look()
+            self.observe()
             await self._clock.sleep(TICK_S)
 
-    def look(self) -> None:
+    def observe(self) -> None:
         """Note the changes since the last call."""
         self._log.release(self._clock.monotonic_ns())
         report = self._read_state()
-        self._look_at_causes(report)
-        self._look_at_signal(report)
-        self._look_at_self_checks()
+        self._note_causes(report)
+        self._note_signal(report)
+        self._note_self_checks()
 
-    def _look_at_causes(self, report: StateReport) -> None:
+    def _note_causes(self, report: StateReport) -> None:
         now = {(shown.cause.kind, shown.cause.of): shown for shown in report.causes}
         for key, shown in now.items():
             if key not in self._causes:
@@ -135,7 +135,7 @@ class StateEvents:
                 )
         self._causes = now
 
-    def _look_at_signal(self, report: StateReport) -> None:
+    def _note_signal(self, report: StateReport) -> None:
         if report.signal is self._signal:
             return
         severity = max(report.signal.severity, 0 if self._signal is None else self._signal.severity)
@@ -144,7 +144,7 @@ class StateEvents:
         self._log.note(EventKind.STATE, str(report.signal).replace("_", " "), None, severity, detail)
         self._signal = report.signal
 
-    def _look_at_self_checks(self) -> None:
+    def _note_self_checks(self) -> None:
         latest = self._service.latest
         if latest is None or latest.number == self._checks:
             return

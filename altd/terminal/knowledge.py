@@ -47,24 +47,24 @@ class Knowledge:
         self._targets: TargetsDocument | None = None
         self._past: deque[tuple[float, Reading | None]] = deque()
 
-    def hear_reading(self, reading: Reading | None, now_s: float) -> None:
+    def set_reading(self, reading: Reading | None, now_s: float) -> None:
         """Store the latest measurement; None: none was made so far."""
         self._reading, self._reading_s, self._lost = reading, now_s, ""
         self._past.append((now_s, reading))
         while now_s - self._past[0][0] > KEPT_S:
             self._past.popleft()
 
-    def hear_status(self, status: StatusDocument, now_s: float) -> None:
+    def set_status(self, status: StatusDocument, now_s: float) -> None:
         """Store the unit's state. The past of another unit is discarded."""
         if self._status is not None and status.serial != self._status.serial:
             self._past.clear()
         self._status, self._status_s = status, now_s
 
-    def hear_about(self, check: SelfCheckDocument, targets: TargetsDocument) -> None:
+    def set_documents(self, check: SelfCheckDocument, targets: TargetsDocument) -> None:
         """Store the documents that change seldom."""
         self._check, self._targets = check, targets
 
-    def hear_nothing(self, why: str) -> None:
+    def set_lost(self, why: str) -> None:
         """Discard reading and state at once, because the daemon does not answer."""
         self._lost = why
         self._reading = None

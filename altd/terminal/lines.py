@@ -72,12 +72,12 @@ def number_text(number: Shown, valid: bool, width: int = WIDTH) -> str:
 
 def availability_text(status: StatusDocument) -> str:
     """Share of time in which the unit measured, for each span; rounded down."""
-    told = [
+    shares = [
         f"{int(span.share * 1e4) / 100:.2f} % {_SPANS.get(name, name)}"
         for name, span in status.availability.items()
         if span.share is not None
     ]
-    return "; ".join(told) or "not known yet"
+    return "; ".join(shares) or "not known yet"
 
 
 def self_check_text(check: SelfCheckDocument) -> str:
@@ -102,13 +102,13 @@ def hanging(head: str, text: str, width: int, indent: int) -> list[str]:
 
 _INDENT = 13
 _MAX_NAME = 40
-_FINE = ("good", "maintenance_required")
+_HEALTHY = ("good", "maintenance_required")
 """States in which the numbers may be used and the unit's own table requires no action now."""
 
 
-def is_fine(reading: Reading | None, status: StatusDocument) -> bool:
+def is_healthy(reading: Reading | None, status: StatusDocument) -> bool:
     """Whether the unit measures, and its state is good or requires no more than maintenance."""
-    return reading is not None and reading.valid and status.state.signal in _FINE
+    return reading is not None and reading.valid and status.state.signal in _HEALTHY
 
 
 def status_text(

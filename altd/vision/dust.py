@@ -31,7 +31,7 @@ _MIN_TOGETHER = 2.0
 """Minimum number of dark pixels among nine neighbouring ones: blurred by the lens, none is dark alone."""
 _MIN_PIXELS = 100
 _DARKEST = 0.01
-_MAX_GRAIN = 0.2
+_MAX_TEXTURE_CONTRAST = 0.2
 """Contrast of a target's texture from which it is printed (``fingerprint``)."""
 
 
@@ -73,7 +73,7 @@ def _expected(sample: Sample, texture: Texture) -> Image | None:
     """
     found = match(sample, texture)
     if found is None:
-        return np.ones_like(sample.relative) if texture.contrast < _MAX_GRAIN else None
+        return np.ones_like(sample.relative) if texture.contrast < _MAX_TEXTURE_CONTRAST else None
     shift = np.array([[1.0, 0.0, MAX_SHIFT_PX - found.u_px], [0.0, 1.0, MAX_SHIFT_PX - found.v_px]])
     rows, columns = sample.relative.shape
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP

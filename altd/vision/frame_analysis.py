@@ -19,7 +19,7 @@ from altd.vision.settings import SpotSettings
 
 _MARGIN_SIGMAS = 3.0
 _MIN_HOT_RATIO = 3.0
-_MAX_MENDED_SINGLY = 5
+_MAX_REPAIRED_SINGLY = 5
 _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 """The eight neighbours of a pixel."""
 
@@ -97,7 +97,7 @@ def without_hot_pixels(window: PixelArray) -> Image:
     limit *= _MIN_HOT_RATIO
     limit -= (_MIN_HOT_RATIO - 1) * floor  # all are whole numbers, so nothing is rounded
     hot = np.flatnonzero(image > limit).tolist()
-    if len(hot) > _MAX_MENDED_SINGLY:
+    if len(hot) > _MAX_REPAIRED_SINGLY:
         image.ravel()[hot] = cv2.medianBlur(window, 5).ravel()[hot]
         return image
     for place in hot:  # a few µs each, against 20 µs for the whole window

@@ -125,7 +125,7 @@ class Told:
     def __init__(self) -> None:
         self.said: list[str] = []
 
-    def say(self, line: str) -> None:
+    def report(self, line: str) -> None:
         self.said.append(line)
 
     def progress(self, done: int, total: int, doing: str) -> None: ...

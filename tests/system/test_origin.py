@@ -382,7 +382,7 @@ async def test_a_scan_with_simulated_cameras_is_simulated(tmp_path: Path) -> Non
 class Silent:
     """Tells nothing."""
 
-    def say(self, line: str) -> None:
+    def report(self, line: str) -> None:
         pass
 
     def progress(self, done: int, total: int, doing: str) -> None:

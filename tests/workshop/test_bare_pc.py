@@ -382,7 +382,7 @@ def outputs(section: str) -> list[str]:
 
 
 def wrong(text: str) -> list[str]:
-    return re.findall(r"^WRONG +(.*)$", text, re.MULTILINE)
+    return re.findall(r"^ERROR +(.*)$", text, re.MULTILINE)
 
 
 def subject(line: str) -> str:

@@ -236,12 +236,12 @@ def _status() -> dict[str, Any]:
 def _screen() -> str:
     knowledge = Knowledge()
     targets = [{"name": name, "valid_mm": _OUTLINE_MM} for name in ("front", "rear")]
-    knowledge.hear_about(
+    knowledge.set_documents(
         SelfCheckDocument.checked(_CHECK), TargetsDocument.checked({"area_mm": AREA_MM, "targets": targets})
     )
     for second in range(1, _SECONDS + 1):
-        knowledge.hear_reading(_reading(second), float(second))
-    knowledge.hear_status(StatusDocument.checked(_status()), float(_SECONDS))
+        knowledge.set_reading(_reading(second), float(second))
+    knowledge.set_status(StatusDocument.checked(_status()), float(_SECONDS))
     canvas = Canvas(24, 80, is_utf8=True)
     draw(knowledge, float(_SECONDS), View(), canvas)
     return canvas.text()

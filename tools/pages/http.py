@@ -11,7 +11,7 @@ from altd.publish.http.clients import (
     ALL_ATTEMPTS,
     ATTEMPTS,
     IDLE_S,
-    LONGEST_S,
+    MAX_SESSION_S,
     MAX_SESSIONS,
     MAX_WAITING,
     REQUESTS,
@@ -194,7 +194,7 @@ changed password ends sessions at once, without a restart.
 
 A page logs in with `POST /api/v1/login` and `{{"name": "ana", "password": "…"}}` and gets a cookie. A
 session ends with `POST /api/v1/logout`, after {IDLE_S / 60:g} minutes without a request, and after
-{LONGEST_S / 3600:g} hours; {MAX_SESSIONS} are possible. Without TLS passwords are sent unencrypted: use
+{MAX_SESSION_S / 3600:g} hours; {MAX_SESSIONS} are possible. Without TLS passwords are sent unencrypted: use
 both.
 
 Each login, logout, wrong password and wrong token is an event (`request`) with the address. URLs, answers,

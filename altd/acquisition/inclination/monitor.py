@@ -111,7 +111,7 @@ class InclinationMonitor:
         self._component = component
         self._clock = clock
         self._judge = InclinationJudge(settings, driver.accuracy)
-        self._said = SensorValue(Quality.STARTING, "the inclinometer was not read so far")
+        self._latest = SensorValue(Quality.STARTING, "the inclinometer was not read so far")
         self._failure: SensorValue | None = None
         """The failure since the last reading; None: the last call succeeded."""
         self._logged: Quality | None = None
@@ -122,7 +122,7 @@ class InclinationMonitor:
     def complete(self, measurement: Measurement) -> Measurement:
         """Return the measurement with the current roll."""
         now_ns = self._clock.monotonic_ns()
-        said = self._said.at(now_ns)
+        said = self._latest.at(now_ns)
         if said.value is not None:
             said = replace(said, age_s=(now_ns - said.t_ns) * 1e-9)
         elif self._failure is not None:
@@ -184,7 +184,7 @@ class InclinationMonitor:
 
     def _take(self, reading: InclinometerReading) -> None:
         said = self._judge.roll(reading)
-        self._said, self._failure = said, None
+        self._latest, self._failure = said, None
         pitch_deg = self._judge.gravity_pitch_deg(reading)
         self._gravity_pitch_deg = None if said.value is None else pitch_deg
         self._component.count("readings")
@@ -208,8 +208,8 @@ class InclinationMonitor:
         self._component.count("failures")
         self._failure = said
         is_passing = isinstance(error, InclinometerTimeoutError | InclinometerDisturbedError)
-        if not (is_passing and self._said.at(self._clock.monotonic_ns()).value is not None):
-            self._said = said
+        if not (is_passing and self._latest.at(self._clock.monotonic_ns()).value is not None):
+            self._latest = said
             self._report(said)
 
     def _report(self, said: SensorValue) -> None:

@@ -139,7 +139,7 @@ class FrameKeeper:
         except NotKeptError as error:
             self._component.set_state(State.DEGRADED, f"recordings cannot be kept: {error}")
         else:
-            self._say()
+            self._show_usage()
 
     def _new_fault(self) -> str:
         """Return the worst cause that is new since the last check and not yet recorded; empty: none."""
@@ -182,7 +182,7 @@ class FrameKeeper:
         finally:
             self._waiting -= 1
         self._component.count("kept")
-        self._say()
+        self._show_usage()
         self._note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
         return kept
 
@@ -244,7 +244,7 @@ class FrameKeeper:
             log.exception("kept frames: a defect")
             raise NotKeptError(f"a defect: {type(error).__name__}: {error}") from error
 
-    def _say(self) -> None:
+    def _show_usage(self) -> None:
         taken = sum(kept.bytes for kept in self._recordings)
         count = len(self._recordings)
         self._component.set_state(

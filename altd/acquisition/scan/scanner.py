@@ -61,7 +61,7 @@ class ScanResult:
 class ProgressReporter(Protocol):
     """Receives the progress of the scan."""
 
-    def say(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Report a message to be kept after the scan."""
 
     def progress(self, done: int, total: int, doing: str) -> None:
@@ -138,9 +138,9 @@ class Scanner:
     async def _scan(self) -> None:
         state = self._folder.state
         if self._leds is None and self._config.led_pairs:
-            self._progress.say("no lamps are configured: the scan has no LED reference pairs")
+            self._progress.report("no lamps are configured: the scan has no LED reference pairs")
         if self._folder.resumed:
-            self._progress.say(
+            self._progress.report(
                 f"going on with {self._folder.path}: {len(state.nodes)} of {len(self._nodes)} nodes are done"
             )
             state.refused.clear()  # they are tried again
@@ -154,12 +154,12 @@ class Scanner:
     @asynccontextmanager
     async def _ready_stage(self) -> AsyncIterator[None]:
         """Wait for the cameras, then open and home the stage; release it at the end."""
-        self._tell("waiting for the cameras")
+        self._show_progress("waiting for the cameras")
         await self._frame_sets.after(self._clock.monotonic_ns(), 1)
         try:
-            self._tell("opening the stage")
+            self._show_progress("opening the stage")
             await self._in_thread(self._stage.open)
-            self._tell("homing the stage")
+            self._show_progress("homing the stage")
             await self._in_thread(self._stage.home)
             yield
         finally:
@@ -172,7 +172,7 @@ class Scanner:
             yield
             return
         try:
-            self._tell(f"opening the {name}")
+            self._show_progress(f"opening the {name}")
             await self._in_thread(lamps.open)
             yield
         finally:
@@ -180,7 +180,7 @@ class Scanner:
 
     async def _expose(self, node: Node) -> None:
         """Move to a node and keep its exposures, or refuse it after the configured retries."""
-        self._tell(f"node {node}")
+        self._show_progress(f"node {node}")
         await self._go(node.x_mm, node.y_mm)
         position_mm = await self._in_thread(self._stage.position)
         state, raster, complaint = self._folder.state, self._raster, ""
@@ -199,7 +199,7 @@ class Scanner:
             complaint = judged.complaint
         state.refused[_key(node)] = complaint
         self._folder.commit()
-        self._progress.say(f"node {node} refused: {complaint}")
+        self._progress.report(f"node {node} refused: {complaint}")
         self._lost_in_a_row += 1
         if raster is None:
             self._check_sufficient(node, complaint)
@@ -227,7 +227,7 @@ class Scanner:
         leds, state = self._leds, self._folder.state
         if leds is None or not self._config.led_pairs or when in state.led_pairs:
             return
-        self._tell(f"LED reference {when} the grid")
+        self._show_progress(f"LED reference {when} the grid")
         await self._go(self._config.centre_x_mm, self._config.centre_y_mm)
         kept: list[Pair[Frame]] = []
         try:
@@ -247,7 +247,7 @@ class Scanner:
     async def _self_check(self, known: KnownUnit | str, pairs: Sequence[Pair[Frame]]) -> None:
         """Report the self-check; raise ScanStoppedError for a bad verdict with ``when_bad = "stop"``."""
         if isinstance(known, str):
-            self._progress.say(f"no self-check: {known}")
+            self._progress.report(f"no self-check: {known}")
             return
         judged = await asyncio.to_thread(known.check, pairs, self._cameras)
         check = judged.check
@@ -256,7 +256,7 @@ class Scanner:
                 f"the self-check is {judged.sentence}. Put right what has moved; to calibrate the unit as it "
                 'is now, set [scan] when_bad = "warning"'
             )
-        self._progress.say(f"self-check: {judged.sentence}")
+        self._progress.report(f"self-check: {judged.sentence}")
         self._folder.state.self_check = SelfCheckHeader(
             verdict=check.verdict.value, reasons=check.reasons, notes=judged.notes
         )
@@ -267,7 +267,7 @@ class Scanner:
         if not done:
             return
         node = next(n for n in self._nodes if _key(n) == list(done)[-1])
-        self._tell(f"looking at node {node} again")
+        self._show_progress(f"looking at node {node} again")
         await self._go(node.x_mm, node.y_mm)
         judged = judge(await self._of_all_targets(self._config.exposures))
         if not isinstance(judged, NodeSpots):
@@ -310,7 +310,7 @@ class Scanner:
             state.exposures, tuple(f"node {node}: {state.refused[key]}" for key, node in refused.items())
         )
 
-    def _tell(self, doing: str) -> None:
+    def _show_progress(self, doing: str) -> None:
         self._doing = doing
         self._progress.progress(len(self._folder.state.nodes), len(self._nodes), doing)
 

@@ -12,7 +12,7 @@ from altd.measuring.chain import View
 from altd.records import Value
 from altd.selfcheck.lights import findings
 from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
-from altd.selfcheck.verdict import NOT_LOOKED_AT, judge
+from altd.selfcheck.verdict import NOT_CHECKED, judge
 
 SpotPx = tuple[float, float]
 
@@ -91,7 +91,7 @@ class CheckJudge:
             return Judged(check, tuple(notes))
         if check.verdict is Verdict.UNKNOWN:
             return Judged(unknown(*spoilt), tuple(notes))
-        reasons = tuple(reason for reason in check.reasons if not reason.endswith(NOT_LOOKED_AT))
+        reasons = tuple(reason for reason in check.reasons if not reason.endswith(NOT_CHECKED))
         return Judged(replace(check, reasons=(*reasons, *spoilt)), tuple(notes))
 
 

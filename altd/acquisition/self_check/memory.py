@@ -184,10 +184,10 @@ class _Kept:
         try:
             return await self._on_disk(self._file.load)
         except BadInputError as error:
-            self._tell(f"starts again: {error}")
+            self._report_fault(f"starts again: {error}")
             return History.empty()
         except TimeoutError:
-            self._tell(f"not read: {_NO_ANSWER}")
+            self._report_fault(f"not read: {_NO_ANSWER}")
             return None
 
     async def save(self, history: History) -> bool:
@@ -195,10 +195,10 @@ class _Kept:
         try:
             await self._on_disk(partial(self._file.save, history))
         except BadInputError as error:
-            self._tell(f"not kept: {error}")
+            self._report_fault(f"not kept: {error}")
             return False
         except TimeoutError:
-            self._tell(f"not kept: {_NO_ANSWER}")
+            self._report_fault(f"not kept: {_NO_ANSWER}")
             return False
         days = max(1 + len(target.days) for target in history.targets.values()) if history.targets else 0
         self._component.set_state(State.OK, f"{counted(days, 'day')} in {self._file.path}")
@@ -214,7 +214,7 @@ class _Kept:
             self._thread = DeviceThread("self-check history")
         return await self._thread.call(call, within_s=_DISK_TIMEOUT_S)
 
-    def _tell(self, sentence: str) -> None:
+    def _report_fault(self, sentence: str) -> None:
         if (self._component.state, self._component.message) != (State.DEGRADED, sentence):
             log.warning("self-check history: %s", sentence)
         self._component.set_state(State.DEGRADED, sentence)

@@ -36,15 +36,15 @@ class Schedule:
         self._ended_ns: int | None = None
         """End of the last check by the monotonic clock; None: no check yet."""
         self._repeat_s: float | None = None
-        self._asked: Cause | None = None
+        self._requested: Cause | None = None
         self._changed = asyncio.Event()
 
     def ask(self, cause: Cause) -> None:
         """Request a check as soon as possible; without ``automatic``, a shock is ignored."""
         if cause is Cause.SHOCK and not self._automatic:
             return
-        if self._asked is None or (cause is Cause.REQUEST and self._asked is not cause):
-            self._asked = cause
+        if self._requested is None or (cause is Cause.REQUEST and self._requested is not cause):
+            self._requested = cause
             self._changed.set()  # once only: a flood of requests must not wake the task each time
 
     def ended(self, is_good: bool) -> None:
@@ -61,7 +61,7 @@ class Schedule:
             self._changed.clear()
             cause, in_s = self._earliest()
             if cause is not None and in_s <= 0:
-                self._asked = None
+                self._requested = None
                 return cause
             waiting: list[asyncio.Future[object]] = [asyncio.ensure_future(self._changed.wait())]
             if cause is not None:
@@ -76,12 +76,12 @@ class Schedule:
     def _earliest(self) -> tuple[Cause | None, float]:
         """Return the cause of the next check (None: none is due), and the time until then in seconds."""
         if self._ended_ns is None:
-            if self._asked is not None or self._automatic:
-                return self._asked or Cause.START, 0.0
+            if self._requested is not None or self._automatic:
+                return self._requested or Cause.START, 0.0
             return None, 0.0
         since_s = (self._clock.monotonic_ns() - self._ended_ns) * 1e-9
-        if self._asked is not None:
-            return self._asked, REST_S - since_s
+        if self._requested is not None:
+            return self._requested, REST_S - since_s
         if not self._automatic:
             return None, 0.0
         if self._repeat_s is not None:

@@ -59,8 +59,8 @@ log = logging.getLogger("altd")
 HELD_BACK_NS = 2_000_000_000
 """Time after a switching of the LEDs during which a window may lack exposures because of them."""
 _LAPSED = "nothing is corrected any more: no check has confirmed the drift for too long"
-_LAMPS_WITHIN_S = 3.0
-_LAMPS_ASKED_EVERY_S = 0.1
+_LAMPS_TIMEOUT_S = 3.0
+_LAMPS_POLL_INTERVAL_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class SelfChecks:
         self._logged = ""
         service.open(partial(parts.schedule.ask, Cause.REQUEST))
 
-    def look(self, located: Located) -> None:
+    def add(self, located: Located) -> None:
         """Note the position of a located spot, and detect a jump of all spots."""
         target = self._targets[located.camera]
         if isinstance(located.spot, Spot):
@@ -118,7 +118,7 @@ class SelfChecks:
             self._geometry.note_shock()
             self._has_jumped = True
 
-    def pass_on(self, measurement: Measurement) -> Measurement | None:
+    def apply(self, measurement: Measurement) -> Measurement | None:
         """Return a measurement with the faults of the geometry.
 
         None: only exposures taken by a check are missing; the measurement on the board remains, and ages.
@@ -139,11 +139,11 @@ class SelfChecks:
         try:
             await self._recall()
             await self._lamps_open(lamps)
-            await self._check_for_ever(exposer, frames)
+            await self._check_repeatedly(exposer, frames)
         finally:
             await self.memory.end()
 
-    async def _check_for_ever(self, exposer: CheckExposer, frames: MarkedFrames) -> None:
+    async def _check_repeatedly(self, exposer: CheckExposer, frames: MarkedFrames) -> None:
         while True:
             cause = await self._schedule.next()
             self._has_jumped = False
@@ -172,10 +172,10 @@ class SelfChecks:
                 self._component.set_state(self._geometry.state, self._geometry.faults[0].detail)
 
     async def _lamps_open(self, lamps: FrameLamps) -> None:
-        """Wait for lamps that are starting, and up to ``_LAMPS_WITHIN_S`` for lamps that failed."""
-        polls_left = round(_LAMPS_WITHIN_S / _LAMPS_ASKED_EVERY_S)
+        """Wait for lamps that are starting, and up to ``_LAMPS_TIMEOUT_S`` for lamps that failed."""
+        polls_left = round(_LAMPS_TIMEOUT_S / _LAMPS_POLL_INTERVAL_S)
         while lamps.complaint and polls_left:
-            await self._clock.sleep(_LAMPS_ASKED_EVERY_S)
+            await self._clock.sleep(_LAMPS_POLL_INTERVAL_S)
             polls_left -= not lamps.is_starting
 
     async def _checked(self, exposer: CheckExposer) -> Judged:

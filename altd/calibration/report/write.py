@@ -38,7 +38,7 @@ def checksum_in(head: bytes) -> str | None:
     return None if named is None else named[1].decode("ascii")
 
 
-def page_beside(calibration: Path) -> Path:
+def page_path(calibration: Path) -> Path:
     """Expected path of the page on a calibration file: next to it, with the same name."""
     return calibration.with_suffix(PAGE_SUFFIX)
 

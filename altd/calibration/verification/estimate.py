@@ -93,7 +93,7 @@ def joint_covariance(sets: Sequence[BeamSet], columns: tuple[int, int], with_sta
     """
     places_mm = np.concatenate([one.values[:, :2] for one in sets])
     squared_mm2 = np.square(places_mm[:, None] - places_mm[None]).sum(axis=2)
-    likeness = np.exp(-squared_mm2 / (2 * PATTERN_MM**2))
+    correlation = np.exp(-squared_mm2 / (2 * PATTERN_MM**2))
     count = len(places_mm)
     factor = np.concatenate([np.concatenate([one.map_factor[:, c] for one in sets]) for c in columns])
     covariance: FloatArray = factor @ factor.T
@@ -102,7 +102,7 @@ def joint_covariance(sets: Sequence[BeamSet], columns: tuple[int, int], with_sta
         block = slice(number * count, (number + 1) * count)
         stated = np.concatenate([one.sigma[:, column] for one in sets]) ** 2
         own = np.sqrt(np.maximum(stated - np.square(factor[block]).sum(axis=1), 0.0))
-        covariance[block, block] += likeness * np.outer(own, own)
+        covariance[block, block] += correlation * np.outer(own, own)
         if with_stage:
             covariance[block, block] += np.diag(stage_mm2)
     return covariance

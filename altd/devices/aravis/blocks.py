@@ -203,17 +203,17 @@ class Assembler:
         elif (port, header.extended) != (layout.port, layout.extended):
             self._contradict("frames come from two ports", now_ns)
             return
-        told = bytes(body)
+        content = bytes(body)
         known = next((other for block_id, other in self._leaders if block_id == header.block_id), None)
         if known is not None:
-            if known != told:
+            if known != content:
                 self._contradict("two frames have the same number", now_ns)
         elif self._leaders and not _is_ahead(header.block_id, self._leaders[-1][0], header.extended):
             self._contradict("the frames' numbers go back", now_ns)
         elif len(self._open) >= self._max_open:
             self.refused += 1
         else:
-            self._leaders.append((header.block_id, told))
+            self._leaders.append((header.block_id, content))
             device_ns = leader.timestamp * 1_000_000_000 // form.ticks_per_s if form.ticks_per_s else 0
             self._open[header.block_id] = _OpenBlock(
                 id=header.block_id,

@@ -189,12 +189,12 @@ class AravisCamera:
         address = wanted if is_address(wanted) else self._address
         for _ in range(_MAX_DISCOVERY_TRIES):
             camera = None if address is None else gvcp.discover_at(address, _ANSWER_TIMEOUT_S)
-            if camera is not None and (address == wanted or camera.is_called(wanted)):
+            if camera is not None and (address == wanted or camera.has_name(wanted)):
                 return camera
         if address == wanted:
             raise CameraNotFoundError(f"{wanted}: no GigE Vision camera answers there")
         there = gvcp.discover(_DISCOVERY_TIMEOUT_S)
-        claims = [camera for camera in there if camera.is_called(wanted)]
+        claims = [camera for camera in there if camera.has_name(wanted)]
         found = [camera for camera in claims if gvcp.discover_at(camera.address, _ANSWER_TIMEOUT_S) == camera]
         if len(found) > 1:
             raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")

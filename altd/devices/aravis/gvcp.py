@@ -50,7 +50,7 @@ class DiscoveredCamera:
         """Vendor, model and serial number, as Aravis composes them."""
         return f"{self.vendor}-{self.model}-{self.serial}"
 
-    def is_called(self, name: str) -> bool:
+    def has_name(self, name: str) -> bool:
         """Whether ``name`` is its serial number, address, id or user-defined name."""
         return name != "" and name in (self.serial, self.address, self.id, self.user_name)
 

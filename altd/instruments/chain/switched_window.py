@@ -61,7 +61,7 @@ class SwitchedWindow:
         self._is_new_visit = True
         self._rounds.forget()
 
-    def pass_over(self, sequence: int) -> None:
+    def skip(self, sequence: int) -> None:
         """See ``Window``: the targets are being switched, or the frame LEDs are lit."""
         self._is_new_visit = True
 

@@ -71,7 +71,7 @@ MAX_FAMILIAR = 16
 
 MAX_SESSIONS = 16
 IDLE_S = 1800.0
-LONGEST_S = 8 * 3600.0
+MAX_SESSION_S = 8 * 3600.0
 
 
 @dataclass(slots=True)
@@ -112,7 +112,7 @@ class Sessions:
         session = self._sessions.get(key)
         if session is None:
             return None
-        if now_ns - session.used_ns > IDLE_S * 1e9 or now_ns - session.began_ns > LONGEST_S * 1e9:
+        if now_ns - session.used_ns > IDLE_S * 1e9 or now_ns - session.began_ns > MAX_SESSION_S * 1e9:
             del self._sessions[key]
             return None
         if session.password != password_of(session.name):

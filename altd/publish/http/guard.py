@@ -12,7 +12,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, LONGEST_S, MAX_FAMILIAR, Sessions, host_of
+from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, MAX_SESSION_S, Sessions, host_of
 from altd.publish.http.errors import Refused, refusal
 from altd.status.event_log import EventKind, EventLog
 from altd.tcp_port import Buckets, address_of, group_of, is_loopback
@@ -24,7 +24,7 @@ THIS_COMPUTER = "this computer"
 """User name if the address, or the local socket, alone gives the permission."""
 
 _LOCAL_NAMES = ("localhost", "")
-_STRANGERS = "strangers"
+_UNFAMILIAR = "unfamiliar"
 
 
 class CredentialStore(Protocol):
@@ -63,7 +63,7 @@ class Guard:
         self._is_local = is_local
         self._sessions = Sessions(clock)
         self._attempts = Buckets(ATTEMPTS, clock)
-        self._strangers_attempts = Buckets(ALL_ATTEMPTS, clock)
+        self._unfamiliar_attempts = Buckets(ALL_ATTEMPTS, clock)
         self._familiar = OrderedDict[str, None]()
         """Addresses that have logged in, in the order of their last login."""
         self._verifying = asyncio.Lock()
@@ -135,7 +135,7 @@ class Guard:
             else:  # the name is not noted: some people type their password there
                 self._note(request, "a wrong name or password", "login_refused")
             raise _unknown("name or password is wrong")
-        self._forgive(request)
+        self._return_attempt(request)
         self._note(request, "logged in", "login", name)
         return self._sessions.begin(name, credentials.password_of(name))
 
@@ -167,7 +167,7 @@ class Guard:
         address = _group(request)
         wait_s = self._attempts.wait_s(address)
         if address not in self._familiar:
-            wait_s = max(wait_s, self._strangers_attempts.wait_s(_STRANGERS))
+            wait_s = max(wait_s, self._unfamiliar_attempts.wait_s(_UNFAMILIAR))
         if wait_s:
             self._note(request, "too many wrong attempts", "attempts_limited")
             raise Refused(too_many("too many wrong attempts", wait_s))
@@ -175,7 +175,7 @@ class Guard:
     def _count_attempt(self, request: HTTPConnection) -> None:
         self._attempts.take(address := _group(request))
         if address not in self._familiar:
-            self._strangers_attempts.take(_STRANGERS)
+            self._unfamiliar_attempts.take(_UNFAMILIAR)
 
     def _note(self, request: HTTPConnection, what: str, code: str, name: str | None = None) -> None:
         """Note an action of a user and its address; the event log counts repetitions."""
@@ -185,10 +185,10 @@ class Guard:
         detail = {"code": code, "address": address}
         self._events.note(EventKind.REQUEST, f"{what}, from {address}", name, None, detail)
 
-    def _forgive(self, request: HTTPConnection) -> None:
-        self._attempts.give_back(address := _group(request))
+    def _return_attempt(self, request: HTTPConnection) -> None:
+        self._attempts.put_back(address := _group(request))
         if address not in self._familiar:
-            self._strangers_attempts.give_back(_STRANGERS)
+            self._unfamiliar_attempts.put_back(_UNFAMILIAR)
         self._familiar[address] = None
         self._familiar.move_to_end(address)
         if len(self._familiar) > MAX_FAMILIAR:
@@ -216,7 +216,7 @@ def session_cookie(request: HTTPConnection, secret: str) -> str:
     parts = [
         f"{cookie_name(request)}={secret}",
         "Path=/",
-        f"Max-Age={round(LONGEST_S) if secret else 0}",
+        f"Max-Age={round(MAX_SESSION_S) if secret else 0}",
         "HttpOnly",
         "SameSite=Strict",
     ]

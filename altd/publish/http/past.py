@@ -61,15 +61,15 @@ class Past:
 
     def _trend_query(self, query: Query) -> Callable[[Reader], str]:
         from_us, to_us = self._span(query)
-        points = query.whole("points", POINTS, 1, MAX_POINTS)
+        points = query.integer("points", POINTS, 1, MAX_POINTS)
         if from_us >= to_us:
             return lambda reader: dumps(_columns(Trend("none", 0, ()), reader))
         return lambda reader: dumps(_columns(reader.trend(from_us, to_us, points), reader), allow_nan=False)
 
     def _events_query(self, query: Query) -> Callable[[Reader], str]:
         from_us, to_us = self._span(query, from_s=0.0)
-        limit = query.whole("limit", EVENTS, 1, MAX_EVENTS)
-        before = query.whole("before", 2**53, 0, 2**53)
+        limit = query.integer("limit", EVENTS, 1, MAX_EVENTS)
+        before = query.integer("before", 2**53, 0, 2**53)
         kind = query.text("kind")
         if kind is not None and kind not in set(EventKind):
             raise _unusable(f"kind is none; possible: {', '.join(EventKind)}")
@@ -119,7 +119,7 @@ class Query:
             raise _unusable(f"{name} is no time, in seconds")
         return number
 
-    def whole(self, name: str, otherwise: int, low: int, high: int) -> int:
+    def integer(self, name: str, otherwise: int, low: int, high: int) -> int:
         """Return a whole number; raises Refused unless it is from ``low`` to ``high``."""
         text = self.text(name)
         if text is None:

@@ -176,12 +176,12 @@ class HttpPublisher:
         self._complaints: dict[str, str] = {}
         keeper = certificate = None
         if settings.credentials is not None:
-            keeper = CredentialsKeeper(settings.credentials, partial(self._complain, "credentials"))
+            keeper = CredentialsKeeper(settings.credentials, partial(self._report_error, "credentials"))
         if settings.certificate is not None and settings.key is not None:
-            complain = partial(self._complain, "certificate")
+            report_error = partial(self._report_error, "certificate")
             files = settings.certificate, settings.key
             certificate = RenewedContext(
-                partial(server_context, *files, protocols=("http/1.1",)), files, complain
+                partial(server_context, *files, protocols=("http/1.1",)), files, report_error
             )
         known = None if keeper is None else keeper.current
         guard = Guard(known, component.clock, events, is_local=self.is_local)
@@ -207,21 +207,21 @@ class HttpPublisher:
 
         def serving() -> None:
             ready()
-            self._tell()
+            self._set_state()
 
         requests = Buckets(REQUESTS, self._component.clock)
         application = application_of(self.answers, self._component, requests, self._names)
         await serve(application, listener, self._component, self._policy, serving)
 
-    def _complain(self, about: str, sentence: str) -> None:
+    def _report_error(self, about: str, sentence: str) -> None:
         """Report that a changed file cannot be used, or, with an empty sentence, that it can be again."""
         self._complaints.pop(about, None)
         if sentence:
             self._complaints[about] = sentence
             log.warning("%s: %s", self._component.name, sentence)
-        self._tell()
+        self._set_state()
 
-    def _tell(self) -> None:
+    def _set_state(self) -> None:
         wrong = "; ".join(self._complaints.values())
         self._component.set_state(State.DEGRADED if wrong else State.OK, wrong or self._place)
 

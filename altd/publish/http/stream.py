@@ -47,7 +47,7 @@ async def events(
     resumable stream, including missed ones.
     """
     cursor = board.cursor()
-    told: Measurement | None = None
+    sent: Measurement | None = None
     yield f"retry: {RETRY_MS}\n\n"
     try:
         while True:
@@ -58,14 +58,14 @@ async def events(
             except TimeoutError:
                 latest = board.read()
             component.count("events_skipped", cursor.skipped - skipped)
-            if latest is None or latest == told:
+            if latest is None or latest == sent:
                 yield ": nothing new\n\n"
             else:
-                told = latest
+                sent = latest
                 component.gave_data()
                 line = checked_line(board, latest, stamps.next())
                 yield event(latest, line) if resuming is None else resuming.event(latest, line)
-            for each in () if resuming is None or told is None else resuming.past(told):
+            for each in () if resuming is None or sent is None else resuming.past(sent):
                 yield each
     finally:
         if resuming is not None:
@@ -86,11 +86,11 @@ class Resuming:
             return f"data: {line}\n\n"
         return f"id: {id_of(key_of(measurement))}\ndata: {line}\n\n"
 
-    def past(self, told: Measurement) -> Sequence[str]:
+    def past(self, sent: Measurement) -> Sequence[str]:
         """Return the events missed before the first measurement sent, once they are ready; never waits."""
         if self._missed is None:
             return ()
-        self._until = self._until or told
+        self._until = self._until or sent
         if self._asking is None:
             self._asking = asyncio.create_task(self._missed.events(self._until))
         if not self._asking.done():
@@ -149,7 +149,7 @@ MAX_ROWS = 12_000
 MAX_WAIT_S = 5.0
 """Maximum wait for the history, which has a measurement within a few seconds."""
 
-_LOOK_AGAIN_S = 0.5
+_CHECK_INTERVAL_S = 0.5
 _ID = re.compile(r"([0-9]{1,18})-([0-9]{1,18})")
 
 Key = tuple[int, int]
@@ -182,7 +182,7 @@ class Resume:
         self._after: Key | None = (int(found[1]), int(found[2])) if found else None
         self._row: int | None = None
         self._sent = 0
-        self._looked_ns: int | None = None
+        self._checked_ns: int | None = None
         self._waits_since_ns: int | None = None
         self.is_done = False
 
@@ -194,7 +194,7 @@ class Resume:
         if self._after == key_of(until):
             self.is_done = True
             return ()
-        if self._looked_ns is not None and now_ns - self._looked_ns < _LOOK_AGAIN_S * 1e9:
+        if self._checked_ns is not None and now_ns - self._checked_ns < _CHECK_INTERVAL_S * 1e9:
             return ()
         try:
             rows = await self._history.ask(self._read)
@@ -216,7 +216,7 @@ class Resume:
 
     def _waited(self, now_ns: int, why: str, *, is_short: bool, came: bool) -> Sequence[str]:
         """Return nothing, to read again soon, or a gap if no row has arrived for ``MAX_WAIT_S``."""
-        self._looked_ns = now_ns if is_short else None
+        self._checked_ns = now_ns if is_short else None
         if came or self._waits_since_ns is None:
             self._waits_since_ns = now_ns
         if now_ns - self._waits_since_ns > MAX_WAIT_S * 1e9:

@@ -105,7 +105,7 @@ MAX_READ = 125
 TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR)
 """Tables for functions 3 and 4; a read must not extend beyond one of them."""
 
-_SHARES_EVERY_S = 10.0
+_SHARES_INTERVAL_S = 10.0
 """Minimum interval between counts of the valid time: counting 31 days takes milliseconds."""
 
 
@@ -131,7 +131,7 @@ class Responder:
         self._block = CheckedBlock(order)
         self._stamps = Stamps(board)
         self._shares: Mapping[str, float | None] = {}
-        self._shares_s = -_SHARES_EVERY_S
+        self._shares_s = -_SHARES_INTERVAL_S
         allowed = {SELF_CHECK_ADDRESS: settings.allow_self_check, ZERO_ADDRESS: settings.allow_zero}
         self._commands = {address for address, is_allowed in allowed.items() if is_allowed}
 
@@ -212,7 +212,7 @@ class Responder:
             return self._block.at(checked)[place]
         if place := CONDITION.place(address, count):
             report = self._health.state()
-            if report is not None and self._running_s() - self._shares_s >= _SHARES_EVERY_S:
+            if report is not None and self._running_s() - self._shares_s >= _SHARES_INTERVAL_S:
                 self._shares, self._shares_s = report.availability.shares(), self._running_s()
             found = self._snapshot(report=report, shares=self._shares)
             return image(found, CONDITION, self._order)[place]

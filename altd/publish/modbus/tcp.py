@@ -83,7 +83,7 @@ class ModbusTcpPublisher:
         self._context: RenewedContext | None = None
         if settings.certificate and settings.key and settings.client_ca:
             files = settings.certificate, settings.key, settings.client_ca
-            self._context = RenewedContext(functools.partial(server_context, *files), files, self._tell)
+            self._context = RenewedContext(functools.partial(server_context, *files), files, self._set_state)
         self._addresses = Addresses()
         self._reserved = Networks(settings.reserved)
         self._response_turn = asyncio.Lock()
@@ -98,11 +98,11 @@ class ModbusTcpPublisher:
             self.port = listener.getsockname()[1]
             async with asyncio.TaskGroup() as clients:
                 ready()
-                self._tell("")
+                self._set_state("")
                 admit = functools.partial(self._admit, clients)
                 await accept(listener, self._component, admit)
 
-    def _tell(self, complaint: str) -> None:
+    def _set_state(self, complaint: str) -> None:
         """Set the state; ``complaint`` is the reason why a renewed certificate cannot be used, or empty."""
         if complaint:
             log.warning("%s: %s", self._component.name, complaint)

@@ -351,20 +351,22 @@ def _is_valid(snapshot: Snapshot) -> bool:
     return snapshot.measurement is not None and snapshot.measurement.valid
 
 
-def _says(*reasons: Reason) -> Callable[[Snapshot], bool]:
+def _has_reason(*reasons: Reason) -> Callable[[Snapshot], bool]:
     return lambda snapshot: snapshot.measurement is not None and has(snapshot.measurement, *reasons)
 
 
-def _shows(signal: Signal) -> Callable[[Snapshot], bool]:
+def _has_signal(signal: Signal) -> Callable[[Snapshot], bool]:
     return lambda snapshot: snapshot.report is not None and snapshot.report.signal is signal
 
 
 DISCRETE_INPUTS = (
     DiscreteInput("valid", "as bit 0 of `status`; steer only while `not_live` is 0", _is_valid),
-    DiscreteInput("failure", "the state is failure", _shows(Signal.FAILURE)),
-    DiscreteInput("check_function", "check function", _shows(Signal.CHECK_FUNCTION)),
-    DiscreteInput("out_of_specification", "out of specification", _shows(Signal.OUT_OF_SPECIFICATION)),
-    DiscreteInput("maintenance_required", "maintenance required", _shows(Signal.MAINTENANCE_REQUIRED)),
-    DiscreteInput("not_live", "frames or calibration are played or simulated", _says(*NOT_FROM_CAMERAS)),
-    DiscreteInput("rehearsal", "the daemon was started with `--rehearsal`", _says(Reason.REHEARSAL)),
+    DiscreteInput("failure", "the state is failure", _has_signal(Signal.FAILURE)),
+    DiscreteInput("check_function", "check function", _has_signal(Signal.CHECK_FUNCTION)),
+    DiscreteInput("out_of_specification", "out of specification", _has_signal(Signal.OUT_OF_SPECIFICATION)),
+    DiscreteInput("maintenance_required", "maintenance required", _has_signal(Signal.MAINTENANCE_REQUIRED)),
+    DiscreteInput(
+        "not_live", "frames or calibration are played or simulated", _has_reason(*NOT_FROM_CAMERAS)
+    ),
+    DiscreteInput("rehearsal", "the daemon was started with `--rehearsal`", _has_reason(Reason.REHEARSAL)),
 )

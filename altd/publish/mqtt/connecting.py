@@ -59,7 +59,7 @@ class BrokerPublisher(ABC, Generic[Connection]):
         """Return a connection that is not opened yet."""
 
     @abstractmethod
-    async def _introduce(self, broker: Connection) -> None:
+    async def _announce(self, broker: Connection) -> None:
         """Send the identity of the unit."""
 
     @abstractmethod
@@ -88,7 +88,7 @@ class BrokerPublisher(ABC, Generic[Connection]):
                 async with asyncio.TaskGroup() as tasks:
                     tasks.create_task(broker.lost(), name="mqtt connection")
                     tasks.create_task(self._listen(broker), name="mqtt beside")
-                    await self._introduce(broker)
+                    await self._announce(broker)
                     ready()
                     self._component.set_state(State.OK, "connected" if tls else "connected, without TLS")
                     await self._publish(broker)

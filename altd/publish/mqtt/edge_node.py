@@ -105,8 +105,8 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         self._sending = asyncio.Lock()
         self._rebirth = asyncio.Event()
         self._born_ns: int | None = None
-        self._told: Measurement | None = None
-        self._told_state: list[object] = []
+        self._sent: Measurement | None = None
+        self._sent_state: list[object] = []
 
     def _topic(self, kind: str) -> str:
         return f"{NAMESPACE}/{self._group}/{kind}/{self._node}"
@@ -128,7 +128,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
     def _bd_seq_metric(self, now_ms: int) -> Metric:
         return Metric("bdSeq", Type.INT64, self._bd_seq, now_ms)
 
-    async def _introduce(self, broker: EdgeNodeSession) -> None:
+    async def _announce(self, broker: EdgeNodeSession) -> None:
         await broker.subscribe_to(self._topic("NCMD"), self._take_command)
         async with self._sending:
             await self._send_birth(broker)
@@ -156,7 +156,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         self._born_ns, self._seq = self._clock.monotonic_ns(), 0
         now_ms = self._now_ms()
         identity = identity_metrics(birth_of(self._board, self._health, self._clock), now_ms)
-        self._told, self._told_state = None, []
+        self._sent, self._sent_state = None, []
         metrics = [
             self._bd_seq_metric(now_ms),
             Metric(REBIRTH, Type.BOOLEAN, False, now_ms),
@@ -185,13 +185,13 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         """Metrics of the state; empty if all values equal the ones sent last."""
         metrics = state_metrics(self._health.state(), now_ms)
         values: list[object] = [each.value for each in metrics]
-        before, self._told_state = self._told_state, values
+        before, self._sent_state = self._sent_state, values
         return [] if before == values else metrics
 
     def _new_measurement(self) -> list[Metric]:
         """All metrics of the measurement, also if it became stale; empty if it equals the one sent last."""
         shown = self._board.read()
-        before, self._told = self._told, shown
+        before, self._sent = self._sent, shown
         return [] if before == shown else measurement_metrics(shown, self._board, self._clock)
 
     async def _send(self, broker: EdgeNodeSession, kind: str, metrics: Sequence[Metric]) -> None:

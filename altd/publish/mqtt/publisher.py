@@ -67,8 +67,8 @@ class MqttPublisher(BrokerPublisher[Broker]):
             health.component("outbox").set_state(State.DEGRADED, "there is no history: no second is kept")
         self._unsummarised = board.cursor()
         self._since_summary: list[Measurement] = []
-        self._told: Measurement | None = None
-        self._told_state: object = None
+        self._sent: Measurement | None = None
+        self._sent_state: object = None
         self._refresh_ns = 0
 
     def _connection(self, login: Login, tls: ssl.SSLContext | None) -> Broker:
@@ -92,7 +92,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             self._since_summary.append(await self._unsummarised.next())
             self._component.count("measurements_not_summarised", self._unsummarised.skipped - skipped)
 
-    async def _introduce(self, broker: Broker) -> None:
+    async def _announce(self, broker: Broker) -> None:
         """Send the identity; ``online`` is last, so that a client that receives it has everything else."""
         topics, version = self._topics, self._health.facts.get("version", "")
         birth = self._with_proof(birth_of(self._board, self._health, self._clock))
@@ -101,12 +101,12 @@ class MqttPublisher(BrokerPublisher[Broker]):
             device = discovery_of(self._board.quantities, topics, self._identifier, self._serial, version)
             config = discovery_topic(prefix, self._identifier)
             await broker.send(config, json.dumps(device), expiry_s=None, retain=True)
-        self._told = None
+        self._sent = None
         await self._refresh(broker)
 
     async def _refresh(self, broker: Broker) -> None:
         self._refresh_ns = self._clock.monotonic_ns() + round(REFRESH_INTERVAL_S * 1e9)
-        self._told_state = None
+        self._sent_state = None
         await self._send_state(broker)
         await broker.send(self._topics.availability, ONLINE, expiry_s=RETAINED_EXPIRY_S, retain=True)
 
@@ -126,9 +126,9 @@ class MqttPublisher(BrokerPublisher[Broker]):
 
     async def _send_measurement(self, broker: Broker) -> None:
         measurement = self._board.read()
-        if measurement is None or measurement == self._told:
+        if measurement is None or measurement == self._sent:
             return
-        self._told = measurement
+        self._sent = measurement
         line = checked_line(self._board, measurement, self._stamps.next())
         await broker.send(self._topics.measurement, line, expiry_s=NUMBERS_EXPIRY_S)
         self._has_sent()
@@ -139,9 +139,9 @@ class MqttPublisher(BrokerPublisher[Broker]):
         if report is None:
             return
         causes = [(shown.cause.kind, shown.cause.of, shown.is_active) for shown in report.causes]
-        if (state := (report.signal, causes)) == self._told_state:
+        if (state := (report.signal, causes)) == self._sent_state:
             return
-        self._told_state = state
+        self._sent_state = state
         line = self._with_proof(state_of(report, self._clock))
         await broker.send(self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)
 

@@ -160,8 +160,8 @@ _NOT_LIVE = NOT_FROM_CAMERAS | {Reason.NOT_LIVE, Reason.REHEARSAL}
 
 def identity_metrics(birth: Mapping[str, Any], now_ms: int) -> list[Metric]:
     """Return the properties of the unit as metrics, from its birth message in JSON."""
-    told = {key: birth[key] for key in ("serial", "version", "instrument")}
-    told |= {f"calibration_{key}": value for key, value in birth["calibration"].items()}
+    unit = {key: birth[key] for key in ("serial", "version", "instrument")}
+    unit |= {f"calibration_{key}": value for key, value in birth["calibration"].items()}
     return [
         Metric(
             f"Properties/{key}",
@@ -170,7 +170,7 @@ def identity_metrics(birth: Mapping[str, Any], now_ms: int) -> list[Metric]:
             now_ms,
             Quality.BAD if value is None else Quality.GOOD,
         )
-        for key, value in told.items()
+        for key, value in unit.items()
     ]
 
 

@@ -38,7 +38,7 @@ NICE = 10
 MAX_MEMORY_BYTES = 384 << 20
 """Maximum data (RLIMIT_DATA): clients that exhaust the memory end this process, not the unit."""
 MAX_LINE_BYTES = 1 << 18
-LOOK_INTERVAL_S = 0.1
+CHECK_INTERVAL_S = 0.1
 FIGURES_INTERVAL_S = 1.0
 ANSWER_TIMEOUT_S = 5.0
 
@@ -63,7 +63,7 @@ class ServedUnit:
         self.nodes = UnitNodes(self.server, start)
         self.live = LiveUnit(self.nodes, start, monotonic_ns)
         self._history = History(start.history, "this unit keeps no history", start.serial)
-        self._asked: list[asyncio.Future[str]] = []
+        self._requests: list[asyncio.Future[str]] = []
 
     async def begin(self) -> None:
         """Build the address space and start serving."""
@@ -84,7 +84,7 @@ class ServedUnit:
             server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         await self.nodes.build()
         stored = StoredValues(self._history, start, self.nodes.quantity_of)
-        server.limited.read_history, server.limited.look = stored.read, self.live.look
+        server.limited.read_history, server.limited.withdraw_stale = stored.read, self.live.withdraw_stale
         if settings.allow_self_check:
             await self.nodes.add_method("SelfCheck", "ask the unit for a self-check", self._self_check)
         await server.start()
@@ -98,8 +98,8 @@ class ServedUnit:
         """Process a line of the daemon: a measurement, the state, or the answer to a self-check request."""
         if not line.startswith(b'{"self_check"'):
             await self.live.take(line)
-        elif self._asked:
-            asked = self._asked.pop(0)
+        elif self._requests:
+            asked = self._requests.pop(0)
             if not asked.done():
                 asked.set_result(json.loads(line)["self_check"])
 
@@ -126,11 +126,11 @@ class ServedUnit:
 
     async def _self_check(self, _: ua.NodeId) -> ua.StatusCode:
         """Request a self-check and wait for the daemon's answer; empty text: the check will run."""
-        if len(self._asked) >= 1:
+        if len(self._requests) >= 1:
             return ua.StatusCode(ua.StatusCodes.BadTooManyOperations)
         asked = asyncio.get_running_loop().create_future()
-        self._asked.append(asked)
-        say({"self_check": caller.get()})
+        self._requests.append(asked)
+        send({"self_check": caller.get()})
         try:
             async with asyncio.timeout(ANSWER_TIMEOUT_S):
                 refusal = await asked
@@ -139,7 +139,7 @@ class ServedUnit:
         return ua.StatusCode(ua.StatusCodes.BadInvalidState if refusal else ua.StatusCodes.Good)
 
 
-def say(document: dict[str, Any]) -> None:
+def send(document: dict[str, Any]) -> None:
     """Send a line to the daemon."""
     print(json.dumps(document), flush=True)  # noqa: T201  the pipe
 
@@ -153,7 +153,7 @@ async def serve(descriptor: int) -> None:
     await unit.begin()
     gc.collect()
     gc.freeze()
-    say({"serving": True})
+    send({"serving": True})
     keeping = asyncio.create_task(_keep(unit))
     try:
         while line := await reader.readline():
@@ -174,16 +174,16 @@ async def _keep(unit: ServedUnit) -> None:
     changed = unit.server.limited.clients_changed
     while True:
         changed.clear()
-        await unit.live.look()
+        await unit.live.withdraw_stale()
         if (has_clients := unit.has_clients) != had_clients:
             had_clients = has_clients
-            say({"has_clients": has_clients})
+            send({"has_clients": has_clients})
         if (now_s := time.monotonic()) >= due_s:
             due_s = now_s + FIGURES_INTERVAL_S
             unit.server.close_idle()
-            say({"figures": unit.figures()})
+            send({"figures": unit.figures()})
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(LOOK_INTERVAL_S):
+            async with asyncio.timeout(CHECK_INTERVAL_S):
                 await changed.wait()
 
 

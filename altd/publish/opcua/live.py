@@ -62,7 +62,7 @@ class LiveUnit:
         elif "sequence" in document:
             await self._measurement(document)
 
-    async def look(self) -> None:
+    async def withdraw_stale(self) -> None:
         """Withdraw values that became stale; to be called several times a second, and before a read."""
         if self._numbers_known and not self._is_within(self._first_sent_ns, self._start.stale_after_s):
             self._numbers_known = False

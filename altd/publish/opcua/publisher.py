@@ -111,7 +111,7 @@ class OpcUaPublisher:
         errors = asyncio.create_task(self._errors(process, said), name="opcua errors")
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._tell(process), name="opcua lines")
+                tasks.create_task(self._send(process), name="opcua lines")
                 tasks.create_task(self._listen(process, ready), name="opcua answers")
         except BaseExceptionGroup as group:
             if (ended := unwrap_group(group, ServerError, ConnectionError)) is None:
@@ -139,7 +139,7 @@ class OpcUaPublisher:
             if isinstance(error, asyncio.CancelledError):
                 raise
 
-    async def _tell(self, process: Process) -> None:
+    async def _send(self, process: Process) -> None:
         """Send one line after the other, each created when the previous one was read."""
         assert process.stdin is not None  # noqa: S101  a pipe
         pipe = process.stdin
@@ -147,7 +147,7 @@ class OpcUaPublisher:
         with contextlib.suppress(OSError):
             fcntl.fcntl(pipe.get_extra_info("pipe"), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         pipe.write(self._start().to_line())
-        cursor, told, due_ns = self._board.cursor(), None, 0
+        cursor, sent, due_ns = self._board.cursor(), None, 0
         while True:
             try:
                 async with asyncio.timeout(self._patience_s):
@@ -169,8 +169,8 @@ class OpcUaPublisher:
             if (measurement := self._board.read()) is not None:
                 pipe.write(checked_line(self._board, measurement, self._stamps.next()).encode() + b"\n")
             state, now_ns = self._health.state(), self._component.clock.monotonic_ns()
-            if (shown := _shown(state)) != told or now_ns >= due_ns:
-                told, due_ns = shown, now_ns + round(STATE_INTERVAL_S * 1e9)
+            if (shown := _shown(state)) != sent or now_ns >= due_ns:
+                sent, due_ns = shown, now_ns + round(STATE_INTERVAL_S * 1e9)
                 document = {} if state is None else state.as_object()
                 pipe.write(with_proof(document, self._board, self._stamps.next()).encode() + b"\n")
 

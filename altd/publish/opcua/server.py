@@ -166,7 +166,7 @@ class LimitedServer(InternalServer):
         self.failed_logins: dict[str, float] = {}
         self.refused: Counter[str] = Counter()
         """Number of requests over a limit, by kind."""
-        self.look: Callable[[], Awaitable[None]]
+        self.withdraw_stale: Callable[[], Awaitable[None]]
         self.read_history: Callable[[ua.HistoryReadParameters], Awaitable[list[ua.HistoryReadResult]]]
 
     def refuse(self, what: str) -> None:
@@ -182,7 +182,7 @@ class LimitedServer(InternalServer):
                 self.unregister_external_session(session)
         self.begun[name] += 1
         if len(self._external_sessions) >= MAX_SESSIONS:
-            self._end_one_that_is_left()
+            self._end_previous()
         sessions = self._external_sessions.values()
         is_open = any(session.name == name and not session.is_left for session in sessions)
         if is_open or self.begun[name] > MAX_SESSIONS_BEGUN or len(self._external_sessions) >= MAX_SESSIONS:
@@ -190,7 +190,7 @@ class LimitedServer(InternalServer):
             raise ServiceError(ua.StatusCodes.BadTooManySessions)
         return Session(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
-    def _end_one_that_is_left(self) -> None:
+    def _end_previous(self) -> None:
         """End the oldest abandoned session: lost clients may return for a time, but must not block others."""
         left = [session for session in self._external_sessions.values() if session.is_left]
         if left:

@@ -91,7 +91,7 @@ class Session(InternalSession):
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Read attributes; values that became stale while this process was held up are withdrawn first."""
         self._check_number(params.NodesToRead)
-        await self.iserver.look()
+        await self.iserver.withdraw_stale()
         return await super().read(params)
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:

@@ -32,12 +32,12 @@ def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component
         return known
     if fault.reason is Reason.SPOT_MISSING and {other.target for other in status} - {None} == {fault.target}:
         return _ONE_TARGET_DARK
-    if fault.reason is Reason.CAMERA_SILENT and any(map(is_ill_camera, components)):
+    if fault.reason is Reason.CAMERA_SILENT and any(map(is_faulty_camera, components)):
         return _CAMERA_BELOW
     return Advice(fault.reason.brief, fault.reason.remedy)
 
 
-def is_ill_camera(component: Component) -> bool:
+def is_faulty_camera(component: Component) -> bool:
     """Whether it is a camera that does not deliver as it should."""
     return component.name.startswith("camera ") and component.state not in (State.OK, State.STARTING)
 
@@ -47,13 +47,13 @@ def component_steps(components: Iterable[Component], status: Iterable[Fault]) ->
 
     ``measuring`` is omitted if ``status`` already reports it in other words.
     """
-    told = any(status)
+    has_fault = any(status)
     for component in components:
-        ill = component.state in (State.FAILED, State.DEGRADED) or is_ill_camera(component)
-        if not ill or (component.name == MEASURING and told):
+        is_faulty = component.state in (State.FAILED, State.DEGRADED) or is_faulty_camera(component)
+        if not is_faulty or (component.name == MEASURING and has_fault):
             continue
         message = component.message
         remedy = next((does for words, does in _CAMERA_REMEDIES.items() if message.startswith(words)), "")
         yield f"{component.name} {component.state}: {message or 'no more is known'}" + (
-            f": {remedy}" if remedy and is_ill_camera(component) else ""
+            f": {remedy}" if remedy and is_faulty_camera(component) else ""
         )

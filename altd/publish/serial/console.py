@@ -30,7 +30,7 @@ class Console:
     """One console.
 
     ``watching_s`` is the interval at which ``tick`` is due, None without ``watch``; ``asking_s`` is the time
-    after a question at which ``give_up`` is due, None while no question is open.
+    after a question at which ``drop_question`` is due, None while no question is open.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Console:
         find, self._find = self._find, None
         return b"" if find is None else self._paged(await find())
 
-    def give_up(self) -> bytes:
+    def drop_question(self) -> bytes:
         """End an open question that was not answered."""
         return b"" if self._question is None else self._reply(None)
 

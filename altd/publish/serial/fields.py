@@ -44,7 +44,7 @@ def number(digits: int, decimals: int, *, signed: bool) -> Form:
     )
 
 
-def whole(largest: int) -> Form:
+def integer(largest: int) -> Form:
     """A whole number from 0, with at most the digits of ``largest``; leading zeros are not needed."""
     return Form(
         widest=str(largest),

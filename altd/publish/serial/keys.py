@@ -141,7 +141,7 @@ class KeyReader:
     def rest(self) -> Iterator[str | Key]:
         """Drop what is open after ``waiting_s`` without input; ESC alone was a key."""
         alone = self._in is _In.ESCAPE and not self._sequence
-        self._telnet.give_up()
+        self._telnet.discard()
         self._in = _In.TEXT
         self._pasting = False
         yield from self._keys(self._decoder.decode(b"", final=True))
@@ -260,7 +260,7 @@ class _Telnet:
         """Whether a command is incomplete."""
         return bool(self._command)
 
-    def give_up(self) -> None:
+    def discard(self) -> None:
         """Drop an incomplete command."""
         self._command.clear()
 

@@ -162,7 +162,7 @@ class ConsolePublisher:
                 typed, waiting = _first_line(waiting)
                 known, now_ns = console.commands, self._clock.monotonic_ns()
                 if now_ns >= answer_ns:  # before input that was typed too late
-                    self._show(port, console.give_up())
+                    self._show(port, console.drop_question())
                 if typed:
                     was_asking = console.asking_s is not None
                     self._show(port, console.feed(typed))

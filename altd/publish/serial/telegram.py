@@ -19,7 +19,7 @@ from operator import xor
 from typing import Any
 
 from altd.config import TelegramPortSettings
-from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number, text, whole
+from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, integer, number, text
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.proof import Stamp, crc32
@@ -36,7 +36,7 @@ MILLIMETRES = number(4, 3, signed=True)
 DEGREES = number(2, 4, signed=True)
 SIGMA_MILLIMETRES = number(2, 4, signed=False)
 SIGMA_DEGREES = number(1, 4, signed=False)
-SEQUENCE = whole(SEQUENCE_MODULUS - 1)
+SEQUENCE = integer(SEQUENCE_MODULUS - 1)
 
 
 class TelegramError(ValueError):
@@ -149,7 +149,7 @@ QUALITY = Sentence(
     "its quality",
     (
         Field("sequence", SEQUENCE, "", "that of the `$PALTM` before it"),
-        Field("frames", whole(9999), "", "exposures that were averaged"),
+        Field("frames", integer(9999), "", "exposures that were averaged"),
         Field("sigma_x_mm", SIGMA_MILLIMETRES, "mm", "standard deviation of x"),
         Field("sigma_y_mm", SIGMA_MILLIMETRES, "mm", "standard deviation of y"),
         Field("sigma_yaw_deg", SIGMA_DEGREES, "degree", "standard deviation of yaw"),
@@ -208,7 +208,7 @@ MAX_AGE_MS = 9_999_999
 """Maximum age that is sent, close to three hours; a greater age is sent as this value."""
 
 _HEXADECIMAL = Form("FFFFFFFF", re.compile(r"[0-9A-F]{8}", re.ASCII), lambda value: f"{value:08X}")
-_COUNT = whole(0xFFFF_FFFE)
+_COUNT = integer(0xFFFF_FFFE)
 _DATE = Form("20991231", re.compile(r"\d{8}", re.ASCII), lambda value: f"{value:%Y%m%d}")
 
 
@@ -234,7 +234,7 @@ PROOF = Sentence(
         Field("message", _COUNT, "", "counts the telegrams of this port"),
         Field("clock_ms", _COUNT, "ms", "since the daemon started, at sending"),
         Field("date", _DATE, "yyyymmdd", "UTC, goes with `time` of `$PALTM`; empty when not known"),
-        Field("age_ms", whole(MAX_AGE_MS), "ms", "since the middle of the exposures, at sending"),
+        Field("age_ms", integer(MAX_AGE_MS), "ms", "since the middle of the exposures, at sending"),
         Field("crc32", _HEXADECIMAL, "", "of every character before it"),
     ),
 )

@@ -13,7 +13,7 @@ from altd.status.cause import ShownCause, StateReport
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, Component, Health, State, duration
 
-_SAID_BY_COMPONENTS = {
+_SHOWN_BY_COMPONENTS = {
     Condition.CAMERA_FAILED,
     Condition.CAMERA_DEGRADED,
     Condition.RECORDING_ENDED,
@@ -32,7 +32,7 @@ _SPANS = {
     "last_31_days": "of the last 31 days",
     "since_start": "since the start",
 }
-_MOST_LOST = 3
+_MAX_LOST_SHOWN = 3
 """Maximum number of reasons for lost time that are named."""
 
 
@@ -51,7 +51,7 @@ def state_steps(report: StateReport) -> list[str]:
     return [
         f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.remedy}"
         for shown in report.causes
-        if isinstance(shown.cause.kind, Condition) and shown.cause.kind not in _SAID_BY_COMPONENTS
+        if isinstance(shown.cause.kind, Condition) and shown.cause.kind not in _SHOWN_BY_COMPONENTS
     ]
 
 
@@ -72,7 +72,7 @@ def _available(report: StateReport, whole: bool) -> str:
         if share is None:
             continue
         text = f"{_percent(share)} {_SPANS[name]}"
-        lost = list(cast("Mapping[str, float]", tally["lost_s"]).items())[:_MOST_LOST]
+        lost = list(cast("Mapping[str, float]", tally["lost_s"]).items())[:_MAX_LOST_SHOWN]
         if whole and lost:
             text += f" (lost: {', '.join(f'{reason} {duration(seconds)}' for reason, seconds in lost)})"
         parts.append(text)

@@ -204,7 +204,7 @@ FAULTS: dict[str, tuple[Callable[[Unit], str | None], str]] = {
     ),
     "no calibration": (
         missing_calibration,
-        r"altd\.toml: unit\.calibration: .*cal\.json is not there yet; .*",
+        r"altd\.toml: unit\.calibration: .*cal\.json does not exist yet; .*",
     ),
     "another calibration": (other_calibration, r"cal\.json: is another file than was loaded: restart altd"),
     "outbox switched on": (

@@ -49,7 +49,7 @@ def flats(folder: Path) -> dict[str, Flat]:
     return flats_of(open_recording(folder / "flat"), target_frames([open_recording(folder / "scan")]))
 
 
-def likeness(flat: Flat, unit: Unit, camera: str) -> float:
+def correlation(flat: Flat, unit: Unit, camera: str) -> float:
     """Correlation with the true response where the flat says anything: not at hot pixels."""
     known = flat.levels > 0
     assert np.mean(known) > 0.999
@@ -62,7 +62,7 @@ def test_a_flat_is_what_the_pixels_show_of_even_light(
 ) -> None:
     assert flats[camera].source == "recording"
     assert flats[camera].response.mean() == pytest.approx(1.0)
-    assert likeness(flats[camera], unit, camera) > 0.97
+    assert correlation(flats[camera], unit, camera) > 0.97
 
 
 def test_a_flat_of_another_camera_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_without_a_flat_the_print_is_found_and_the_plain_plate_is_seen_to_be_pla
     assert (front.localiser.method, rear.localiser.method) == ("profile", "profile")
     assert (front.flat is not None, rear.flat) == (True, None)
     assert front.flat is not None
-    assert likeness(front.flat, unit, "front") > 0.95
+    assert correlation(front.flat, unit, "front") > 0.95
     off_mm, off_deg = errors_of(result.calibration, unit)
     assert off_mm < 0.012
     assert off_deg < 0.0035

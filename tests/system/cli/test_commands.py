@@ -258,7 +258,7 @@ class TestBadInput:
         """Findings beside the config depend on the computer; `altd doctor` calls them wrong."""
         path = tmp_path / "altd.toml"
         path.write_text((folder / "altd.toml").read_text().replace(str(folder / "beams"), "nowhere"))
-        assert "/nowhere is not there yet; altd record makes it" in refusal(
+        assert "/nowhere does not exist yet; altd record makes it" in refusal(
             altd_here("run", "--config", path)
         )
         outcome = altd_here("check-config", path)
@@ -266,7 +266,7 @@ class TestBadInput:
         assert outcome.out.splitlines() == [
             f"{path}: good: unit TEST-1, 2 targets",
             f"{path}: not live: its values are valid only with `altd run --rehearsal`",
-            f"{path}: cameras.front.path, cameras.rear.path: {tmp_path}/nowhere is not there yet; "
+            f"{path}: cameras.front.path, cameras.rear.path: {tmp_path}/nowhere does not exist yet; "
             "altd record makes it",
         ]
 

@@ -12,5 +12,5 @@ def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> 
     for chip in ("lamp-board", "gpiochip0", "/dev/gpiochip0"):
         assert [finding["verdict"] for finding in found[chip]] == ["good"]
     (finding,) = found["other-board"]
-    assert finding["verdict"] == "WRONG"
+    assert finding["verdict"] == "ERROR"
     assert "there is /dev/gpiochip0" in finding["text"]

@@ -41,9 +41,9 @@ def test_on_a_real_link_with_a_small_mtu(tmp_path: Path) -> None:
     )
     assert done.returncode == 1, done.stderr
     assert "good    camera front 192.168.77.20: is in the network of cam" in done.stdout
-    assert "WRONG   network cam: its MTU is 1400 but packet_bytes 1500" in done.stdout
+    assert "ERROR   network cam: its MTU is 1400 but packet_bytes 1500" in done.stdout
     assert (
-        "WRONG   camera rear 10.9.8.7: no interface has an address in its network: nothing leads there"
+        "ERROR   camera rear 10.9.8.7: no interface has an address in its network: no route to it"
         in done.stdout
     )
     assert done.stderr == ""

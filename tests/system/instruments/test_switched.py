@@ -161,7 +161,7 @@ async def test_the_scan_shows_each_target_in_turn_and_calibrates_it(tmp_path: Pa
 
 
 class _Quiet:
-    def say(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Not shown."""
 
     def progress(self, done: int, total: int, doing: str) -> None:

@@ -45,7 +45,7 @@ class Listener:
         self.at: dict[str, Callable[[], None]] = {}
         self.elsewhere: Callable[[], None] = lambda: None
 
-    def say(self, line: str) -> None:
+    def report(self, line: str) -> None:
         self.said.append(line)
 
     def progress(self, done: int, total: int, doing: str) -> None:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import pytest
 from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
 
-from altd.app.keeping import LOOK_INTERVAL_S, DaemonHistory, PastAvailability
+from altd.app.keeping import CHECK_INTERVAL_S, DaemonHistory, PastAvailability
 from altd.history.history import History, NoHistoryError
 from altd.history.opening import WriteLock
 from altd.history.records import About
@@ -49,7 +49,7 @@ class Restarted:
     async def until(self, true: Callable[[], bool]) -> None:
         async with asyncio.timeout(60):
             while not true():
-                await self.clock.advance(LOOK_INTERVAL_S)
+                await self.clock.advance(CHECK_INTERVAL_S)
                 await asyncio.sleep(0.01)  # the disk's thread, in real time
 
 
@@ -90,8 +90,8 @@ async def test_a_history_that_cannot_be_read_leaves_what_is_known_since_the_star
     unit.path.write_bytes(b"no history at all, but so long that it is looked at" * 100)
     async with reading(unit):
         for _ in range(20):
-            await unit.clock.advance(LOOK_INTERVAL_S)
-            unit.availability.look(unit.clock.now_ns, None)
+            await unit.clock.advance(CHECK_INTERVAL_S)
+            unit.availability.update(unit.clock.now_ns, None)
             await asyncio.sleep(0.005)
         assert unit.hour()["observed_s"] == 100.0
         assert unit.hour()["since"] == "2026-11-20T08:16:40.000Z", "the start: nothing before it is known"
@@ -101,7 +101,7 @@ async def test_one_that_can_be_read_later_is_read_then(tmp_path: Path) -> None:
     unit = Restarted(tmp_path)
     async with reading(unit):
         for _ in range(5):
-            await unit.clock.advance(LOOK_INTERVAL_S)
+            await unit.clock.advance(CHECK_INTERVAL_S)
             await asyncio.sleep(0.005)
         unit.ran_before(unit.start_s - 60, 60)
         await unit.until(lambda: unit.hour()["valid_s"] > 0)
@@ -115,7 +115,7 @@ async def test_a_clock_that_is_set_after_the_start_puts_the_past_in_its_place(tm
     unit.clock.offset_s = -1e9
     async with reading(unit):
         for _ in range(20):
-            await unit.clock.advance(LOOK_INTERVAL_S)
+            await unit.clock.advance(CHECK_INTERVAL_S)
             await asyncio.sleep(0.005)
         assert unit.hour()["observed_s"] == 0.0
         unit.clock.offset_s = 0.0
@@ -132,7 +132,7 @@ async def test_a_daemon_counts_what_its_history_holds(tmp_path: Path) -> None:
     async with past.recorded():
         async with asyncio.timeout(60):
             while not hour.get("valid_s"):
-                await unit.clock.advance(LOOK_INTERVAL_S)
+                await unit.clock.advance(CHECK_INTERVAL_S)
                 await asyncio.sleep(0.01)  # the disk's thread, in real time
                 hour = cast("dict[str, Any]", health.as_object()["availability"])["last_hour"]
     assert hour["valid_s"] == pytest.approx(60, abs=1)
@@ -149,7 +149,7 @@ async def test_a_daemon_takes_nothing_from_a_history_of_another_unit(tmp_path: P
         with pytest.raises(NoHistoryError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):
             await past.history.ask(lambda reader: reader.trend(0, 2**61, 10))
         for _ in range(20):
-            await unit.clock.advance(LOOK_INTERVAL_S)
+            await unit.clock.advance(CHECK_INTERVAL_S)
             await asyncio.sleep(0.005)
         assert state.availability.before.known_s == 0.0
         lock.release()

@@ -83,5 +83,5 @@ def says(findings: list[Finding], verdict: Verdict, words: str) -> Finding:
     """The finding with that verdict whose sentence has these words."""
     found = [finding for finding in findings if finding.verdict is verdict and words in finding.text]
     assert len(found) == 1, findings
-    assert found[0].remedy or verdict is not Verdict.WRONG
+    assert found[0].remedy or verdict is not Verdict.ERROR
     return found[0]

@@ -41,7 +41,7 @@ def test_a_port_that_may_be_opened_is_good(tree: Tree, configured: Configured, p
 def test_a_port_of_a_group_that_the_user_is_not_in(tree: Tree, configured: Configured, port: Path) -> None:
     port.chmod(0o660)
     group = port.stat().st_gid
-    finding = says(found(tree, configured), Verdict.WRONG, "somebody may not open it (crw-rw----")
+    finding = says(found(tree, configured), Verdict.ERROR, "somebody may not open it (crw-rw----")
     assert finding.remedy.startswith(f"sudo usermod -aG {group_name(group)} somebody")
     tree.account = Account("somebody", 4242, frozenset({group}))
     assert says(found(tree, configured), Verdict.GOOD, "somebody may open it")
@@ -49,7 +49,7 @@ def test_a_port_of_a_group_that_the_user_is_not_in(tree: Tree, configured: Confi
 
 def test_a_port_that_no_group_may_open_needs_a_rule(tree: Tree, configured: Configured, port: Path) -> None:
     port.chmod(0o600)
-    assert "udev" in says(found(tree, configured), Verdict.WRONG, "may not open it (crw-------").remedy
+    assert "udev" in says(found(tree, configured), Verdict.ERROR, "may not open it (crw-------").remedy
 
 
 class TestTheService:
@@ -58,7 +58,7 @@ class TestTheService:
         group = group_name(port.stat().st_gid)
         tree.account = Account("root", 0, frozenset())
         tree.write(UNIT, "[Service]\nSupplementaryGroups=nogroup")
-        finding = says(found(tree, configured), Verdict.WRONG, "the service may not open it")
+        finding = says(found(tree, configured), Verdict.ERROR, "the service may not open it")
         assert finding.remedy == f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
         tree.write(f"{UNIT}.d/override.conf", f"[Service]\nSupplementaryGroups={group}")
         assert says(found(tree, configured), Verdict.GOOD, "root and the service may open it")
@@ -66,36 +66,38 @@ class TestTheService:
     def test_its_unit_does_not_list_the_kind(self, tree: Tree, configured: Configured, port: Path) -> None:
         port.chmod(0o666)
         tree.write(UNIT, "[Service]\nDevicePolicy=closed\nDeviceAllow=char-ttyUSB rw")
-        finding = says(found(tree, configured), Verdict.WRONG, "does not list its kind, pts")
+        finding = says(found(tree, configured), Verdict.ERROR, "does not list its kind, pts")
         assert "DeviceAllow=char-pts rw" in finding.remedy
         tree.write(f"{UNIT}.d/override.conf", "[Service]\nDeviceAllow=char-pts rw")
         assert says(found(tree, configured), Verdict.GOOD, "may open it")
         tree.write(f"{UNIT}.d/zz.conf", "[Service]\nDeviceAllow=\nDeviceAllow=/dev/null rw")  # takes all back
-        assert says(found(tree, configured), Verdict.WRONG, "does not list its kind")
+        assert says(found(tree, configured), Verdict.ERROR, "does not list its kind")
 
 
 def test_a_missing_port_names_those_that_are_there(tree: Tree, configured: Configured, port: Path) -> None:
-    finding = says(found(tree, configured, "/dev/ttyUSB7"), Verdict.WRONG, f"is not there; there is {BY_ID}")
+    finding = says(
+        found(tree, configured, "/dev/ttyUSB7"), Verdict.ERROR, f"does not exist; existing: {BY_ID}"
+    )
     assert "/dev/serial/by-id" in finding.remedy
 
 
 def test_a_name_that_leads_nowhere_is_a_missing_port(tree: Tree, configured: Configured) -> None:
     tree.link(BY_ID, "../../ttyUSB0")
-    assert says(found(tree, configured), Verdict.WRONG, "is not there")
+    assert says(found(tree, configured), Verdict.ERROR, "does not exist")
 
 
 def test_a_file_is_no_port(tree: Tree, configured: Configured) -> None:
     tree.write("/dev/ttyS0", "")
-    assert says(found(tree, configured, "/dev/ttyS0"), Verdict.WRONG, "is no device")
+    assert says(found(tree, configured, "/dev/ttyS0"), Verdict.ERROR, "is not a device")
 
 
 @pytest.mark.parametrize(
     ("name", "verdict", "words", "mend"),
     [
-        ("sleep", Verdict.WRONG, "sleep has it", "sudo kill"),
-        ("agetty", Verdict.WRONG, "agetty has it", "disable --now serial-getty@"),
-        ("ModemManager", Verdict.WRONG, "ModemManager has it", "disable --now ModemManager"),
-        ("altd", Verdict.GOOD, "altd has it", ""),
+        ("sleep", Verdict.ERROR, "in use by sleep", "sudo kill"),
+        ("agetty", Verdict.ERROR, "in use by agetty", "disable --now serial-getty@"),
+        ("ModemManager", Verdict.ERROR, "in use by ModemManager", "disable --now ModemManager"),
+        ("altd", Verdict.GOOD, "in use by altd", ""),
     ],
 )
 def test_a_port_that_a_program_has_open(
@@ -147,7 +149,7 @@ class TestUsbCameras:
 
     def test_a_bus_that_two_cameras_are_too_much_for(self, tree: Tree, configured: Configured) -> None:
         findings = self.cameras(tree, configured, 150, (1, 1))
-        assert says(findings, Verdict.WRONG, "its cameras need 116 Mbit/s of 150: too much")
+        assert says(findings, Verdict.ERROR, "its cameras need 116 Mbit/s of 150: too much")
 
     def test_a_bus_for_each_would_do(self, tree: Tree, configured: Configured) -> None:
         findings = self.cameras(tree, configured, 150, (1, 2))
@@ -157,13 +159,13 @@ class TestUsbCameras:
         tree.link("/dev/video0", "/dev/null")
         cameras = {name: {"driver": "v4l2", "device": f"/dev/v4l/{name}"} for name in ("front", "rear")}
         findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
-        assert [f.text for f in findings] == ["is not there; there is /dev/video0"] * 2
+        assert [f.text for f in findings] == ["does not exist; existing: /dev/video0"] * 2
 
 
 def test_a_gpio_chip_that_is_not_there(tree: Tree, configured: Configured) -> None:
     lamps = {"driver": "gpiod", "chip": "lamp-board", "lines": ["LED1"]}
     findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
-    assert says(findings, Verdict.WRONG, "none that may be opened is called so; nor is there any other")
+    assert says(findings, Verdict.ERROR, "no accessible chip has this name; no other exists")
 
 
 def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, configured: Configured, terminal: Path) -> None:
@@ -171,13 +173,13 @@ def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, configured: Configur
     tree.link("/dev/gpiochip0", terminal)
     lamps = {"driver": "gpiod", "chip": "gpiochip0", "lines": ["LED1"]}
     findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
-    assert says(findings, Verdict.WRONG, "somebody may not open it")
+    assert says(findings, Verdict.ERROR, "somebody may not open it")
 
 
 def test_without_a_config_the_devices_that_are_there_are_tried(tree: Tree, port: Path) -> None:
     port.chmod(0o600)
     findings = list(devices.found_devices(tree.machine))
-    assert says(findings, Verdict.WRONG, "somebody may not open it").subject == "serial /dev/ttyUSB0"
+    assert says(findings, Verdict.ERROR, "somebody may not open it").subject == "serial /dev/ttyUSB0"
 
 
 def test_without_a_config_on_board_ports_are_tried_that_have_a_uart(tree: Tree, terminal: Path) -> None:
@@ -187,7 +189,7 @@ def test_without_a_config_on_board_ports_are_tried_that_have_a_uart(tree: Tree, 
         if kind is not None:  # older kernels show it to root alone
             tree.write(f"/sys/class/tty/ttyS{number}/type", kind)
     findings = list(devices.found_devices(tree.machine))
-    tried = [finding.subject for finding in findings if finding.verdict is Verdict.WRONG]
+    tried = [finding.subject for finding in findings if finding.verdict is Verdict.ERROR]
     assert tried == ["serial /dev/ttyS0", "serial /dev/ttyS2"]
 
 
@@ -196,19 +198,19 @@ def test_where_no_device_is_nothing_is_called_good(tree: Tree) -> None:
     assert [(finding.subject, finding.verdict) for finding in findings] == [
         (what, Verdict.SKIPPED) for what in ("serial", "camera", "gpio")
     ]
-    assert in_lines(findings)[-1] == "0 wrong, 0 could be better, 0 good, 3 skipped"
+    assert in_lines(findings)[-1] == "0 errors, 0 warnings, 0 good, 3 skipped"
 
 
 def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: Path) -> None:
     port.chmod(0o666)
     entries = [{"device": device, "speaks": "console"} for device in (BY_ID, "/dev/ttyUSB0")]
     findings = list(devices.serial_ports(configured(serial=entries), tree.machine))
-    finding = says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
+    finding = says(findings, Verdict.ERROR, f"is the same device as {BY_ID}")
     assert finding.subject == "serial /dev/ttyUSB0"
     for table, driver in (("stage", "grbl"), ("inclinometer", "balluff_bsi_r11a0")):
         more = {table: {"driver": driver, "device": "/dev/ttyUSB0"}}
         findings = list(devices.serial_ports(configured(serial=entries[:1], **more), tree.machine))
-        assert says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
+        assert says(findings, Verdict.ERROR, f"is the same device as {BY_ID}")
     assert all("same device" not in finding.text for finding in found(tree, configured))
 
 
@@ -220,7 +222,7 @@ def test_one_camera_by_two_of_its_names(tree: Tree, configured: Configured, term
         for name, device in (("front", "/dev/video0"), ("rear", "/dev/v4l/by-path/one"))
     }
     findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
-    assert says(findings, Verdict.WRONG, "is the same device as front").subject == "camera rear"
+    assert says(findings, Verdict.ERROR, "is the same device as front").subject == "camera rear"
 
 
 class TestGpioLines:
@@ -244,11 +246,11 @@ class TestGpioLines:
 
     def test_a_line_that_is_not_there(self, configured: Configured) -> None:
         finding = says(
-            self.findings(configured, ["LED1"], "LED7", self.LABEL), Verdict.WRONG, "no line 'LED7'"
+            self.findings(configured, ["LED1"], "LED7", self.LABEL), Verdict.ERROR, "no line 'LED7'"
         )
         assert "indicators.ok" in finding.text
 
     @pytest.mark.parametrize(("ok", "chip"), [("LED1", "/dev/gpiochip0"), ("0", LABEL), ("0", "gpiochip0")])
     def test_one_line_by_two_of_its_names(self, configured: Configured, ok: str, chip: str) -> None:
         findings = self.findings(configured, ["LED1"], ok, chip)
-        assert says(findings, Verdict.WRONG, "indicators.ok is the same line as lamps, 0 of GPIO chip")
+        assert says(findings, Verdict.ERROR, "indicators.ok is the same line as lamps, 0 of GPIO chip")

@@ -15,7 +15,7 @@ from support.places import ROOT
 
 from altd.doctor import keeping
 from altd.doctor.finding import Finding, Verdict
-from altd.doctor.machine import Account, myself
+from altd.doctor.machine import Account, own_account
 
 from .conftest import Configured, Tree, says
 
@@ -50,7 +50,7 @@ class TestFolders:
             (history(installed, config), "/data"),
             (list(keeping.recordings(config, installed.machine)), "/data/frames"),
         ):
-            finding = says(findings, Verdict.WRONG, "the service may not write")
+            finding = says(findings, Verdict.ERROR, "the service may not write")
             assert f"ReadWritePaths={folder};" in finding.remedy
 
     def test_one_that_was_given_to_the_service(self, installed: Tree, configured: Configured) -> None:
@@ -62,15 +62,15 @@ class TestFolders:
         self, tree: Tree, configured: Configured
     ) -> None:
         config = configured(history={"file": "/data/history.db"})
-        assert says(history(tree, config), Verdict.WRONG, "no folder /data").remedy == "mkdir -p /data"
+        assert says(history(tree, config), Verdict.ERROR, "no folder /data").remedy == "mkdir -p /data"
         (tree.root / "data").mkdir(mode=0o755)
         stranger = replace(tree, account=Account("somebody", 4242, frozenset()))
-        assert says(history(stranger, config), Verdict.WRONG, "somebody may not write to /data")
-        assert says(history(replace(tree, account=myself()), config), Verdict.GOOD, "MB free")
+        assert says(history(stranger, config), Verdict.ERROR, "somebody may not write to /data")
+        assert says(history(replace(tree, account=own_account()), config), Verdict.GOOD, "MB free")
 
     def test_recordings_make_their_own_folder(self, tree: Tree, configured: Configured) -> None:
         config = configured(kept_frames={"folder": "/data/frames"})
-        findings = list(keeping.recordings(config, replace(tree, account=myself()).machine))
+        findings = list(keeping.recordings(config, replace(tree, account=own_account()).machine))
         assert says(findings, Verdict.GOOD, "/data/frames")
 
     def test_without_a_folder_it_is_said_that_nothing_is_kept(
@@ -78,7 +78,7 @@ class TestFolders:
     ) -> None:
         config = configured()
         for check in (keeping.history, keeping.recordings, keeping.local_socket):
-            assert says(list(check(config, tree.machine)), Verdict.BETTER, "none without the service").remedy
+            assert says(list(check(config, tree.machine)), Verdict.WARNING, "no service is installed").remedy
 
     def test_what_is_off_is_no_fault(self, tree: Tree, configured: Configured) -> None:
         config = configured(history={"enabled": False}, kept_frames={"memory_mb": 0})
@@ -92,7 +92,7 @@ class TestRoom:
     ) -> None:
         monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 350 * 10**6))
         config = configured(kept_frames={"disk_mb": 100})
-        assert "max_mb" in says(history(installed, config), Verdict.BETTER, "350 MB free").remedy
+        assert "max_mb" in says(history(installed, config), Verdict.WARNING, "350 MB free").remedy
         findings = list(keeping.recordings(config, installed.machine))
         assert says(findings, Verdict.GOOD, "350 MB free"), "100 MiB, and 200 MiB that stay free"
 
@@ -101,7 +101,7 @@ class TestRoom:
     ) -> None:
         monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 250 * 10**6))
         config = configured(kept_frames={"disk_mb": 100})
-        assert says(list(keeping.recordings(config, installed.machine)), Verdict.BETTER, "250 MB free")
+        assert says(list(keeping.recordings(config, installed.machine)), Verdict.WARNING, "250 MB free")
         frame = installed.root / "var/lib/altd/recordings/20261120T080000Z-asked/frame.png"
         frame.parent.mkdir(parents=True)
         with frame.open("wb") as file:
@@ -121,20 +121,22 @@ class TestFile:
 
     def test_a_whole_one(self, installed: Tree, configured: Configured, path: Path) -> None:
         before = path.read_bytes()
-        assert says(history(installed, configured()), Verdict.GOOD, "every page of it is whole")
+        assert says(history(installed, configured()), Verdict.GOOD, "the file is intact")
         assert path.read_bytes() == before
 
     def test_a_damaged_one(self, installed: Tree, configured: Configured, path: Path) -> None:
         content = bytearray(path.read_bytes())
         content[4096 * 3 : 4096 * 12] = b"\xa5" * 4096 * 9
         path.write_bytes(content)
-        assert says(history(installed, configured()), Verdict.BETTER, "damaged").remedy.startswith("a daemon")
+        assert says(history(installed, configured()), Verdict.WARNING, "damaged").remedy.startswith(
+            "the daemon"
+        )
 
     def test_one_of_a_newer_program(self, installed: Tree, configured: Configured, path: Path) -> None:
         content = bytearray(path.read_bytes())
         content[60:64] = (999).to_bytes(4, "big")  # user_version (sqlite.org/fileformat.html, 1.3)
         path.write_bytes(content)
-        assert "sudo mv" in says(history(installed, configured()), Verdict.WRONG, "version 999").remedy
+        assert "sudo mv" in says(history(installed, configured()), Verdict.ERROR, "version 999").remedy
 
 
 class TestLocalSocket:
@@ -145,17 +147,17 @@ class TestLocalSocket:
         """A computer whose root is the working folder: the path of a socket is short."""
         (tree.root / "s").mkdir()
         monkeypatch.chdir(tree.root)
-        return replace(tree, root=Path(), account=myself())
+        return replace(tree, root=Path(), account=own_account())
 
     def check(self, tree: Tree, configured: Configured) -> list[Finding]:
         return list(keeping.local_socket(configured(local={"socket": self.PATH}), tree.machine))
 
     def test_none_yet(self, there: Tree, configured: Configured) -> None:
-        assert says(self.check(there, configured), Verdict.GOOD, "a daemon that starts makes it")
+        assert says(self.check(there, configured), Verdict.GOOD, "the daemon creates it at its start")
 
     def test_no_folder(self, there: Tree, configured: Configured) -> None:
         Path("s").rmdir()
-        assert says(self.check(there, configured), Verdict.WRONG, "no folder /s")
+        assert says(self.check(there, configured), Verdict.ERROR, "no folder /s")
 
     def test_that_of_a_daemon_that_answers_and_of_one_that_was_killed(
         self, there: Tree, configured: Configured
@@ -163,12 +165,12 @@ class TestLocalSocket:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as daemon:
             daemon.bind("s/altd.sock")
             daemon.listen()
-            assert says(self.check(there, configured), Verdict.GOOD, "a daemon answers there")
-        assert says(self.check(there, configured), Verdict.GOOD, "was killed")
+            assert says(self.check(there, configured), Verdict.GOOD, "the daemon answers")
+        assert says(self.check(there, configured), Verdict.GOOD, "killed daemon")
 
     def test_a_file_in_its_place(self, there: Tree, configured: Configured) -> None:
         Path("s/altd.sock").touch()
-        assert "sudo rm" in says(self.check(there, configured), Verdict.WRONG, "no socket").remedy
+        assert "sudo rm" in says(self.check(there, configured), Verdict.ERROR, "not a socket").remedy
 
     @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
     def test_one_that_is_for_others(self, there: Tree, configured: Configured) -> None:
@@ -181,4 +183,4 @@ class TestLocalSocket:
                 findings = self.check(there, configured)
             finally:
                 os.seteuid(0)
-        assert "sudo altd status" in says(findings, Verdict.BETTER, "may not open it").remedy
+        assert "sudo altd status" in says(findings, Verdict.WARNING, "may not open it").remedy

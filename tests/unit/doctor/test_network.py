@@ -71,7 +71,7 @@ def test_a_camera_that_is_off_is_wrong(
         cameras={name: {"driver": "aravis", "device": elsewhere} for name in ("front", "rear")}
     )
     findings = found(config, computer)
-    wrong = [finding for finding in findings if finding.verdict is Verdict.WRONG]
+    wrong = [finding for finding in findings if finding.verdict is Verdict.ERROR]
     assert [(finding.subject, finding.text) for finding in wrong] == [
         (f"camera {name} {elsewhere}", "no GigE Vision camera answers") for name in ("front", "rear")
     ]
@@ -83,13 +83,13 @@ def test_a_camera_that_is_off_is_wrong(
     [
         ("192.168.77.20", [camera()], 0, "", Verdict.GOOD, "Maker M1 at 192.168.77.20 answers"),
         ("front-eye", [camera(name="front-eye")], 0, "", Verdict.GOOD, "answers"),
-        ("192.168.77.20", [camera()], 2, "/opt/altd/bin/altd\0run\0", Verdict.GOOD, "altd has it"),
-        ("192.168.77.20", [camera()], 2, "/opt/altd/bin/altd\0doctor\0", Verdict.WRONG, "another program"),
-        ("192.168.77.20", [camera()], 2, "/usr/bin/arv-viewer\0", Verdict.WRONG, "another program"),
-        ("192.168.77.20", [camera()], None, "", Verdict.WRONG, "does not tell"),
-        ("192.168.77.20", [], 0, "", Verdict.WRONG, "no GigE Vision camera answers"),
-        ("front-eye", [camera(name="other")], 0, "", Verdict.WRONG, "no GigE Vision camera answers"),
-        ("eye", [camera(name="eye"), camera("10.1.2.3", "eye")], 0, "", Verdict.WRONG, "2 cameras have this"),
+        ("192.168.77.20", [camera()], 2, "/opt/altd/bin/altd\0run\0", Verdict.GOOD, "in use by altd"),
+        ("192.168.77.20", [camera()], 2, "/opt/altd/bin/altd\0doctor\0", Verdict.ERROR, "another program"),
+        ("192.168.77.20", [camera()], 2, "/usr/bin/arv-viewer\0", Verdict.ERROR, "another program"),
+        ("192.168.77.20", [camera()], None, "", Verdict.ERROR, "registers cannot be read"),
+        ("192.168.77.20", [], 0, "", Verdict.ERROR, "no GigE Vision camera answers"),
+        ("front-eye", [camera(name="other")], 0, "", Verdict.ERROR, "no GigE Vision camera answers"),
+        ("eye", [camera(name="eye"), camera("10.1.2.3", "eye")], 0, "", Verdict.ERROR, "2 cameras have this"),
     ],
 )
 def test_what_a_camera_itself_says(
@@ -115,24 +115,24 @@ def test_what_a_camera_itself_says(
 
 def test_a_slow_link(computer: Tree, configured: Configured) -> None:
     interface(computer, "eth1", speed=100)
-    assert "ethtool" in says(found(gige(configured), computer), Verdict.WRONG, "runs at 100 Mbit/s").remedy
+    assert "ethtool" in says(found(gige(configured), computer), Verdict.ERROR, "runs at 100 Mbit/s").remedy
 
 
 def test_a_link_that_is_down(computer: Tree, configured: Configured) -> None:
     interface(computer, "eth1", state="down")
-    assert "ip link set eth1 up" in says(found(gige(configured), computer), Verdict.WRONG, "is down").remedy
+    assert "ip link set eth1 up" in says(found(gige(configured), computer), Verdict.ERROR, "is down").remedy
 
 
 def test_packets_that_do_not_fit(computer: Tree, configured: Configured) -> None:
     interface(computer, "eth1", mtu=1500)
-    assert "mtu 9000" in says(found(gige(configured), computer), Verdict.BETTER, "its MTU is 1500").remedy
+    assert "mtu 9000" in says(found(gige(configured), computer), Verdict.WARNING, "its MTU is 1500").remedy
     findings = found(gige(configured, packet_bytes=8000), computer)
-    assert says(findings, Verdict.WRONG, "its MTU is 1500 but packet_bytes 8000")
+    assert says(findings, Verdict.ERROR, "its MTU is 1500 but packet_bytes 8000")
 
 
 def test_a_small_receive_buffer(computer: Tree, configured: Configured) -> None:
     computer.write("/proc/sys/net/core/rmem_max", 212992)
-    finding = says(found(gige(configured), computer), Verdict.BETTER, "is 212992 bytes at most")
+    finding = says(found(gige(configured), computer), Verdict.WARNING, "is 212992 bytes at most")
     assert "sysctl" in finding.remedy
 
 
@@ -145,17 +145,17 @@ def test_a_camera_s_name_in_another_network(
     computer.write("/proc/sys/net/ipv4/conf/eth0/rp_filter", of_eth0)
     computer.write("/proc/sys/net/ipv4/conf/eth1/rp_filter", 1)
     (finding,) = (one for one in found(gige(configured), computer) if one.subject == "network source check")
-    assert finding.verdict is (Verdict.GOOD if is_well else Verdict.BETTER)
+    assert finding.verdict is (Verdict.GOOD if is_well else Verdict.WARNING)
     assert ("net.ipv4.conf.eth0.rp_filter=1" in finding.remedy) != is_well
 
 
 def test_a_camera_in_a_network_of_nobodys(computer: Tree, configured: Configured) -> None:
     finding = says(
-        found(gige(configured, "169.254.3.4"), computer)[:1], Verdict.WRONG, "to the gateway at eth0"
+        found(gige(configured, "169.254.3.4"), computer)[:1], Verdict.ERROR, "to the gateway at eth0"
     )
     assert "ip address add 169.254.3.1/24" in finding.remedy
     computer.write("/proc/net/route", ROUTES)
-    assert says(found(gige(configured), computer)[:1], Verdict.WRONG, "nothing leads there")
+    assert says(found(gige(configured), computer)[:1], Verdict.ERROR, "no route to it")
 
 
 @pytest.mark.parametrize(("rp_filter", "drops"), [(1, True), (2, False), (0, False)])
@@ -168,7 +168,7 @@ def test_two_interfaces_with_the_same_network(
     computer.write("/proc/sys/net/ipv4/conf/all/rp_filter", 0)
     computer.write("/proc/sys/net/ipv4/conf/eth2/rp_filter", rp_filter)
     finding = says(
-        found(gige(configured), computer)[:1], Verdict.WRONG, "eth1 and eth2 have the same network"
+        found(gige(configured), computer)[:1], Verdict.ERROR, "eth1 and eth2 have the same network"
     )
     assert ("rp_filter" in finding.text) == drops
 
@@ -178,13 +178,13 @@ def test_a_camera_by_its_serial_number_may_be_on_any_interface(
 ) -> None:
     interface(computer, "eth1", speed=100)
     assert (
-        says(found(gige(configured, "Maker-1234"), computer), Verdict.WRONG, "runs at 100").subject
+        says(found(gige(configured, "Maker-1234"), computer), Verdict.ERROR, "runs at 100").subject
         == "network eth1"
     )
     for name in ("eth0", "eth1"):
         interface(computer, name, state="down")
     assert says(
-        found(gige(configured, "Maker-1234"), computer)[:1], Verdict.WRONG, "no network interface is up"
+        found(gige(configured, "Maker-1234"), computer)[:1], Verdict.ERROR, "no network interface is up"
     )
 
 
@@ -201,10 +201,10 @@ class TestListening:
 
         known, tls = {"credentials": "c"}, {"certificate": "c.pem", "key": "c.key"}
         (finding,) = said()
-        assert finding.verdict is Verdict.BETTER
+        assert finding.verdict is Verdict.WARNING
         assert "without allow, credentials, TLS" in finding.text
         assert "without allow, TLS" in said(**known)[0].text
-        assert "as they are, without TLS" in said(allow=["10.0.0.0/8"], **known)[0].text
+        assert "unencrypted, without TLS" in said(allow=["10.0.0.0/8"], **known)[0].text
         assert said(allow=["10.0.0.0/8"]) == said(allow=["10.0.0.0/8"], **known, **tls) == []
         for own in ("127.0.0.1", "localhost", "::1"):
             assert said(host=own) == []
@@ -213,7 +213,7 @@ class TestListening:
     def test_an_address_that_another_program_listens_on(self, configured: Configured, host: str) -> None:
         port = free_port()
         with socket.create_server(("127.0.0.1", port)):
-            finding = says(self.findings(configured, port, Machine(), host), Verdict.WRONG, "listens there")
+            finding = says(self.findings(configured, port, Machine(), host), Verdict.ERROR, "listens there")
             assert f"(process {os.getpid()})" in finding.text
             assert f":{port}" in finding.remedy
         assert says(self.findings(configured, port, Machine(), host), Verdict.GOOD, "is free")
@@ -222,7 +222,7 @@ class TestListening:
         with socket.create_server(("127.0.0.1", 0)) as server:
             settings = {"host": "127.0.0.1", "port": server.getsockname()[1]}
             (finding,) = network.listening(configured(opcua=settings), Machine())
-        assert says([finding], Verdict.WRONG, "listens there").subject.startswith("opcua")
+        assert says([finding], Verdict.ERROR, "listens there").subject.startswith("opcua")
 
     def test_the_same_port_of_another_address_is_free(self, configured: Configured) -> None:
         port = free_port()
@@ -231,7 +231,7 @@ class TestListening:
 
     def test_a_program_that_may_not_be_seen(self, tree: Tree, configured: Configured) -> None:
         tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
-        assert says(self.findings(configured, 8080, tree.machine), Verdict.BETTER, "altd itself?")
+        assert says(self.findings(configured, 8080, tree.machine), Verdict.WARNING, "altd itself?")
 
     @pytest.mark.parametrize("line", ["python\0/opt/altd/bin/altd\0run", "python\0-m\0altd.publish.opcua"])
     def test_altd_itself_may_listen(self, tree: Tree, configured: Configured, line: str) -> None:
@@ -245,12 +245,12 @@ class TestListening:
     def test_a_low_port_and_a_user_who_may_not(self, tree: Tree, configured: Configured) -> None:
         tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 1024)
         words = "somebody may not listen on a port below 1024"
-        assert says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words)
+        assert says(self.findings(configured, 502, tree.machine), Verdict.ERROR, words)
         tree.account = Account("root", 0, frozenset())
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
         tree.write("/etc/systemd/system/altd.service", "[Service]\nUser=altd")
         words = "the service may not listen on a port below 1024"
-        found = says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words)
+        found = says(self.findings(configured, 502, tree.machine), Verdict.ERROR, words)
         assert "ip_unprivileged_port_start=502" in found.remedy
         tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 502)
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
@@ -265,7 +265,7 @@ class TestListening:
             with pytest.raises(OSError, match="assign"):
                 socket.create_server((host, 0), family=family)
             finding = says(
-                self.findings(configured, 8080, Machine(), host), Verdict.WRONG, "no interface of this"
+                self.findings(configured, 8080, Machine(), host), Verdict.ERROR, "no interface of this"
             )
             assert finding.remedy.startswith("ip -brief address")
 
@@ -279,15 +279,15 @@ class TestListening:
             assert says(self.findings(configured, 8080, tree.machine, host), Verdict.GOOD, "is free")
         for host in ("10.0.0.8", "10.0.0.0", "fe80::2%eth0"):
             words = "it has 10.0.0.7, fe80::200:ff:fe00:1"
-            assert says(self.findings(configured, 8080, tree.machine, host), Verdict.WRONG, words)
+            assert says(self.findings(configured, 8080, tree.machine, host), Verdict.ERROR, words)
 
 
 def test_a_broker_is_reached_or_not(configured: Configured) -> None:
     assert list(network.broker(configured())) == []
     with socket.create_server(("127.0.0.1", 0)) as server:
         config = configured(mqtt={"host": "127.0.0.1", "port": server.getsockname()[1]})
-        assert says(list(network.broker(config)), Verdict.GOOD, "takes connections")
-    says(list(network.broker(config)), Verdict.WRONG, "cannot be reached: Connection refused")
+        assert says(list(network.broker(config)), Verdict.GOOD, "accepts connections")
+    says(list(network.broker(config)), Verdict.ERROR, "cannot be reached: Connection refused")
     config = configured(mqtt={"host": "broker.invalid"})
-    finding = says(list(network.broker(config)), Verdict.WRONG, "cannot be reached: ")
+    finding = says(list(network.broker(config)), Verdict.ERROR, "cannot be reached: ")
     assert finding.subject == "mqtt broker.invalid:1883"

@@ -18,7 +18,7 @@ from support.unit_toml import write_config
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import load_config
 from altd.doctor import checks, system
-from altd.doctor.finding import Verdict, better, good, in_lines, wrong
+from altd.doctor.finding import Finding, Verdict, in_lines
 from altd.records import Origin
 from altd.vision import kernel
 
@@ -40,39 +40,39 @@ class TestLibraries:
         monkeypatch.setattr(kernel, "description", "numpy: altd was built without a C compiler")
         finding = next(system.libraries(None))
         assert finding.subject == "spot fit"
-        assert finding.verdict is (Verdict.GOOD if is_compiled else Verdict.BETTER)
+        assert finding.verdict is (Verdict.GOOD if is_compiled else Verdict.WARNING)
         assert ("without a C compiler" in finding.text) is not is_compiled
 
     def test_one_that_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         for module in [module for module in sys.modules if module.split(".")[0] == "gpiod"]:
             monkeypatch.delitem(sys.modules, module)
         monkeypatch.setitem(sys.modules, "gpiod", None)
-        assert says(list(system.libraries(None)), Verdict.WRONG, "gpiod").subject == "library gpiod"
+        assert says(list(system.libraries(None)), Verdict.ERROR, "gpiod").subject == "library gpiod"
 
     def test_aravis_is_wrong_only_for_who_needs_it(
         self, monkeypatch: pytest.MonkeyPatch, configured: Configured
     ) -> None:
         monkeypatch.setitem(sys.modules, "gi", None)
-        assert says(list(system.libraries(None)), Verdict.BETTER, "GigE Vision").remedy.startswith(
+        assert says(list(system.libraries(None)), Verdict.WARNING, "GigE Vision").remedy.startswith(
             "sudo apt-get"
         )
         camera = {"driver": "aravis", "device": "192.168.77.20"}
         config = configured(cameras={"front": camera, "rear": camera})
         _, finding = system.libraries(config)
-        assert finding.verdict is Verdict.WRONG
+        assert finding.verdict is Verdict.ERROR
         assert [found.subject for found in system.libraries(configured())] == ["spot fit"]
 
 
 class TestClock:
     def test_one_that_is_kept(self) -> None:
-        assert says(list(system.clock(NOON, True)), Verdict.GOOD, "kept by a time server")
+        assert says(list(system.clock(NOON, True)), Verdict.GOOD, "synchronised with a time server")
 
     def test_one_that_nobody_keeps(self) -> None:
-        assert "set-ntp" in says(list(system.clock(NOON, False)), Verdict.WRONG, "no time server").remedy
-        assert says(list(system.clock(NOON, None)), Verdict.BETTER, "not known")
+        assert "set-ntp" in says(list(system.clock(NOON, False)), Verdict.ERROR, "not synchronised").remedy
+        assert says(list(system.clock(NOON, None)), Verdict.WARNING, "not known")
 
     def test_one_that_was_never_set(self) -> None:
-        assert says(list(system.clock(datetime(1970, 1, 1, tzinfo=UTC), True)), Verdict.WRONG, "1970-01-01")
+        assert says(list(system.clock(datetime(1970, 1, 1, tzinfo=UTC), True)), Verdict.ERROR, "1970-01-01")
 
     def test_the_kernel_is_asked_as_c_does(self, tmp_path: Path) -> None:
         (tmp_path / "ask.c").write_text(
@@ -90,7 +90,7 @@ class TestClock:
 def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     assert says(list(system.disk(tree.machine)), Verdict.GOOD, "GB free")
     monkeypatch.setattr(system, "MIN_FREE_BYTES", 1 << 62)
-    assert "du" in says(list(system.disk(tree.machine)), Verdict.WRONG, "GB free").remedy
+    assert "du" in says(list(system.disk(tree.machine)), Verdict.ERROR, "GB free").remedy
 
 
 @pytest.fixture(scope="module")
@@ -129,34 +129,40 @@ class TestCalibration:
 
     def test_that_of_a_simulated_unit(self, unit: Path) -> None:
         (finding,) = examined(unit, "window", "window")
-        assert finding.verdict is Verdict.BETTER
+        assert finding.verdict is Verdict.WARNING
         assert "cal.json fits" in finding.text
         assert "SIMULATED" in finding.text
 
     def test_that_of_another_unit(self, unit: Path) -> None:
         (finding,) = examined(unit, 'serial = "', 'serial = "OTHER-')
-        assert finding.verdict is Verdict.WRONG
+        assert finding.verdict is Verdict.ERROR
         assert "cal.json" in finding.text
         assert "altd calibrate" in finding.remedy
 
     def test_one_that_is_not_there(self, unit: Path) -> None:
         (finding,) = examined(unit, "cal.json", "none.json")
-        assert finding.verdict is Verdict.WRONG
+        assert finding.verdict is Verdict.ERROR
         assert "none.json" in finding.text
 
     def test_a_recording_that_is_not_there(self, unit: Path) -> None:
         findings = examined(unit, "/scan", "/nowhere")
         assert findings[0].subject == "recording"
-        assert findings[0].verdict is Verdict.WRONG
+        assert findings[0].verdict is Verdict.ERROR
 
 
 def test_the_lines_say_how_many() -> None:
-    assert in_lines([wrong("a", "is off", "switch a on"), better("b", "is slow"), good("c", "is on")]) == [
-        "WRONG   a: is off",
+    assert in_lines(
+        [
+            Finding.error("a", "is off", "switch a on"),
+            Finding.warning("b", "is slow"),
+            Finding.good("c", "is on"),
+        ]
+    ) == [
+        "ERROR   a: is off",
         "        fix: switch a on",
-        "better  b: is slow",
+        "warning b: is slow",
         "good    c: is on",
-        "1 wrong, 1 could be better, 1 good",
+        "1 error, 1 warning, 1 good",
     ]
 
 
@@ -167,16 +173,18 @@ class TestCommand:
         outcome = altd_here("doctor", "--config", config)
         assert outcome.status == 1
         assert outcome.err == ""
-        assert "WRONG   serial /dev/ttyUSB77: is not there" in outcome.out
+        assert "ERROR   serial /dev/ttyUSB77: does not exist" in outcome.out
 
     def test_it_ends_with_0_when_nothing_is(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         from altd.cli.main import main
 
-        monkeypatch.setattr(checks, "_checks", lambda *_: {"all": lambda: iter([good("all", "is well")])})
+        monkeypatch.setattr(
+            checks, "_checks", lambda *_: {"all": lambda: iter([Finding.good("all", "is well")])}
+        )
         assert main(["doctor"]) == 0
-        assert capsys.readouterr().out == "good    all: is well\n0 wrong, 0 could be better, 1 good\n"
+        assert capsys.readouterr().out == "good    all: is well\n0 errors, 0 warnings, 1 good\n"
 
     def test_without_a_config_it_looks_at_the_computer(self) -> None:
         outcome = altd_here("doctor")
@@ -196,7 +204,7 @@ class TestCommand:
         monkeypatch.setattr(system, "disk", breaks)
         findings = checks.examine(None, tree.machine)
         finding = says(
-            findings, Verdict.BETTER, "could not be looked at: ZeroDivisionError: a strange computer"
+            findings, Verdict.WARNING, "could not be checked: ZeroDivisionError: a strange computer"
         )
         assert finding.subject == "disk"
         assert any(other.subject == "clock" for other in findings)

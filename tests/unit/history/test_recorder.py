@@ -138,7 +138,7 @@ async def test_events_that_are_lost_while_the_disk_is_full_are_counted_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(event_log, "MAX_EVENTS", 5)
-    monkeypatch.setattr(event_log, "MAX_ASKED_EVENTS", 2)
+    monkeypatch.setattr(event_log, "MAX_REQUEST_EVENTS", 2)
     async with Recording(tmp_path) as recording:
         await recording.until(lambda: recording.component.state is State.OK)
         with monkeypatch.context() as full:

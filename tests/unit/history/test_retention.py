@@ -141,7 +141,7 @@ def test_what_is_asked_for_without_end_pushes_out_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: EventKind
 ) -> None:
     monkeypatch.setattr(retention, "MAX_EVENTS", 60)
-    monkeypatch.setattr(retention, "MAX_ASKED_EVENTS", 20)
+    monkeypatch.setattr(retention, "MAX_REQUEST_EVENTS", 20)
     monkeypatch.setattr(retention, "_EVENTS_AT_ONCE", 5)
     notices = []
     for begin in range(0, 100, 50):

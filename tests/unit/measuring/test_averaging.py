@@ -103,7 +103,7 @@ def test_exposures_that_nobody_wanted_are_what_a_window_lacks_and_not_those_that
     for n in range(10):
         window.add(frame_set(n))
     for n in range(10, 16):
-        window.pass_over(n)
+        window.skip(n)
     for n, is_seen in ((16, True), (17, False), (18, True), (19, False)):
         outcome = window.add(frame_set(n, front=(300.0, 200.0) if is_seen else MISSING))
         assert isinstance(outcome, MeanSpots) or [str(fault) for fault in outcome or ()] == ["warming_up"]
@@ -117,7 +117,7 @@ def test_a_spot_that_is_gone_is_told_whatever_the_leds_took() -> None:
     for taken, told_from in ((6, 3), (1, 1)):
         window = FrameSetWindow(TARGETS, 10, 1)
         for n in range(taken):
-            window.pass_over(n)
+            window.skip(n)
         outcomes = [window.add(frame_set(n, front=MISSING)) for n in range(taken, taken + 4)]
         told = [[str(fault) for fault in outcome or ()] for outcome in outcomes]  # type: ignore[union-attr]
         assert told == [["warming_up"]] * (told_from - 1) + [["front_spot_missing"]] * (5 - told_from)
@@ -126,7 +126,7 @@ def test_a_spot_that_is_gone_is_told_whatever_the_leds_took() -> None:
 def test_what_was_passed_over_before_a_gap_excuses_nothing_after_it() -> None:
     window = FrameSetWindow(TARGETS, 4, 1)
     for n in range(4):
-        window.pass_over(n)
+        window.skip(n)
     window.forget()
     outcome = window.add(frame_set(4, front=MISSING))
     assert [str(fault) for fault in outcome or ()] == ["front_spot_missing"]  # type: ignore[union-attr]

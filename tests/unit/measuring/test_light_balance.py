@@ -47,7 +47,7 @@ def after(balance: LightBalance, *means: MeanSpots, is_valid: bool = True) -> fl
     for each in means:
         changed = balance.changed_light(each)
         if is_valid:
-            balance.learn(replace(each, changed_light=changed))
+            balance.update(replace(each, changed_light=changed))
     assert changed[0] == 0.0
     return changed[1]
 

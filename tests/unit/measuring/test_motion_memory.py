@@ -24,7 +24,7 @@ def learned(rates: Iterable[float], memory: MotionMemory | None = None, first: i
     """After each of the windows, one an exposure."""
     memory = memory or MotionMemory()
     return [
-        memory.learn((first + number) * PERIOD_NS, (first + number + 10) * PERIOD_NS, SPAN_S, window(rate))[
+        memory.add((first + number) * PERIOD_NS, (first + number + 10) * PERIOD_NS, SPAN_S, window(rate))[
             "x_mm"
         ]
         for number, rate in enumerate(rates)
@@ -100,7 +100,7 @@ def test_after_a_long_silence_nothing_is_known_and_never_by_times_that_go_back()
 def test_outliers_that_set_the_middle_back_forget_nothing() -> None:
     memory = MotionMemory()
     learned([0.0] * 40 + [5.0] * 40, memory)
-    set_back = memory.learn(78 * PERIOD_NS, 91 * PERIOD_NS, SPAN_S, window(5.0))["x_mm"]
+    set_back = memory.add(78 * PERIOD_NS, 91 * PERIOD_NS, SPAN_S, window(5.0))["x_mm"]
     assert acceleration(set_back) > 0.5
 
 
@@ -111,4 +111,4 @@ def test_a_change_over_a_gap_may_have_come_within_two_windows() -> None:
 
 
 def test_windows_that_show_no_motion_teach_nothing() -> None:
-    assert MotionMemory().learn(0, 0, 0.0, {}) == {}
+    assert MotionMemory().add(0, 0, 0.0, {}) == {}

@@ -13,7 +13,7 @@ from support.cli import altd_here
 from support.unit_toml import played_toml
 
 from altd.process.logs import StderrLog
-from altd.process.standard_streams import complain, say
+from altd.process.standard_streams import print_errors, print_lines
 
 HOSTILE = {
     "\x1b[2J": "\\x1b[2J",
@@ -48,7 +48,7 @@ def logged(*texts: object, times: int = 1) -> list[str]:
 
 
 @pytest.mark.parametrize(("raw", "escape"), HOSTILE.items(), ids=ascii)
-@pytest.mark.parametrize("put", [say, complain], ids=["standard output", "standard error"])
+@pytest.mark.parametrize("put", [print_lines, print_errors], ids=["standard output", "standard error"])
 def test_text_from_outside_stays_in_its_line(
     raw: str, escape: str, put: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -58,7 +58,7 @@ def test_text_from_outside_stays_in_its_line(
 
 def test_an_answer_is_not_cut_however_long_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     """Such as the JSON of `altd status`."""
-    say("x" * 100_000)
+    print_lines("x" * 100_000)
     assert capsys.readouterr().out == "x" * 100_000 + "\n"
 
 

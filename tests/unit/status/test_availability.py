@@ -27,12 +27,12 @@ class Watched:
     def __init__(self, began_ns: int = 123_456_789_012) -> None:
         self.now_ns = began_ns
         self.availability = Availability(began_ns)
-        self.availability.look(began_ns, None)
+        self.availability.update(began_ns, None)
 
     def run(self, seconds: int, lost_to: str | None = None, step_s: int = 1) -> None:
         for _ in range(0, seconds, step_s):
             self.now_ns += step_s * SECOND
-            self.availability.look(self.now_ns, lost_to)
+            self.availability.update(self.now_ns, lost_to)
 
     def span(self, name: str) -> dict[str, Any]:
         return cast("dict[str, Any]", self.availability.as_object()[name])
@@ -99,7 +99,7 @@ def test_time_in_which_nobody_looked_is_lost() -> None:
     watched = Watched()
     watched.run(10)
     watched.now_ns += round((MAX_GAP_S + 0.1) * SECOND)
-    watched.availability.look(watched.now_ns, None)
+    watched.availability.update(watched.now_ns, None)
     assert watched.span("since_start")["lost_s"] == {NOT_WATCHED: 5.1}
 
 
@@ -115,7 +115,7 @@ def test_looks_of_many_readers_change_nothing() -> None:
     for _ in range(600):
         watched.run(1)
         for _ in range(5):
-            watched.availability.look(watched.now_ns, None)
+            watched.availability.update(watched.now_ns, None)
     assert watched.span("since_start")["valid_s"] == 600.0
 
 
@@ -167,7 +167,7 @@ def test_what_was_before_the_start_is_forgotten_as_time_goes_on() -> None:
 def test_since_when_it_is_known_is_told_in_utc() -> None:
     availability = Availability(0, lambda t_ns: START + timedelta(microseconds=t_ns / 1000))
     for second in range(601):
-        availability.look(second * SECOND, None)
+        availability.update(second * SECOND, None)
     since = {name: cast("dict[str, Any]", span)["since"] for name, span in availability.as_object().items()}
     spans = ("last_hour", "last_day", "last_31_days", "since_start")
     assert since == dict.fromkeys(spans, "2026-11-20T08:00:00.000Z")

@@ -14,10 +14,10 @@ from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.board import Board
 from altd.status.event_log import (
-    MAX_ASKED_EVENTS,
-    MAX_ASKED_IN_WINDOW,
     MAX_EVENTS,
     MAX_OF_ONE_IN_WINDOW,
+    MAX_REQUEST_EVENTS,
+    MAX_REQUESTS_IN_WINDOW,
     EventKind,
     EventLog,
 )
@@ -71,7 +71,7 @@ def test_other_causes_are_not_held_back_with_it(log: EventLog) -> None:
 def test_names_without_end_cost_a_bounded_number(log: EventLog, clock: FakeClock) -> None:
     for number in range(10_000):
         log.note(EventKind.REQUEST, "asked", f"http 10.0.{number >> 8}.{number & 255}")
-    assert log.count == MAX_ASKED_IN_WINDOW
+    assert log.count == MAX_REQUESTS_IN_WINDOW
     clock.now_ns += 61 * 10**9
     log.note(EventKind.STATE, "good")
     assert texts(log)[-1] == "good"
@@ -91,7 +91,7 @@ def test_what_is_asked_for_without_end_takes_the_place_of_no_fault(
     events = log.after(0)
     came = [event.text for event in events if event.kind is EventKind.CAUSE_CAME]
     assert came == [f"{minute} {number}" for minute in range(100) for number in range(5)]
-    assert len(events) - len(came) == MAX_ASKED_EVENTS
+    assert len(events) - len(came) == MAX_REQUEST_EVENTS
     assert [event.number for event in events] == sorted(event.number for event in events)
     assert log.after(events[-6].number) == events[-5:]
 
@@ -153,8 +153,8 @@ class TestStateEvents:
         service.open(lambda: None)
         service.ask("modbus")
         service.publish(SelfCheckReport(1, "it is bad", {"verdict": "bad", "number": 1, "targets": {}}))
-        observer.look()
-        observer.look()
+        observer.observe()
+        observer.observe()
         told = [event for event in log.after(0) if event.kind in (EventKind.REQUEST, EventKind.SELF_CHECK)]
         assert [(event.of, event.text, event.severity) for event in told] == [
             ("modbus", "a self-check was asked for", 1),
@@ -167,7 +167,7 @@ class TestStateEvents:
     ) -> None:
         seen = {"front": {"leds_found": 8, "shift_px": [0.12, -0.3]}, "rear": {"shift_px": None}}
         service.publish(SelfCheckReport(1, "good", {"verdict": "good", "number": 1, "targets": seen}))
-        observer.look()
+        observer.observe()
         (told,) = [event for event in log.after(0) if event.kind is EventKind.SELF_CHECK]
         assert told.detail["shift_px"] == {"front": [0.12, -0.3], "rear": None}
 
@@ -178,6 +178,6 @@ def test_a_fault_has_a_target_and_so_has_its_event(
     observer = StateEvents(log, UnitState(board, health, clock).read, health.self_check, clock)
     fault = Fault(Reason.SPOT_MISSING, "rear", "too dim")
     board.publish(measurement(1, clock.now_ns).without_numbers((fault,)))
-    observer.look()
+    observer.observe()
     (event,) = [event for event in log.after(0) if event.detail.get("code") == "spot_missing"]
     assert (event.of, event.detail["detail"]) == ("rear", "too dim")

@@ -16,13 +16,13 @@ LAST_S = 1059.0
 
 
 def hear(knowledge: Knowledge, document: dict[str, Any], now_s: float) -> None:
-    knowledge.hear_reading(reading_of(document, QUANTITIES), now_s)
+    knowledge.set_reading(reading_of(document, QUANTITIES), now_s)
 
 
 def after_a_minute() -> Knowledge:
     """At ``LAST_S`` the front spot is at x 35, y -27.5 mm; each second before, 3 mm to the left."""
     knowledge = Knowledge()
-    knowledge.hear_about(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+    knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
     for second in range(60):
         back = second - 59
         place = {"x_mm": 35.0123 + 3 * back, "y_mm": -27.5}
@@ -32,7 +32,7 @@ def after_a_minute() -> Knowledge:
         )
         hear(knowledge, document, 1000.0 + second)
     state = status(SPOT_MISSING, DUSTY, signal="out_of_specification")
-    knowledge.hear_status(StatusDocument.checked(state), LAST_S)
+    knowledge.set_status(StatusDocument.checked(state), LAST_S)
     return knowledge
 
 

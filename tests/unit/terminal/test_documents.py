@@ -75,9 +75,9 @@ def test_control_characters_do_not_reach_a_terminal() -> None:
     target = {"name": nasty, "left_out_px": 1.0, "residuals": {}, "flat": nasty}
     calibration = CalibrationDocument.checked({"targets": [target]})
     knowledge = Knowledge()
-    knowledge.hear_reading(reading, 0.0)
-    knowledge.hear_status(state, 0.0)
-    knowledge.hear_about(
+    knowledge.set_reading(reading, 0.0)
+    knowledge.set_status(state, 0.0)
+    knowledge.set_documents(
         check, TargetsDocument.checked(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]})
     )
     shown = [status_text(reading, state, check, calibration)]
@@ -152,9 +152,9 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
         refused += 5 - len(told)
         if len(told) < 5:
             continue
-        knowledge.hear_reading(told[0], float(number))
-        knowledge.hear_status(told[1], float(number))
-        knowledge.hear_about(told[2], told[3])
+        knowledge.set_reading(told[0], float(number))
+        knowledge.set_status(told[1], float(number))
+        knowledge.set_documents(told[2], told[3])
         canvas = Canvas(24, 80, is_utf8=number % 2 == 0)
         draw(knowledge, float(number), View(number % len(PAGES)), canvas)
         lines = canvas.text().split("\n")

@@ -15,7 +15,7 @@ from altd.terminal.documents import (
     TargetsDocument,
     reading_of,
 )
-from altd.terminal.lines import WIDTH, is_fine, self_check_table, status_text
+from altd.terminal.lines import WIDTH, is_healthy, self_check_table, status_text
 
 
 @pytest.fixture
@@ -148,8 +148,8 @@ ok           camera front, measuring"""
         ],
     )
     def test_fine_is_who_may_be_used(self, valid: bool, signal: str, fine: bool) -> None:
-        assert is_fine(reading(valid=valid), StatusDocument.checked(status(signal=signal))) is fine
-        assert not is_fine(None, StatusDocument.checked(status()))
+        assert is_healthy(reading(valid=valid), StatusDocument.checked(status(signal=signal))) is fine
+        assert not is_healthy(None, StatusDocument.checked(status()))
 
     def test_a_self_check_is_this_table(self) -> None:
         part = {"of": "rear", "verdict": "bad", "unit": "mm", "error": 0.13755, "sigma": 0.00153}

@@ -90,9 +90,9 @@ def test_a_number_is_whole_or_absent_on_any_size(rows: int) -> None:
         **place,
     )  # fmt: skip
     knowledge = Knowledge()
-    knowledge.hear_about(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+    knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
     hear(knowledge, document, LAST_S)
-    knowledge.hear_status(
+    knowledge.set_status(
         StatusDocument.checked(status(SPOT_MISSING, DUSTY, signal="out_of_specification")), LAST_S
     )
     for page, columns in itertools.product(range(len(PAGES)), range(20, 101)):
@@ -122,7 +122,7 @@ def test_what_was_known_is_gone_when_nobody_answers(page: int) -> None:
 @pytest.mark.parametrize("page", range(len(PAGES)))
 def test_it_is_gone_at_once_when_the_daemon_ends_and_back_when_it_answers(page: int) -> None:
     knowledge = after_a_minute()
-    knowledge.hear_nothing("the daemon does not run: nothing listens at /run/altd/altd.sock")
+    knowledge.set_lost("the daemon does not run: nothing listens at /run/altd/altd.sock")
     gone = screen(knowledge, LAST_S, page=page)
     why = "the daemon does not run: nothing listens at /run/altd/altd.sock; it is asked again and again"
     assert " ".join(gone.split("\n")[1:3]) == why
@@ -171,7 +171,7 @@ def test_the_age_grows_between_two_answers() -> None:
 
 def test_another_unit_has_another_past() -> None:
     knowledge = after_a_minute()
-    knowledge.hear_status(StatusDocument.checked(status() | {"serial": "ALT-0008"}), LAST_S + 1)
+    knowledge.set_status(StatusDocument.checked(status() | {"serial": "ALT-0008"}), LAST_S + 1)
     hear(knowledge, measurement(), LAST_S + 1)
     assert knowledge.trend("x_mm", LAST_S + 1, 60, 1.0)[:-1] == [None] * 59
 
@@ -205,8 +205,8 @@ class TestView:
         }
         knowledge = Knowledge()
         hear(knowledge, measurement(), 0.0)
-        knowledge.hear_about(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
-        knowledge.hear_status(StatusDocument.checked(status(**parts)), 0.0)
+        knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+        knowledge.set_status(StatusDocument.checked(status(**parts)), 0.0)
         view = View(3)
         for _ in range(500):
             view = draw(knowledge, 0.0, view.pressed("down"), Canvas(24, 80, is_utf8=False))
@@ -225,7 +225,7 @@ def test_a_hundred_causes_leave_the_keys_in_sight() -> None:
         "brief": "nothing new is measured", "remedy": "look", "detail": "",
     }  # fmt: skip
     knowledge = after_a_minute()
-    knowledge.hear_status(StatusDocument.checked(status(*[cause] * 100, signal="failure")), LAST_S)
+    knowledge.set_status(StatusDocument.checked(status(*[cause] * 100, signal="failure")), LAST_S)
     lines = screen(knowledge, LAST_S).split("\n")
     assert lines[-1].startswith("tab, arrows: [targets]")
     assert lines[-2] == "... more on the page of causes"

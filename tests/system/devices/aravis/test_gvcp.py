@@ -21,9 +21,9 @@ class TestCameras:
             "Aravis",
             "Fake",
         )
-        assert second.is_called("Aravis-Fake-T2")
-        assert not second.is_called("T1")
-        assert not second.is_called("")
+        assert second.has_name("Aravis-Fake-T2")
+        assert not second.has_name("T1")
+        assert not second.has_name("")
 
     def test_tell_who_controls_them(self, cameras: Cameras) -> None:
         cameras.start()

@@ -71,7 +71,7 @@ def test_laser_speckle_decorrelates_with_place_and_with_the_angle_of_the_pupil(
     pupil_rad = lens.focal_mm / 4.0 / lens.translation_mm[2]
     starts = np.linspace(0.0, 1.0, 8, endpoint=False)
 
-    def likeness(place_mm: float, angle_rad: float) -> float:
+    def correlation(place_mm: float, angle_rad: float) -> float:
         """Mean correlation of pictures that differ by so much, from several places on."""
         pairs = []
         for start in starts:
@@ -82,12 +82,12 @@ def test_laser_speckle_decorrelates_with_place_and_with_the_angle_of_the_pupil(
             pairs.append(float(np.corrcoef(first.ravel(), second.ravel())[0, 1]))
         return float(np.mean(pairs))
 
-    assert likeness(0.0, 0.0) == pytest.approx(1.0)
-    assert likeness(0.05, 0.0) > 0.9
-    assert likeness(0.0, 0.1 * pupil_rad) > 0.9
-    for beside in (likeness(0.5, 0.0), likeness(0.0, pupil_rad)):
+    assert correlation(0.0, 0.0) == pytest.approx(1.0)
+    assert correlation(0.05, 0.0) > 0.9
+    assert correlation(0.0, 0.1 * pupil_rad) > 0.9
+    for beside in (correlation(0.5, 0.0), correlation(0.0, pupil_rad)):
         assert 0.1 < beside < 0.5  # around 1/e
-    for far in (likeness(1.5, 0.0), likeness(0.0, 3.0 * pupil_rad)):
+    for far in (correlation(1.5, 0.0), correlation(0.0, 3.0 * pupil_rad)):
         assert abs(far) < 0.1
 
 

@@ -79,7 +79,7 @@ class Bench:
 
     def _push(self, frame: Frame) -> None:
         for measurement in self._chain.push(frame):
-            passed = self._checks.pass_on(measurement)
+            passed = self._checks.apply(measurement)
             if passed is not None:
                 self.told[measurement.sequence] = ", ".join(
                     str(fault) for fault in passed.status if not fault.reason.is_warning

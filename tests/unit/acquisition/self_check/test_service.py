@@ -84,12 +84,12 @@ class Running:
         for number in range(4):
             for camera in CAMERAS:
                 one = located(camera, number, self.clock.now_ns + number * 50_000_000)
-                self.checks.look(replace(one, spot=replace(SPOT, u_px=300.0 + 12.0 * (number == 3))))
+                self.checks.add(replace(one, spot=replace(SPOT, u_px=300.0 + 12.0 * (number == 3))))
 
     @property
     def passed(self) -> tuple[bool, list[str]]:
         """Whether a measurement that is valid stays so, and what it says."""
-        measurement = self.checks.pass_on(measured())
+        measurement = self.checks.apply(measured())
         assert measurement is not None
         return measurement.valid, [str(fault) for fault in measurement.status]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from altd.calibration.report.write import HEAD_BYTES, checksum_in, meta_line, page_beside
+from altd.calibration.report.write import HEAD_BYTES, checksum_in, meta_line, page_path
 
 CHECKSUM = f"sha256:{'0123456789abcdef' * 4}"
 PAGE = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{meta_line(CHECKSUM)}\n'
@@ -33,5 +33,5 @@ def test_what_names_none_names_none(head: str) -> None:
 
 
 def test_a_report_lies_beside_its_calibration_under_the_same_name() -> None:
-    assert page_beside(Path("/etc/altd/unit-7.json")) == Path("/etc/altd/unit-7.html")
-    assert page_beside(Path("calibration")) == Path("calibration.html")
+    assert page_path(Path("/etc/altd/unit-7.json")) == Path("/etc/altd/unit-7.html")
+    assert page_path(Path("calibration")) == Path("calibration.html")

@@ -62,7 +62,7 @@ def means(
     found = []
     for one in frame_sets:
         if isinstance(one, int):
-            window.pass_over(one)
+            window.skip(one)
         elif (mean := window.add(one)) is not None:
             found.append(mean)
     return found
@@ -244,7 +244,7 @@ def test_light_that_fades_in_the_visit_of_the_other_target_is_a_slow_glass() -> 
     for one in shown(still, 40.0, seed=3):
         if isinstance(one, int):
             in_visit = 0
-            window.pass_over(one)
+            window.skip(one)
             continue
         in_visit += 1
         if one.opaque == "rear" and one.t_ns > 20 * 10**9:
@@ -279,7 +279,7 @@ def test_visits_without_a_spot_are_none() -> None:
     window, found = window_of(), list[MeanSpots | tuple[Fault, ...]]()
     for one in shown(still, 60.0, seed=3):
         if isinstance(one, int):
-            window.pass_over(one)
+            window.skip(one)
             continue
         is_dark = one.opaque == "rear" and one.t_ns // (5 * 10**9) % 2
         found.append(window.add(with_spots(one, one.spots["front"], DARK) if is_dark else one) or ())

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.clock import FakeClock
 
-from altd.publish.http.clients import IDLE_S, LONGEST_S, MAX_SESSIONS, Sessions
+from altd.publish.http.clients import IDLE_S, MAX_SESSION_S, MAX_SESSIONS, Sessions
 from altd.tcp_port import MAX_KEYS, Buckets, Rate
 
 S = 1_000_000_000
@@ -32,8 +32,8 @@ def test_a_burst_is_free_and_then_it_goes_by_the_rate() -> None:
 def test_what_is_given_back_can_be_taken_again() -> None:
     buckets = Buckets(Rate(burst=1, per_s=0.1), FakeClock(S))
     assert buckets.take("a") == 0
-    buckets.give_back("a")
-    buckets.give_back("unknown")
+    buckets.put_back("a")
+    buckets.put_back("unknown")
     assert buckets.take("a") == 0
     assert buckets.wait_s("a") == pytest.approx(10.0)
 
@@ -83,7 +83,7 @@ def test_sessions_end_by_idleness_and_at_last_by_the_clock_nobody_sets() -> None
     assert sessions.name_of(busy) == "ana"
     clock.now_ns += 2 * S
     assert sessions.name_of(idle) is None
-    while clock.now_ns < LONGEST_S * S:
+    while clock.now_ns < MAX_SESSION_S * S:
         assert sessions.name_of(busy) == "ana"
         clock.now_ns += round(IDLE_S / 2 * S)
     clock.now_ns += round(IDLE_S / 2 * S)

@@ -162,11 +162,11 @@ async def test_the_condition_is_that_of_now(
     client: Client, board: Board, health: Health, clock: FakeClock, measured: Measured
 ) -> None:
     availability = Availability(clock.now_ns)
-    availability.look(clock.now_ns, None)
+    availability.update(clock.now_ns, None)
     clock.now_ns += 3_000_000_000
-    availability.look(clock.now_ns, None)
+    availability.update(clock.now_ns, None)
     clock.now_ns += 1_000_000_000
-    availability.look(clock.now_ns, "spot_missing")
+    availability.update(clock.now_ns, "spot_missing")
     health.state = lambda: StateReport(Signal.OUT_OF_SPECIFICATION, 0, clock.now_ns, (), availability)
     health.self_check.unavailable = ""
     health.component("camera left").observe({"exposure_ms": 2.5, "gain_db": 3.0})

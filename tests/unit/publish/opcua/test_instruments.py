@@ -196,7 +196,7 @@ async def test_a_round_is_fresh_as_long_as_the_row_says_and_then_none_of_it_is_a
         await on.server.take(on.unit.line())
         assert await on.statuses(*OF_T3, *flags) == {Status.GOOD}
         on.clock.now_ns += 20_000_000
-        await on.server.live.look()
+        await on.server.live.withdraw_stale()
         assert await on.statuses(*OF_T3, *OF_T2, *flags) == {Status.BAD_NO_COMMUNICATION}
         await on.server.take(on.unit.line())
         found = await on.read(*OF_T3, *OF_T2, *flags, "status")

@@ -64,7 +64,7 @@ class Bench:
 
     async def passed(self, seconds: float) -> None:
         self.clock.now_ns += round(seconds * 1e9)
-        await self.live.look()
+        await self.live.withdraw_stale()
 
 
 def bench(**fields: Any) -> Bench:
@@ -153,7 +153,7 @@ async def test_the_same_measurement_sent_again_stays_as_old_as_it_is(on: Bench) 
     for _ in range(12):
         await on.passed(0.1)
         await on.live.take(on.unit.line())
-        await on.live.look()
+        await on.live.withdraw_stale()
     assert json.loads(on.unit.line())["valid"], "the board would show it"
     assert on.nodes.statuses(*NUMBERS, "valid") == {Status.BAD_NO_COMMUNICATION}
 

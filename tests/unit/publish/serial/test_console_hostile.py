@@ -42,7 +42,7 @@ def test_nothing_typed_gets_more_than_plain_text_out_of_it() -> None:
             keys[chance.randrange(len(keys))] = chance.randrange(256)
         shown = typed.feed(bytes(keys))
         if chance.random() < 0.1:
-            shown += typed.rest() + typed.tick() + typed.give_up()
+            shown += typed.rest() + typed.tick() + typed.drop_question()
         assert not _OBEYED.search(shown), (bytes(keys), shown)
         assert all(
             len(line.rpartition(b"\r")[2]) < 80 + 12 * line.count(b"\b") for line in shown.split(b"\r\n")
