@@ -42,7 +42,7 @@ def ask(
     try:
         return status, parse_json(content)
     except ValueError as error:
-        raise NoAnswerError(f"the server at {path} is no daemon of altd: {error}") from error
+        raise NoAnswerError(f"the server at {path} is not an altd daemon: {error}") from error
 
 
 def ask_content(
@@ -70,7 +70,7 @@ def ask_content(
     except ConnectionRefusedError as error:
         raise NoAnswerError(f"the daemon does not run: nothing listens at {path}") from error
     except http.client.HTTPException as error:
-        raise NoAnswerError(f"the server at {path} is no daemon of altd: {error}") from error
+        raise NoAnswerError(f"the server at {path} is not an altd daemon: {error}") from error
     except OSError as error:
         raise NoAnswerError(f"no daemon answers at {path}: {error.strerror or error}") from error
     finally:
@@ -123,7 +123,7 @@ def _who_may(path: Path) -> str:
     try:
         about = path.stat()
     except OSError:
-        return f"{path}: permission denied: the folder lets in its owner and group alone; ask as root (sudo)"
+        return f"{path}: permission denied: only the folder's owner and group have access; use sudo"
     user = _name(lambda: pwd.getpwuid(about.st_uid).pw_name, about.st_uid)
     group = _name(lambda: grp.getgrgid(about.st_gid).gr_name, about.st_gid)
     return (
@@ -189,7 +189,7 @@ def _make_room(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise OSError(errno.EADDRINUSE, "there is a file that is no socket")
+        raise OSError(errno.EADDRINUSE, "the file is not a socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         trial.settimeout(_CONNECT_TIMEOUT_S)
         try:

@@ -132,7 +132,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     CAMERA_SILENT = (
         "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT, _FAILURE,
-        "the camera delivers nothing",
+        "the camera delivers no frames",
         "check the camera's cable and supply",
         "the camera delivers no frames",
     )  # fmt: skip
@@ -213,7 +213,7 @@ class Reason(StrEnum):
     )  # fmt: skip
     STALE = (
         "stale", _UNIT, 24, StatusGroup.STALE, _FAILURE,
-        "nothing new is measured",
+        "no new measurement",
         "look in `status` for the component that has stopped",
         "no new exposure, or no measurement, for longer than `stale_after_s`",
     )  # fmt: skip
@@ -240,18 +240,18 @@ class Reason(StrEnum):
         "beam_lost", _UNIT, 32, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
         "no target of the row sees the beam",
         "check the laser, and whether an object blocks its beam",
-        "all cameras of a row of targets deliver, and none sees a spot in its visit",
+        "all cameras of a row of targets deliver frames, but none has a spot during its visit",
     )  # fmt: skip
     GEOMETRY_DRIFT = (
         "geometry_drift", _UNIT, 26, StatusGroup.NOT_TRUSTED, _FAILURE,
         "cameras or targets are not where they were calibrated",
-        "look for a blow or loose screws at cameras and targets; then calibrate the unit again",
+        "check cameras and targets for a blow or loose screws; then calibrate the unit again",
         "the self-check found a drift above `bad_mm` or `bad_deg`",
     )  # fmt: skip
     GEOMETRY_UNVERIFIED = (
         "geometry_unverified", _UNIT, 27, StatusGroup.NOT_TRUSTED, _FAILURE,
-        "the self-check could not tell whether cameras and targets are in place",
-        "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
+        "the self-check could not determine whether cameras and targets are in place",
+        "`status` names the missing data: check the frame LEDs and their wiring",
         "as `geometry_unknown`, while `when_unknown` is `invalid`",
     )  # fmt: skip
     SELF_CHECKING = (
@@ -327,13 +327,13 @@ class Reason(StrEnum):
     STABLE_MOVED = (
         "stable_moved", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
         "a stable target has moved",
-        "look at its place; name another target as stable and make a new baseline",
+        "inspect its place; name another target as stable and make a new baseline",
         "four stable targets or more, and the others agree without it; the beam is known by these",
     )  # fmt: skip
     STABLE_DISAGREE = (
         "stable_targets_disagree", _WARNING, 0, StatusGroup.NO_BIT, _OUT_OF_SPECIFICATION,
         "the stable targets do not fit one beam",
-        "look at the places of the stable targets: one has moved",
+        "inspect the places of the stable targets: one has moved",
         "three stable targets or more, and it is not known which has moved: no displacement is known",
     )  # fmt: skip
     NO_BASELINE = (
@@ -350,15 +350,15 @@ class Reason(StrEnum):
     )  # fmt: skip
     BEAM_ANGLE_UNKNOWN = (
         "beam_angle_unknown", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
-        "one stable target alone shows the beam's drift",
+        "only one stable target shows the beam's drift",
         "name two stable targets, or bring the other back",
-        "the beam's angle is not known; sigma includes what all targets have in common",
+        "the beam's angle is not known; sigma includes the movement common to all targets",
     )  # fmt: skip
     BEAM_DRIFT_UNKNOWN = (
         "beam_drift_unknown", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
         "no stable target shows the beam's drift",
         "name two stable targets, or bring them back",
-        "neither offset nor angle of the beam is known; sigma includes what all targets have in common",
+        "neither offset nor angle of the beam is known; sigma includes the movement common to all targets",
     )  # fmt: skip
     BEAM_NOT_CLOSED = (
         "beam_not_closed", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
@@ -388,8 +388,8 @@ class Reason(StrEnum):
     )  # fmt: skip
     GEOMETRY_UNKNOWN = (
         "geometry_unknown", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
-        "the self-check could not tell whether cameras and targets are in place",
-        "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
+        "the self-check could not determine whether cameras and targets are in place",
+        "`status` names the missing data: check the frame LEDs and their wiring",
         "the last self-check has no verdict on the unit or a part of it, or the one after a shock has not "
         "ended",
     )  # fmt: skip

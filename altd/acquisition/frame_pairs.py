@@ -121,7 +121,7 @@ class FramePairs:
             self._drop(pair)
 
     def _drop(self, pair: Pair[Frame]) -> None:
-        steps.debug("exposure %d: dropped, a newer one came first", pair.sequence)
+        steps.debug("exposure %d: dropped, replaced by a newer one", pair.sequence)
         for frame in pair.all_items:
             self.dropped[frame.camera] += 1
             if frame.changing:

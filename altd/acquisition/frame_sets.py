@@ -20,8 +20,8 @@ FRAME_SET_TIMEOUT_S = 5.0
 """Maximum time without a frame set of all cameras; then a camera counts as failed."""
 _CHECK_INTERVAL_S = 0.25
 _BUSY_REMEDY = (
-    "stop what has them (altd itself: sudo systemctl stop altd), or have altd keep its last seconds "
-    "(docs/history.md)"
+    "stop the program that uses them (altd itself: sudo systemctl stop altd), or let altd keep its last "
+    "seconds (docs/history.md)"
 )
 
 

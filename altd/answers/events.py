@@ -36,7 +36,7 @@ def opened(path: Path) -> Iterator[Reader]:
     except FileNotFoundError as error:
         if error.filename is None or Path(error.filename) != path:
             raise
-        raise BadInputError(path, "No such file or directory; the daemon makes it (`[history]`)") from error
+        raise BadInputError(path, "No such file or directory; the daemon creates it (`[history]`)") from error
     except PermissionError as error:
         if error.filename is None or Path(error.filename) != path:
             raise
@@ -50,14 +50,14 @@ _MAX_CHECKS = 60
 """Maximum number of checks for a new file: a slow disk takes seconds for each write."""
 
 COLUMNS = (
-    Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
+    Column("id", Type.WHOLE, "", "increases over restarts, unique in a file"),
     Column("time", Type.TIME, "", "UTC"),
     Column("severity", Type.WHOLE, "", "0 good to 4 failure, as the unit's signals"),
     text("kind", "kind of the event"),
     text("of", "the target, component or interface"),
     text("text", "description for people"),
-    text("detail", "more of it, as JSON"),
-    Column("held_back", Type.WHOLE, "", "as many like it came before and were counted only"),
+    text("detail", "details, as JSON"),
+    Column("held_back", Type.WHOLE, "", "number of similar earlier events that were only counted"),
 )
 """Columns of ``--format csv``."""
 
@@ -111,7 +111,7 @@ def _identity(file: Path) -> tuple[int, int] | None:
 def event_line(event: StoredEvent) -> str:
     """Text of an event in one line."""
     of = f" {event.of}:" if event.of else ""
-    more = f" (and {event.held_back} like it before)" if event.held_back else ""
+    more = f" (and {event.held_back} similar ones before)" if event.held_back else ""
     detail = event.detail.get("detail")
     said = f": {detail}" if isinstance(detail, str) and detail else ""
     return f"{time_text(event.t_us)} {event.kind:<11}{of} {event.text}{said}{more}"

@@ -34,7 +34,7 @@ def answer(
     if output is not None:
         check_replaceable(output)
         if output.exists() and history.exists() and output.samefile(history):
-            raise BadInputError(output, "is what is read")
+            raise BadInputError(output, "is the input")
     with opened(history) as reader:
         columns = columns_of(reader, every)
         if len({column.name for column in columns}) < len(columns):
@@ -48,7 +48,7 @@ def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
     """The columns of a table of measurements, or of summaries."""
     if every == "measurement":
         return (
-            Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
+            Column("id", Type.WHOLE, "", "increases over restarts, unique in a file"),
             Column("time", Type.TIME, "", "UTC of the middle of the exposures that were averaged"),
             Column("sequence", Type.WHOLE, "", "number of the last exposure in the window"),
             Column("frames", Type.WHOLE, "", "exposures that were averaged"),

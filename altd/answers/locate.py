@@ -70,4 +70,4 @@ def doubt(spot: Spot, second: Centre | None) -> str | None:
     allowed_px = _MAX_DIFFERENCE_SIGMAS * math.hypot(spot.sigma_px, second.sigma_px)
     if apart_px <= allowed_px:
         return None
-    return f"the two localisers lie {apart_px:.3f} px apart, {allowed_px:.3f} px are allowed"
+    return f"the two localisers differ by {apart_px:.3f} px, {allowed_px:.3f} px are allowed"

@@ -106,7 +106,7 @@ def _check(question: Question) -> None:
         check_parquet(question.output)
     if question.plot is not None:
         if question.plot.suffix.lower() != ".svg":
-            raise BadInputError(question.plot, "is to be a drawing in SVG: name it ….svg")
+            raise BadInputError(question.plot, "is an SVG drawing: name it ….svg")
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # on first use it reports its font cache
         try:
             importlib.import_module("matplotlib")
@@ -119,10 +119,10 @@ def _check(question: Question) -> None:
         check_replaceable(path)
         for source in read:
             if source.exists() and path.exists() and path.samefile(source):
-                raise BadInputError(path, "is what is read")
+                raise BadInputError(path, "is the input")
     files = [path.resolve() for path in (question.output, question.plot) if path is not None]
     if len(set(files)) < len(files):
-        raise BadInputError(files[0], "is asked for twice, as table and as plot")
+        raise BadInputError(files[0], "is requested twice, as table and as plot")
 
 
 @contextmanager

@@ -142,7 +142,7 @@ def _ask_http(host: str, port: int) -> tuple[int, Any]:
     except OSError as error:
         raise NoAnswerError(f"no daemon answers at {host} port {port}: {error.strerror or error}") from error
     except (http.client.HTTPException, ValueError) as error:
-        raise NoAnswerError(f"the server at {host} port {port} is no daemon of altd: {error}") from error
+        raise NoAnswerError(f"the server at {host} port {port} is not an altd daemon: {error}") from error
     finally:
         connection.close()
 

@@ -144,7 +144,7 @@ def back_up(settings: Path, output: Path) -> list[str]:
 def check_index(document: object, source: Path) -> Index:
     """Validate and return the index of an archive; raises BadInputError."""
     if not isinstance(document, dict) or not str(document.get("format", "")).startswith("altd-backup/"):
-        raise BadInputError(source, "is no backup of altd")
+        raise BadInputError(source, "is not an altd backup")
     try:
         index = Index.model_validate(document)
     except ValueError as error:

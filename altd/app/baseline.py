@@ -151,7 +151,7 @@ def with_baseline_kept(config: Config, place: Path) -> Config:
     """
     settings, folder = config.chain or ChainSettings(), state_folder()
     if settings.baseline is None and folder is None:
-        why = "none, and this is no service that has a folder: a restart would begin again at zero"
+        why = "missing, and there is no service folder: a restart would reset the baseline to zero"
         raise BadInputError(place, f"chain.baseline: {why}; possible: a file")
     path = baseline_path(config, service_folder(place))
     return config.model_copy(update={"chain": settings.model_copy(update={"baseline": path})})
@@ -233,5 +233,5 @@ def _covariance(matrix: _Matrix) -> FloatArray:
     covariance = np.array(matrix)
     is_symmetric = np.allclose(covariance, covariance.T, rtol=1e-9, atol=1e-12)  # a stored one always is
     if not is_symmetric or np.linalg.eigvalsh(covariance)[0] < 0.0:
-        raise ValueError("has a covariance that is none")
+        raise ValueError("has an invalid covariance")
     return covariance

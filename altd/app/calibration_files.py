@@ -63,16 +63,18 @@ class ReadCalibrationFiles:
         try:
             return await self._call(read)
         except BadInputError as error:
-            raise NoReportError(f"{self._page.name} beside the calibration: {error.message}") from error
+            raise NoReportError(f"{self._page.name} next to the calibration: {error.message}") from error
         except TimeoutError as error:
             raise NoReportError(_NO_ANSWER) from error
 
     def _check(self, page: bytes) -> None:
         named = checksum_in(page)
         if named is None:
-            raise NoReportError(f"{self._page.name} beside the calibration does not say what it reports on")
+            raise NoReportError(f"{self._page.name} next to the calibration does not name its calibration")
         if self._loaded is None or named != self._loaded.checksum:
-            raise NoReportError(f"{self._page.name} beside the calibration reports on another calibration")
+            raise NoReportError(
+                f"{self._page.name} next to the calibration is the report of another calibration"
+            )
 
     async def _call(self, read: Callable[[], bytes]) -> bytes:
         if self._thread is None:

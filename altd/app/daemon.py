@@ -247,7 +247,7 @@ class Daemon:
             recordings.unavailable = "kept_frames.memory_mb is 0"
             return None
         if folder is None:
-            recordings.unavailable = "kept_frames.folder is not set, and this is no service that has a folder"
+            recordings.unavailable = "kept_frames.folder is not set, and there is no service folder"
             return None
         note = self.past.note_recording
         keeper = frame_keeper(self.config, self._cameras, folder, self.state, self.health, note)

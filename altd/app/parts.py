@@ -44,7 +44,9 @@ class MissingFile:
     maker: str
 
     def __str__(self) -> str:
-        whole = "; ~ is no folder of a user here: write the whole path" if "~" in self.path.parts else ""
+        whole = (
+            "; ~ is not a user's home directory here: write the full path" if "~" in self.path.parts else ""
+        )
         return f"{self.keys}: {self.path} does not exist yet; {self.maker} makes it{whole}"
 
 

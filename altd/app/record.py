@@ -92,10 +92,10 @@ def _shown(
     """Return the plate, the kind of the recording, and the known pose."""
     if config.unit.instrument != "planar":
         if isinstance(shows, tuple):
-            raise BadInputError(place, '--pose goes with instrument = "planar"')
+            raise BadInputError(place, '--pose requires instrument = "planar"')
         return (shows, "plate", None) if isinstance(shows, PlateHeader) else (None, shows, None)
     if isinstance(shows, PlateHeader) or shows in ("flat", "self-check"):
-        raise BadInputError(place, 'instrument = "planar" is recorded with --pose alone, or without a kind')
+        raise BadInputError(place, 'instrument = "planar" is recorded with only --pose, or without a kind')
     if (plate := led_plate_of(config)) is None:
         raise BadInputError(place, "no [plate] table: the places of the plate's LEDs are part of a recording")
     return plate, "planar", shows if isinstance(shows, tuple) else None

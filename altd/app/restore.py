@@ -122,7 +122,7 @@ def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Ind
                 members = _regular(archive, stream)
                 name, size, content = next(members, ("", 0, io.BytesIO()))
                 if name != INDEX or size > _MAX_INDEX_BYTES:
-                    raise BadInputError(source, "is no backup of altd")
+                    raise BadInputError(source, "is not an altd backup")
                 index = check_index(parse_json(content.read()), source)
                 _check_serial(index.serial, places.settings)
                 for folder in {member.partition("/")[0] for member in index.files}:
@@ -152,7 +152,7 @@ def _regular(archive: tarfile.TarFile, stream: _Limited) -> Iterator[tuple[str, 
     while (member := archive.next()) is not None:
         content = archive.extractfile(member) if member.isreg() and not member.issparse() else None
         if content is None:
-            raise ValueError(f"{member.name} is no regular file")
+            raise ValueError(f"{member.name} is not a regular file")
         stream.left = member.size + _MAX_HEADER_BYTES
         yield member.name, member.size, cast("BinaryIO", content)
 

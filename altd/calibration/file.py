@@ -244,7 +244,7 @@ def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tupl
     try:
         document = parse_json(content)
     except ValueError as error:
-        raise BadInputError(path, f"is no calibration of `altd calibrate`: {error}") from error
+        raise BadInputError(path, f"is not a calibration made by `altd calibrate`: {error}") from error
     if not isinstance(document, dict):
         raise BadInputError(path, "is not a calibration: no JSON object")
     if document.get("format") != form:

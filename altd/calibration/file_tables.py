@@ -206,7 +206,7 @@ _Mixed = Annotated[float, Field(ge=-1, le=1)]
 def _checked_shape(shape: tuple[float, float, float]) -> tuple[float, float, float]:
     uu, uv, vv = shape
     if not (abs(uu + vv - 2) < 1e-6 and uu * vv - uv * uv >= _MIN_SHAPE_DETERMINANT):
-        raise ValueError("is no covariance (uu, uv, vv) of trace 2")
+        raise ValueError("is not a covariance (uu, uv, vv) with trace 2")
     return shape
 
 

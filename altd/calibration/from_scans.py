@@ -163,7 +163,7 @@ def _flat_doubts(correlation: float, name: str) -> tuple[str, ...]:
     if not correlation < _MIN_CORRELATION:  # also for NaN: a flat too even to tell is no worse than none
         return ()
     return (
-        f"{name}: the flat is not what the spots show (correlation {correlation:.2f} of 1): "
+        f"{name}: the flat does not match the spots (correlation {correlation:.2f} of 1): "
         "was it recorded before camera, lens or window were moved?",
     )
 
@@ -189,7 +189,7 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
         grid = scan_grid(scanned)
         if not grid.block.is_sufficient:
             needed = f"a map needs a grid of at least {MIN_LINES} × {MIN_LINES}"
-            why = f"{len(scanned.nodes)} nodes are no grid that can be used: {needed}"
+            why = f"{len(scanned.nodes)} nodes do not form a usable grid: {needed}"
             if refused:
                 share = f"{len(refused)} of {len(scanned.nodes)}"
                 why = f"{share} nodes have no spot: {refused[0].complaint}"

@@ -153,7 +153,7 @@ def _survey(
             clipped[shot.window] |= shot.pixels >= SATURATED_FROM * raster.full_scale
             sums.add(shot)
     if not count.any() or not sums.pixels.any():
-        raise ValueError("is no flat made with the laser: its spot is at one place, or beside the scan")
+        raise ValueError("is not a laser flat: its spot is at one place, or outside the scan")
     dark = total / np.maximum(count, 1)
     dark[count == 0] = np.median(dark[count > 0])
     spot, peak = sums.spot

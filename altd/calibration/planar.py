@@ -359,7 +359,7 @@ def _chosen(
             if length[worst] > _MIN_WRONG_MM and significance[worst] > _WRONG_SIGMAS:
                 raise BadInputError(
                     stays[worst].place,
-                    f"a_mm, b_mm, phi_deg are {length[worst]:.2f} mm from what the other poses say",
+                    f"a_mm, b_mm, phi_deg are {length[worst]:.2f} mm from the fit of the other poses",
                 )
     best = min(MODELS, key=lambda model: cost[model])
     return best, rms, ratio[best]

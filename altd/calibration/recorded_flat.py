@@ -107,7 +107,7 @@ def _check_ground(scan: TargetFrames, flat: Flat) -> None:
     share = _ground(first_frames(Job(scan, SpotSettings(), None)), flat).share
     if share < _MIN_GROUND_SHARE:
         raise ValueError(
-            f"the flat is not what the spots of the scan show ({share:.2f} of it, 1 at best): "
+            f"the flat does not match the spots of the scan ({share:.2f} of it, 1 at best): "
             "was it recorded before camera, lens or window were moved?"
         )
 

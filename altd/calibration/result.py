@@ -104,7 +104,7 @@ def _check_grid(place: str, fitted: TensorMap) -> None:
             raise ValueError(f"{place}.degree: {degree} along {name}, but it must be 1 to {most}")
     errors = fitted.covariance_factor_px.shape[2]
     if errors < 1:
-        raise ValueError(f"{place}.spread: is empty, so nothing is known of the map's uncertainty")
+        raise ValueError(f"{place}.spread: is empty, so the map's uncertainty is unknown")
     if errors > _MAX_FACTOR_COLUMNS:
         raise ValueError(f"{place}.spread: has {errors} columns, more than {_MAX_FACTOR_COLUMNS}")
 
@@ -126,7 +126,7 @@ def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> 
     sines = ahead[:, 0] * after[:, 1] - ahead[:, 1] * after[:, 0]
     turns = np.arctan2(sines, np.einsum("ij,ij->i", ahead, after)).sum() / (2 * np.pi)
     if sines.min() < -_MAX_BEND_SINE or round(turns) != 1:
-        raise ValueError(f"{place}: is no convex polygon, counter-clockwise")
+        raise ValueError(f"{place}: is not a counter-clockwise convex polygon")
 
 
 def _check_map(place: str, target: TargetCalibration) -> None:

@@ -112,7 +112,7 @@ def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[s
         offset_mm = float(np.linalg.norm(jacobian @ offset_px))
         doubts.append(
             f"{job.name}: {other.recording.path} puts the spots of {len(shared)} nodes {offset_mm:.2f} mm "
-            f"from where {first.recording.path} does: what was moved between the scans?"
+            f"from where {first.recording.path} does: something was moved between the scans"
         )
     return tuple(doubts)
 

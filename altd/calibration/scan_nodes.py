@@ -60,7 +60,7 @@ class NodeCache(Generic[Item]):
         if item is None:
             item = self._make(node)
         if item is None:
-            raise ValueError(f"node {node} yields nothing any more: its frame was changed")
+            raise ValueError(f"node {node} no longer yields a spot: its frame was changed")
         return item
 
     def __iter__(self) -> Iterator[Item]:

@@ -84,7 +84,7 @@ def localiser_agreement(
 def verdict(name: str, method: str, both: Agreement | None, pattern_px: float | None) -> Verdict:
     """Compare a target's localisers; they may differ by a pattern of ``pattern_px``, None: by any amount."""
     if both is None:
-        return Verdict(f"{name}: the ellipse found too few spots to be held against the {method}")
+        return Verdict(f"{name}: the ellipse found too few spots to compare it with the {method}")
     remark = (
         f"{name}: {method} and ellipse lie {both.difference_px:.3f} px apart (rms of {both.nodes} nodes), "
         f"scatter {both.scatter_px:.3f} px"

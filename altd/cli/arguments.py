@@ -89,7 +89,7 @@ def time_us(text: str) -> int:
             raise ValueError
     except (ValueError, OverflowError) as error:
         raise argparse.ArgumentTypeError(
-            f"{text[:40]!r} is no time; possible: 2026-11-20T08:15:30Z, or -2h for two hours ago"
+            f"{text[:40]!r} is not a time; possible: 2026-11-20T08:15:30Z, or -2h for two hours ago"
         ) from error
     return round(time.timestamp() * 1e6)
 
@@ -134,11 +134,11 @@ def history_of(options: argparse.Namespace) -> Path:
     """Return the history file to read; raises BadInputError."""
     if options.history is not None:
         if "config" in options:
-            raise BadInputError("--config", "says where the history is: it goes with no --history")
+            raise BadInputError("--config", "names the history file: it cannot be combined with --history")
         history: Path = options.history
         return history
     if "config" not in options and not DEFAULT_CONFIG.is_file():
-        raise BadInputError("--history", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
+        raise BadInputError("--history", f"missing, or --config FILE, because there is no {DEFAULT_CONFIG}")
     from altd.app.keeping import history_to_read
     from altd.app.settings import load_settings
 
@@ -220,7 +220,7 @@ class Parser(argparse.ArgumentParser):
             self.error(f"{first!r} is an argument too many; {self._one_line_usage()}")
         options = [action.option_strings[-1] for action in self._actions if action.option_strings]
         slip = did_you_mean(first.partition("=")[0], options)
-        self.error(f"{first}: there is no such argument; possible: {', '.join(options)}{slip}")
+        self.error(f"{first}: unknown argument; possible: {', '.join(options)}{slip}")
 
     def _unknown_options(self) -> str:
         """The unknown arguments, each with similar known ones."""

@@ -34,5 +34,5 @@ def run(options: argparse.Namespace) -> int:
     left_out = back_up(options.config, output)
     for line in left_out:
         print_errors(f"altd backup: {line}")
-    print_lines(f"{output}: has passwords and keys: keep it where only administrators can read it")
+    print_lines(f"{output}: contains passwords and keys: keep it where only administrators can read it")
     return 1 if left_out else 0

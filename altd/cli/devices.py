@@ -59,7 +59,7 @@ def _video_cameras() -> Iterator[str]:
     for found in find_cameras():
         yield f'  device = "{found.path}"'
         if isinstance(found, UnreadableCamera):
-            yield from _detail_lines(f"cannot be looked at: {found.why}")
+            yield from _detail_lines(f"cannot be read: {found.why}")
             continue
         yield from _detail_lines(f"{found.card}, kernel driver {found.driver}")
         if found.serial is not None:
@@ -83,7 +83,7 @@ def _gige_cameras() -> Iterator[str]:
         yield f'  device = "{found.serial or found.address}"'
         yield from _detail_lines(f"{found.vendor} {found.model} at {found.address}; as an id {found.id!r}")
         if found.in_use:
-            yield from _detail_lines("a program controls it now: what it can do is not asked")
+            yield from _detail_lines("another program controls it now: its features were not read")
         elif found.formats:
             yield from _detail_lines("pixel_format = " + " or ".join(f'"{name}"' for name in found.formats))
         else:

@@ -135,7 +135,7 @@ def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
     if DEFAULT_CONFIG.is_file():
         options.config = DEFAULT_CONFIG
     elif options.command not in _WITHOUT_CONFIG:
-        parser.refuse(options.command, f"missing: --config FILE, for there is no {DEFAULT_CONFIG}")
+        parser.refuse(options.command, f"missing: --config FILE, because there is no {DEFAULT_CONFIG}")
 
 
 def command_parser() -> Parser:

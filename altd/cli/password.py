@@ -40,7 +40,7 @@ def _typed(name: str) -> str:
     if sys.stdin.isatty():
         password = getpass.getpass(f"New password of {name}: ")
         if getpass.getpass("Once more: ") != password:
-            raise BadInputError("password", "the two are not the same; nothing was changed")
+            raise BadInputError("password", "the passwords differ; nothing was changed")
     else:
         line = sys.stdin.buffer.readline(MAX_PASSWORD_BYTES + 2)
         try:

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
             "--plate",
             "C,R,MM must follow `--kind plate`: columns, rows and pitch of its LEDs"
             if options.plate is None
-            else "goes with `--kind plate` only",
+            else "requires `--kind plate`",
         )
     config = load_settings(options.config)
     show, kept = progress_on("exposures"), 0
@@ -102,7 +102,7 @@ def _pose(text: str) -> tuple[float, float, float]:
     except ValueError:
         a_mm = b_mm = phi_deg = math.nan
     if not (abs(a_mm) <= 10_000 and abs(b_mm) <= 10_000 and abs(phi_deg) <= 360):
-        raise argparse.ArgumentTypeError(f"{text!r} is no pose; possible: A,B,PHI such as 0,700,-15")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pose; possible: A,B,PHI such as 0,700,-15")
     return a_mm, b_mm, phi_deg
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from altd.cli.arguments import DEFAULT_CONFIG
 from altd.process.standard_streams import print_lines
 
-SUMMARY = "put back what `altd backup` has written; the daemon must be stopped"
+SUMMARY = "restore an archive of `altd backup`; the daemon must be stopped"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
         print_errors(f"altd selfcheck: {error}")
         return 1
     except ValueError as error:
-        print_errors(f"altd selfcheck: the answer is no self-check: {error}")
+        print_errors(f"altd selfcheck: the answer is not a self-check: {error}")
         return 1
     if options.json:
         print_lines(json.dumps(document))
@@ -62,7 +62,7 @@ def _document(options: argparse.Namespace) -> dict[str, Any]:
     if options.recording is None:
         return _ask_daemon(options)
     if "config" in options:
-        raise BadInputError("--config", "asks the running daemon: it goes with no RECORDING")
+        raise BadInputError("--config", "asks the running daemon: it cannot be combined with RECORDING")
     if options.calibration is None:
         raise BadInputError(options.recording, "missing: --calibration FILE, to hold the recording against")
     from altd.answers.selfcheck import judge_recording
@@ -73,9 +73,9 @@ def _document(options: argparse.Namespace) -> dict[str, Any]:
 def _ask_daemon(options: argparse.Namespace) -> dict[str, Any]:
     """Request a self-check from the running daemon."""
     if options.calibration is not None:
-        raise BadInputError("--calibration", "missing: RECORDING, which goes with it")
+        raise BadInputError("--calibration", "missing: RECORDING, which it requires")
     if "config" not in options and not DEFAULT_CONFIG.is_file():
-        raise BadInputError("RECORDING", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
+        raise BadInputError("RECORDING", f"missing, or --config FILE, because there is no {DEFAULT_CONFIG}")
     from altd.app.ask_daemon import ask_running_daemon
     from altd.app.settings import load_settings
 

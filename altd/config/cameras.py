@@ -19,7 +19,7 @@ def _camera_name(name: str) -> str:
         try:
             address = ipaddress.IPv4Address(name)
         except ValueError as error:
-            raise complaint(((), f"{shown(name)} is no IP address")) from error
+            raise complaint(((), f"{shown(name)} is not an IP address")) from error
         if address.is_multicast or address.is_unspecified or is_unassignable(address):
             raise complaint(((), f"{shown(name)} is an address that no camera has"))
     return name

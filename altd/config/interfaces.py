@@ -23,7 +23,7 @@ def _address(host: str) -> str:
     try:
         address = ipaddress.ip_address(host)
     except ValueError as error:
-        raise complaint(((), f"{shown(host)} is no IP address; {possible}")) from error
+        raise complaint(((), f"{shown(host)} is not an IP address; {possible}")) from error
     if why := _refusal(address):
         raise complaint(((), f"{shown(host)} {why}; {possible}"))
     return host
@@ -113,7 +113,7 @@ _HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE 
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
         possible = "one such as alt-0007.plant, without scheme and port"
-        raise complaint(((), f"{shown(text)} is no name of a computer; possible: {possible}"))
+        raise complaint(((), f"{shown(text)} is not a host name; possible: {possible}"))
     return text
 
 
@@ -158,7 +158,7 @@ _TOPIC = re.compile(r"[A-Za-z0-9_.:-]+(/[A-Za-z0-9_.:-]+)*", re.ASCII)
 def _topic(text: str) -> str:
     if not _TOPIC.fullmatch(text):
         possible = "possible: letters, digits and _ . : -, and / between levels"
-        raise complaint(((), f"{shown(text)} is no beginning of topics; {possible}"))
+        raise complaint(((), f"{shown(text)} is not a topic prefix; {possible}"))
     return text
 
 
@@ -167,7 +167,7 @@ Topic = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_topi
 
 def _sparkplug_identifier(text: str) -> str:
     if not _TOPIC.fullmatch(text) or "/" in text:
-        raise complaint(((), f"{shown(text)} is no identifier; possible: letters, digits and _ . : -"))
+        raise complaint(((), f"{shown(text)} is not an identifier; possible: letters, digits and _ . : -"))
     return text
 
 
@@ -312,7 +312,7 @@ MAX_SOCKET_BYTES = 107
 def _socket(path: Path) -> Path:
     if not path.is_absolute() or not str(path).isprintable():
         raise complaint(
-            ((), f"{shown(str(path))} is no path from the root; possible: one such as /run/altd/altd.sock")
+            ((), f"{shown(str(path))} is not an absolute path; possible: one such as /run/altd/altd.sock")
         )
     if (size := len(str(path).encode())) > MAX_SOCKET_BYTES:
         raise complaint(((), f"{size} bytes are too long for a socket; possible: up to {MAX_SOCKET_BYTES}"))

@@ -47,7 +47,7 @@ def _targets(draft: Draft) -> Iterator[Fault]:
             value = getattr(target, key)
             if (other := first.setdefault(value, number)) != number:
                 about: Keys = ("targets", other, key)
-                text = f"{shown(value)} is the {key} of targets.{other} too; possible: one of its own"
+                text = f"{shown(value)} is the {key} of targets.{other} too; possible: a different one"
                 yield Fault(("targets", number, key), text, about=(about,))
     for (before, nearer), (number, target) in itertools.pairwise(there):
         if target.z_mm <= nearer.z_mm:
@@ -128,13 +128,11 @@ def _rates(draft: Draft) -> Iterator[Fault]:
     if measuring is None:
         return
     if measuring.silent_after_s <= 1 / fps:
-        text = (
-            f"{measuring.silent_after_s:g} is over before the next frame comes; possible: above {1 / fps:g}"
-        )
+        text = f"{measuring.silent_after_s:g} is shorter than a frame interval; possible: above {1 / fps:g}"
         yield Fault(("measuring", "silent_after_s"), text, about=rates)
     if measuring.stale_after_s <= measuring.every / fps:
         next_s = measuring.every / fps
-        text = f"{measuring.stale_after_s:g} is over before the next value comes; possible: above {next_s:g}"
+        text = f"{measuring.stale_after_s:g} is shorter than a value interval; possible: above {next_s:g}"
         yield Fault(("measuring", "stale_after_s"), text, about=(("measuring", "every"), *rates))
 
 
@@ -306,7 +304,9 @@ def _thermometers(draft: Draft) -> Iterator[Fault]:
         if settings is None:
             continue
         if (other := first.setdefault(settings.name, number)) != number:
-            text = f"{shown(settings.name)} is the name of thermometers.{other} too; possible: one of its own"
+            text = (
+                f"{shown(settings.name)} is the name of thermometers.{other} too; possible: a different one"
+            )
             yield Fault(("thermometers", number, "name"), text, about=(("thermometers", other, "name"),))
         yield from _celsius(settings, ("thermometers", number))
     for name, camera in draft.cameras.items():
@@ -316,7 +316,7 @@ def _thermometers(draft: Draft) -> Iterator[Fault]:
 
 def _celsius(settings: HwmonThermometerSettings | AravisCameraSettings, table: Keys) -> Iterator[Fault]:
     if settings.max_celsius <= settings.min_celsius:
-        text = f"{settings.max_celsius:g} is no warmer; possible: above {settings.min_celsius:g}"
+        text = f"{settings.max_celsius:g} is not warmer; possible: above {settings.min_celsius:g}"
         yield Fault((*table, "max_celsius"), text, about=((*table, "min_celsius"),))
 
 

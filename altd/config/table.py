@@ -52,7 +52,7 @@ ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 def _device(path: Path) -> Path:
     if not path.is_absolute():
         raise complaint(
-            ((), f"{shown(str(path))} is no path of a device; possible: one that begins with /dev/")
+            ((), f"{shown(str(path))} is not the path of a device; possible: one that begins with /dev/")
         )
     return path
 

@@ -72,7 +72,7 @@ class Plate(Table):
     def _check_leds(self) -> Self:
         for number, place in enumerate(self.leds_mm):
             if (first := self.leds_mm.index(place)) < number:
-                said = f"{list(place)} is the place of leds_mm.{first} too; possible: a place of its own"
+                said = f"{list(place)} is the place of leds_mm.{first} too; possible: a different place"
                 raise complaint((("leds_mm",), said))
         return self
 

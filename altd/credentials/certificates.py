@@ -48,7 +48,7 @@ def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
     _check_readable(certificate)
     mode = _check_readable(key)
     if _holds_key(certificate) and not _holds_key(key):
-        raise BadInputError(key, f"holds no private key, but {certificate} does: the two are swapped")
+        raise BadInputError(key, f"contains no private key, but {certificate} does: the two are swapped")
     if mode & stat.S_IRWXO:
         raise BadInputError(key, f"everybody may read it, and it is a key: chmod 640 {key}")
     _load_authorities(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), certificate)
@@ -67,7 +67,7 @@ def _load_authorities(context: ssl.SSLContext, certificates: Path) -> None:
     try:
         context.load_verify_locations(certificates)
     except ssl.SSLError as error:
-        raise BadInputError(certificates, "holds no certificate (PEM)") from error
+        raise BadInputError(certificates, "contains no certificate (PEM)") from error
 
 
 class _PassphraseError(Exception):
@@ -83,7 +83,7 @@ def _why(error: ssl.SSLError) -> str:
         return "is not the key of the certificate"
     reason = (error.reason or "").replace("_", " ").lower()
     if error.reason in (None, "PEM_LIB", "NO_START_LINE", "PEM") or "pem" in reason:
-        return "holds no private key (PEM) that can be used"
+        return "contains no usable private key (PEM)"
     return f"cannot be used with the certificate: {reason}"
 
 

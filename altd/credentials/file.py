@@ -92,7 +92,7 @@ def load_credentials(path: Path) -> Credentials:
     try:
         lines = content.decode("ascii").splitlines()
     except UnicodeDecodeError as error:
-        raise BadInputError(path, "holds something other than ASCII") from error
+        raise BadInputError(path, "contains characters other than ASCII") from error
     credentials, entries = Credentials(), 0
     for number, line in enumerate(lines, 1):
         words = line.split()
@@ -160,12 +160,12 @@ def _with_entry(credentials: Credentials, words: list[str]) -> Credentials:
             if len(_bytes(digest)) != 32:
                 raise ValueError("its hash has a wrong length")
             return credentials.with_token(_name(name), _bytes(digest))
-    raise ValueError("is no entry; `altd password` and `altd token` make them")
+    raise ValueError("is not an entry; `altd password` and `altd token` make them")
 
 
 def _name(word: str) -> str:
     if not is_name(word):
-        raise ValueError(f"{word[:40]!r} is no name; possible: small letters, digits and _, a letter first")
+        raise ValueError(f"{word[:40]!r} is not a valid name; possible: a to z, 0 to 9 and _, a letter first")
     return word
 
 
@@ -187,7 +187,7 @@ _OWNER_ALONE = 0o077
 def check_name(name: str) -> None:
     """Raise BadInputError for a name that is not allowed."""
     if not is_name(name):
-        text = f"{name[:40]!r} is no name; possible: small letters, digits and _, a letter first, up to 32"
+        text = f"{name[:40]!r} is not a valid name; possible: a to z, 0 to 9 and _, a letter first, up to 32"
         raise BadInputError("NAME", text)
 
 
@@ -201,7 +201,7 @@ def change(path: Path, name: str, changed: Callable[[Credentials], Credentials])
     before = load_credentials(path) if os.path.lexists(path) else Credentials()
     after = changed(before)
     if after == before:
-        raise BadInputError(path, f"{name} has none that could be removed")
+        raise BadInputError(path, f"{name} has none to remove")
     umask = os.umask(_OWNER_ALONE)
     try:
         save_credentials(path, after)

@@ -27,10 +27,10 @@ class HwmonThermometer:
         if not found:
             raise ThermometerError(f"not found: no hwmon chip {chip!r}")
         if len(found) > 1:
-            raise ThermometerError(f"{len(found)} hwmon chips are called {chip!r}")
+            raise ThermometerError(f"{len(found)} hwmon chips have the name {chip!r}")
         (folder,) = found
         if _read(folder / f"temp{channel}_fault") == "1":
-            raise ThermometerError(f"{chip} temp{channel}: the chip says that its sensor is broken")
+            raise ThermometerError(f"{chip} temp{channel}: the chip reports a broken sensor")
         text = _read(folder / f"temp{channel}_input")
         if text is None:
             raise ThermometerError(f"{chip} temp{channel}: cannot be read")

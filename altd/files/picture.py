@@ -133,7 +133,7 @@ def _check_header(data: bytes) -> None:
         or filtering
         or interlace > 1
     ):
-        raise ValueError("its header is none of a PNG")
+        raise ValueError("its header is not that of a PNG")
 
 
 def _decode(data: bytes) -> npt.NDArray[Any] | None:

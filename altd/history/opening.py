@@ -225,7 +225,7 @@ def _checked(connection: sqlite3.Connection) -> sqlite3.Connection:
 
 def _check_regular(path: Path) -> None:
     if not stat.S_ISREG(path.stat().st_mode):
-        raise UnusableFileError("is no regular file")
+        raise UnusableFileError("is not a regular file")
 
 
 def _is_lone_copy(path: Path, error: sqlite3.OperationalError) -> bool:

@@ -321,14 +321,14 @@ def _further(last: int, before: int) -> int:
 
 def _whole(values: Sequence[Any], table: str) -> list[int]:
     if not all(isinstance(value, int) for value in values):
-        raise UnusableFileError(f"is damaged: a row of {table} without its whole numbers")
+        raise UnusableFileError(f"is damaged: a row of {table} without its integers")
     return list(values)
 
 
 def _number(column: Column, steps: object) -> float:
     value = column.value(steps) if isinstance(steps, int | float) else None
     if value is None or not math.isfinite(value):
-        raise UnusableFileError(f"is damaged: {column.key[:40]} is no number")
+        raise UnusableFileError(f"is damaged: {column.key[:40]} is not a number")
     return value
 
 

@@ -69,7 +69,7 @@ def _epochs(reader: Reader) -> Iterator[_Epoch]:
     for row in rows:
         number, why, began_us, first_s, last_s = row
         if not isinstance(began_us, int) or not isinstance(number, int):
-            raise UnusableFileError("is damaged: an epoch without its whole numbers")
+            raise UnusableFileError("is damaged: an epoch without its integers")
         if next_why == "start":
             moved_us = 0
         elif next_why == "clock":
@@ -108,7 +108,7 @@ def _measured(row: Any, codes: dict[int, str]) -> tuple[float, str]:
     """Return the share of a row with valid measurements, and the worst reason for the rest."""
     _, n, n_valid, worst, lost = row
     if not isinstance(n, int) or not isinstance(n_valid, int) or not 0 <= n_valid <= n:
-        raise UnusableFileError("is damaged: a summary without its whole numbers")
+        raise UnusableFileError("is damaged: a summary without its integers")
     code = fault_in(worst if lost is None else lost, codes)[1]
     return n_valid / n if n else 0.0, _without_target(code) or _UNKNOWN
 

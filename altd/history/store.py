@@ -215,7 +215,7 @@ class _OpenStore:
             for deleted in self.retention.apply(self.epochs.number, age_s, batch.wall_us):
                 if deleted.what not in self._reported:
                     self._reported.add(deleted.what)
-                    text = f"for want of room the oldest {deleted.what} are deleted"
+                    text = f"to free space, the oldest {deleted.what} were deleted"
                     self._notices.append(Notice(EventKind.HISTORY, text, {"rows": deleted.rows}))
                     self._add_notice(self._notices[-1], batch.wall_us)
         self.retention.shrink()
@@ -271,9 +271,7 @@ class _OpenStore:
         if self._log_bytes() > MAX_LOG_BYTES:
             busy, _, _ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             if busy:
-                raise UnusableFileError(
-                    "another program keeps it from being written: it reads and does not end"
-                )
+                raise UnusableFileError("another program blocks it with a read that does not end")
 
     def _set_up_columns(self) -> None:
         numbers = prepare_columns(self._connection, self._about.columns)

@@ -70,7 +70,7 @@ class ViewStatus:
         if not self.wrong and self.verified_ns is not None:
             return f"verified {max(now_ns - self.verified_ns, 0) * 1e-9:.0f} s ago"
         if self._is_silent(now_ns):
-            return "could not be verified: no frame comes"
+            return "could not be verified: no frames"
         if self.wrong:
             return f"wrong: {self.wrong}"
         sensor = "the sensor is verified, its view " if self.sensor_is_same else ""
@@ -108,7 +108,7 @@ class ViewCheck:
 
     def _restart_examination(self) -> None:
         """Examine the next frames; an earlier finding, wrong or displaced, holds until they refute it."""
-        self._doubt = "nothing was seen yet"
+        self._doubt = "no frame was examined yet"
         self._shift_px: float | None = None
         self._verified_ns: int | None = None
         self._sensor_is_same = False

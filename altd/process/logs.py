@@ -146,9 +146,7 @@ class StderrLog(logging.Handler):
             if self._lines.empty():
                 dropped, self._dropped = self._dropped, 0
                 if dropped:
-                    self._write(
-                        f"standard error took nothing for a while; lines that were dropped: {dropped}"
-                    )
+                    self._write(f"standard error was blocked; dropped lines: {dropped}")
 
     def _write(self, line: str) -> None:
         """Write a line, however long it takes; if standard error is closed, the line is dropped."""

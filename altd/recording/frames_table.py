@@ -123,7 +123,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
             last[row.camera] = row
             yield row
     except (csv.Error, UnicodeDecodeError) as error:
-        raise BadInputError(path, f"is no CSV text: {error}") from error
+        raise BadInputError(path, f"is not CSV: {error}") from error
 
 
 def _check_order(place: str, above: Row, row: Row) -> None:

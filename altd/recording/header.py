@@ -48,7 +48,7 @@ Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
 
 def _checked_year(start: datetime) -> datetime:
     if not 1970 <= start.year <= 2200:
-        raise ValueError(f"the year {start.year} is none of a recording")
+        raise ValueError(f"the year {start.year} is not that of a recording")
     return start
 
 
@@ -267,7 +267,7 @@ class RecordingHeader(_Header):
                     raise ValueError(f"targets.{number}.{key}: {value!r} is the {key} of targets.{first} too")
         for number, target in enumerate(self.targets):
             if target.camera not in self.cameras:
-                raise ValueError(f"targets.{number}.camera: {target.camera!r} is none of the cameras")
+                raise ValueError(f"targets.{number}.camera: {target.camera!r} is not one of the cameras")
         for number, (nearer, target) in enumerate(itertools.pairwise(self.targets), start=1):
             if target.z_mm <= nearer.z_mm:
                 raise ValueError(

@@ -74,7 +74,7 @@ def _check_row(path: Path, header: RecordingHeader, row: Row) -> None:
     """Check the name of a switched target, and the frame's file."""
     names = [target.name for target in header.shown_targets]
     if row.opaque and row.opaque not in names:
-        known = f"is no target of recording.json{did_you_mean(row.opaque, names)}"
+        known = f"is not a target of recording.json{did_you_mean(row.opaque, names)}"
         raise BadInputError(f"{path / FRAMES_FILE}: row {row.number}", f"opaque {row.opaque!r} {known}")
     _check_png(path, header, row)
 

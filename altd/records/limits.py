@@ -26,7 +26,7 @@ class Limits:
         for key in LIMIT_KEYS:
             sigma = getattr(self, key)
             if sigma is not None and not (math.isfinite(sigma) and 0.0 <= sigma <= MAX_LIMIT):
-                raise ValueError(f"{key}: {sigma:g} is no uncertainty; possible: 0 to {MAX_LIMIT:g}")
+                raise ValueError(f"{key}: {sigma:g} is not an uncertainty; possible: 0 to {MAX_LIMIT:g}")
 
     @property
     def not_stated(self) -> tuple[str, ...]:

@@ -231,7 +231,7 @@ def _sentence(states: tuple[LedState, ...], places: _Places, found: int, *, few:
             parts.append(f"LED {', '.join(which)}: {state.replace('_', ' ')}")
     for u, v, always in places.foreign:
         when = "with the LEDs" if always else "without the LEDs"
-        parts.append(f"a light that is no LED shines {when} at u {u:.0f} v {v:.0f} px")
+        parts.append(f"a light that is not an LED shines {when} at u {u:.0f} v {v:.0f} px")
     return "; ".join(parts)
 
 

@@ -120,7 +120,7 @@ def findings(
     freshness = FreshnessCheck()
     for frame in frames:
         if repeated := freshness.repeated(frame):
-            return (Finding(f"the camera stands still: {repeated}", spoils=True),)
+            return (Finding(f"the camera repeats a picture: {repeated}", spoils=True),)
     if not have_one_exposure(frames):
         return (Finding("the exposure was changed during the check", spoils=True),)
     return tuple(

@@ -117,7 +117,7 @@ def compensation_of(check: SelfCheck, calibration: Calibration, limits: Limits) 
         if drift is None or drift.similarity is None or drift.rms_px is None:
             return Refused(f"{target.name}: the drift is not known")
         if not drift.is_similarity:
-            return Refused(f"{target.name}: the drift is no shift, turn and scale")
+            return Refused(f"{target.name}: the drift is not a shift, rotation and scale")
         worst = worst_effect(target, drift.similarity)
         if worst.error_mm > limits.compensate_mm:
             return Refused(
@@ -304,7 +304,7 @@ def _against(
     elif significant and error > suspect:
         verdict = Verdict.SUSPECT
     elif error > suspect or sigma > certain:
-        verdict, reason = Verdict.UNKNOWN, f"{reason}: too uncertain to tell"
+        verdict, reason = Verdict.UNKNOWN, f"{reason}: too uncertain to decide"
     return PartVerdict(of, verdict, reason, unit, error, sigma, suspect, bad)
 
 

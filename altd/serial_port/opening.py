@@ -64,10 +64,10 @@ _ENABLED, _RTS_ON_SEND, _RTS_AFTER_SEND = 1, 2, 4
 
 _SENTENCES = {
     errno.ENOENT: "there is no such port now: unplugged, or switched off?",
-    errno.EACCES: "this user may not open it: `altd doctor` says who may",
+    errno.EACCES: "this user may not open it: see `altd doctor`",
     errno.EPERM: "the service may not open this kind of port: see DeviceAllow in its unit",
     errno.EBUSY: "another program uses the port",
-    errno.ENOTTY: "is no serial port or refuses its settings",
+    errno.ENOTTY: "is not a serial port or refuses its settings",
 }
 
 

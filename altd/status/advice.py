@@ -19,7 +19,7 @@ _RIGHT_CAMERA = "swap the cameras' cables or put the old camera back"
 
 _LEDS = Advice(
     LEDS_LIT,
-    "look for what lights them, `altd lamps on` or their wiring: in a measurement frame LEDs are dark",
+    "check `altd lamps on` and the wiring: frame LEDs are dark during a measurement",
 )
 
 _SEEN: dict[Reason, dict[str, Advice]] = {

@@ -11,7 +11,7 @@ from enum import StrEnum
 from altd.reasons import Signal
 
 _, _FAILURE, _CHECK_FUNCTION, _OUT_OF_SPECIFICATION, _MAINTENANCE_REQUIRED = Signal
-_SEE_STATUS = "see what `status` says of it"
+_SEE_STATUS = "see `status`"
 
 
 class Condition(StrEnum):
@@ -21,7 +21,7 @@ class Condition(StrEnum):
         "starting", _CHECK_FUNCTION,
         "the unit starts",
         "wait some seconds",
-        "nothing valid measured yet, in the first 2 s",
+        "no valid measurement yet, in the first 2 s",
     )  # fmt: skip
     NOTHING_MEASURED = (
         "nothing_measured", _FAILURE,
@@ -33,7 +33,7 @@ class Condition(StrEnum):
         "unknown_reason", _FAILURE,
         "a reason that is not known",
         "update or restart the unit, and report it",
-        "a reason that is not known, or none for an invalid measurement: a defect",
+        "an unknown reason, or none for an invalid measurement: a defect",
     )  # fmt: skip
     CAMERA_FAILED = (
         "camera_failed", _FAILURE,
@@ -91,7 +91,7 @@ class Condition(StrEnum):
     )  # fmt: skip
     COMPONENT_SILENT = (
         "component_silent", _FAILURE,
-        "a component says nothing any more",
+        "a component no longer responds",
         "restart the unit, and report it",
         "a component has not reported in time: it has ended or hangs",
     )  # fmt: skip
@@ -134,7 +134,7 @@ class Condition(StrEnum):
     DUSTY = (
         "dusty", _MAINTENANCE_REQUIRED,
         "dust is seen under the spot",
-        "clean the window; if it stays on one target alone, that target",
+        "clean the window; if it remains on one target only, that target",
         "specks that are not in the calibration cover more than `max_dust_share`",
     )  # fmt: skip
     CALIBRATION_DUE = (

@@ -46,7 +46,7 @@ DUSTY: dict[str, Any] = {
     "for_s": 75.0,
     "times": 1,
     "brief": "dust is seen under the spot",
-    "remedy": "clean the window; if it stays on one target alone, that target",
+    "remedy": "clean the window; if it remains on one target only, that target",
     "detail": "0.08 % of the area under the spot",
 }
 SPOT_MISSING: dict[str, Any] = {

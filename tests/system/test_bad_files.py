@@ -232,10 +232,10 @@ TABLE_HEAD = b"sequence,t_s,camera,file,leds,x_mm,y_mm"
     [
         (b"front0000.png", b"front0000\0.png", "row 2: front0000\\x00.png: is no path"),
         (b"front0000.png", b'"front0000.png', "is no CSV text"),
-        (b"front0000.png", b'"' + b"x" * 200_000, "is no CSV text: field larger than field limit"),
+        (b"front0000.png", b'"' + b"x" * 200_000, "is not CSV: field larger than field limit"),
         (TABLE_HEAD, TABLE_HEAD + b",a" * 1_000_000, "row 2: "),
         (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' is repeated"),
-        (b"front0000.png", b"\xff.png", "is no CSV text: 'utf-8' codec"),
+        (b"front0000.png", b"\xff.png", "is not CSV: 'utf-8' codec"),
     ],
 )
 def test_a_table_that_no_parser_expects(old: bytes, new: bytes, why: str, copy: Path) -> None:

@@ -105,8 +105,8 @@ def test_a_fault_gives_its_reason_and_no_number(fault: Fault, measurements: list
 
 REMEDIES = {
     Fault.NO_LASER: "switch the laser on",
-    Fault.FRONT_SPOT_MISSING: "the other target sees the laser: look for what covers this one or its camera",
-    Fault.REAR_SPOT_MISSING: "the other target sees the laser: look for what covers this one or its camera",
+    Fault.FRONT_SPOT_MISSING: "the laser reaches the other target: check what covers this one or its camera",
+    Fault.REAR_SPOT_MISSING: "the laser reaches the other target: check what covers this one or its camera",
     Fault.FRONT_SECOND_SPOT: "look for reflections and other lasers",
     Fault.REAR_SECOND_SPOT: "look for reflections and other lasers",
     Fault.SATURATED: "shorten the exposure or take power off the laser",

@@ -178,7 +178,5 @@ class TestCommandLine:
         config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "beam", more)
         outcome = altd_here("lamps", "off", "--config", config)
         assert (outcome.status, outcome.out) == (1, "")
-        assert outcome.err.startswith(
-            "altd lamps: no GPIO chip 'no such chip', those that can be looked at: "
-        )
+        assert outcome.err.startswith("altd lamps: no GPIO chip 'no such chip', those that can be opened: ")
         assert outcome.err.count("\n") == 1

@@ -228,7 +228,7 @@ Each error is an object with `error`, one sentence.
 |---|---|
 | 401, 403 | token or session are missing or over; the client may not do this |
 | 409 | not possible now, or not on this unit |
-| 421 | the name in `Host` is none of the unit's |
+| 421 | the name in `Host` is not a name of the unit |
 | 429 | too many requests; `Retry-After` has the seconds to wait |
 | 503 | nothing to give yet, or too many clients wait or download |
 

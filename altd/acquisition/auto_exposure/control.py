@@ -179,5 +179,5 @@ class ExposureControl:
         if control == "camera":
             return control
         if ability.limits is None:
-            return f"{control}, but this camera has nothing to set"
+            return f"{control}, but this camera has no adjustable setting"
         return f"{control}, but the camera refuses" if ability.refuses else control

@@ -62,7 +62,7 @@ class InclinationJudge:
         if self.noise_deg is None:
             return SensorValue(Quality.STARTING, "too few readings so far")
         if not self._has_moved:
-            return SensorValue(Quality.STARTING, "nothing of what it says has moved so far")
+            return SensorValue(Quality.STARTING, "none of its values has changed so far")
         newest_deg = _noise(list(self._rolls_deg)[-_MIN_READINGS:]) or 0.0
         if (noise_deg := max(newest_deg, self.noise_deg)) > self._settings.max_noise_deg:
             text = f"its readings scatter by {noise_deg:.2f} deg"

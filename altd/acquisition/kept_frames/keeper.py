@@ -196,7 +196,7 @@ class FrameKeeper:
         if not frames and ring.between(until_ns + 1, self._clock.monotonic_ns()):
             raise NotKeptError("the disk was busy for so long that the frames are gone from memory")
         if not frames:
-            raise NoExposureError("no frame came in the last seconds")
+            raise NoExposureError("no frames in the last seconds")
         start = self._clock.utc(frames[0].t_ns)
         nbytes = sum(frame.pixels.nbytes for frame in frames)
         return self._store.add(why, start, nbytes, partial(self._write_into, frames))

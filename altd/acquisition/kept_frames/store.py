@@ -177,7 +177,7 @@ class RecordingStore:
                 if marked
                 else f"that is more than all {allowed}"
             )
-            needed = f"there is no room for up to {max_bytes >> 20} MB"
+            needed = f"no space for up to {max_bytes >> 20} MB"
             raise NotKeptError("the disk is nearly full" if free < max_bytes else f"{needed}: {held}")
         for name in going:
             left = self._under_way()  # after a power cut meanwhile, the next start removes the rest

@@ -106,7 +106,7 @@ class ScanFolder:
         except BadInputError as error:
             raise BadInputError(file, f"{error.message}; remove the folder to scan again") from error
         except ValueError as error:  # also pydantic's
-            raise BadInputError(file, "is no record of a scan; remove the folder to scan again") from error
+            raise BadInputError(file, "is not a record of a scan; remove the folder to scan again") from error
         for key in sorted({*state.facts, *facts}):
             then, now = state.facts.get(key), facts.get(key)
             if then != now:

@@ -215,8 +215,8 @@ class Scanner:
         left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
         if not left.is_sufficient:
             raise ScanStoppedError(
-                f"{len(refused)} of {len(self._nodes)} nodes are refused, the others are no sufficient grid; "
-                f"the last one, {node}: {complaint}"
+                f"{len(refused)} of {len(self._nodes)} nodes are refused, the others do not form a "
+                f"sufficient grid; the last one, {node}: {complaint}"
             )
 
     async def _led_pairs(self, when: Literal["before", "after"]) -> None:

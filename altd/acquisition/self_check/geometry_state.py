@@ -19,7 +19,7 @@ MAX_UNCONFIRMED_INTERVALS = 3
 """Intervals of the schedule for which a correction is applied after the check that it is based on. By then
 about nine checks have ended without a verdict: the current drift is unknown."""
 _AFTER_SHOCK = "the spots of all targets have jumped, and the check after it has not ended"
-_BEFORE_START = "the last check before this start found it bad, and none since says otherwise"
+_BEFORE_START = "bad at the last check before this start, and no check since has a verdict"
 
 
 class GeometryState:

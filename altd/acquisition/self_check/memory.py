@@ -120,7 +120,7 @@ class CheckMemory:
             return
         time_s = time.timestamp()
         if self._history.is_ahead_of(time_s):
-            log.warning("self-check history: holds days that have not come yet; they count as the last ones")
+            log.warning("self-check history: contains days in the future; they count as the most recent ones")
             self._history = self._history.dated_back(time_s)
         self._history = self._history.with_check(check, time_s)
 

@@ -58,7 +58,7 @@ log = logging.getLogger("altd")
 
 HELD_BACK_NS = 2_000_000_000
 """Time after a switching of the LEDs during which a window may lack exposures because of them."""
-_LAPSED = "nothing is corrected any more: no check has confirmed the drift for too long"
+_LAPSED = "the correction has ended: no check has confirmed the drift for too long"
 _LAMPS_TIMEOUT_S = 3.0
 _LAMPS_POLL_INTERVAL_S = 0.1
 

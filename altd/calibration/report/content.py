@@ -62,8 +62,8 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
     )
     made_of = (
         "Pattern: print and speckle shift each spot by a fixed amount that differs from place to place. "
-        "Map: what the nodes' noise leaves uncertain of it. Scatter: single exposures about their mean, "
-        f"{exposures} averaged; it alone falls when more are averaged. Limits: stated uncertainties of stage "
+        "Map: its uncertainty from the noise of the nodes. Scatter: single exposures about their mean, "
+        f"{exposures} averaged; only it falls with more exposures. Limits: stated uncertainties of stage "
         "and beam, which the scan does not show."
     )
     return [
@@ -139,7 +139,7 @@ def _origin(calibration: Calibration) -> list[Block]:
     names = " and ".join(target.name for target in calibration.targets if target.simulated)
     lines = (
         f"No camera took the frames of {names}. This report describes the simulated unit only.",
-        "A measurement with this calibration says “simulated”.",
+        "Measurements with this calibration are marked “simulated”.",
     )
     return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
 
@@ -186,7 +186,7 @@ def _left_out(source: Source) -> list[Block]:
         if sigma > 1.0
     ]
     if less:
-        words = "Nodes whose spots are known worse, as where the picture cuts them, count less"
+        words = "Nodes with less certain spots, as those cut by the picture's edge, have a smaller weight"
         blocks.append(Words(f"{words}: {'; '.join(less)}."))
     return blocks
 

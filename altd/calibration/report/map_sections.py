@@ -52,10 +52,10 @@ def residuals(source: Source) -> list[Block]:
             )
         )
     caption = (
-        "Residual vectors, seen along the beam: from each node's known place to where the map puts it, "
-        f"{scale:g} times enlarged (arrow: scale). Arrows that point anywhere are pattern and noise; arrows "
-        "that run along each other over several nodes are an error of stage or lens that the map could not "
-        "follow. Dashed: the area in which the map is valid. Crosses: nodes left out."
+        "Residual vectors, seen along the beam: from each node's known position to its mapped position, "
+        f"{scale:g} times enlarged (arrow: scale). Arrows in random directions are pattern and noise; "
+        "parallel arrows over several nodes are an error of stage or lens that the map cannot represent. "
+        "Dashed: the area in which the map is valid. Crosses: nodes left out."
     )
     columns = (
         "target", "nodes", "residual mean / std / max, mm", "left out, px", "repeatability u / v, px"
@@ -91,10 +91,10 @@ def models(source: Source) -> list[Block]:
         draw = map_plots.candidates(target.name, shown, noise_px, _chosen(target, shown), limits)
         pictures.append(Picture(f"error against degree, target {target.name}", map_plots.CANDIDATES_IN, draw))
     caption = (
-        "The models that were tried; of tensor polynomials with the same sum of degrees the better one. "
-        "With the degree the misfit falls and what the nodes' noise leaves in the map grows (at the noise "
-        "that the chosen map finds); the map is the model that misses a node least which it was not shown. "
-        "The table has all models: node left out / cross-validation / own noise left in the map, px."
+        "The candidate models; of tensor polynomials with the same sum of degrees only the better one. With "
+        "the degree the misfit decreases and the noise that the nodes leave in the map increases (computed "
+        "with the noise of the chosen map). The chosen model has the smallest leave-one-out error. The table "
+        "has all models: leave-one-out error / cross-validation / own noise left in the map, px."
     )
     return [Heading("Choice of the model"), Row(tuple(pictures), caption), _table_of_models(source)]
 
@@ -174,14 +174,14 @@ def cross_checks(source: Source) -> list[Block]:
         )
         said.append(
             f"{target.name.capitalize()}: {other.map.name} against {target.map.name}, at most "
-            f"{other.max_difference_px:.2f} px apart, bound {other.limit_px:.2f} px; a node that it was not "
-            f"shown it misses by {other.leave_one_out_px:.3f} px."
+            f"{other.max_difference_px:.2f} px apart, limit {other.limit_px:.2f} px; leave-one-out error "
+            f"{other.leave_one_out_px:.3f} px."
         )
     one_scale = f", {target_names_text(targets)} on one scale" if len(targets) > 1 else ""
     caption = (
-        "By how much the second map, of another kind, puts spots elsewhere: colour for length, arrows "
+        "Difference between the map and a second one of another kind: colour for length, arrows "
         f"{scale:g} times enlarged{one_scale}, seen along the beam. {' '.join(said)} A "
-        "measurement at which the two lie further apart than the bound is implausible and has no numbers."
+        "measurement at which the two differ by more than the limit is implausible and has no numbers."
     )
     return [Heading("Cross-check by a second map"), Row(tuple(pictures), caption)]
 
@@ -198,8 +198,8 @@ def covariances(source: Source) -> list[Block]:
             "node",
             "nodes",
             "Covariance of the mapped nodes' u (Eq. 3.53, Fig. 3.19); the nodes are stacked column by "
-            "column, from the lowest x and y. The diagonal holds the nodes' variances; the corners, which "
-            "only few neighbours hold, are the most uncertain. Of more than "
+            "column, from the lowest x and y. The diagonal has the nodes' variances; the corners, with few "
+            "neighbours, are the most uncertain. Of more than "
             f"{MAX_STACKED} nodes every second, third … one is shown.",
         ),
         (
@@ -209,7 +209,7 @@ def covariances(source: Source) -> list[Block]:
             "spectrum",
             "Covariance of the spectrum of u (Eq. 3.51), stacked row by row: coefficients of degree 0, 1, "
             "… in x for degree 0 in y, then for degree 1, and so on. For a tensor polynomial on a "
-            "complete grid it is diagonal (Eq. 3.52); a lens model ties the coefficients together. The "
+            "complete grid it is diagonal (Eq. 3.52); in a lens model the coefficients are correlated. The "
             "scale is logarithmic on both sides of zero.",
         ),
     ):

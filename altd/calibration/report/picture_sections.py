@@ -89,7 +89,7 @@ def picture(
     nodes_px: FloatArray,
     leds_px: FloatArray,
 ) -> Draw:
-    """The scan in one picture, dark where light fell, with the nodes' spots and the frame LEDs."""
+    """The scan in one picture, dark where there was light, with the nodes' spots and the frame LEDs."""
 
     def draw(canvas: Canvas) -> None:
         axes = _axes(canvas, title, size_px)
@@ -188,16 +188,16 @@ def pictures(source: Source) -> list[Block]:
         Row(
             tuple(scatters),
             "Scatter of single exposures at each node in the camera's picture: ellipses of 1 sigma, "
-            f"{scale:g} times enlarged, the same scale for all (Fig. 3.22). With two exposures a node one "
-            "ellipse says little; all of them together say how steady spots are, and where they are not. "
+            f"{scale:g} times enlarged, the same scale for all (Fig. 3.22). With two exposures per node "
+            "a single ellipse is uncertain; all of them together show where spots are unsteady. "
             "Crosses: nodes with one exposure.",
         ),
         Heading("Pictures of the cameras"),
         Row(
             tuple(seen_by),
-            "The whole scan in one picture, as a negative: dark where light fell. Crosses: the nodes as "
-            "localised. Circles: the frame LEDs at their reference positions, numbered as in the table. A "
-            "camera behind its target sees it mirrored. A spot without a cross is the beam while the LEDs "
+            "The whole scan in one picture, as a negative: dark where there was light. Crosses: the "
+            "located nodes. Circles: the frame LEDs at their reference positions, numbered as in the table. "
+            "A camera behind its target sees it mirrored. A spot without a cross is the beam while the LEDs "
             "were recorded, or a node left out.",
         ),
     ]
@@ -206,7 +206,7 @@ def pictures(source: Source) -> list[Block]:
         blocks.append(Table(columns, leds, (0.16, *[0.84 / len(targets)] * len(targets))))
     dropped = [f"{target.name} {led}" for target, seen in source.targets() for led in seen.leds_dropped]
     if dropped:
-        blocks.append(Words(f"Shines, but could not be located: {'; '.join(dropped)}."))
+        blocks.append(Words(f"Lit, but not located: {'; '.join(dropped)}."))
     return blocks
 
 

@@ -73,7 +73,7 @@ class Verdict:
         """The verdict in one sentence or two."""
         return {
             Level.GOOD: "This calibration is good.",
-            Level.USABLE: "This calibration can be used, but it is not as good as it should be.",
+            Level.USABLE: "This calibration is usable, but below the required quality.",
             Level.BAD: "This calibration is not good. Do not measure with it.",
         }[self.level]
 
@@ -127,20 +127,19 @@ def _of_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
     scatter_px = [float(target.repeatability_px.max()) for target in targets]
     return [
         Check(
-            "Nodes from the map, mean",
+            "Mean residual of the nodes",
             _each(targets, [f"{value:.4f}" for value in mean_mm], " mm"),
             f"at most {_GOOD_NODES_MM:.4f} mm",
             _level(max(mean_mm), _GOOD_NODES_MM, _USABLE_NODES_MM),
-            "Look at the residual vectors: if they run along each other, the stage or the model of the "
-            "lens is at fault; if they point anywhere, spots are badly seen: clean the window, check the "
-            "laser.",
+            "Inspect the residual vectors: parallel ones are an error of the stage or the lens model, random "
+            "ones a bad view of the spots: clean the window, check the laser.",
         ),
         Check(
             "Scatter of single exposures",
             _each(targets, [f"{value:.3f}" for value in scatter_px], " px"),
             f"at most {_GOOD_SCATTER_PX:.3f} px",
             _level(max(scatter_px), _GOOD_SCATTER_PX, _USABLE_SCATTER_PX),
-            "Let stage and laser settle, keep vibration and draught away, take more exposures a node.",
+            "Let stage and laser settle, avoid vibration and draught, take more exposures per node.",
         ),
     ]
 
@@ -149,13 +148,13 @@ def _of_cross_checks(targets: Sequence[TargetCalibration]) -> Check:
     checks = [target.cross_check for target in targets]
     apart = any(check.max_difference_px > check.limit_px for check in checks)
     return Check(
-        "Cross-check, maps apart at most",
+        "Cross-check, maximum difference of the maps",
         _each(targets, [f"{check.max_difference_px:.2f}" for check in checks], " px"),
         _each(targets, [f"{check.limit_px:.2f}" for check in checks], " px"),
         Level.USABLE if apart else Level.GOOD,
-        "Two independent maps disagree more than noise explains, and where they do a measurement will be "
-        "marked implausible: look for nodes with large residuals and for a stage with unequal steps, and "
-        "repeat the scan with more nodes.",
+        "Two independent maps differ by more than noise explains, and measurements there will be marked "
+        "implausible: look for nodes with large residuals and for a stage with unequal steps, and repeat the "
+        "scan with more nodes.",
     )
 
 
@@ -173,8 +172,8 @@ def _of_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
             _each(evidence, counts, ""),
             "none",
             Level.GOOD if share == 0 else Level.USABLE if share <= _MAX_EXCLUDED_SHARE else Level.BAD,
-            "See the reasons under “Nodes left out”. Where one lies at the edge, the area that can be "
-            "measured is smaller by it: repeat the scan.",
+            "See the reasons under “Nodes left out”. A missing node at the edge reduces the "
+            "measurable area: repeat the scan.",
         ),
         Check(
             "Worst node, over the rms of all",
@@ -214,8 +213,8 @@ _CAUSE_WORDS = {
 _ADVICE = {
     "pattern": "a larger laser spot covers more dots and speckle grains and shifts less; clean the targets; "
     "averaging longer does not help",
-    "map": "a scan with more nodes makes the map more certain",
-    "scatter": "average more exposures in a measurement, and take vibration and draught away",
+    "map": "scan with more nodes",
+    "scatter": "average more exposures in a measurement; avoid vibration and draught",
     "limits": "scan a second time with the unit turned by 180°, and use a stage with smaller limits",
 }
 

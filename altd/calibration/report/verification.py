@@ -64,8 +64,8 @@ def _verdict(document: Mapping[str, Any]) -> Block:
         f"least {100 * document['confidence']:g} %."
     )
     headline = {
-        "passed": "Passed: the unit measures known beams as exactly as it states.",
-        "failed": "Failed: the unit is wrong by more than it states. Do not measure with it.",
+        "passed": "Passed: the unit's errors agree with its stated uncertainty.",
+        "failed": "Failed: the unit's errors exceed its stated uncertainty. Do not measure with it.",
         "not decided": "Not decided.",
     }[verdict]
     reasons = [f"{reason[0].upper()}{reason[1:]}." for reason in document["reasons"]]
@@ -99,7 +99,7 @@ def _tests(document: Mapping[str, Any]) -> list[Block]:
             levels,
         ),
         Words(
-            "Found: by how much the unit reads too much. Of a standard deviation: the experimental one, and "
+            "Found: error of the unit. For a standard deviation: the experimental one, and "
             "the stated one as its uncertainty. An error of the smallest detectable size fails the test with "
             f"a probability of {100 * document['power']:g} %; a smaller one may pass."
         ),
@@ -179,9 +179,7 @@ def _sets(sets: Sequence[Mapping[str, Any]]) -> list[Block]:
             tuple(rows),
             (0.06, 0.1, 0.12, 0.2, 0.2, 0.14, 0.18),
         ),
-        Words(
-            "Zero, rotation and direction of a set are those of its mounting; no test rests on them alone."
-        ),
+        Words("Zero, rotation and direction of a set depend on its mounting; no test is based only on them."),
     ]
 
 

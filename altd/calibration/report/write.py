@@ -76,7 +76,7 @@ def report_names(calibration: Path, is_certificate: bool = False) -> tuple[str, 
     suffixes = (PAGE_SUFFIX, SHEETS_SUFFIX, BUDGET_SUFFIX, *([DCC_SUFFIX] if is_certificate else []))
     names = tuple(calibration.stem + suffix for suffix in suffixes)
     if calibration.name in names:
-        raise BadInputError(calibration, "is what its report would be called; possible: calibration.json")
+        raise BadInputError(calibration, "is reserved for its report; possible: calibration.json")
     return names
 
 

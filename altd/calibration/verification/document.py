@@ -122,10 +122,10 @@ def read_earlier(path: Path, unit: str) -> Earlier:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
         raise BadInputError(
-            path, f"is no verification of `altd verify --json`: {place}: {first['msg']}"
+            path, f"is not an output of `altd verify --json`: {place}: {first['msg']}"
         ) from error
     except ValueError as error:
-        raise BadInputError(path, f"is no verification of `altd verify --json`: {error}") from error
+        raise BadInputError(path, f"is not an output of `altd verify --json`: {error}") from error
     if earlier.unit != unit:
         raise BadInputError(path, f"is of unit {earlier.unit!r}, not {unit!r}")
     return earlier

@@ -94,7 +94,7 @@ def judge(
     ]
     why = ""
     if reference is None:
-        why = "nothing is known of the reference: its header states no limits"
+        why = "the uncertainty of the reference is unknown: its header states no limits"
         planned = [replace(test, why_not=why) for test in planned]
     made = sum(not test.why_not for test in planned)
     tests = tuple(test if test.why_not else _with_limit(test, made) for test in planned)

@@ -141,7 +141,7 @@ class AravisCamera:
                 raise CameraLostError("control of the camera is lost")
             self._check_controlled(opened)
             if time.monotonic_ns() >= deadline_ns:
-                raise CameraTimeoutError(f"no whole frame within {timeout_s:g} s")
+                raise CameraTimeoutError(f"no complete frame within {timeout_s:g} s")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Set exposure and gain, and read back the camera's actual values."""
@@ -197,7 +197,9 @@ class AravisCamera:
         claims = [camera for camera in there if camera.has_name(wanted)]
         found = [camera for camera in claims if gvcp.discover_at(camera.address, _ANSWER_TIMEOUT_S) == camera]
         if len(found) > 1:
-            raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")
+            raise CameraRefusedError(
+                f"{wanted}: {len(found)} cameras have this name; use the address instead"
+            )
         if not found:
             others = [f"{camera.serial} at {camera.address}" for camera in there[:_MAX_CAMERAS_NAMED]]
             if len(there) > _MAX_CAMERAS_NAMED:
@@ -256,7 +258,7 @@ class AravisCamera:
     def _frame(self, opened: OpenCamera, block: Block, t_ns: int | None) -> Frame:
         sequence = self._counter.number((block.frame_id - 1) % _MAX_BLOCK_ID + 1)
         if t_ns is None:
-            late = "frames are held up, or the camera's clock was set back"
+            late = "frames are delayed, or the camera's clock was set back"
             raise CameraMistimedError(sequence, f"exposure {sequence} came late: {late}")
         return Frame(
             self.name,

@@ -72,9 +72,9 @@ def find_chip(wanted: str) -> GpioChip:
         return fitting[0]
     if fitting:
         paths = ", ".join(str(chip.path) for chip in fitting)
-        raise LampsError(f"{len(fitting)} GPIO chips are called {wanted!r}: give the path, one of {paths}")
+        raise LampsError(f"{len(fitting)} GPIO chips have the name {wanted!r}: give the path, one of {paths}")
     there = ", ".join(f"{chip.label!r} ({chip.name})" for chip in found) or "none"
-    raise LampsError("; ".join([f"no GPIO chip {wanted!r}, those that can be looked at: {there}", *closed]))
+    raise LampsError("; ".join([f"no GPIO chip {wanted!r}, those that can be opened: {there}", *closed]))
 
 
 def find_line(chip: GpioChip, wanted: str) -> GpioLine:
@@ -101,7 +101,7 @@ def _opening_failure(path: Path, error: OSError) -> str:
         case errno.ENOENT:
             return f"there is no {path}"
         case errno.ENODEV | errno.ENOTTY:
-            return f"{path} is no GPIO chip"
+            return f"{path} is not a GPIO chip"
     return f"{path}: {error.strerror or error}"
 
 
@@ -112,7 +112,7 @@ def _group_of(path: Path) -> str:
     except OSError:
         return "others"
     if not status.st_mode & 0o060 or status.st_gid == 0:
-        return "root alone: see docs/selfcheck.md"
+        return "root only: see docs/selfcheck.md"
     try:
         return f"group {grp.getgrgid(status.st_gid).gr_name}"
     except KeyError:

@@ -71,7 +71,7 @@ class OutputLines:
     def _refusal(self, error: OSError) -> str:
         names = ", ".join(map(repr, self._names))
         if error.errno != errno.EBUSY:
-            return f"{self._place}: {names} cannot be had as outputs: {error.strerror or error}"
+            return f"{self._place}: {names} cannot be used as outputs: {error.strerror or error}"
         chip = find_chip(self._chip)
         taken: dict[str, list[str]] = {}
         for name in self._names:

@@ -164,7 +164,7 @@ class GrblController:
                 sign = 1 if in_machine else -1
                 return other[0] + sign * offset_mm[0], other[1] + sign * offset_mm[1]
             status = self.status()
-        raise StageRefusedError("the stage's controller does not tell the offset of its work coordinates")
+        raise StageRefusedError("the stage's controller does not report the offset of its work coordinates")
 
     def pause(self) -> None:
         """Wait until the next report is due."""

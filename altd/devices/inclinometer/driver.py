@@ -86,7 +86,7 @@ class Line:
                     break
             heard += self._port.read(min(self._port.in_waiting, _MAX_BYTES))  # received while it slept
         except BlockingIOError as error:
-            raise InclinometerNotFoundError(f"{self._device}: the port takes no request") from error
+            raise InclinometerNotFoundError(f"{self._device}: the port accepts no request") from error
         except (OSError, termios.error, TypeError) as error:  # pyserial's errors; TypeError: port is gone
             raise InclinometerNotFoundError(f"{self._device}: the port is gone: unplugged?") from error
         return heard

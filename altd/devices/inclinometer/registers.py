@@ -222,7 +222,7 @@ class Question:
         """
         answer = heard.removeprefix(self.frame)
         if not answer:
-            why = "the line gives back what is sent, and no sensor answers" if heard else "no answer"
+            why = "the line echoes the requests, and no sensor answers" if heard else "no answer"
             raise InclinometerTimeoutError(f"{why}: {place}")
         if len(answer) < _FRAME_BYTES or not _has_good_crc(answer):
             raise InclinometerDisturbedError(f"damaged answer (CRC), {len(answer)} bytes: {place}")

@@ -93,7 +93,7 @@ _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = 
     ((errno.ENOENT, errno.ENODEV, errno.ENXIO), CameraNotFoundError, "there is no such camera now"),
     ((errno.EBUSY,), CameraBusyError, "another program uses the camera"),
     ((errno.EACCES, errno.EPERM), CameraRefusedError, "no permission; it belongs to the group video"),
-    ((errno.ENOTTY, errno.EISDIR), CameraRefusedError, "is no Video4Linux device"),
+    ((errno.ENOTTY, errno.EISDIR), CameraRefusedError, "is not a Video4Linux device"),
 )
 
 
@@ -173,7 +173,7 @@ class V4l2Camera:
     def _start(self, node: Node) -> _Running:
         settings = self._settings
         if not node.streams:
-            raise CameraRefusedError("is no camera: it streams no frames")
+            raise CameraRefusedError("is not a camera: it streams no frames")
         set_controls(node, settings.controls)  # first: on some cameras they determine the available formats
         layout = set_format(node, settings.width, settings.height, PIXEL_FORMATS[settings.pixel_format])
         set_rate(node, settings.fps, layout)

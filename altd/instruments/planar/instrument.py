@@ -176,7 +176,9 @@ class PlanarInstrument:
     def _of_two(self, ways: Sequence[Match], points_px: FloatArray, before: Leds | None) -> Match | Fault:
         """Return the only way in which two lights can be LEDs, or a fault."""
         if len(points_px) > MIN_LEDS:
-            detail = f"of {len(points_px)} lights no three fit the layout: two alone are not sure to be LEDs"
+            detail = (
+                f"of {len(points_px)} lights no three fit the layout: two are not enough to identify LEDs"
+            )
             return Fault(Reason.LEDS_MISFIT, detail=detail)
         followed = [way for way in ways if before is not None and self._is_followed(way, points_px, before)]
         if len(followed) == 1:

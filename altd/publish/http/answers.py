@@ -97,7 +97,7 @@ API_PAGE_POLICY = (
 """Content Security Policy of the API page, which loads nothing and runs nothing."""
 
 NOTHING_YET = {
-    "error": "nothing was measured since the unit started; /api/status says what it waits for",
+    "error": "nothing was measured since the unit started; /api/status has the reason",
     "status": [str(Reason.WARMING_UP)],
 }
 
@@ -203,7 +203,7 @@ class Answers:
         if measurement is None:
             return refusal(503, self._worst() or "nothing was measured since the unit started")
         if any(fault.reason is Reason.STALE for fault in measurement.status):
-            return refusal(503, self._worst() or "nothing new is measured")
+            return refusal(503, self._worst() or "no new measurement")
         return JSONResponse({"ready": True})
 
     async def log_in(self, request: Request) -> Response:
@@ -253,7 +253,7 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
         async with asyncio.timeout(SELF_CHECK_WAIT_S):
             report = await service.report(number)
     except TimeoutError:
-        why = f"the self-check has not ended within {SELF_CHECK_WAIT_S:g} s; /api/status says why"
+        why = f"the self-check has not ended within {SELF_CHECK_WAIT_S:g} s; /api/status has the reason"
         return refusal(504, why)
     return JSONResponse(report.document)
 
@@ -267,7 +267,7 @@ async def _login_of(request: Request) -> Login:
         async with asyncio.timeout(BODY_TIMEOUT_S):
             return Login.model_validate_json(await _body_of(request), strict=True)
     except ValidationError as error:  # the response does not repeat the input
-        raise Refused(refusal(400, "the body must be an object with name and password alone")) from error
+        raise Refused(refusal(400, "the body must be an object with only name and password")) from error
     except TimeoutError as error:
         raise Refused(refusal(408, "its body did not come")) from error
 

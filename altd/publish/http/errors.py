@@ -47,7 +47,9 @@ def misdirected(host: str, address: str, accepts_page: bool) -> Response:
     """Return the response to a wrong name in ``Host``; ``address`` is an address of the unit."""
     name = one_line(host)
     if not accepts_page:
-        sentence = f"the name {name!r} in Host is none of this unit's: ask by its address, or add the name to"
+        sentence = (
+            f"the name {name!r} in Host is not a name of this unit: use its address, or add the name to"
+        )
         return refusal(421, f"{sentence} `names` in [http] of its config")
     name, link = html.escape(name), html.escape(f"http://{address}/")
     page = (
@@ -62,7 +64,7 @@ def misdirected(host: str, address: str, accepts_page: bool) -> Response:
 
 async def _of_defect(_: Request, __: Exception) -> Response:
     """Return 500 for any failure of a handler, such as a number that JSON cannot represent."""
-    return refusal(500, "a defect of the unit; its log says more")
+    return refusal(500, "a defect of the unit; its log has the details")
 
 
 async def _of_routing(request: Request, error: Exception) -> Response:

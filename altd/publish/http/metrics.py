@@ -74,7 +74,7 @@ class _Unit(Collector):
         is_live = measurement is not None and NOT_FROM_CAMERAS.isdisjoint(
             fault.reason for fault in measurement.status
         )
-        meaning = "1 while what is measured comes from this unit's cameras, else 0"
+        meaning = "1 while the measurement is from this unit's cameras, else 0"
         yield _known("altd_live", meaning, float(is_live))
         published = CounterMetricFamily("altd_measurements", "Measurements since the start, valid or not")
         published.add_metric([], self._board.published)
@@ -130,7 +130,7 @@ def _state(report: StateReport) -> Iterator[Metric]:
     for signal in Signal:
         signals.add_metric([str(signal)], float(report.signal is signal))
     since_s = (report.now_ns - report.since_ns) * 1e-9
-    since = _known("altd_state_seconds", "For how long the unit's state has been what it is", since_s)
+    since = _known("altd_state_seconds", "Duration of the unit's present state", since_s)
     causes = _gauge(
         "altd_cause", "1 for a cause that is true now, 0 while it is still shown", "code", "of", "signal"
     )

@@ -136,7 +136,7 @@ def _head(described: Mapping[str, Any], operation_id: str) -> dict[str, Any]:
     return {
         **described,
         "operationId": operation_id,
-        "summary": f"{described['summary']}: the headers alone",
+        "summary": f"{described['summary']}: only the headers",
         "responses": responses,
     }
 

@@ -70,9 +70,9 @@ COMMON_ERRORS = {
     411: "the body has no `Content-Length`",
     414: "the path with its query is too long",
     431: "the header is too large, or has too many lines",
-    405: "the path has no such method; `Allow` has those that it has",
-    421: "the name in `Host` is none of the unit's",
-    429: "too many requests; `Retry-After` says for how many seconds to wait",
-    500: "a defect of the unit; its log says more",
+    405: "the path does not support the method; `Allow` lists the supported ones",
+    421: "the name in `Host` is not a name of the unit",
+    429: "too many requests; `Retry-After` is the time to wait in seconds",
+    500: "a defect of the unit; its log has the details",
 }
 """Meanings of the errors that any path may return, by status."""

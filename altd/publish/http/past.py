@@ -72,7 +72,7 @@ class Past:
         before = query.integer("before", 2**53, 0, 2**53)
         kind = query.text("kind")
         if kind is not None and kind not in set(EventKind):
-            raise _unusable(f"kind is none; possible: {', '.join(EventKind)}")
+            raise _unusable(f"kind is invalid; possible: {', '.join(EventKind)}")
 
         def read(reader: Reader) -> str:
             found = reader.events(from_us, to_us, () if kind is None else [kind], limit, before)
@@ -114,9 +114,9 @@ class Query:
         try:
             number = otherwise if text is None else float(text)
         except ValueError as error:
-            raise _unusable(f"{name} is no number") from error
+            raise _unusable(f"{name} is not a number") from error
         if not -LAST_S <= number <= LAST_S:
-            raise _unusable(f"{name} is no time, in seconds")
+            raise _unusable(f"{name} is not a time in seconds")
         return number
 
     def integer(self, name: str, otherwise: int, low: int, high: int) -> int:

@@ -44,7 +44,7 @@ _SELF_CHECK = {
     ),
     "POST": Operation(
         lambda to, request: self_check(request, to.self_check, to.guard),
-        "Make a self-check now, and give what it says",
+        "Make a self-check and return its result",
         models.SelfCheck,
         errors={
             **_NOT_ALLOWED,
@@ -59,7 +59,7 @@ _SELF_CHECK = {
 _STREAM = {
     "GET": Operation(
         Answers.stream,
-        "Every measurement as it comes, as server-sent events",
+        "Every measurement as a server-sent event",
         media_type=EVENT_STREAM,
         errors={503: "enough streams are open already"},
     )
@@ -112,7 +112,7 @@ _EVENTS = Operation(
 _RECORDING_NAME = Parameter(
     "name", "As the list has it.", {"type": "string", "pattern": "^[0-9A-Za-z_-]{1,120}$"}, is_in_path=True
 )
-_NO_RECORDING = {404: "there is no such recording", 409: "this unit keeps none, or it cannot be done now"}
+_NO_RECORDING = {404: "there is no such recording", 409: "disabled on this unit, or not possible now"}
 _RECORDINGS = {
     "GET": Operation(
         lambda to, request: to.recordings.listed(request),
@@ -124,7 +124,7 @@ _RECORDINGS = {
         "Keep the frames of the last seconds as a recording",
         models.Recording,
         status=201,
-        errors={**_NOT_ALLOWED, 409: "this unit keeps none, or it cannot be done now"},
+        errors={**_NOT_ALLOWED, 409: "disabled on this unit, or not possible now"},
         acts=True,
         needs_actor=True,
     ),
@@ -148,7 +148,7 @@ _CALIBRATION_FILES = (
         {
             "GET": Operation(
                 lambda to, request: to.calibration.summary(request),
-                "The loaded calibration, what it was made from, and what it is worth",
+                "The loaded calibration, its origin and its accuracy",
                 CalibrationSummary,
                 errors={503: _NO_CALIBRATION},
             )
@@ -258,7 +258,7 @@ PATHS = (
         {
             "POST": Operation(
                 Answers.log_in,
-                "Log in: begins a session, whose cookie comes back",
+                "Log in: begins a session and sets its cookie",
                 models.Session,
                 takes=models.Login,
                 errors={
@@ -300,7 +300,7 @@ PATHS = (
                 Answers.ready,
                 "Whether the unit measures",
                 models.Ready,
-                errors={503: "nothing was measured yet, or nothing new is"},
+                errors={503: "nothing was measured yet, or there is no new measurement"},
             )
         },
     ),

@@ -142,7 +142,7 @@ class Viewers:
                 async with asyncio.timeout(MAX_SILENCE_S):
                     await socket.receive_text()
             except TimeoutError:
-                await socket.close(_GOING_AWAY, "nothing was asked for")
+                await socket.close(_GOING_AWAY, "no picture was requested")
                 return
             except KeyError:  # a binary message
                 await socket.close(_NOT_ACCEPTED, "ask by a text")

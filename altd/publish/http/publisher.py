@@ -139,7 +139,7 @@ def _malformed(scope: Scope) -> Response | None:
     if b"transfer-encoding" in names and b"content-length" in names:
         return refusal(400, "its body has two lengths")
     if any(names.count(name) > 1 for name in _SINGLE_HEADERS):
-        return refusal(400, "a header that comes once comes twice")
+        return refusal(400, "a header that must be unique occurs twice")
     return None
 
 
@@ -251,7 +251,7 @@ class LocalPublisher(HttpPublisher):
         """Serve until cancelled; raises OSError if the socket is not available or has lost its file."""
         with listening(self._path) as listener:
             made = identity_at(self._path)
-            serving = asyncio.ensure_future(self.serve(listener, "for this computer alone", ready))
+            serving = asyncio.ensure_future(self.serve(listener, "for this computer only", ready))
             try:
                 while not (await asyncio.wait({serving}, timeout=_LOOK_INTERVAL_S))[0]:
                     if identity_at(self._path) != made:

@@ -190,7 +190,7 @@ class Resume:
         """Return the next events before ``until``, which the client has; empty: none yet, or all are sent."""
         now_ns = self._clock.monotonic_ns()
         if self._after is None:
-            return self._gap("it is no id of this stream")
+            return self._gap("it is not an id of this stream")
         if self._after == key_of(until):
             self.is_done = True
             return ()

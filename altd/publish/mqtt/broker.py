@@ -58,7 +58,7 @@ _log.disabled = True
 """Disabled: aiomqtt and paho log what a broker sends, line by line; errors contain the relevant part."""
 
 
-_NO_MQTT = "the broker sent what is not MQTT"
+_NO_MQTT = "the broker sent data that is not MQTT"
 _LOST = {130: _NO_MQTT, 141: "the broker is silent"}
 """Error text for a lost connection, by its reason code of MQTT 5."""
 
@@ -277,7 +277,7 @@ class Broker(aiomqtt.Client):
         elif self._topic:
             self._fail(BrokerError("the broker sent a message on another topic than that of commands"))
         else:
-            self._fail(BrokerError("the broker sent a message, and the unit subscribes to nothing"))
+            self._fail(BrokerError("the broker sent a message, but the unit has no subscription"))
 
     def _on_publish(
         self, client: PahoClient, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties

@@ -64,7 +64,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
                 outbox, topics, self._serial, health.component("outbox"), self._with_proof
             )
         elif settings.store_and_forward:
-            health.component("outbox").set_state(State.DEGRADED, "there is no history: no second is kept")
+            health.component("outbox").set_state(State.DEGRADED, "no history: seconds are not stored")
         self._unsummarised = board.cursor()
         self._since_summary: list[Measurement] = []
         self._sent: Measurement | None = None

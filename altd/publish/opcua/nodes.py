@@ -52,7 +52,7 @@ VARIABLES: Mapping[str, tuple[str, int, str]] = {
     "frames": ("Frames", ua.ObjectIds.UInt32, "exposures that were averaged"),
     "age_ms": ("AgeMs", ua.ObjectIds.Int32, "ms since the middle of the exposures, when it was written"),
     "status": ("Reasons", ua.ObjectIds.String, "the codes of reasons and warnings"),
-    "causes": ("Causes", ua.ObjectIds.String, "the codes of what is wrong with the unit, the worst first"),
+    "causes": ("Causes", ua.ObjectIds.String, "codes of the unit's faults, the worst first"),
 }
 """BrowseName, type and meaning of the nodes that are not quantities, by key."""
 

@@ -153,7 +153,7 @@ class OpcUaPublisher:
                 async with asyncio.timeout(self._patience_s):
                     await pipe.drain()
             except TimeoutError:
-                raise ServerError("it hangs: it takes no measurements") from None
+                raise ServerError("it does not respond: it reads no measurements") from None
             is_read, skipped = self._has_clients.is_set(), cursor.skipped
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(MAX_INTERVAL_S):
@@ -210,7 +210,7 @@ class OpcUaPublisher:
                 async with asyncio.timeout(self._patience_s):
                     line = await process.stdout.readline()
             except (TimeoutError, ValueError):
-                raise ServerError("it hangs: it says nothing, or too much") from None
+                raise ServerError("it does not respond, or sends too much") from None
             if not line:
                 raise ConnectionResetError
             document = json.loads(line)

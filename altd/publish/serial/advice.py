@@ -10,9 +10,9 @@ from altd.status.advice import Advice, advice_of
 from altd.status.health import MEASURING, Component, State
 
 _ONE_TARGET_DARK = Advice(
-    "no laser spot", "the other target sees the laser: look for what covers this one or its camera"
+    "no laser spot", "the laser reaches the other target: check what covers this one or its camera"
 )
-_CAMERA_BELOW = Advice("the camera delivers nothing", "see the camera below")
+_CAMERA_BELOW = Advice("the camera delivers no frames", "see the camera below")
 
 _CAMERA_REMEDIES = {
     "not found": "is it plugged in, and has it power?",

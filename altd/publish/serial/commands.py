@@ -156,7 +156,7 @@ def answer_to(sources: Sources, name: str, arguments: list[str]) -> Answer:
     """Return the output of a command; raises UsageError."""
     command = _BY_NAME.get(name.lower())
     if command is None:
-        raise UsageError(f"no command {name[:24]!r}; type help for what there is")
+        raise UsageError(f"no command {name[:24]!r}; type help for the commands")
     if len(arguments) > bool(command.argument):
         raise UsageError(f"too much after {name}; it is used as: {command.usage}")
     return command.run(sources, *arguments)
@@ -250,7 +250,7 @@ def _log(sources: Sources) -> str:
 
 def _leave(_: Sources) -> str:
     return (
-        "there is nothing to leave: no login is needed, and the unit measures on.\n"
+        "No session to end: no login is needed, and the unit continues to measure.\n"
         "Close your terminal: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
     )
 
@@ -262,7 +262,7 @@ def _watch(sources: Sources, seconds: str = "1") -> Watch:
     except ValueError:
         interval_s = -1.0
     if not shortest <= interval_s <= longest:
-        raise UsageError(f"watch wants seconds from {shortest:g} to {longest:g}, not {seconds!r}")
+        raise UsageError(f"watch needs seconds from {shortest:g} to {longest:g}, not {seconds!r}")
     lines = ["any key ends it", watch_head(sources.quantities), watch_line(sources.read())]
     return Watch("\n".join(lines), interval_s)
 
@@ -279,7 +279,7 @@ def _test(sources: Sources) -> str:
     return str(test_result(sources.health))
 
 
-_NO_PAST = "this daemon remembers nothing"
+_NO_PAST = "this daemon stores no history"
 
 COMMANDS = {
     command.name: command
@@ -289,11 +289,9 @@ COMMANDS = {
         Command("measure", "", "the latest measurement with its sigma then and now", _measure),
         Command("watch", "[SECONDS]", "a measurement every second, or every SECONDS, until a key", _watch),
         Command("spots", "", "positions of the laser spots, and the cameras", _spots),
-        Command("health", "", "the parts of the unit, with what they say and count", _health),
+        Command("health", "", "the parts of the unit, with their messages and counters", _health),
         Command("selfcheck", "[now]", "result of the last self-check; now: check again", _self_check),
-        Command(
-            "calibration", "", "when and from what it was made, expected sigma, valid area", _calibration
-        ),
+        Command("calibration", "", "date and origin, expected sigma, valid area", _calibration),
         Command("history", "[day|month]", "the means of the last hour, day or month", _history),
         Command("log", "", "events of the unit, the newest first", _log),
         Command("version", "", "the software's version and the unit's serial number", _version),

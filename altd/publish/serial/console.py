@@ -113,7 +113,7 @@ class Console:
             case bytes(echo):
                 return echo
             case BadLine() as bad:
-                return b"\r\n" + _on_wire(f"{bad.value}; type help for what there is") + PROMPT
+                return b"\r\n" + _on_wire(f"{bad.value}; type help for the commands") + PROMPT
             case line:
                 return b"\r\n" + self._answer(line.split())
 

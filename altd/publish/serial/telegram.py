@@ -135,7 +135,7 @@ MEASUREMENT = Sentence(
     (
         Field("time", UTC_TIME, "hhmmss.sss", "UTC, middle of the averaged exposures; empty when not known"),
         Field("mode", MODE, "", "`A` valid, `V` invalid; `P` and `S` are not live, see below"),
-        Field("sequence", SEQUENCE, "", "number of the last exposure; after the largest comes 0"),
+        Field("sequence", SEQUENCE, "", "number of the last exposure; 0 follows the largest"),
         Field("x_mm", MILLIMETRES, "mm", "displacement to the right, seen along the beam"),
         Field("y_mm", MILLIMETRES, "mm", "displacement upwards"),
         Field("yaw_deg", DEGREES, "degree", "yaw, positive to the right"),
@@ -154,7 +154,7 @@ QUALITY = Sentence(
         Field("sigma_y_mm", SIGMA_MILLIMETRES, "mm", "standard deviation of y"),
         Field("sigma_yaw_deg", SIGMA_DEGREES, "degree", "standard deviation of yaw"),
         Field("sigma_pitch_deg", SIGMA_DEGREES, "degree", "standard deviation of pitch"),
-        Field("reasons", CODES, "", "why it is invalid, or what it warns of; empty when all is well"),
+        Field("reasons", CODES, "", "reasons of an invalid measurement, warnings of a valid one"),
     ),
 )
 
@@ -233,7 +233,7 @@ PROOF = Sentence(
         Field("session", _HEXADECIMAL, "", "random at each start"),
         Field("message", _COUNT, "", "counts the telegrams of this port"),
         Field("clock_ms", _COUNT, "ms", "since the daemon started, at sending"),
-        Field("date", _DATE, "yyyymmdd", "UTC, goes with `time` of `$PALTM`; empty when not known"),
+        Field("date", _DATE, "yyyymmdd", "UTC, of `time` in `$PALTM`; empty when not known"),
         Field("age_ms", integer(MAX_AGE_MS), "ms", "since the middle of the exposures, at sending"),
         Field("crc32", _HEXADECIMAL, "", "of every character before it"),
     ),
@@ -275,11 +275,11 @@ IDENTIFICATION = Sentence(
     "PALTI",
     "which unit sends",
     (
-        Field("unit", _HEXADECIMAL, "", "CRC-32 of the whole serial number in UTF-8, as in `$PALTC`"),
+        Field("unit", _HEXADECIMAL, "", "CRC-32 of the complete serial number in UTF-8, as in `$PALTC`"),
         Field("serial", text(26), "", "serial number, escaped as described below"),
         Field("firmware", text(16), "", "version of altd, escaped as described below"),
         Field("calibrated", _DATE, "yyyymmdd", "UTC date of the calibration"),
-        Field("date", _DATE, "yyyymmdd", "UTC, goes with `time` of `$PALTM`; empty when not known"),
+        Field("date", _DATE, "yyyymmdd", "UTC, of `time` in `$PALTM`; empty when not known"),
     ),
 )
 

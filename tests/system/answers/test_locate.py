@@ -107,7 +107,7 @@ def test_a_spot_with_a_second_light_in_it_is_doubted(share: float, away_px: floa
     ghost = Blob(300.3 + away_px, 200.6, 30.0, peak=150 * share)
     said = told(frame(light(Blob(300.3, 200.6), ghost), rng))
     assert said is not None
-    assert "px apart" in said
+    assert "localisers differ" in said
 
 
 def test_a_spot_that_something_clips_is_doubted() -> None:
@@ -123,7 +123,7 @@ def test_photographs_are_doubted_by_what_their_table_says(name: str, shared_data
     apart_px = np.hypot(row["u_px"] - row["ellipse_u_px"], row["v_px"] - row["ellipse_v_px"])
     allowed_px = 5 * np.hypot(row["sigma_px"], row["ellipse_sigma_px"])
     assert apart_px > 3 * allowed_px
-    said = re.fullmatch(r"the two localisers lie (\S+) px apart, (\S+) px are allowed", row["doubt"])
+    said = re.fullmatch(r"the two localisers differ by (\S+) px, (\S+) px are allowed", row["doubt"])
     assert said is not None
     assert tuple(map(float, said.groups())) == pytest.approx((apart_px, allowed_px), abs=2e-3)
 

@@ -86,7 +86,7 @@ def test_the_zero_of_one_orientation_is_held_against_the_stated_beam(
 def test_without_limits_nothing_is_decided(played_unit: PlayedUnit, tmp_path: Path) -> None:
     document = verified(played_unit, known_beams(tmp_path / "a", limits=None), status=1)
     assert (document["verdict"], document["reference"]) == ("not decided", None)
-    assert document["reasons"] == ["nothing is known of the reference: its header states no limits"]
+    assert document["reasons"] == ["the uncertainty of the reference is unknown: its header states no limits"]
 
 
 def test_too_few_positions_decide_nothing(played_unit: PlayedUnit, tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_page_and_json_are_written_and_compared_with_a_year_later(
         (["{right}", "{scan}"], "scan: made the calibration; verify it with another recording"),
         (
             ["{right}", "--compare", "{right}/recording.json"],
-            "is no verification of `altd verify --json`: format",
+            "is not an output of `altd verify --json`: format",
         ),
         (["{right}", "--compare", "{other}"], "is of unit 'OTHER', not 'TEST-1'"),
         (["{right}", "--compare", "none.json"], "none.json: No such file or directory"),

@@ -53,7 +53,7 @@ def test_a_missing_row_is_named_and_does_not_refuse_the_scan(tmp_path: Path) -> 
     # with four rows left none can be left out to see what is known beyond them
     (doubt,) = [line for line in result.doubts if "outer row" in line]
     assert doubt == (
-        "front: no node of the outer row at y 55 mm can be used: what can be measured ends at y 27.5 mm"
+        "front: no node of the outer row at y 55 mm can be used: the measurable area ends at y 27.5 mm"
     )
     front = result.calibration.target("front")
     assert front is not None
@@ -72,5 +72,5 @@ def test_two_missing_rows_of_five_refuse_it(tmp_path: Path) -> None:
 
 def test_too_few_nodes_are_named_with_what_a_map_needs(tmp_path: Path) -> None:
     write(tmp_path / "scan", "scan", [(node, node, node) for node in grid(2, 2)])
-    with pytest.raises(BadInputError, match=r"4 nodes are no grid that can be used: .* at least 4 × 4"):
+    with pytest.raises(BadInputError, match=r"4 nodes do not form a usable grid: .* at least 4 × 4"):
         calibrate([open_recording(tmp_path / "scan")])

@@ -161,9 +161,7 @@ def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
     kept, output = tmp_path / "kept", tmp_path / "new.json"
     record = ("record", "--config", config, "-o", kept, "--seconds", "60", "--kind", "plate")
     assert "altd record: --plate: C,R,MM must follow `--kind plate`" in refusal(altd_here(*record))
-    assert "--plate: goes with `--kind plate` only" in refusal(
-        altd_here(*record[:-1], "flat", "--plate", "7,5,25")
-    )
+    assert "--plate: requires `--kind plate`" in refusal(altd_here(*record[:-1], "flat", "--plate", "7,5,25"))
     outcome = altd_here(*record, "--plate", "7,5,25")
     assert outcome.status == 0, outcome.err
     assert json.loads((kept / "recording.json").read_text())["plate"] == {

@@ -77,10 +77,10 @@ def test_the_inventory_names_chips_lines_and_who_holds_them(seen: dict[str, Any]
         ("taken", "GPIO chip 'unit' (/dev/gpiochip0): 'LED_B' taken by 'blinker'"),
         (
             "no chip",
-            "no GPIO chip 'units', those that can be looked at: 'unit' (gpiochip0), 'plain' (gpiochip1)",
+            "no GPIO chip 'units', those that can be opened: 'unit' (gpiochip0), 'plain' (gpiochip1)",
         ),
         ("no path", "there is no /dev/gpiochip77"),
-        ("no chip at the path", "/dev/null is no GPIO chip"),
+        ("no chip at the path", "/dev/null is not a GPIO chip"),
         (
             "no line",
             "GPIO chip 'unit' (/dev/gpiochip0) has no line 'LED_C', its lines: "
@@ -107,16 +107,16 @@ def test_the_inventory_names_chips_lines_and_who_holds_them(seen: dict[str, Any]
         ("not open", "GPIO chip 'unit': its lines are not open"),
         (
             "root alone",
-            "no permission to open /dev/gpiochip0, which is for root alone: see docs/selfcheck.md",
+            "no permission to open /dev/gpiochip0, which is for root only: see docs/selfcheck.md",
         ),
         (
             "for a group",
-            "no GPIO chip 'unit', those that can be looked at: none; "
+            "no GPIO chip 'unit', those that can be opened: none; "
             "no permission to open /dev/gpiochip0, which is for group video; "
-            "no permission to open /dev/gpiochip1, which is for root alone: see docs/selfcheck.md",
+            "no permission to open /dev/gpiochip1, which is for root only: see docs/selfcheck.md",
         ),
         ("gone", "GPIO chip 'unit' (/dev/gpiochip0) is gone"),
-        ("while gone", "no GPIO chip 'unit', those that can be looked at: 'plain' (gpiochip1)"),
+        ("while gone", "no GPIO chip 'unit', those that can be opened: 'plain' (gpiochip1)"),
     ],
 )
 def test_what_cannot_be_had_is_said_in_a_sentence(seen: dict[str, Any], case: str, words: str) -> None:

@@ -31,7 +31,7 @@ def no_certificate(folder: Path) -> tuple[str, str]:
     put(folder, "unit.pem", "nonsense", 0o644)
     put(folder, "unit.key", "nonsense", 0o600)
     settings = 'certificate = "unit.pem"\nkey = "unit.key"'
-    return settings, f"{folder / 'unit.pem'}: holds no certificate (PEM)"
+    return settings, f"{folder / 'unit.pem'}: contains no certificate (PEM)"
 
 
 def no_certificate_of_modbus(folder: Path) -> tuple[str, str]:

@@ -253,7 +253,7 @@ async def test_without_light_the_scan_stops_and_goes_on_with_light(
     scan = SMALL.model_copy(update={"retries": 0})
     with pytest.raises(ScanStoppedError) as caught:
         await scanned(unit, table, tmp_path / "scan", listener, scan)
-    assert "4 of 16 nodes are refused, the others are no sufficient grid" in str(caught.value)
+    assert "4 of 16 nodes are refused, the others do not form a sufficient grid" in str(caught.value)
     assert "front spot_missing" in str(caught.value)
     assert len(listener.said) == 4
     unit.clear()

@@ -105,7 +105,7 @@ def test_the_exposure_is_shown_what_was_found_and_nothing_of_a_frame_that_is_not
     assert locate_frame(shot(1), Locator(), exposure) is not None  # type: ignore[arg-type]
     level = round(float(np.quantile(PIXELS[190:211, 290:311], 0.98)) / 255, 2)
     assert exposure.figures == ExposureFigures(
-        "auto, but this camera has nothing to set", pytest.approx(level, abs=0.01), None, None, 0
+        "auto, but this camera has no adjustable setting", pytest.approx(level, abs=0.01), None, None, 0
     )
     assert SPOT.diameter_px == 40.0  # a quarter of it is the half side of the square
 
@@ -264,9 +264,9 @@ async def test_the_way_of_each_frame_is_logged_where_that_is_asked_for(
     lines = [re.sub(r"-?\d+\.\d+ ms", "T", line) for line in caplog.messages]
     assert lines[:5] == [
         "exposure 0: paired after T",
-        "exposure 0: dropped, a newer one came first",
+        "exposure 0: dropped, replaced by a newer one",
         "exposure 1: paired after T",
-        "exposure 1: dropped, a newer one came first",
+        "exposure 1: dropped, replaced by a newer one",
         "exposure 2: paired after T",
     ]
     assert lines[5] == f"frame 2 of front: located in T: {SPOT}"

@@ -102,7 +102,7 @@ class TestExport:
         ("arguments", "line"),
         [
             (("--history", "none.db"), "none.db: No such file or directory; the daemon makes it"),
-            (("--history", "."), ".: is no regular file"),
+            (("--history", "."), ".: is not a regular file"),
             (("--history", "text.db"), "text.db: cannot be read: file is not a database"),
             (("--history", "h.db", "--config", "altd.toml"), "--config: says where the history is"),
             (
@@ -111,8 +111,8 @@ class TestExport:
             ),
             (("--history", "h.db", "--format", "parquet"), "--format parquet: needs a file: -o FILE"),
             (("--history", "h.db", "-o", "h.db"), "h.db: is what is read"),
-            (("--history", "h.db", "--from", "yesterday"), "--from: 'yesterday' is no time; possible: "),
-            ((), "missing, or --config FILE, for there is no "),
+            (("--history", "h.db", "--from", "yesterday"), "--from: 'yesterday' is not a time; possible: "),
+            ((), "missing, or --config FILE, because there is no "),
         ],
     )
     def test_what_cannot_be_is_one_line(

@@ -87,7 +87,7 @@ CHANGES: tuple[tuple[Callable[[dict[str, Any]], object], str], ...] = (
     (lambda of: of["stable"]["t3"].pop("t5"), "'t5' was no stable target then"),
     (lambda of: of["own"]["t2"].update(mm=[1.0, float("nan")]), "own.t2.mm.1: Input should be"),
     (lambda of: of["own"]["t2"].update(mm=[1.0, 1e300]), "own.t2.mm.1: Input should be"),
-    (lambda of: of["own"]["t2"].update(random_mm2=[[1.0, 2.0], [2.0, 1.0]]), "has a covariance that is none"),
+    (lambda of: of["own"]["t2"].update(random_mm2=[[1.0, 2.0], [2.0, 1.0]]), "has an invalid covariance"),
     (lambda of: of["own"]["t2"].update(frames=0), "own.t2.frames: Input should be"),
     (lambda of: of.update(origin="guess"), "origin: Input should be"),
     (lambda of: of.update(note="x"), "note: Extra inputs"),

@@ -92,5 +92,5 @@ def test_too_few_spots_are_said_to_be_too_few() -> None:
     nothing = localiser_agreement([*frames(1.0)[:5], *dark], SETTINGS, None)
     assert nothing is None
     assert verdict("rear", "profile", nothing, 0.0).remark == (
-        "rear: the ellipse found too few spots to be held against the profile"
+        "rear: the ellipse found too few spots to compare it with the profile"
     )

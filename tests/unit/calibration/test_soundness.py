@@ -131,7 +131,7 @@ def _huge_texture(document: Document) -> None:
     [
         (_twice, "targets: two targets have the same name"),
         (_reversed, "targets: z_mm must grow from target to target"),
-        (_clockwise, "targets.front.map.hull_mm: is no convex polygon, counter-clockwise"),
+        (_clockwise, "targets.front.map.hull_mm: is not a counter-clockwise convex polygon"),
         (_crossed, "targets.front.map.hull_mm: is no convex polygon"),
         (_run_round_twice, "targets.front.map.hull_mm: is no convex polygon"),
         (_flat_hull, "targets.front.map.hull_mm: is no convex polygon"),
@@ -146,7 +146,7 @@ def _huge_texture(document: Document) -> None:
         (_elsewhere, "targets.front.map: puts its hull outside of the picture"),
         (_folded, "targets.front.map: puts two places of its hull on one pixel"),
         (_spot_of_no_order, "targets.0.spot.shape.mean.3: Input should be greater than 0"),
-        (_shapeless, "targets.0.map.noise_shape: is no covariance (uu, uv, vv) of trace 2"),
+        (_shapeless, "targets.0.map.noise_shape: is not a covariance (uu, uv, vv) with trace 2"),
         (_nested, "recording.note: Input should be a valid string"),
         (_huge_texture, "targets.front.fingerprint.png: is 40000 × 40000, expected 752 × 480"),
         (_huge_flat, "targets.front.flat.png: is 40000 × 40000, expected 752 × 480"),

@@ -35,7 +35,7 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         ((*REPLAY, "--window", "two"), "altd replay: --window: 'two' is not a whole number from 1 to 1000"),
         ((*REPLAY, "--every", "1.5"), "altd replay: --every: '1.5' is not a whole number from 1 to 1000"),
         ((*REPLAY, "--window"), "altd replay: --window: one value must follow; usage: altd replay "),
-        ((*REPLAY, "--windw", "3"), "altd replay: --windw: there is no such argument; possible: --help, "),
+        ((*REPLAY, "--windw", "3"), "altd replay: --windw: unknown argument; possible: --help, "),
         ((*REPLAY, "--windw", "3"), "; did you mean `--window`?"),
         ((*REPLAY, "more"), "altd replay: 'more' is an argument too many; usage: altd replay "),
         (("replay",), "altd replay: missing: RECORDING, --calibration; usage: altd replay "),
@@ -63,7 +63,7 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         (("selfcheck", "--calibration", "cal.json"), "altd selfcheck: --calibration: missing: RECORDING,"),
         (
             ("selfcheck", "rec", "--calibration", "cal.json", "--config", "altd.toml"),
-            "altd selfcheck: --config: asks the running daemon: it goes with no RECORDING",
+            "altd selfcheck: --config: asks the running daemon: it cannot be combined with RECORDING",
         ),
     ],
 )
@@ -147,7 +147,7 @@ class TestWithoutAConfig:
         monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "none.toml")
         assert cli.main(command.format(new=tmp_path / "new").split()) == 2
         name = command.split()[0]
-        said = f"altd {name}: missing: --config FILE, for there is no {tmp_path}/none.toml\n"
+        said = f"altd {name}: missing: --config FILE, because there is no {tmp_path}/none.toml\n"
         assert capsys.readouterr().err == said
 
     @pytest.mark.parametrize("option", [(), ("--config",)])

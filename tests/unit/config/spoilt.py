@@ -79,7 +79,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "cameras.rear.features.Gamma",
         "a list cannot be used; possible: number,",
     ),
-    ('"192.168.77.20"', '«"300.1.1.1"', "cameras.rear.device", '"300.1.1.1" is no IP address'),
+    ('"192.168.77.20"', '«"300.1.1.1"', "cameras.rear.device", '"300.1.1.1" is not an IP address'),
     ('"192.168.77.20"', '«"224.0.0.1"', "cameras.rear.device", "is an address that no camera has"),
     (
         'trigger = "free"',
@@ -152,7 +152,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "every = 1",
         "every = 20",
         "measuring.stale_after_s",
-        "1 is over before the next value comes; possible: above 1",
+        "1 is shorter than a value interval; possible: above 1",
     ),
     (
         "every = 1",

@@ -102,7 +102,7 @@ def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
             (
                 "[cameras.rear]",
                 f"[{face}]\nhost = {host!r}\n[cameras.rear]",
-                f'{face}.host: "{host}" is no IP address; possible: an IP address of',
+                f'{face}.host: "{host}" is not an IP address; possible: an IP address of',
             )
             for face in ("http", "modbus_tcp")
             for host in ("", " ", "unit.example", "1.2.3", "300.1.1.1", "0.0.0.0:80", "*")

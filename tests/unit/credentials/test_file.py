@@ -157,7 +157,7 @@ def test_what_is_not_there_cannot_be_removed(path: Path) -> None:
     save_credentials(path, KNOWN)
     path.chmod(0o600)
     content = path.read_bytes()
-    with pytest.raises(BadInputError, match="bob has none that could be removed"):
+    with pytest.raises(BadInputError, match="bob has none to remove"):
         change(path, "bob", lambda known: known.with_password("bob", None))
     with pytest.raises(BadInputError, match=re.escape("'Bob!' is no name")):
         change(path, "Bob!", lambda known: known.with_password("Bob!", HASH))

@@ -311,7 +311,9 @@ def test_what_is_no_stage_is_named(
         == f"{tmp_path / 'none'}: there is no such port now: unplugged, or switched off?"
     )
     (tmp_path / "file").touch()
-    assert complaint(tmp_path / "file") == f"{tmp_path / 'file'}: is no serial port or refuses its settings"
+    assert (
+        complaint(tmp_path / "file") == f"{tmp_path / 'file'}: is not a serial port or refuses its settings"
+    )
     assert complaint(table.device) == f"{table.device}: another program uses the port"
     monkeypatch.setattr(controller, "_WAKE_TIMEOUT_S", 0.02)
     terminal, line = os.openpty()

@@ -60,5 +60,5 @@ def test_a_chip_that_is_missing_or_there_twice_and_a_broken_sensor_are_named(tmp
     with pytest.raises(ThermometerError, match="cannot be read"):
         thermometer(tmp_path).celsius()
     chip(tmp_path, 1, "tmp102")
-    with pytest.raises(ThermometerError, match="2 hwmon chips are called 'tmp102'"):
+    with pytest.raises(ThermometerError, match="2 hwmon chips have the name 'tmp102'"):
         thermometer(tmp_path).celsius()

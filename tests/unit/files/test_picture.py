@@ -49,8 +49,8 @@ def test_a_png_that_is_torn_or_damaged_is_refused_and_libpng_says_nothing(
         (png(40_000, 40_000), "it is 40000 × 40000, more than 268435456 pixels"),
         (png(65_536, 16_385), "it is 65536 × 16385, more than"),  # beyond 2³⁰, where OpenCV raises
         (png(2**31, 1), "more than"),
-        (png(0, 5), "its header is none of a PNG"),
-        (png(64, 64, depth=9), "its header is none of a PNG"),
+        (png(0, 5), "its header is not that of a PNG"),
+        (png(64, 64, depth=9), "its header is not that of a PNG"),
         (png(64, 64), "Not enough image data"),
         (png(64, 64, data=b"\x09" * 65 * 64), "bad adaptive filter value"),
         (GOOD[:100], "it is torn or damaged"),

@@ -390,5 +390,5 @@ def test_what_is_no_file_is_not_opened(tmp_path: Path, kind: str) -> None:
     with pytest.raises((UnusableFileError, FileNotFoundError)):
         open_to_read(path)
     if kind != "missing":
-        with pytest.raises(UnusableFileError, match="is no regular file"):
+        with pytest.raises(UnusableFileError, match="is not a regular file"):
             store(tmp_path).write(batch(START_S))

@@ -87,7 +87,7 @@ def test_what_is_no_socket_is_never_removed(tmp_path: Path, kind: str) -> None:
         left_by_the_dead(other)
         path.symlink_to(other)
     with (
-        pytest.raises(OSError, match=f"{path}: there is a file that is no socket") as caught,
+        pytest.raises(OSError, match=f"{path}: the file is not a socket") as caught,
         listening(path),
     ):
         pytest.fail("served")

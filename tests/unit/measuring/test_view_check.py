@@ -251,7 +251,7 @@ def test_a_wrong_view_is_no_more_once_it_is_verified_where_it_is_known_to_lie(be
 
 
 def test_health_says_whether_the_view_is_verified(bench: Bench) -> None:
-    assert bench.figures() == {"view_front": "could not be verified: nothing was seen yet"}
+    assert bench.figures() == {"view_front": "could not be verified: no frame was examined yet"}
     bench.push(1, DOUBT)
     assert bench.figures() == {"view_front": f"could not be verified: {DOUBT.reason}"}
     bench.push(21, GOOD)
@@ -265,4 +265,4 @@ def test_the_age_of_a_view_counts_while_no_frame_comes_and_nothing_else_is_said_
     assert bench.figures(after_s=0.3) == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
     assert bench.figures(after_s=6.1) == {"view_front": "verified 6 s ago"}
     bench.push(1, WRONG, after_ns=500_000_000)
-    assert bench.figures(after_s=6.1) == {"view_front": "could not be verified: no frame comes"}
+    assert bench.figures(after_s=6.1) == {"view_front": "could not be verified: no frames"}

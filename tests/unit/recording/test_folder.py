@@ -122,7 +122,7 @@ def test_a_damaged_frame_is_named_when_it_is_decoded(recording: Path) -> None:
         ("unit", {"serial": "A", "target_distance_mm": 1e200}, "unit.target_distance_mm: Input should"),
         ("fps", float("inf"), "fps: Input should be a finite number, not inf"),
         ("fps", 1e-300, "fps: Input should be greater than or equal to 0.001, not 1e-300"),
-        ("start", "9999-12-31T23:59:59Z", "start: the year 9999 is none of a recording"),
+        ("start", "9999-12-31T23:59:59Z", "start: the year 9999 is not that of a recording"),
         (
             "plate",
             {"columns": 7, "rows": 5, "pitch_mm": 1e300, "origin_mm": [0, 0]},
@@ -243,7 +243,7 @@ def test_an_unknown_opaque_target_a_torn_row_and_a_repeated_column_are_refused(r
     add_opaque(recording, "front", "front", "raer", "rear")
     table = recording / "frames.csv"
     assert complaint(recording) == (
-        f"{table}: row 4: opaque 'raer' is no target of recording.json; did you mean `rear`?"
+        f"{table}: row 4: opaque 'raer' is not a target of recording.json; did you mean `rear`?"
     )
     edit(recording, 4, "raer", "rear")
     lines = table.read_text().splitlines()

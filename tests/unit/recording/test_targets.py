@@ -53,7 +53,7 @@ def test_with_the_key_it_alone_decides_and_no_distance_is_needed() -> None:
             [seen("x", 0.0, "b"), seen("y", 1.0, "b")],
             "targets.1.camera: 'b' is the camera of targets.0 too",
         ),
-        ([seen("x", 0.0, "a"), seen("y", 1.0, "c")], "targets.1.camera: 'c' is none of the cameras"),
+        ([seen("x", 0.0, "a"), seen("y", 1.0, "c")], "targets.1.camera: 'c' is not one of the cameras"),
         (
             [seen("x", 0.0, "a"), seen("y", 0.0, "b")],
             "targets.1.z_mm: 0 is not behind targets.0, 0: targets must be in beam order",

@@ -73,7 +73,9 @@ def test_a_picture_that_comes_again_is_no_exposure() -> None:
     taken[6] = replace(taken[6], pixels=taken[1].pixels)
     said = found(taken)
     assert [finding.spoils for finding in said] == [True]
-    assert said[0].sentence.startswith("the camera stands still: 100% of the picture is that of exposure 1")
+    assert said[0].sentence.startswith(
+        "the camera repeats a picture: 100% of the picture is that of exposure 1"
+    )
 
 
 @pytest.mark.parametrize("change", [{"exposure_ms": 1.9}, {"gain_db": 1.0}, {"exposure_ms": None}])

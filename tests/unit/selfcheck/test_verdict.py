@@ -215,7 +215,7 @@ def test_reflections_are_named_and_change_nothing(level: float) -> None:
     assert found.verdict is Verdict.GOOD, found.reasons
     drift = found.targets["front"]
     assert sorted(drift.foreign_px) == [pytest.approx(place, abs=0.5) for place in sorted(places)]
-    assert "a light that is no LED shines with the LEDs at u 250 v 120 px" in drift.detail
+    assert "a light that is not an LED shines with the LEDs at u 250 v 120 px" in drift.detail
 
 
 def test_a_light_that_blinks_by_itself_is_named() -> None:

@@ -222,7 +222,7 @@ class TestView:
 def test_a_hundred_causes_leave_the_keys_in_sight() -> None:
     cause = {
         "code": "stale", "signal": "failure", "of": None, "active": True, "for_s": 1.0,
-        "brief": "nothing new is measured", "remedy": "look", "detail": "",
+        "brief": "no new measurement", "remedy": "look", "detail": "",
     }  # fmt: skip
     knowledge = after_a_minute()
     knowledge.set_status(StatusDocument.checked(status(*[cause] * 100, signal="failure")), LAST_S)

@@ -31,7 +31,7 @@ def test_a_good_calibration_is_called_good() -> None:
 
 def test_the_numbers_are_in_the_checks() -> None:
     found = {check.name: check.value for check in verdict_of().checks}
-    assert found["Nodes from the map, mean"] == "front 0.0099, rear 0.0099 mm"
+    assert found["Mean residual of the nodes"] == "front 0.0099, rear 0.0099 mm"
     assert found["Scatter of single exposures"] == "front 0.020, rear 0.020 px"
     assert found["Nodes left out"] == "front 0 of 30, rear 0 of 30"
     assert found["Frame LEDs found"] == "front 4, rear 4"

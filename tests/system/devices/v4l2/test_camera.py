@@ -107,8 +107,8 @@ def failures(tmp_path_factory: pytest.TempPathFactory) -> Any:
     ("asked", "error", "words"),
     [
         ("absent", "CameraNotFoundError", "/dev/video-none: there is no such camera now"),
-        ("no camera", "CameraRefusedError", "/dev/null: is no Video4Linux device"),
-        ("an output", "CameraRefusedError", "is no camera: it streams no frames"),
+        ("no camera", "CameraRefusedError", "/dev/null: is not a Video4Linux device"),
+        ("an output", "CameraRefusedError", "is not a camera: it streams no frames"),
         (
             "size",
             "CameraRefusedError",

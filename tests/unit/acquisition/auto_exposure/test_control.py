@@ -124,7 +124,9 @@ def test_a_camera_with_nothing_to_set_is_left_alone_and_says_so() -> None:
     assert opened(control, camera) is None
     control.sample(control.mark(camera.frame()[0]), SPOT)
     assert camera.asked == []
-    assert control.figures == ExposureFigures("auto, but this camera has nothing to set", 0.51, None, None, 0)
+    assert control.figures == ExposureFigures(
+        "auto, but this camera has no adjustable setting", 0.51, None, None, 0
+    )
 
 
 def test_a_refusal_is_told_and_no_setpoint_follows_it_until_the_camera_is_opened_again() -> None:

@@ -45,7 +45,7 @@ def asked(
     for count in range(1, limit + 1):
         if (setting := one.next(sample, present)) is not None:
             return count, setting
-    raise AssertionError("nothing was asked for")
+    raise AssertionError("no picture was requested")
 
 
 @pytest.mark.parametrize(

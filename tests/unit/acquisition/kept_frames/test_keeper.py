@@ -256,7 +256,7 @@ async def test_exposures_of_a_change_are_left_out_and_lit_ones_say_so(tmp_path: 
 
 async def test_without_a_frame_there_is_nothing_to_keep_and_it_is_said(tmp_path: Path) -> None:
     async with running(Unit(tmp_path)) as unit:
-        with pytest.raises(NotKeptError, match="no frame came in the last seconds"):
+        with pytest.raises(NotKeptError, match="no frames in the last seconds"):
             await unit.keeper.keep("asked")
         assert unit.component.counters == {"not_kept": 1}
         assert unit.component.state is State.OK, "the cameras fail, and say so: this does what it should"

@@ -159,7 +159,7 @@ class TestFolder:
         folder.close()
         text = (folder.path / "scan.json").read_text()
         (folder.path / "scan.json").write_text(text.replace("25.0,", "NaN,", 1))
-        with pytest.raises(BadInputError, match=r"scan.json: is no record of a scan"):
+        with pytest.raises(BadInputError, match=r"scan.json: is not a record of a scan"):
             self.folder(tmp_path)
 
     def test_cameras_of_another_size_are_refused(self, tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ class TestFolder:
         assert len(open_recording(tmp_path / "scan").rows) == 8
         (tmp_path / "scan").rename(tmp_path / "scan.unfinished")
         (tmp_path / "scan.unfinished" / "scan.json").write_text("{")
-        with pytest.raises(BadInputError, match="is no record of a scan"):
+        with pytest.raises(BadInputError, match="is not a record of a scan"):
             self.folder(tmp_path)
 
 

@@ -84,7 +84,7 @@ def test_one_error_beyond_its_limit_fails_the_unit(change: dict[str, object], re
 def test_nothing_is_tested_against_a_reference_of_which_nothing_is_known() -> None:
     judgement = judged(replace(GOOD, square_mrad=Estimated(9.0, 0.0)), None)
     assert (judgement.verdict, judgement.made) == (Result.NOT_DECIDED, 0)
-    assert judgement.reasons == ("nothing is known of the reference: its header states no limits",)
+    assert judgement.reasons == ("the uncertainty of the reference is unknown: its header states no limits",)
 
 
 def test_what_the_reference_does_not_state_is_not_tested() -> None:

@@ -25,7 +25,7 @@ def test_what_is_no_camera_is_refused(device: str, tmp_path: Path) -> None:
     path = tmp_path / device  # "/dev/null" and "/dev" stay themselves
     if device == "a file":
         path.touch()
-    with pytest.raises(CameraRefusedError, match=f"^{path}: is no Video4Linux device"):
+    with pytest.raises(CameraRefusedError, match=f"^{path}: is not a Video4Linux device"):
         camera(path).open()
 
 

@@ -184,7 +184,7 @@ async def test_a_defect_is_answered_in_json_and_logged_as_one(
     async with served() as unit:
         answer = await unit.ask("/api/v1/self-check")
         assert (await unit.ask("/healthz")).status == 200
-    assert (answer.status, answer.json) == (500, {"error": "a defect of the unit; its log says more"})
+    assert (answer.status, answer.json) == (500, {"error": "a defect of the unit; its log has the details"})
     assert [(record.name, record.getMessage()) for record in caplog.records] == [("altd", "http: a defect")]
     assert caplog.records[0].exc_info is not None
 

@@ -32,7 +32,7 @@ async def test_everybody_is_told_what_it_says(served: Served, files: Files, heal
     async with served() as unit:
         told = fits(DOCUMENT, "/api/v1/calibration", await unit.ask("/api/v1/calibration"))
         assert told == {**health.calibration.summary, "report": {"available": True, "why": ""}}
-        files.no_report = "unit-7.html beside the calibration reports on another calibration"
+        files.no_report = "unit-7.html next to the calibration is the report of another calibration"
         told = fits(DOCUMENT, "/api/v1/calibration", await unit.ask("/api/v1/calibration"))
     assert told["report"] == {"available": False, "why": files.no_report}
     assert told["recording"]["note"] == "made up <by> a test & 5 $"

@@ -79,7 +79,7 @@ async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, health: Hea
 
 async def test_health_says_for_whom_it_is(path: Path, health: Health) -> None:
     component = health.component("local")
-    assert (component.state, component.message) == (State.OK, "for this computer alone")
+    assert (component.state, component.message) == (State.OK, "for this computer only")
 
 
 async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
@@ -115,7 +115,7 @@ async def test_one_whose_file_is_deleted_or_replaced_says_so_and_serves_again(
     assert component.message.startswith("the file of the socket was deleted or replaced; next try in")
     if by in ("a file", "a folder"):
         await clock.advance(1.0)
-        assert "there is a file that is no socket" in component.message
+        assert "the file is not a socket" in component.message
         assert path.exists()
         path.unlink() if by == "a file" else path.rmdir()
     await clock.advance(1.0)

@@ -241,10 +241,10 @@ async def test_who_missed_nothing_gets_nothing_twice(
 @pytest.mark.parametrize(
     ("last_id", "why"),
     [
-        ("nonsense", "it is no id of this stream"),
-        ("160", "it is no id of this stream"),
-        ("1-2-3", "it is no id of this stream"),
-        ("9" * 30 + "-1", "it is no id of this stream"),
+        ("nonsense", "it is not an id of this stream"),
+        ("160", "it is not an id of this stream"),
+        ("1-2-3", "it is not an id of this stream"),
+        ("9" * 30 + "-1", "it is not an id of this stream"),
         ("7-7", "the history does not have it"),
     ],
 )

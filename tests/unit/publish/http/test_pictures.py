@@ -115,7 +115,7 @@ async def test_a_browser_that_asks_for_nothing_any_more_is_closed(
         with pytest.raises(ConnectionClosed) as closed:
             await asyncio.wait_for(browser.recv(), 60)
         assert closed.value.rcvd is not None
-        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1001, "nothing was asked for")
+        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1001, "no picture was requested")
 
 
 async def test_more_browsers_than_may_look_are_told_so(

@@ -34,5 +34,5 @@ async def test_a_unit_is_ready_once_it_measures_even_without_a_beam(
         stale = await unit.ask("/readyz")
     assert (starting.status, stale.status) == (503, 503)
     assert starting.json == {"error": "the unit starts"}
-    assert stale.json == {"error": "nothing new is measured"}
+    assert stale.json == {"error": "no new measurement"}
     assert without_beam.json == measuring.json == {"ready": True}

@@ -159,14 +159,14 @@ async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
         (bytes.fromhex("20 03 00 86 00"), "the broker refuses the unit: Bad user name or password; see"),
         (bytes.fromhex("20 03 00 84 00"), "the broker refuses the unit: Unsupported protocol version"),
         (bytes.fromhex("20 02 00 01"), "the broker refuses the unit: Unsupported protocol version"),
-        (b"HTTP/1.1 400 Bad Request\r\n" + bytes(100), "the broker sent what is not MQTT"),
+        (b"HTTP/1.1 400 Bad Request\r\n" + bytes(100), "the broker sent data that is not MQTT"),
         (CONNECTED + PUBLISH_TO_UNIT, "the unit subscribes to nothing"),
         (CONNECTED + bytes.fromhex("e0 02 8e 00"), "the broker ended the connection: Session taken over"),
         (CONNECTED + b"\x30\xff\xff\xff\x7f" + bytes(300_000), "the broker sends more than acknowledgements"),
         (CONNECTED + bytes.fromhex("3408 000161 0001 00 7879") * 10_000, "more than acknowledgements"),
-        (CONNECTED + bytes.fromhex("3605 0001 61 00 78"), "the broker sent what is not MQTT"),
-        (CONNECTED + bytes.fromhex("4006 0001 00 ff ff ff"), "the broker sent what is not MQTT"),
-        (CONNECTED + b"\xd0\xff\xff\xff\xff\xff", "the broker sent what is not MQTT"),
+        (CONNECTED + bytes.fromhex("3605 0001 61 00 78"), "the broker sent data that is not MQTT"),
+        (CONNECTED + bytes.fromhex("4006 0001 00 ff ff ff"), "the broker sent data that is not MQTT"),
+        (CONNECTED + b"\xd0\xff\xff\xff\xff\xff", "the broker sent data that is not MQTT"),
     ],
 )
 async def test_what_a_broker_may_not_send_ends_the_connection_with_a_sentence(

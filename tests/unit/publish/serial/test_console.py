@@ -43,7 +43,7 @@ def test_case_and_blanks_do_not_matter(line: str) -> None:
 
 
 def test_an_unknown_command_is_named_in_one_line() -> None:
-    assert answer("reboot now") == ["no command 'reboot'; type help for what there is"]
+    assert answer("reboot now") == ["no command 'reboot'; type help for the commands"]
 
 
 def test_too_many_words_are_told() -> None:

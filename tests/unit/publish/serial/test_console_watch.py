@@ -13,7 +13,7 @@ from .consoles import answer, console
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "soon", "nan", "inf", "1e9"])
 def test_watch_refuses_what_is_no_interval(seconds: str) -> None:
-    assert answer(f"watch {seconds}") == [f"watch wants seconds from 0.1 to 3600, not '{seconds}'"]
+    assert answer(f"watch {seconds}") == [f"watch needs seconds from 0.1 to 3600, not '{seconds}'"]
 
 
 class TestWatch:
