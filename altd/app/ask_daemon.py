@@ -112,7 +112,7 @@ def ask_running_daemon(config: Config, place: Path) -> dict[str, Any]:
     if status == http.client.OK and isinstance(document, dict) and "verdict" in document:
         return document
     said = document.get("error") if isinstance(document, dict) else None
-    raise NoAnswerError(said if isinstance(said, str) else f"the answer is {status}, and no verdict")
+    raise NoAnswerError(said if isinstance(said, str) else f"the answer is {status}, not a verdict")
 
 
 def _answer(config: Config, place: Path) -> tuple[int, Any]:

@@ -153,7 +153,7 @@ def check_index(document: object, source: Path) -> Index:
         ) from error
     body = {key: value for key, value in document.items() if key != "checksum"}
     if document["checksum"] != checksum_of(body):
-        raise BadInputError(source, "the checksum of its index does not fit: it is damaged or was edited")
+        raise BadInputError(source, "the checksum of its index does not match: it is damaged or was edited")
     if index.settings not in index.files:
         raise BadInputError(source, "its index does not list the settings")
     return index

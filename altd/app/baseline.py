@@ -109,7 +109,7 @@ class BaselineFile:
         if not isinstance(document, dict) or document.get("format") != _FORMAT:
             raise ValueError(f"is no {_FORMAT}")
         if document.pop("checksum", None) != checksum_of(document):
-            raise ValueError("checksum does not fit: the file is damaged or was edited")
+            raise ValueError("checksum does not match: the file is damaged or was edited")
         del document["format"]
         content = _Content.model_validate(document)
         if content.unit != self.calibration.unit_serial:
@@ -118,10 +118,12 @@ class BaselineFile:
             raise ValueError("is of another calibration: make a new one, altd baseline")
         names = self.calibration.target_names
         if unknown := sorted((content.own.keys() | content.stable.keys()) - set(names)):
-            raise ValueError(f"has target {unknown[0]!r}, which the calibration has not")
+            raise ValueError(f"has target {unknown[0]!r}, which is not in the calibration")
         for name in content.own:
             if missing := [of for of in self.settings.stable if of not in content.stable.get(name, {})]:
-                raise ValueError(f"{missing[0]!r} was no stable target then: make a new one, altd baseline")
+                raise ValueError(
+                    f"{missing[0]!r} was not a stable target then: make a new one, altd baseline"
+                )
         return BaselineMeans(
             {name: _place(spot) for name, spot in content.own.items()},
             {

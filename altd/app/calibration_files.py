@@ -40,7 +40,7 @@ class ReadCalibrationFiles:
         except TimeoutError as error:
             raise NoCalibrationFileError(_NO_ANSWER) from error
         if self._loaded is None or sha256(content).hexdigest() != self._loaded.sha256:
-            raise NoCalibrationFileError("the file is another one than the unit has loaded")
+            raise NoCalibrationFileError("the file is not the one that the unit has loaded")
         return content
 
     async def check_report(self) -> None:

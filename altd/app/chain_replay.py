@@ -103,7 +103,7 @@ def _check_exposure(recording: Recording, row: Row, last: Row | None) -> None:
         message = f"opaque {row.opaque!r} is not that of the same exposure in row {last.number}"
         raise BadInputError(recording.rows.place(row), f"{message}, {last.opaque!r}")
     if row.sequence < last.sequence:
-        message = f"is out of the order of time: sequence {row.sequence} after {last.sequence}"
+        message = f"is not in order of time: sequence {row.sequence} after {last.sequence}"
         raise BadInputError(recording.rows.place(row), message)
 
 
@@ -127,7 +127,9 @@ def open_chain_replay(
     if missing:
         raise BadInputError(recording.path, f"has no camera that looks at target {missing[0]!r}")
     if not recording.rows.has_opaque:
-        raise BadInputError(recording.path, "no row names an opaque target: it shows no row of glass targets")
+        raise BadInputError(
+            recording.path, "no row names an opaque target: it is not a recording of glass targets"
+        )
     settings, means = ChainSettings(), None
     if config is not None and config_path is not None:
         if config.unit.serial != header.unit.serial:

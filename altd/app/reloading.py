@@ -96,14 +96,14 @@ class Reloading:
             raise BadInputError(self._place, *(f"{key}: {_FIXED}" for key in fixed))
         loaded, path = self._calibration.file, config.unit.calibration
         if loaded is None or sha256(read_file(path, MAX_BYTES)).hexdigest() != loaded.sha256:
-            raise BadInputError(path, "is another file than was loaded: restart altd")
+            raise BadInputError(path, "is not the file that was loaded: restart altd")
         for check in interface_checks(config):
             check()
         return config, sha256(content).hexdigest(), changed
 
     def _refuse(self, first: str, *more: str) -> None:
         rest = f" (and {len(more)} more: altd check-config)" if more else ""
-        self._report(State.DEGRADED, f"settings refused, the old ones stay: {first}{rest}")
+        self._report(State.DEGRADED, f"settings refused, the old ones remain in use: {first}{rest}")
 
     def _report(self, state: State, text: str) -> None:
         log.info("%s", text)  # not a warning: a repeated warning is suppressed

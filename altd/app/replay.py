@@ -134,7 +134,7 @@ def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
         if since_latest > _MAX_BEHIND:
             raise BadInputError(
                 f"{place}: row {row.number}",
-                f"is out of the order of time: sequence {row.sequence} long after {latest.sequence}",
+                f"is not in order of time: sequence {row.sequence} long after {latest.sequence}",
             )
         before = len(lengths)
         is_new = row.sequence not in stays.exposures

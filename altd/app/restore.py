@@ -141,7 +141,7 @@ def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Ind
             if len(unpacked.read(_MAX_HEADER_BYTES)) == _MAX_HEADER_BYTES:  # gzip checks its sum at the end
                 raise ValueError("it does not end")
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError, OverflowError) as error:
-        raise BadInputError(source, f"is damaged or no backup of altd: {error}") from error
+        raise BadInputError(source, f"is damaged or not an altd backup: {error}") from error
     if missing:
         raise BadInputError(source, f"is damaged: it ends before {min(missing)}")
     return index
@@ -168,7 +168,7 @@ def _stage(path: Path, content: BinaryIO, entry: Entry) -> None:
             digest.update(piece)
             file.write(piece)
     if digest.hexdigest() != entry.sha256:
-        raise ValueError(f"the sum of {path.name} does not fit")
+        raise ValueError(f"the sum of {path.name} does not match")
 
 
 def _check_serial(serial: str, settings: Path) -> None:
@@ -179,7 +179,7 @@ def _check_serial(serial: str, settings: Path) -> None:
         unit: Any = parse_toml(read_file(settings, MAX_FILE_BYTES)).get("unit")
     except ValueError as error:
         raise BadInputError(
-            settings, f"which unit this is cannot be read; move it away first: {error}"
+            settings, f"the serial number of its unit cannot be read; move it away first: {error}"
         ) from error
     found = unit.get("serial") if isinstance(unit, dict) else None
     if found != serial:

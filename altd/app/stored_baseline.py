@@ -36,7 +36,7 @@ def store_baseline(
     path = baseline_path(config, service_folder(place))
     file = BaselineFile(path, calibration, settings)
     if os.path.lexists(path) and not replace:
-        raise BadInputError(path, "is there already; --replace renames it")
+        raise BadInputError(path, "exists already; --replace renames it")
     recording_path = recording_path or _played(config)
     means = None
     if recording_path is not None:

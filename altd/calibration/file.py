@@ -251,7 +251,7 @@ def read_document(path: Path, form: str, parse: Callable[[Any], Parsed]) -> tupl
         raise BadInputError(path, f"format is {document.get('format')!r}, this altd reads {form!r}")
     checksum = document.pop("checksum", None)
     if checksum != checksum_of(document):
-        raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
+        raise BadInputError(path, "checksum does not match: the file is damaged or was edited")
     try:
         return parse(document), CalibrationFile(sha256(content).hexdigest(), str(checksum))
     except ValidationError as error:

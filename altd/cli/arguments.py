@@ -192,9 +192,7 @@ class Parser(argparse.ArgumentParser):
             name, value = found[1], found[2]
             choices = [str(choice) for choice in self._choices(name)]
             what = (
-                f"there is no {name.lower()} {value}"
-                if name == "COMMAND"
-                else f"{name}: {value} is not possible"
+                f"unknown {name.lower()} {value}" if name == "COMMAND" else f"{name}: {value} is not possible"
             )
             slips = self._unknown_options() if name == "COMMAND" else ""
             return (
@@ -203,7 +201,7 @@ class Parser(argparse.ArgumentParser):
         if found := _MISSING.match(message):
             return f"missing: {found[1]}{self._unknown_options()}; {self._one_line_usage()}"
         if found := _NO_NUMBER.match(message):
-            return f"{found[1]}: {found[3]} is no {'whole number' if found[2] == 'int' else 'number'}"
+            return f"{found[1]}: {found[3]} is not a {'whole number' if found[2] == 'int' else 'number'}"
         if found := _NO_VALUE.match(message):
             count = found[2].replace("argument", "value")
             return f"{found[1]}: {count} must follow; {self._one_line_usage()}"
@@ -217,7 +215,7 @@ class Parser(argparse.ArgumentParser):
         """End with status 2 and a line about the first unknown argument."""
         first = unknown[0]
         if not first.startswith("-") or first == "-":
-            self.error(f"{first!r} is an argument too many; {self._one_line_usage()}")
+            self.error(f"{first!r} is unexpected; {self._one_line_usage()}")
         options = [action.option_strings[-1] for action in self._actions if action.option_strings]
         slip = did_you_mean(first.partition("=")[0], options)
         self.error(f"{first}: unknown argument; possible: {', '.join(options)}{slip}")
@@ -227,7 +225,7 @@ class Parser(argparse.ArgumentParser):
         known = [name for action in self._actions for name in action.option_strings]
         strange = (word.partition("=")[0] for word in self._given if word.startswith("--"))
         slips = [word for word in strange if not any(name.startswith(word) for name in known)]
-        return "".join(f"; there is no {word}{did_you_mean(word, known)}" for word in slips)
+        return "".join(f"; unknown argument {word}{did_you_mean(word, known)}" for word in slips)
 
     def _choices(self, name: str) -> Sequence[object]:
         for action in self._actions:

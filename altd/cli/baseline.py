@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="rounds at rest (default: the recording that the settings play, or the daemon's next rounds)",
     )
     add_config(parser)
-    parser.add_argument("--replace", action="store_true", help="rename a baseline that is there")
+    parser.add_argument("--replace", action="store_true", help="rename an existing baseline")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -77,7 +77,7 @@ def _gige_cameras() -> Iterator[str]:
     try:
         from altd.devices.aravis.open_camera import find_cameras
     except ImportError as error:
-        yield f"  cannot be looked for: {error}"
+        yield f"  search failed: {error}"
         return
     for found in find_cameras():
         yield f'  device = "{found.serial or found.address}"'

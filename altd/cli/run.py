@@ -46,7 +46,7 @@ def _run(options: argparse.Namespace) -> int:
     from altd.app.settings import load_settings
 
     if options.rehearsal and "NOTIFY_SOCKET" in os.environ:  # systemd.exec(5): for services of Type=notify
-        raise BadInputError("--rehearsal", "a service does not rehearse; start `altd run` by hand")
+        raise BadInputError("--rehearsal", "not possible in a service; start `altd run` by hand")
     reload = hangups()  # before the settings are read, so that no later change is missed
     if options.trace_frames:
         logging.getLogger("altd.frames").setLevel(logging.DEBUG)

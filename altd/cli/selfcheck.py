@@ -64,7 +64,7 @@ def _document(options: argparse.Namespace) -> dict[str, Any]:
     if "config" in options:
         raise BadInputError("--config", "asks the running daemon: it cannot be combined with RECORDING")
     if options.calibration is None:
-        raise BadInputError(options.recording, "missing: --calibration FILE, to hold the recording against")
+        raise BadInputError(options.recording, "missing: --calibration FILE, to compare the recording with")
     from altd.answers.selfcheck import judge_recording
 
     return judge_recording(options.recording, options.calibration)

@@ -46,14 +46,14 @@ def check_terminal() -> None:
     instead = "; `altd status` needs no terminal"
     for name, stream in (("standard input", sys.stdin), ("standard output", sys.stdout)):
         if not stream.isatty():
-            raise BadInputError(name, f"is no terminal{instead}")
+            raise BadInputError(name, f"is not a terminal{instead}")
     kind = os.environ.get("TERM", "")
     try:
         curses.setupterm(kind or "dumb", sys.stdout.fileno())
     except curses.error:
-        raise BadInputError("TERM", f"this computer knows no terminal {kind!r}{instead}") from None
+        raise BadInputError("TERM", f"unknown terminal type {kind!r}{instead}") from None
     if not kind or curses.tigetstr("cup") is None or curses.tigetstr("clear") is None:
-        raise BadInputError("TERM", f"{kind!r} is a terminal without a movable cursor{instead}")
+        raise BadInputError("TERM", f"{kind!r} is a terminal without cursor addressing{instead}")
 
 
 class Terminal:

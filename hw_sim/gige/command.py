@@ -207,5 +207,5 @@ def _fps(text: str) -> float:
     except ValueError:
         fps = 0.0
     if not 1 <= fps <= MAX_FPS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1 to {MAX_FPS:g}")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to {MAX_FPS:g}")
     return fps

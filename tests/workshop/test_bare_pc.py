@@ -309,7 +309,9 @@ def test_an_update_goes_well_or_back(machine: BareDebian, stage: Path) -> None:
     technician.edit(("port = 8081\n", "ports = 8081\n"))
     technician.enter("systemctl reload altd", expected_status=1)
     refused = technician.enter("systemctl is-active altd && journalctl -u altd -o cat -n 20")
-    assert re.search(r"settings refused, the old ones stay: /etc/altd/altd.toml: line .*http\.ports", refused)
+    assert re.search(
+        r"settings refused, the old ones remain in use: /etc/altd/altd.toml: line .*http\.ports", refused
+    )
     technician.edit(("ports = 8081\n", ""))
     assert "settings reloaded: http.port" in technician.follow("Reload the settings", MAINTAIN)
 

@@ -59,7 +59,7 @@ class HistoryFile:
                 raise ValueError(f"is no {FORMAT}")
             checksum = document.pop("checksum", None)
             if checksum != checksum_of(document):
-                raise ValueError("checksum does not fit: the file is damaged or was edited")
+                raise ValueError("checksum does not match: the file is damaged or was edited")
             del document["format"]
             if document.pop("references", None) != _references_of(self.calibration):
                 return History.empty()

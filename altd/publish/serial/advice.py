@@ -15,8 +15,8 @@ _ONE_TARGET_DARK = Advice(
 _CAMERA_BELOW = Advice("the camera delivers no frames", "see the camera below")
 
 _CAMERA_REMEDIES = {
-    "not found": "is it plugged in, and has it power?",
-    "busy": "end the program that has it",
+    "not found": "check its cable and power",
+    "busy": "end the program that uses it",
     "lost": "check its cable and supply",
     "refused": "check its table in the config",
     "the driver does not return": "unplug it and plug it in again",

@@ -46,8 +46,8 @@ class Row(NamedTuple):
 
 
 STATUS_BITS = (
-    *(Row(bit, f"a cause of `{signal}` is there") for signal, bit in _BIT_OF_SIGNAL.items()),
-    Row(4, "always 0: no answer waits (MAV)"),
+    *(Row(bit, f"a cause of `{signal}` is present") for signal, bit in _BIT_OF_SIGNAL.items()),
+    Row(4, "always 0: no answer is queued (MAV)"),
     Row(5, "always 0: there is no event register (ESB)"),
     Row(_SUMMARY_BIT, "any of the others (MSS)"),
     Row(_NOT_VALID_BIT, "no valid measurement"),
@@ -158,7 +158,7 @@ def answer_to(sources: Sources, name: str, arguments: list[str]) -> Answer:
     if command is None:
         raise UsageError(f"no command {name[:24]!r}; type help for the commands")
     if len(arguments) > bool(command.argument):
-        raise UsageError(f"too much after {name}; it is used as: {command.usage}")
+        raise UsageError(f"too many arguments for {name}; usage: {command.usage}")
     return command.run(sources, *arguments)
 
 
@@ -168,7 +168,7 @@ def _help(_: Sources) -> str:
 
 def _status(sources: Sources, whole: str = "") -> str:
     if whole.lower() not in ("", "all"):
-        raise UsageError(f"status is used as: status [all], not {whole[:24]!r}")
+        raise UsageError(f"usage: status [all], not {whole[:24]!r}")
     return status_text(sources.read(), sources.health, sources.age_s(), whole=bool(whole))
 
 
@@ -196,7 +196,7 @@ def _version(sources: Sources) -> str:
 def _self_check(sources: Sources, now: str = "") -> str | Question:
     service = sources.health.self_check
     if now.lower() not in ("", "now"):
-        raise UsageError(f"selfcheck is used as: selfcheck [now], not {now[:24]!r}")
+        raise UsageError(f"usage: selfcheck [now], not {now[:24]!r}")
     if service.unavailable:
         return _none(service.unavailable)
     if now:
@@ -238,7 +238,7 @@ def _time_of(report: SelfCheckReport) -> str:
 def _history(sources: Sources, span: str = "hour") -> str | Later:
     span, past = span.lower(), sources.past
     if span not in SPANS_S:
-        raise UsageError(f"history is used as: history [{'|'.join(SPANS_S)}], not {span[:24]!r}")
+        raise UsageError(f"usage: history [{'|'.join(SPANS_S)}], not {span[:24]!r}")
     if past is None:
         return _NO_PAST
     return Later(lambda: history_text(past, sources.quantities, span))

@@ -20,7 +20,7 @@ class BadLine(Enum):
 
     TOO_LONG = f"line too long: at most {MAX_LINE_CHARACTERS} characters"
     STRAY = "not plain ASCII: retype it or check the parity"
-    NO_TEXT = "that was no text: wrong baud rate or parity?"
+    NO_TEXT = "not text: wrong baud rate or parity?"
 
 
 class LineEditor:

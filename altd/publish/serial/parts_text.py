@@ -131,6 +131,6 @@ def _row(point: SummaryPoint, quantities: Quantities, form: str) -> str:
 
 def _event_line(event: Event) -> str:
     of = f" {event.of}" if event.of else ""
-    alike = f" ({event.held_back} alike before it)" if event.held_back else ""
+    alike = f" ({event.held_back} similar ones before)" if event.held_back else ""
     time = event.time.astimezone(UTC).strftime("%m-%d %H:%M:%S")
     return hanging(time, f"{event.kind}{of}: {event.text}{alike}", 15)

@@ -120,7 +120,7 @@ class TelegramPublisher:
             self._component.set_state(State.OK, telegram_message(self._settings))
         else:
             self._component.set_state(
-                State.DEGRADED, "the line does not take the telegrams: they are left out"
+                State.DEGRADED, "the line does not accept the telegrams: they are omitted"
             )
         return sent
 

@@ -165,7 +165,7 @@ def _uncertainty(measurement: Measurement, age_s: float | None) -> str:
         for quantity in measurement.quantities.main
         if (sigma := _sigma_now(measurement, quantity, age_s)) is not None
     ]
-    return ", ".join(told) or "not known: the unit has not seen yet how the beam moves"
+    return ", ".join(told) or "not known: the motion of the beam was not observed yet"
 
 
 def _sigma_now(measurement: Measurement, quantity: Quantity, age_s: float | None) -> float | None:
@@ -213,7 +213,7 @@ def _reason_lines(status: Sequence[Fault]) -> list[str]:
 
 def _measuring(measurement: Measurement | None, components: Sequence[Component]) -> str:
     if measurement is None:
-        return "NO, nothing was measured so far"
+        return "NO, no measurement so far"
     status = measurement.status
     targets: dict[str, list[str]] = {}
     for fault in status:

@@ -280,9 +280,7 @@ def test_a_scan_that_is_not_in_the_order_of_time(played_unit: PlayedUnit, tmp_pa
         ]
     (path / "frames.csv").write_text("\n".join(rows) + "\n")
     said = refusal(replay(path, played_unit))
-    assert said.endswith(
-        "frames.csv: row 2201: is out of the order of time: sequence 6993 long after 1199000"
-    )
+    assert said.endswith("frames.csv: row 2201: is not in order of time: sequence 6993 long after 1199000")
 
 
 class TestRefusals:

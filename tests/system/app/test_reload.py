@@ -206,7 +206,7 @@ FAULTS: dict[str, tuple[Callable[[Unit], str | None], str]] = {
         missing_calibration,
         r"altd\.toml: unit\.calibration: .*cal\.json does not exist yet; .*",
     ),
-    "another calibration": (other_calibration, r"cal\.json: is another file than was loaded: restart altd"),
+    "another calibration": (other_calibration, r"cal\.json: is not the file that was loaded: restart altd"),
     "outbox switched on": (
         lambda unit: unit.config.read_text() + '[mqtt]\nhost = "127.0.0.1"\nstore_and_forward = true\n',
         r"altd\.toml: mqtt\.store_and_forward: cannot change while the unit measures: restart altd",
@@ -232,7 +232,7 @@ def test_what_is_wrong_changes_nothing(own_unit: PlayedUnit, played_unit: Played
             for name, (make, says) in FAULTS.items():
                 unit.reload(make(unit))
                 said.append(unit.outcome())
-                pattern = rf"settings refused, the old ones stay: (\S*/)?{says}"
+                pattern = rf"settings refused, the old ones remain in use: (\S*/)?{says}"
                 assert re.fullmatch(pattern, said[-1]), (name, said[-1])
                 now = unit.get("/api/status")
                 assert now["components"].pop("settings")["state"] == "degraded", name

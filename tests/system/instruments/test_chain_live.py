@@ -229,11 +229,11 @@ def test_a_baseline_is_stored_from_a_recording_and_used(calibration: Path, tmp_p
     lines = altd_here(*measured).objects
     assert all(abs(line["targets"]["t2"]["dx_mm"] - STEP_MM[0]) < 0.05 for line in lines)
     again = altd_here("baseline", "--config", settings)
-    assert "is there already; --replace renames it" in refusal(again)
+    assert "exists already; --replace renames it" in refusal(again)
     replaced = altd_here("baseline", tmp_path / "moved", "--config", settings, "--replace")
     assert (replaced.status, "renamed: " in replaced.out) == (0, True)
     assert len(list(tmp_path.glob("baseline.json*"))) == 2
     assert abs(altd_here(*measured).objects[-1]["targets"]["t2"]["dx_mm"]) < 0.05
     settings.write_text(text.replace('stable = ["t1", "t3"]', 'stable = ["t1", "t2"]'))
-    assert "'t2' was no stable target then" in refusal(altd_here(*measured))
-    assert "'t2' was no stable target then" in refusal(altd_here("check-config", settings))
+    assert "'t2' was not a stable target then" in refusal(altd_here(*measured))
+    assert "'t2' was not a stable target then" in refusal(altd_here("check-config", settings))

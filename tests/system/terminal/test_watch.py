@@ -271,9 +271,9 @@ class TestNoTerminal:
     @pytest.mark.parametrize(
         ("kind", "said"),
         [
-            ("dumb", "TERM: 'dumb' is a terminal without a movable cursor"),
-            ("", "TERM: '' is a terminal without a movable cursor"),
-            ("no-such", "TERM: this computer knows no terminal 'no-such'"),
+            ("dumb", "TERM: 'dumb' is a terminal without cursor addressing"),
+            ("", "TERM: '' is a terminal without cursor addressing"),
+            ("no-such", "TERM: unknown terminal type 'no-such'"),
         ],
     )
     def test_a_terminal_that_cannot_is_one_line(self, unit: LocalDaemon, kind: str, said: str) -> None:
@@ -286,7 +286,7 @@ class TestNoTerminal:
     def test_a_pipe_is_one_line(self, unit: LocalDaemon) -> None:
         said = altd("watch", "--socket", unit.socket)
         assert (said.status, said.out) == (2, "")
-        assert said.err == "altd watch: standard input: is no terminal; `altd status` needs no terminal\n"
+        assert said.err == "altd watch: standard input: is not a terminal; `altd status` needs no terminal\n"
 
     @pytest.mark.parametrize("kind", ["vt100", "linux", "xterm", "screen-256color"])
     def test_the_usual_ones_can(self, unit: LocalDaemon, kind: str) -> None:

@@ -40,9 +40,9 @@ def answered(tmp_path: Path, answer: bytes) -> Iterator[Path]:
     [
         (b"", "no daemon answers at 127.0.0.1 port "),
         *GARBAGE,
-        (http(b"[]"), "the answer is 200, and no verdict"),
-        (http(b'{"error": {"a": 1}}', b"HTTP/1.1 500 Oh"), "the answer is 500, and no verdict"),
-        (http(b'{"verdict": "good"}', b"HTTP/1.1 302 Elsewhere"), "the answer is 302, and no verdict"),
+        (http(b"[]"), "the answer is 200, not a verdict"),
+        (http(b'{"error": {"a": 1}}', b"HTTP/1.1 500 Oh"), "the answer is 500, not a verdict"),
+        (http(b'{"verdict": "good"}', b"HTTP/1.1 302 Elsewhere"), "the answer is 302, not a verdict"),
         (http(b'{"verdict": [3]}'), "the answer is not a self-check: verdict: "),
         (http(b'{"error": "no frame LEDs"}', b"HTTP/1.1 409 No"), "no frame LEDs"),
         (http(b'{"error": "a\\n\\u001b[2Jb"}', b"HTTP/1.1 409 No"), r"a\n\x1b[2Jb"),

@@ -27,9 +27,9 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("rpelay",), "altd: there is no command 'rpelay'; possible: run, calibrate, replay, "),
+        (("rpelay",), "altd: unknown command 'rpelay'; possible: run, calibrate, replay, "),
         (("rpelay",), "; did you mean `replay`?"),
-        (("--confg", "x", "run"), "there is no --confg"),
+        (("--confg", "x", "run"), "unknown argument --confg"),
         ((*REPLAY, "--window", "0"), "altd replay: --window: '0' is not a whole number from 1 to 1000"),
         ((*REPLAY, "--window", "9" * 5000), " is not a whole number from 1 to 1000"),
         ((*REPLAY, "--window", "two"), "altd replay: --window: 'two' is not a whole number from 1 to 1000"),
@@ -37,7 +37,7 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         ((*REPLAY, "--window"), "altd replay: --window: one value must follow; usage: altd replay "),
         ((*REPLAY, "--windw", "3"), "altd replay: --windw: unknown argument; possible: --help, "),
         ((*REPLAY, "--windw", "3"), "; did you mean `--window`?"),
-        ((*REPLAY, "more"), "altd replay: 'more' is an argument too many; usage: altd replay "),
+        ((*REPLAY, "more"), "altd replay: 'more' is unexpected; usage: altd replay "),
         (("replay",), "altd replay: missing: RECORDING, --calibration; usage: altd replay "),
         (("replay", "rec", "--calibrtion", "x"), "no --calibrtion; did you mean `--calibration`?"),
         (("record", "-o", "x", "--seconds", "-1"), "--seconds: '-1' is not a number of seconds"),
@@ -57,7 +57,7 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
             ("check-config", "a.toml", "--config", "b.toml"),
             "altd check-config: --config: not allowed with argument FILE",
         ),
-        (("devices", "\x1b[2J"), "'\\x1b[2J' is an argument too many"),
+        (("devices", "\x1b[2J"), "'\\x1b[2J' is unexpected"),
         (("selfcheck", "rec"), "altd selfcheck: rec: missing: --calibration FILE, to hold"),
         (("selfcheck", "rec", "--config", "altd.toml"), "altd selfcheck: --config: asks the running"),
         (("selfcheck", "--calibration", "cal.json"), "altd selfcheck: --calibration: missing: RECORDING,"),
@@ -81,13 +81,13 @@ def test_a_wrong_argument_is_one_line(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("dmeo",), "there is no command 'dmeo'; possible: scan, flat, "),
+        (("dmeo",), "unknown command 'dmeo'; possible: scan, flat, "),
         (("scan", "--seed", "x", "-o", "y"), "--seed: 'x' is not a whole number from 0 on"),
         (("scan", "--seed", "9" * 5000, "-o", "y"), " is not a whole number from 0 on"),
         (("gige", "--bits", "9"), "--bits: 9 is not possible; possible: 8, 10, 12, 16"),
-        (("gige", "--bits", "x"), "--bits: 'x' is no whole number"),
-        (("gige", "--pose", "0", "0", "0", "up"), "--pose: 'up' is no number"),
-        (("gige", "--fps", "0"), "--fps: '0' is no number from 1 to 200"),
+        (("gige", "--bits", "x"), "--bits: 'x' is not a whole number"),
+        (("gige", "--pose", "0", "0", "0", "up"), "--pose: 'up' is not a number"),
+        (("gige", "--fps", "0"), "--fps: '0' is not a number from 1 to 200"),
         (("demo", "--http-prt", "1"), "--http-prt: there is no such argument"),
         (("demo", "--mqtt", "a b"), "--mqtt: 'a b' is no broker; possible: HOST or HOST:PORT"),
         (("demo", "--mqtt", "plant:0"), "'plant:0' is no broker"),
@@ -180,7 +180,7 @@ def test_the_shipped_config_passes_its_own_check() -> None:
 def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     line = refusal(altd_here("run", "--rehearsal", "--config", tmp_path / "none.toml"))
-    assert line == "altd run: --rehearsal: a service does not rehearse; start `altd run` by hand"
+    assert line == "altd run: --rehearsal: not possible in a service; start `altd run` by hand"
 
 
 PARSERS = {"altd": cli.command_parser(), "hw_sim": command_parser()}

@@ -89,4 +89,4 @@ def typed_at_terminal(path: Path, *answers: bytes) -> str:
 
 def test_the_password_is_no_argument(tmp_path: Path) -> None:
     line = refusal(altd_here("password", tmp_path / "credentials", "ana", "open sesame"))
-    assert "an argument too many" in line
+    assert "is unexpected; usage" in line

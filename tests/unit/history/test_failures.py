@@ -177,7 +177,7 @@ def test_a_forged_number_is_an_error_and_no_number(tmp_path: Path, value: str) -
     foreign.close()
     with Reader(tmp_path / "history.db") as reader:
         if value != "1e308":
-            with pytest.raises(UnusableFileError, match="x_mm is no number"):
+            with pytest.raises(UnusableFileError, match="x_mm is not a number"):
                 reader.measurements_after(0, 10)
         with pytest.raises(UnusableFileError, match="is damaged: a row of seconds"):
             list(reader.summaries(SECONDS, 0, 2**62))

@@ -93,8 +93,8 @@ def test_a_port_that_is_taken_is_one_clear_line() -> None:
         (["--front", "localhost"], "'localhost' is no IPv4 address"),
         (["--seed", "1234567"], "makes a serial number of more than 15 characters"),
         (["--faults", "gremlins"], "unknown fault 'gremlins'"),
-        (["--fps", "0"], "'0' is no number from 1 to 200"),
-        (["--seconds", "never"], "'never' is no number of seconds above 0"),
+        (["--fps", "0"], "'0' is not a number from 1 to 200"),
+        (["--seconds", "never"], "'never' is not a number of seconds above 0"),
     ],
 )
 def test_what_it_cannot_do_is_one_clear_line(arguments: list[str], says: str) -> None:

@@ -45,7 +45,7 @@ async def test_the_file_is_saved_under_a_name_that_no_header_breaks(served: Serv
         assert answer.body == FILE
         assert answer.headers["content-disposition"] == 'attachment; filename="unit_7__X__y.json"'
         assert answer.headers["content-length"] == str(len(FILE))
-        files.refuses = "the file is another one than the unit has loaded"
+        files.refuses = "the file is not the one that the unit has loaded"
         answer = await unit.ask("/api/v1/calibration/file")
     assert (answer.status, answer.json) == (409, {"error": files.refuses})
 

@@ -122,8 +122,8 @@ def test_every_cause_that_is_known_is_still_told_by_somebody() -> None:
 @pytest.mark.parametrize(
     ("state", "message", "remedy"),
     [
-        (State.FAILED, "not found: /dev/video7; trying again", "is it plugged in, and has it power?"),
-        (State.FAILED, "busy: /dev/video7; trying again", "end the program that has it"),
+        (State.FAILED, "not found: /dev/video7; trying again", "check its cable and power"),
+        (State.FAILED, "busy: /dev/video7; trying again", "end the program that uses it"),
         (State.FAILED, "refused: no Y10; trying again", "check its table in the config"),
         (State.DEGRADED, "no frame for 6.0 s", "check its trigger, cable and supply"),
         (State.DEGRADED, "the driver does not return; no frame for 2.0 s", "unplug it and plug it in again"),

@@ -213,7 +213,7 @@ class TestForPrograms:
     @pytest.mark.parametrize("line", ["*RST", "*CLS", "*ESR?", "*IDN", "*", "*IDN? 1"])
     def test_others_of_the_standard_are_not_there(self, line: str) -> None:
         (said,) = answer(line)
-        assert said.startswith(("no command ", "too much after "))
+        assert said.startswith(("no command ", "too many arguments for "))
         assert console().feed(line.encode() + b"\r").endswith(PROMPT)
 
 

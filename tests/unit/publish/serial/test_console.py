@@ -47,7 +47,7 @@ def test_an_unknown_command_is_named_in_one_line() -> None:
 
 
 def test_too_many_words_are_told() -> None:
-    assert answer("measure now") == ["too much after measure; it is used as: measure"]
+    assert answer("measure now") == ["too many arguments for measure; usage: measure"]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ class TestSelfCheck:
         assert asked == [True]
 
     def test_nothing_else_can_be_asked_of_it(self) -> None:
-        assert answer("selfcheck later") == ["selfcheck is used as: selfcheck [now], not 'later'"]
+        assert answer("selfcheck later") == ["usage: selfcheck [now], not 'later'"]
 
     @pytest.mark.parametrize(
         "keys",

@@ -32,8 +32,7 @@ def test_status_says_what_is_wrong_and_what_to_do() -> None:
     why = "no laser spot (nothing is brighter than the background): switch the laser on"
     assert f" - front and rear targets: {why}" in one_line
     assert (
-        " - camera rear failed: not found: /dev/video2; trying again: is it plugged in, and has it power?"
-        in one_line
+        " - camera rear failed: not found: /dev/video2; trying again: check its cable and power" in one_line
     )
     assert " - serial /dev/ttyS1 failed: there is no such port now; next try in 0.4 s " in one_line
 
@@ -89,7 +88,7 @@ def test_a_fault_of_one_target_names_it_and_two_faults_of_one_kind_are_one_step(
 
 
 def test_status_takes_no_other_word() -> None:
-    assert answer("status everything") == ["status is used as: status [all], not 'everything'"]
+    assert answer("status everything") == ["usage: status [all], not 'everything'"]
 
 
 class TestPages:

@@ -110,4 +110,4 @@ def test_the_log_has_the_newest_events_first(clock: FakeClock, events: EventLog,
 
 def test_a_daemon_that_remembers_nothing_says_so() -> None:
     assert answer("log") == answer("history") == ["this daemon stores no history"]
-    assert answer("history year") == ["history is used as: history [hour|day|month], not 'year'"]
+    assert answer("history year") == ["usage: history [hour|day|month], not 'year'"]
