@@ -18,7 +18,7 @@ from altd.instruments.planar.cross_validation import leave_one_out
 from altd.instruments.planar.fitting import (
     MIN_POSES_FOR_SPREAD,
     PlaneFit,
-    Sighting,
+    PlateView,
     fit_plane,
     radius_mm,
     scaled,
@@ -140,16 +140,16 @@ def calibrate_planar(
             refused.append(f"{stay.place}: {counted(len(stay.discs), 'LED')} seen")
     kept = [(stay, pairs) for stay, pairs in zip(stays, matched, strict=True) if len(pairs) >= MIN_LEDS]
     stays = [stay for stay, _ in kept]
-    sightings = [_sighting(*each) for each in kept]
-    seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in sightings])
+    views = [_plate_view(*each) for each in kept]
+    seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in views])
     areas_px = [stay.discs[light].area_px for stay, pairs in kept for _, light in pairs]
     per_mm = homography_camera(homography, seen_mm, size).px_per_mm(seen_mm)
     disc_mm = _disc_mm(place, plate, float(np.median(areas_px / np.abs(np.linalg.det(per_mm)))))
-    numbered, outliers = _without_outliers(sightings, leds_mm, disc_mm, size)
+    numbered, outliers = _without_outliers(views, leds_mm, disc_mm, size)
     refused += [f"{stays[at].place}: {why}" for at, why in outliers]
-    stays, sightings = [stays[at] for at, _ in numbered], [seen for _, seen in numbered]
-    chosen, rms, factor = _chosen(size, stays, sightings, leds_mm, disc_mm)
-    fit = fit_plane(chosen, leds_mm, sightings, disc_mm, size)
+    stays, views = [stays[at] for at, _ in numbered], [seen for _, seen in numbered]
+    chosen, rms, factor = _chosen(size, stays, views, leds_mm, disc_mm)
+    fit = fit_plane(chosen, leds_mm, views, disc_mm, size)
     frame_noise, lasting = _noise_px(stays, fit.noise_px)
     fit = scaled(replace(fit, noise_px=lasting), factor)
     calibration = PlanarCalibration(
@@ -163,11 +163,11 @@ def calibrate_planar(
         fit=fit,
         frame_noise_px=frame_noise,
         hull_mm=convex_hull_mm(seen_mm - seen_mm.mean(axis=0)) + seen_mm.mean(axis=0),
-        known_phi_deg=tuple(of.pose[2] for of in sightings),
+        known_phi_deg=tuple(of.pose[2] for of in views),
         rms=rms,
     )
     return PlanarResult(
-        calibration, tuple(refused), _doubts(len(sightings), any(stay.frames > 1 for stay in stays))
+        calibration, tuple(refused), _doubts(len(views), any(stay.frames > 1 for stay in stays))
     )
 
 
@@ -271,10 +271,10 @@ def _matched(stay: _Stay, leds_mm: FloatArray, homography: FloatArray) -> Pairs:
     return nearest(placed_mm(leds_mm, stay.pose), lights_mm, near)
 
 
-def _sighting(stay: _Stay, pairs: Pairs) -> Sighting:
+def _plate_view(stay: _Stay, pairs: Pairs) -> PlateView:
     led, light = (list(column) for column in zip(*pairs, strict=True))
     rims = tuple(stay.rims_px[each] for each in light)
-    return Sighting(stay.pose, np.array(led), stay.centres_px[light], rims)
+    return PlateView(stay.pose, np.array(led), stay.centres_px[light], rims)
 
 
 def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
@@ -291,14 +291,14 @@ def _disc_mm(place: object, plate: LedPlateHeader, area_mm2: float) -> float:
 
 
 def _without_outliers(
-    sightings: Sequence[Sighting], leds_mm: FloatArray, disc_mm: float, size: tuple[int, int]
-) -> tuple[list[tuple[int, Sighting]], list[tuple[int, str]]]:
-    """Remove LEDs that contradict the others; return the remaining sightings and a reason for each removal.
+    views: Sequence[PlateView], leds_mm: FloatArray, disc_mm: float, size: tuple[int, int]
+) -> tuple[list[tuple[int, PlateView]], list[tuple[int, str]]]:
+    """Remove LEDs that contradict the others; return the remaining views and a reason for each removal.
 
     Each has the index of its pose. The limit is based on the median: otherwise a pose whose lights are no
     LEDs could mask itself by the noise that it adds to the fit.
     """
-    kept = list(enumerate(sightings))
+    kept = list(enumerate(views))
     outliers: list[tuple[int, str]] = []
     while True:
         seen = [of for _, of in kept]
@@ -316,13 +316,13 @@ def _without_outliers(
             ]
             rims = tuple(rim for rim, is_good in zip(of.rims_px, good.tolist(), strict=True) if is_good)
             if good.sum() >= MIN_LEDS:
-                better.append((at, Sighting(of.pose, of.leds[good], of.centres_px[good], rims)))
+                better.append((at, PlateView(of.pose, of.leds[good], of.centres_px[good], rims)))
         if not found:
             return kept, outliers
         kept, outliers = better, outliers + found
 
 
-def _off_px(fit: PlaneFit, seen: Sighting, disc_mm: float) -> FloatArray:
+def _off_px(fit: PlaneFit, seen: PlateView, disc_mm: float) -> FloatArray:
     """Distance (n,) px of each LED of a pose from its place by the best-fitting pose."""
     noise = np.full(len(seen.leds), fit.noise_px)
     pose = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, noise).pose
@@ -333,18 +333,18 @@ def _off_px(fit: PlaneFit, seen: Sighting, disc_mm: float) -> FloatArray:
 def _chosen(
     size: tuple[int, int],
     stays: Sequence[_Stay],
-    sightings: Sequence[Sighting],
+    views: Sequence[PlateView],
     leds_mm: FloatArray,
     disc_mm: float,
 ) -> tuple[Model, Mapping[Model, tuple[float, float]], float]:
     """Return the model with the least leave-one-out errors, the errors of each, and its ratio to sigma."""
-    if len(sightings) < MIN_POSES_FOR_SPREAD:
+    if len(views) < MIN_POSES_FOR_SPREAD:
         return "homography", {}, _UNSEEN_FACTOR
     rms: dict[Model, tuple[float, float]] = {}
     cost: dict[Model, float] = {}
     ratio: dict[Model, float] = {}
     for model in MODELS:
-        off, sigma = leave_one_out(model, leds_mm, sightings, disc_mm, size)
+        off, sigma = leave_one_out(model, leds_mm, views, disc_mm, size)
         length = np.linalg.norm(off, axis=1)
         cost[model] = float(np.median(length))
         rms[model] = (

@@ -10,7 +10,7 @@ from altd.config import ChainSettings, Measuring
 from altd.instruments.chain.displacement import BaselineMeans
 from altd.instruments.chain.instrument import Chain, RoundResult
 from altd.instruments.chain.measurement import as_measurement, quantities_of
-from altd.instruments.chain.rounds import Sight
+from altd.instruments.chain.rounds import Observation
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import Provenance, View, calibration_faults
 from altd.measuring.gate import Gate
@@ -20,16 +20,16 @@ from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 
 
-class SightLocator:
+class ObservationLocator:
     """Locates the spot in each frame of a target's camera; one thread calls ``locate`` frame by frame."""
 
     def __init__(self, target: str, locator: SpotLocator) -> None:
         self.target, self._locator = target, locator
 
-    def locate(self, frame: Frame) -> Sight:
+    def locate(self, frame: Frame) -> Observation:
         """Return the finding of a frame, with the target that was opaque then."""
         of = self._locator.locate(frame)
-        return Sight(self.target, frame.opaque, of.sequence, of.t_ns, of.spot, of.breaks, of.camera)
+        return Observation(self.target, frame.opaque, of.sequence, of.t_ns, of.spot, of.breaks, of.camera)
 
 
 class RowChain:
@@ -58,8 +58,8 @@ class RowChain:
             cameras, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
         )
         targets = {target.name: target for target in calibration.targets}
-        self.locators: Mapping[str, SightLocator] = {
-            view.camera: SightLocator(
+        self.locators: Mapping[str, ObservationLocator] = {
+            view.camera: ObservationLocator(
                 view.target,
                 SpotLocator(
                     view.camera,
@@ -73,7 +73,7 @@ class RowChain:
         }
         self.frame_sets = 0
         """Number of frame sets processed."""
-        self._last: Mapping[str, Sight] = {}
+        self._last: Mapping[str, Observation] = {}
         self._last_sequence = self._last_ns = 0
         self._gate = Gate()
 
@@ -89,18 +89,18 @@ class RowChain:
 
     def seen(self) -> str:
         """Last finding of the opaque target's camera, as text."""
-        shown = [sight for sight in self._last.values() if sight.opaque == sight.target]
-        return "; ".join(f"{sight.camera}: {sight.spot}" for sight in shown) or "the glasses settle"
+        shown = [one for one in self._last.values() if one.opaque == one.target]
+        return "; ".join(f"{one.camera}: {one.spot}" for one in shown) or "the glasses settle"
 
     def figures(self) -> dict[str, float | str | None]:
         """Opaque target, for health; None while none has settled."""
-        return {"opaque": next((sight.opaque for sight in self._last.values() if sight.opaque), None)}
+        return {"opaque": next((one.opaque for one in self._last.values() if one.opaque), None)}
 
     def push(self, frame: Frame) -> Measurement | None:
         """Process one frame; return the measurement of a round, or None."""
         return self._take(self.locators[frame.camera].locate(frame))
 
-    def add(self, pair: Pair[Sight]) -> Measurement | None:
+    def add(self, pair: Pair[Observation]) -> Measurement | None:
         """Process the findings of one frame set; late frames are not measured.
 
         A round does not span a pause, nor a restart of the cameras' numbers.
@@ -110,7 +110,7 @@ class RowChain:
             self._rounds.forget()
         self.frame_sets += 1
         self._last, self._last_ns = pair.items, pair.t_ns
-        measured = [self._take(replace(sight, sequence=pair.sequence)) for sight in pair.items.values()]
+        measured = [self._take(replace(one, sequence=pair.sequence)) for one in pair.items.values()]
         return next(filter(None, measured), None)
 
     def flush(self) -> list[Measurement]:
@@ -133,11 +133,11 @@ class RowChain:
             status=(*silent, *self._origins()),
         )
 
-    def _take(self, sight: Sight) -> Measurement | None:
-        self._last_sequence = sight.sequence
-        if not sight.opaque:
+    def _take(self, observation: Observation) -> Measurement | None:
+        self._last_sequence = observation.sequence
+        if not observation.opaque:
             return None
-        result = self._rounds.add(sight)
+        result = self._rounds.add(observation)
         return None if result is None else self._measurement(result)
 
     def _measurement(self, result: RoundResult) -> Measurement:

@@ -1,4 +1,4 @@
-"""The instrument ``chain``: from sights to results of rounds; its only state is its memory of the rounds."""
+"""The instrument ``chain``: from observations to results of rounds; its only state is its rounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from altd.instruments.chain.displacement import Baseline, BaselineMeans, Displac
 from altd.instruments.chain.glass import INVALIDATING, Diagnosis, GlassCheck
 from altd.instruments.chain.places import Place, place_of
 from altd.instruments.chain.rate import Rate, Trend, alarms
-from altd.instruments.chain.rounds import Round, RoundWindow, Sight
+from altd.instruments.chain.rounds import Observation, Round, RoundWindow
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import Fault
@@ -91,9 +91,9 @@ class Chain:
         """Means of the baseline; None while it is not complete."""
         return self._baseline.means
 
-    def add(self, sight: Sight) -> RoundResult | None:
+    def add(self, observation: Observation) -> RoundResult | None:
         """Process the finding of one frame; return the result of a round, or None."""
-        ended = self._window.add(sight)
+        ended = self._window.add(observation)
         return None if ended is None else self._next(ended)
 
     def forget(self) -> None:
@@ -136,7 +136,7 @@ class Chain:
         diagnosis = self._glasses.inspect(round_, unlike)
         places = {name: of for name, of in places.items() if not diagnosis.has(name, *INVALIDATING)}
         seen_ns = [
-            sight.t_ns for visit in round_.visits.values() for of in visit.sights.values() for sight in of
+            one.t_ns for visit in round_.visits.values() for of in visit.observations.values() for one in of
         ]
         times = [place.t_ns for place in places.values()] or seen_ns
         t_ns = times[0] + round(sum(time - times[0] for time in times) / len(times))

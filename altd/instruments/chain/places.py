@@ -44,7 +44,7 @@ def place_of(
 ) -> Place | tuple[Fault, ...]:
     """Return the place of a visit, or the faults that prevent it."""
     name = visit.target
-    frame_sets = [FrameSet(sight.sequence, sight.t_ns, {name: sight.spot}) for sight in visit.own(exposures)]
+    frame_sets = [FrameSet(one.sequence, one.t_ns, {name: one.spot}) for one in visit.own(exposures)]
     if not frame_sets:
         return (Fault(Reason.CAMERA_SILENT, name),)
     mean = mean_spots(frame_sets, (name,), exposures)

@@ -13,7 +13,7 @@ MAX_VISIT_EXPOSURES = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class Observation:
     """Finding of one camera in one exposure, and the target that was opaque then; empty: none was.
 
     ``breaks`` counts, as in ``Located``, the camera's frames that no mean may span.
@@ -34,18 +34,18 @@ class Sight:
 
 @dataclass(slots=True)
 class Visit:
-    """Sights of the cameras while ``target`` was opaque, by target, in order of time."""
+    """Observations of the cameras while ``target`` was opaque, by target, in order of time."""
 
     target: str
-    sights: dict[str, list[Sight]] = field(default_factory=dict)
+    observations: dict[str, list[Observation]] = field(default_factory=dict)
     sequences: dict[int, None] = field(default_factory=dict)
 
-    def own(self, exposures: int) -> list[Sight]:
-        """Sights of the opaque target itself in the last exposures, none from before a break."""
-        sights = [
-            sight for sight in self.sights.get(self.target, ()) if sight.sequence in self.last(exposures)
+    def own(self, exposures: int) -> list[Observation]:
+        """Observations of the opaque target itself in the last exposures, none from before a break."""
+        observations = [
+            one for one in self.observations.get(self.target, ()) if one.sequence in self.last(exposures)
         ]
-        return [sight for sight in sights if sight.breaks == sights[-1].breaks]
+        return [one for one in observations if one.breaks == observations[-1].breaks]
 
     def last(self, exposures: int) -> set[int]:
         """Numbers of the last exposures; in the earlier ones the glass settles."""
@@ -57,7 +57,7 @@ class Visit:
         In counts · px², up to a constant factor that of a Gaussian; 0 without a spot.
         """
         last = self.last(exposures)
-        lights = [_light(sight.spot) for sight in self.sights.get(target, ()) if sight.sequence in last]
+        lights = [_light(one.spot) for one in self.observations.get(target, ()) if one.sequence in last]
         known = [light for light in lights if light is not None]
         return known if known and 2 * len(known) >= len(lights) else None
 
@@ -94,20 +94,20 @@ class RoundWindow:
         self._current: Visit | None = None
         self._is_first = True
 
-    def add(self, sight: Sight) -> Round | None:
-        """Add a sight; return the round that ended before it, or None."""
+    def add(self, observation: Observation) -> Round | None:
+        """Add an observation; return the round that ended before it, or None."""
         ended = None
         current = self._current
         is_full = current is not None and len(current.sequences) >= MAX_VISIT_EXPOSURES
-        is_new = current is None or sight.opaque != current.target
-        if is_new or (is_full and current is not None and sight.sequence not in current.sequences):
-            if sight.opaque in self._visits:
+        is_new = current is None or observation.opaque != current.target
+        if is_new or (is_full and current is not None and observation.sequence not in current.sequences):
+            if observation.opaque in self._visits:
                 ended = self._end()
-            self._current = current = Visit(sight.opaque)
-            self._visits[sight.opaque] = current
+            self._current = current = Visit(observation.opaque)
+            self._visits[observation.opaque] = current
         assert current is not None  # noqa: S101  set above
-        current.sequences[sight.sequence] = None
-        current.sights.setdefault(sight.target, []).append(sight)
+        current.sequences[observation.sequence] = None
+        current.observations.setdefault(observation.target, []).append(observation)
         return ended
 
     def forget(self) -> None:

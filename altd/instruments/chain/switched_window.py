@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from altd.instruments.chain.glass import INVALIDATING, GlassCheck
-from altd.instruments.chain.rounds import RoundWindow, Sight
+from altd.instruments.chain.rounds import Observation, RoundWindow
 from altd.measuring.averaging import mean_spots
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot
@@ -106,10 +106,10 @@ class SwitchedWindow:
 
     def _inspect_glasses(self, frame_set: FrameSet) -> None:
         for target in self._targets:
-            sight = Sight(
+            observation = Observation(
                 target, frame_set.opaque, frame_set.sequence, frame_set.t_ns, frame_set.spots[target]
             )
-            if (ended := self._rounds.add(sight)) is None:
+            if (ended := self._rounds.add(observation)) is None:
                 continue
             faults = self._glasses.inspect(ended).faults
             self._faults = tuple(Fault(reason, name) for name, of in faults.items() for reason in of)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.instruments.planar.fitting import Sighting, fit_plane, radius_mm
+from altd.instruments.planar.fitting import PlateView, fit_plane, radius_mm
 from altd.instruments.planar.layout import wrapped_deg
 from altd.instruments.planar.plane import Model
 from altd.instruments.planar.pose import solve_pose
@@ -15,15 +15,15 @@ from altd.records import FloatArray
 
 
 def leave_one_out(
-    model: Model, leds_mm: FloatArray, sightings: Sequence[Sighting], disc_mm: float, size: tuple[int, int]
+    model: Model, leds_mm: FloatArray, views: Sequence[PlateView], disc_mm: float, size: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray]:
     """Measured minus known of each pose by a camera fitted to all others, and its sigma, (n, 3) mm.
 
     The columns are a, b, and φ at the layout's radius. Sigma includes that of the known pose.
     """
     radius, off, sigma = radius_mm(leds_mm), [], []
-    for number, seen in enumerate(sightings):
-        others = [other for at, other in enumerate(sightings) if at != number]
+    for number, seen in enumerate(views):
+        others = [other for at, other in enumerate(views) if at != number]
         fit = fit_plane(model, leds_mm, others, disc_mm, size)
         solved = solve_pose(fit, disc_mm, seen.leds, seen.centres_px, np.zeros(len(seen.leds)))
         a, b, phi = np.array(solved.pose) - seen.pose

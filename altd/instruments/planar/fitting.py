@@ -28,7 +28,7 @@ _INITIAL_SIGMA_MM = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class PlateView:
     """The plate at a known pose: LEDs (n,), centres (n, 2) px of their discs, and points of their rims."""
 
     pose: Pose
@@ -55,7 +55,7 @@ class PlaneFit:
 
 
 def fit_plane(
-    model: Model, leds_mm: FloatArray, sightings: Sequence[Sighting], disc_mm: float, size: tuple[int, int]
+    model: Model, leds_mm: FloatArray, views: Sequence[PlateView], disc_mm: float, size: tuple[int, int]
 ) -> PlaneFit:
     """Fit the camera of a model, and the errors of LEDs and poses that explain its residuals.
 
@@ -64,15 +64,15 @@ def fit_plane(
     These are zero-mean normal deviates whose variances make the observations most probable (the fixed point
     of MacKay, "Bayesian interpolation", 1992). Raises ValueError when there are too few LEDs.
     """
-    seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in sightings])
-    seen_px = np.concatenate([of.centres_px for of in sightings])
+    seen_mm = np.concatenate([placed_mm(leds_mm[of.leds], of.pose) for of in views])
+    seen_px = np.concatenate([of.centres_px for of in views])
     if model == "homography":
-        rims = [rim for of in sightings for rim in of.rims_px]
+        rims = [rim for of in views for rim in of.rims_px]
         h = fit_rims(vanishing_line_homography(seen_px, seen_mm), rims, seen_mm, disc_mm / 2)
         camera = homography_camera(h, seen_mm, size)
     else:
         camera = lens_camera(seen_mm, seen_px, size)
-    return _with_spread(camera, leds_mm, sightings, disc_mm**2 / 16, is_free=model == "lens")
+    return _with_spread(camera, leds_mm, views, disc_mm**2 / 16, is_free=model == "lens")
 
 
 def radius_mm(leds_mm: FloatArray) -> float:
@@ -83,18 +83,18 @@ def radius_mm(leds_mm: FloatArray) -> float:
 def _with_spread(
     camera: PlaneCamera,
     leds_mm: FloatArray,
-    sightings: Sequence[Sighting],
+    views: Sequence[PlateView],
     moment_mm2: float,
     is_free: bool,
 ) -> PlaneFit:
     """Fit of ``fit_plane``; a camera that is not free keeps its parameters and gets its covariance."""
-    design = _Design(leds_mm, sightings, moment_mm2)
+    design = _Design(leds_mm, views, moment_mm2)
     cameras, leds = (
         len(camera.parameters),
         slice(len(camera.parameters), len(camera.parameters) + leds_mm.size),
     )
-    poses = slice(leds.stop, leds.stop + 3 * len(sightings))
-    can_tell = len(sightings) >= MIN_POSES_FOR_SPREAD
+    poses = slice(leds.stop, leds.stop + 3 * len(views))
+    can_tell = len(views) >= MIN_POSES_FOR_SPREAD
     noise, sigma_led = _INITIAL_NOISE_PX, _INITIAL_SIGMA_MM if can_tell else _MIN_SIGMA_MM
     sigma_pose = np.full(3, sigma_led)
     errors = np.zeros(poses.stop - cameras)
@@ -104,7 +104,7 @@ def _with_spread(
             [
                 camera.precision,
                 np.full(leds_mm.size, sigma_led**-2),
-                np.tile(sigma_pose**-2, len(sightings)),
+                np.tile(sigma_pose**-2, len(views)),
             ]
         )
         known = np.concatenate([camera.parameters, errors])
@@ -151,9 +151,9 @@ def _sigma(errors: FloatArray, of_data: FloatArray) -> float:
 class _Design:
     """Centres of all discs as functions of camera, LEDs and poses."""
 
-    def __init__(self, leds_mm: FloatArray, sightings: Sequence[Sighting], moment_mm2: float) -> None:
-        self._leds_mm, self._sightings, self._moment_mm2 = leds_mm, sightings, moment_mm2
-        self._seen_px = np.concatenate([of.centres_px for of in sightings])
+    def __init__(self, leds_mm: FloatArray, views: Sequence[PlateView], moment_mm2: float) -> None:
+        self._leds_mm, self._views, self._moment_mm2 = leds_mm, views, moment_mm2
+        self._seen_px = np.concatenate([of.centres_px for of in views])
         self._radius_mm = radius_mm(leds_mm)
 
     def linearised(self, camera: PlaneCamera, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,7 +161,7 @@ class _Design:
         leds = self._leds_mm + errors[: self._leds_mm.size].reshape(-1, 2)
         of_poses = errors[self._leds_mm.size :].reshape(-1, 3)
         points, slopes = [], []
-        for number, (seen, error) in enumerate(zip(self._sightings, of_poses, strict=True)):
+        for number, (seen, error) in enumerate(zip(self._views, of_poses, strict=True)):
             phi_deg = seen.pose[2] + math.degrees(error[2] / self._radius_mm)
             turned = leds[seen.leds] @ rotation(phi_deg).T
             points.append(turned + seen.pose[:2] + error[:2])

@@ -11,7 +11,7 @@ from altd.instruments.chain.budget import powers_mw
 from altd.instruments.chain.displacement import Displacement
 from altd.instruments.chain.places import Place
 from altd.instruments.chain.rate import DAY_NS, Trend, alarms
-from altd.instruments.chain.rounds import RoundWindow, Sight
+from altd.instruments.chain.rounds import Observation, RoundWindow
 from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 
@@ -117,9 +117,9 @@ def test_powers_are_those_of_transmission_to_the_n() -> None:
     assert powers_mw(ChainSettings(laser_mw=2.0), 3) == pytest.approx((2.0, 1.46, 1.0658))
 
 
-def sights(order: str, start: int = 0) -> list[Sight]:
+def observations(order: str, start: int = 0) -> list[Observation]:
     spot = Spot(100.0, 100.0, 0.01, 35.0, 150.0)
-    return [Sight(name, name, start + n, (start + n) * 10**8, spot) for n, name in enumerate(order)]
+    return [Observation(name, name, start + n, (start + n) * 10**8, spot) for n, name in enumerate(order)]
 
 
 @pytest.mark.parametrize(
@@ -136,23 +136,23 @@ def sights(order: str, start: int = 0) -> list[Sight]:
 )
 def test_a_round_is_one_visit_of_all_targets(order: str, rounds: list[str]) -> None:
     window = RoundWindow(("a", "b", "c"))
-    found = [window.add(sight) for sight in sights(order)]
+    found = [window.add(observation) for observation in observations(order)]
     ended = [round_ for round_ in [*found, window.flush()] if round_ is not None]
     assert ["".join(sorted(round_.visits)) for round_ in ended] == rounds
 
 
 def test_a_visits_last_exposures_count_and_unbelievable_light_is_not_known() -> None:
     window = RoundWindow(("a", "b"))
-    for sight in sights("aaaaaaabbb"):
-        window.add(sight)
+    for observation in observations("aaaaaaabbb"):
+        window.add(observation)
     visit = window.flush()
     assert visit is not None
-    assert [sight.sequence for sight in visit.visits["a"].own(4)] == [3, 4, 5, 6]
+    assert [observation.sequence for observation in visit.visits["a"].own(4)] == [3, 4, 5, 6]
     assert visit.visits["a"].brightness("a", 4) == [150.0 * 35.0**2] * 4
     assert visit.visits["a"].brightness("b", 4) is None
     for reason, light in ((Reason.SPOT_MISSING, [0.0]), (Reason.SATURATED, None)):
         one = RoundWindow(("a",))
-        one.add(Sight("a", "a", 0, 0, NoSpot(reason)))
+        one.add(Observation("a", "a", 0, 0, NoSpot(reason)))
         only = one.flush()
         assert only is not None
         assert only.visits["a"].brightness("a", 4) == light

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from altd.instruments.planar.fitting import Sighting, fit_plane
+from altd.instruments.planar.fitting import PlateView, fit_plane
 from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.mapping.grid import convex_hull_mm
 from altd.reasons import Reason
@@ -56,20 +56,20 @@ def poses(count: int, rng: np.random.Generator) -> list[Pose]:
 
 def calibrated(model: str = "lens", known: int = 10) -> PlanarCalibration:
     rng = np.random.default_rng(11)
-    sightings = []
+    views = []
     for pose in poses(known, rng):
         centres = np.array([centre_px(point) for point in placed(pose)])
         angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
         circle = DISC_MM / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         rims = tuple(seen(point + circle) for point in placed(pose))
         noise = rng.normal(0.0, NOISE_PX, size=centres.shape)
-        sightings.append(Sighting(pose, np.arange(7), centres + noise, rims))
-    fit = fit_plane(model, LEDS, sightings, DISC_MM, SIZE)  # type: ignore[arg-type]
+        views.append(PlateView(pose, np.arange(7), centres + noise, rims))
+    fit = fit_plane(model, LEDS, views, DISC_MM, SIZE)  # type: ignore[arg-type]
     if model == "lens":
         assert fit.noise_px == pytest.approx(NOISE_PX, rel=0.2)
         fit = replace(fit, noise_px=1e-3)  # the noise of a frame is all that there is
-    hull = convex_hull_mm(np.concatenate([placed(of.pose) for of in sightings]))
-    turns = tuple(of.pose[2] for of in sightings)
+    hull = convex_hull_mm(np.concatenate([placed(of.pose) for of in views]))
+    turns = tuple(of.pose[2] for of in views)
     now, unknown = datetime(2026, 1, 1, tzinfo=UTC), CameraIdentity()
     return PlanarCalibration("P", now, "", "", unknown, Origin.CAMERA, DISC_MM, fit, NOISE_PX, hull, turns)
 
