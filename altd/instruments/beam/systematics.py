@@ -8,9 +8,6 @@ import numpy as np
 
 from altd.records import FloatArray, Limits
 
-TERMS = ("stage_scale_ppm", "stage_square_mrad", "beam_normal_mm_per_m", "target_distance_mm")
-"""Limits with one value for the whole scan; ``stage_mm`` is part of the maps' covariance."""
-
 _TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_per_m": 1e-3}
 """Factors from the unit of each limit to a dimensionless number."""
 
@@ -20,8 +17,8 @@ def effects_mm(
 ) -> dict[str, FloatArray]:
     """Displacements (2 T, n) of the points, mm, by one sigma of each limit that is not 0, by key.
 
-    A column is one independent error, x and y of one target after the other. ``points_mm`` (T, 2) are the
-    points of a beam with these slopes. A stage whose scale is long by s puts the beam at (1 + s) times the
+    ``stage_mm`` is part of the maps' covariance. A column is one independent error, x and y of one target
+    after the other. ``points_mm`` (T, 2) are the points of a beam with these slopes. A stage whose scale is long by s puts the beam at (1 + s) times the
     stated position on every target. Axes out of square by q move x by q · y. A beam tilted from the normal by
     t meets the target at z with an error of t · z. A target farther away by d is met d · slope further along.
     These errors have one column for x and one for y; the distance has one column per target after the first.

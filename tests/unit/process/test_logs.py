@@ -34,10 +34,10 @@ def test_what_the_pipe_does_not_take_is_dropped_and_counted() -> None:
         for number in range(3 * MAX_WAITING_LINES):
             log.info("line %d %s", number, "x" * 100)
         said = b""
-        while b"were dropped" not in said:
+        while b"dropped lines" not in said:
             said += os.read(reader, 65536)
     lines = said.decode().splitlines()
-    (counted,) = [line for line in lines if "were dropped" in line]
+    (counted,) = [line for line in lines if "dropped lines" in line]
     assert len(lines) - 1 + int(counted.split(": ")[-1].split()[0]) == 3 * MAX_WAITING_LINES
 
 
