@@ -284,4 +284,4 @@ def _broker(text: str) -> MqttSettings:
     try:
         return MqttSettings(host=host or text, port=port(number) if colon else None)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no broker; possible: HOST or HOST:PORT") from error
+        raise argparse.ArgumentTypeError(f"{text!r} is not a broker; possible: HOST or HOST:PORT") from error

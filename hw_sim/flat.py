@@ -108,5 +108,5 @@ def _pitch_mm(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 0.5 <= value <= 20.0:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no pitch from 0.5 to 20 mm")
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a pitch from 0.5 to 20 mm")
     return value

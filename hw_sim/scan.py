@@ -130,5 +130,5 @@ def _grid(text: str) -> Grid:
     except ValueError:
         columns = rows = 0
     if not 4 <= min(columns, rows) <= max(columns, rows) <= 200:
-        raise argparse.ArgumentTypeError(f"{text!r} is no grid such as 6,5: 4 to 200 columns and rows")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a grid such as 6,5: 4 to 200 columns and rows")
     return dense_grid(columns, rows)

@@ -42,7 +42,7 @@ def opened(path: Path) -> Iterator[Reader]:
             raise
         raise BadInputError(path, os_reason(error, path)) from error
     except ValueError as error:  # a NUL in the path
-        raise BadInputError(path, "is no path") from error
+        raise BadInputError(path, "is not a path") from error
 
 
 _CHECK_INTERVAL_S = 0.5

@@ -55,7 +55,7 @@ def _network(text: str) -> str:
         try:
             meant = ipaddress.ip_network(text, strict=False)
         except ValueError:
-            raise complaint(((), f"{shown(text)} is no network; {possible}")) from error
+            raise complaint(((), f"{shown(text)} is not a network; {possible}")) from error
         raise complaint(((), f"{shown(text)} is an address in a network; possible: {meant}")) from error
     if isinstance(network, ipaddress.IPv6Network) and network.network_address.ipv4_mapped is not None:
         raise complaint(((), f"{shown(text)} is IPv4 written as IPv6: write it as IPv4"))

@@ -71,11 +71,11 @@ WHY = {
     "tuple_type": "is not a list in [ ]",
     "too_short": "has too few elements",
     "too_long": "has too many elements",
-    "dict_type": "is no table",
-    "model_type": "is no table",
-    "model_attributes_type": "is no table",
+    "dict_type": "is not a table",
+    "model_type": "is not a table",
+    "model_attributes_type": "is not a table",
     "path_type": "is not a path in quotes",
-    "path_from_text": "is no path",
+    "path_from_text": "is not a path",
     "union_tag_invalid": "is not possible",
 }
 """Sentence about a value, by the type of pydantic's error."""

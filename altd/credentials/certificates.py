@@ -92,13 +92,13 @@ def _check_readable(path: Path) -> int:
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
-            raise BadInputError(path, "is no file")
+            raise BadInputError(path, "is not a file")
         with path.open("rb"):
             return mode
     except OSError as error:
         raise BadInputError(path, os_reason(error, path)) from error
     except ValueError as error:
-        raise BadInputError(path, "is no path") from error
+        raise BadInputError(path, "is not a path") from error
 
 
 def _holds_key(path: Path) -> bool:

@@ -35,7 +35,7 @@ class HwmonThermometer:
         if text is None:
             raise ThermometerError(f"{chip} temp{channel}: cannot be read")
         if not text.removeprefix("-").isdecimal():
-            raise ThermometerError(f"{chip} temp{channel}: {text[:20]!r} is no temperature")
+            raise ThermometerError(f"{chip} temp{channel}: {text[:20]!r} is not a temperature")
         return int(text) * 1e-3
 
     def _folders(self) -> list[Path]:

@@ -121,7 +121,7 @@ def _opened(path: Path, folder: int | None = None) -> Iterator[int]:
     except OSError as error:
         raise BadInputError(path, os_reason(error, path if folder is None else None)) from error
     except ValueError as error:  # a NUL, or characters that the file system does not support
-        raise BadInputError(path, "is no path") from error
+        raise BadInputError(path, "is not a path") from error
 
 
 def _check_regular(path: Path, mode: int) -> None:

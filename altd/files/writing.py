@@ -29,7 +29,7 @@ def check_replaceable(path: Path) -> None:
     except OSError as error:
         raise BadInputError(path, error.strerror or "cannot be written") from error
     except ValueError as error:  # a NUL, or characters that the file system does not support
-        raise BadInputError(path, "is no path") from error
+        raise BadInputError(path, "is not a path") from error
 
 
 def write_file(path: Path, content: bytes) -> None:

@@ -64,7 +64,7 @@ def open_recording(path: Path) -> Recording:
     """
     if os.path.lexists(path) and not os.path.lexists(path / HEADER_FILE):
         lacks = f"it has no {HEADER_FILE}" if path.is_dir() else "a recording is a folder"
-        raise BadInputError(path, f"is no recording: {lacks}")
+        raise BadInputError(path, f"is not a recording: {lacks}")
     header = read_header(path / HEADER_FILE)
     table = path / FRAMES_FILE
     return Recording(path, header, Rows.checked(table, header.cameras, partial(_check_row, path, header)))

@@ -135,7 +135,7 @@ def _classify(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
     is_cut = first_u <= 1 or first_v <= 1 or last_u >= columns - 2 or last_v >= rows - 2
     aspect, fill = shape_of(outline_of(mask))
     if not is_cut and (aspect > _MAX_ASPECT or fill < _MIN_FILL):
-        return f"a light at ({u}, {v}) px is no disc: aspect ratio {aspect:.1f}, fill {fill:.2f}"
+        return f"a light at ({u}, {v}) px is not a disc: aspect ratio {aspect:.1f}, fill {fill:.2f}"
     margin = _MARGIN_PX + max(last_u - first_u, last_v - first_v) // 3
     box = (
         max(first_u - margin, 0),

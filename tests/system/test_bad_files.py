@@ -230,8 +230,8 @@ TABLE_HEAD = b"sequence,t_s,camera,file,leds,x_mm,y_mm"
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        (b"front0000.png", b"front0000\0.png", "row 2: front0000\\x00.png: is no path"),
-        (b"front0000.png", b'"front0000.png', "is no CSV text"),
+        (b"front0000.png", b"front0000\0.png", "row 2: front0000\\x00.png: is not a path"),
+        (b"front0000.png", b'"front0000.png', "is not CSV"),
         (b"front0000.png", b'"' + b"x" * 200_000, "is not CSV: field larger than field limit"),
         (TABLE_HEAD, TABLE_HEAD + b",a" * 1_000_000, "row 2: "),
         (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' is repeated"),

@@ -17,11 +17,12 @@ def effects_mm(
 ) -> dict[str, FloatArray]:
     """Displacements (2 T, n) of the points, mm, by one sigma of each limit that is not 0, by key.
 
-    ``stage_mm`` is part of the maps' covariance. A column is one independent error, x and y of one target
-    after the other. ``points_mm`` (T, 2) are the points of a beam with these slopes. A stage whose scale is long by s puts the beam at (1 + s) times the
-    stated position on every target. Axes out of square by q move x by q · y. A beam tilted from the normal by
-    t meets the target at z with an error of t · z. A target farther away by d is met d · slope further along.
-    These errors have one column for x and one for y; the distance has one column per target after the first.
+    ``stage_mm`` is not among them: it is part of the maps' covariance. A column is one independent error, x
+    and y of one target after the other. ``points_mm`` (T, 2) are the points of a beam with these slopes. A
+    stage whose scale is long by s puts the beam at (1 + s) times the stated position on every target. Axes
+    out of square by q move x by q · y. A beam tilted from the normal by t meets the target at z with an error
+    of t · z. A target farther away by d is met d · slope further along. These errors have one column for x
+    and one for y; the distance has one column per target after the first.
     """
     z, x, y = np.asarray(z_mm, dtype=np.float64), points_mm[:, 0], points_mm[:, 1]
     effects = {}

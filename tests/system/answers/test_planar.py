@@ -178,7 +178,7 @@ def test_wrong_files_are_refused(known: Path, calibration: Path, tmp_path: Path)
     document = json.loads(calibration.read_text())
     document["disc_mm"] = 6.0
     (tmp_path / "edited.json").write_text(json.dumps(document))
-    assert "checksum does not fit" in refusal(
+    assert "checksum does not match" in refusal(
         altd_here("replay", known, "--calibration", tmp_path / "edited.json")
     )
     header = json.loads((unknown / "recording.json").read_text())

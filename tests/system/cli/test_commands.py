@@ -225,7 +225,7 @@ class TestBadInput:
     def test_calibration_that_is_damaged_or_missing(self, folder: Path, tmp_path: Path) -> None:
         text = (folder / "cal.json").read_text()
         (tmp_path / "cal.json").write_text(text.replace("280.0", "281.0", 1))
-        assert "cal.json: checksum does not fit" in self.replay(tmp_path, folder / "beams")
+        assert "cal.json: checksum does not match" in self.replay(tmp_path, folder / "beams")
         (tmp_path / "cal.json").write_text(text.replace("altd-calibration/1", "altd-calibration/7"))
         assert "format is 'altd-calibration/7'" in self.replay(tmp_path, folder / "beams")
         assert "No such file" in self.replay(tmp_path, folder / "beams", "none.json")

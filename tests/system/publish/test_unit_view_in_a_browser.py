@@ -161,7 +161,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
 
         write_report(calibration_file, f"sha256:{'0' * 64}")
         await shown.page.reload()
-        await section.get_by_text("reports on another calibration").wait_for()
+        await section.get_by_text("is the report of another calibration").wait_for()
         assert await section.get_by_role("link", name="Report").count() == 0
 
 

@@ -84,7 +84,7 @@ class TestExport:
         for given, count in ranges.items():
             said = altd_here("export", "--history", history, *given)
             if count is None:
-                assert "is no time; possible: 2026-11-20T08:15:30Z, or -2h" in refusal(said)
+                assert "is not a time; possible: 2026-11-20T08:15:30Z, or -2h" in refusal(said)
             else:
                 assert len(table(said.out)) == count
 
@@ -101,16 +101,16 @@ class TestExport:
     @pytest.mark.parametrize(
         ("arguments", "line"),
         [
-            (("--history", "none.db"), "none.db: No such file or directory; the daemon makes it"),
+            (("--history", "none.db"), "none.db: No such file or directory; the daemon creates it"),
             (("--history", "."), ".: is not a regular file"),
             (("--history", "text.db"), "text.db: cannot be read: file is not a database"),
-            (("--history", "h.db", "--config", "altd.toml"), "--config: says where the history is"),
+            (("--history", "h.db", "--config", "altd.toml"), "--config: names the history file"),
             (
                 ("--history", "h.db", "--from", "2026-11-20", "--to", "2026-11-19"),
                 "--to: is not after --from",
             ),
             (("--history", "h.db", "--format", "parquet"), "--format parquet: needs a file: -o FILE"),
-            (("--history", "h.db", "-o", "h.db"), "h.db: is what is read"),
+            (("--history", "h.db", "-o", "h.db"), "h.db: is the input"),
             (("--history", "h.db", "--from", "yesterday"), "--from: 'yesterday' is not a time; possible: "),
             ((), "missing, or --config FILE, because there is no "),
         ],

@@ -103,4 +103,4 @@ def test_another_answer_than_a_good_one_is_said(tmp_path: Path, code: str) -> No
     with answering(tmp_path / "s", GOOD, code) as path:
         said = altd_here("status", "--socket", path)
     assert said.status == 1
-    assert "/api/v1/measurement: it answers " in said.err or "is no daemon of altd" in said.err
+    assert "/api/v1/measurement: it answers " in said.err or "is not an altd daemon" in said.err

@@ -253,9 +253,9 @@ def test_a_forged_archive_changes_nothing(
 def test_an_archive_of_another_kind_is_named(settings: Path, tmp_path: Path) -> None:
     with tarfile.open(tmp_path / "other.tar.gz", "w:gz") as other:
         other.add(settings, "altd.toml")
-    assert "no backup of altd" in refused(tmp_path / "other.tar.gz", settings)
+    assert "not an altd backup" in refused(tmp_path / "other.tar.gz", settings)
     (tmp_path / "other.zip").write_bytes(b"PK\x03\x04")
-    assert "no backup of altd" in refused(tmp_path / "other.zip", settings)
+    assert "not an altd backup" in refused(tmp_path / "other.zip", settings)
 
 
 @pytest.mark.parametrize("now", ["TEST-2", "TEST-1\n["])

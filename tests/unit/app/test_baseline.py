@@ -116,7 +116,7 @@ def test_damage_is_refused(file: BaselineFile) -> None:
 def test_without_a_place_to_keep_it_a_row_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = Config(unit=Unit(serial="ROW-1", calibration=Path("c.json"), instrument="chain"))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    with pytest.raises(BadInputError, match="a restart would begin again at zero"):
+    with pytest.raises(BadInputError, match="a restart would reset the baseline to zero"):
         with_baseline_kept(config, tmp_path / "altd.toml")
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     kept = with_baseline_kept(config, tmp_path / "altd.toml")

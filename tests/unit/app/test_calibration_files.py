@@ -67,7 +67,7 @@ async def test_both_are_given_as_they_lie_there(
 
 async def test_a_file_that_was_replaced_since_is_not_given(files: ReadCalibrationFiles, path: Path) -> None:
     save_calibration(calibration(target("front"), target("rear", 0.3)), path)
-    with pytest.raises(NoCalibrationFileError, match="another one than the unit has loaded"):
+    with pytest.raises(NoCalibrationFileError, match="not the one that the unit has loaded"):
         await files.calibration()
     os.unlink(path)  # noqa: PTH108  asynchronous tests may not use pathlib's own
     with pytest.raises(NoCalibrationFileError, match="No such file"):
@@ -80,17 +80,17 @@ async def test_a_report_on_another_calibration_is_not_shown_as_its_own(
     other = tmp_path / "other.json"
     save_calibration(calibration(target("front"), target("rear", 0.3)), other)
     path.with_suffix(".html").write_text(page_of(checksum_of(other)))
-    assert "reports on another calibration" in await why_no_report(files)
+    assert "is the report of another calibration" in await why_no_report(files)
 
 
 async def test_why_there_is_no_report_is_said(files: ReadCalibrationFiles, path: Path) -> None:
     page = path.with_suffix(".html")
-    assert "unit-7.html beside the calibration: No such file" in await why_no_report(files)
+    assert "unit-7.html next to the calibration: No such file" in await why_no_report(files)
     page.write_text("<!DOCTYPE html><title>some page</title>")
-    assert "does not say what it reports on" in await why_no_report(files)
+    assert "does not name its calibration" in await why_no_report(files)
     page.unlink()
     page.symlink_to("/etc/passwd")
-    assert "does not say what it reports on" in await why_no_report(files)
+    assert "does not name its calibration" in await why_no_report(files)
     page.unlink()
     page.mkdir()
     assert "is a folder, not a file" in await why_no_report(files)

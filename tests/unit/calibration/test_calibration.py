@@ -140,7 +140,7 @@ def test_one_changed_digit_fails_thechecksum_of(file: Path) -> None:
     text = file.read_text()
     file.write_text(text.replace('"smoothing_px": 4.0', '"smoothing_px": 5.0', 1))
     assert file.read_text() != text
-    assert "checksum does not fit" in complaint(file)
+    assert "checksum does not match" in complaint(file)
 
 
 def test_another_version_another_unit_and_another_size_are_refused(file: Path) -> None:

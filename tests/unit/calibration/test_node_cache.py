@@ -37,5 +37,5 @@ def test_a_node_whose_frame_was_changed_meanwhile_is_an_error_and_no_other_node(
     frames = {0: "a", 1: "b"}
     cache = NodeCache(2, frames.get, len, kept_bytes=0)
     del frames[0]
-    with pytest.raises(ValueError, match="node 0 yields nothing any more"):
+    with pytest.raises(ValueError, match="node 0 no longer yields a spot"):
         list(cache)

@@ -39,7 +39,10 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         ((*REPLAY, "--windw", "3"), "; did you mean `--window`?"),
         ((*REPLAY, "more"), "altd replay: 'more' is unexpected; usage: altd replay "),
         (("replay",), "altd replay: missing: RECORDING, --calibration; usage: altd replay "),
-        (("replay", "rec", "--calibrtion", "x"), "no --calibrtion; did you mean `--calibration`?"),
+        (
+            ("replay", "rec", "--calibrtion", "x"),
+            "unknown argument --calibrtion; did you mean `--calibration`?",
+        ),
         (("record", "-o", "x", "--seconds", "-1"), "--seconds: '-1' is not a number of seconds"),
         (("record", "-o", "x", "--seconds", "nan"), "--seconds: 'nan' is not a number of seconds"),
         (
@@ -58,7 +61,7 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
             "altd check-config: --config: not allowed with argument FILE",
         ),
         (("devices", "\x1b[2J"), "'\\x1b[2J' is unexpected"),
-        (("selfcheck", "rec"), "altd selfcheck: rec: missing: --calibration FILE, to hold"),
+        (("selfcheck", "rec"), "altd selfcheck: rec: missing: --calibration FILE, to compare"),
         (("selfcheck", "rec", "--config", "altd.toml"), "altd selfcheck: --config: asks the running"),
         (("selfcheck", "--calibration", "cal.json"), "altd selfcheck: --calibration: missing: RECORDING,"),
         (
@@ -88,9 +91,9 @@ def test_a_wrong_argument_is_one_line(
         (("gige", "--bits", "x"), "--bits: 'x' is not a whole number"),
         (("gige", "--pose", "0", "0", "0", "up"), "--pose: 'up' is not a number"),
         (("gige", "--fps", "0"), "--fps: '0' is not a number from 1 to 200"),
-        (("demo", "--http-prt", "1"), "--http-prt: there is no such argument"),
-        (("demo", "--mqtt", "a b"), "--mqtt: 'a b' is no broker; possible: HOST or HOST:PORT"),
-        (("demo", "--mqtt", "plant:0"), "'plant:0' is no broker"),
+        (("demo", "--http-prt", "1"), "--http-prt: unknown argument"),
+        (("demo", "--mqtt", "a b"), "--mqtt: 'a b' is not a broker; possible: HOST or HOST:PORT"),
+        (("demo", "--mqtt", "plant:0"), "'plant:0' is not a broker"),
     ],
 )
 def test_so_it_is_with_the_simulator(

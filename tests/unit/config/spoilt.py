@@ -54,7 +54,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "cameras.front.driver",
         'missing; possible: "recording"',
     ),
-    ('device = "/dev/video0"', 'device = «"video0"', "cameras.front.device", "is no path of a device"),
+    ('device = "/dev/video0"', 'device = «"video0"', "cameras.front.device", "is not the path of a device"),
     (
         "width = 752",
         "width = «32",
@@ -72,7 +72,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ),
     ('pixel_format = "GREY"', 'pixel_format = «"Mono8"', "cameras.front.pixel_format", '"GREY" or "Y10" or'),
     ("{ gain = 16 }", '{ gain = «"much" }', "cameras.front.controls.gain", '"much" is not a whole number'),
-    ("{ gain = 16 }", "«16", "cameras.front.controls", "16 is no table"),
+    ("{ gain = 16 }", "«16", "cameras.front.controls", "16 is not a table"),
     (
         "{ Gamma = 1.0 }",
         "{ Gamma = «[1.0] }",
@@ -176,7 +176,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         '[modbus_tcp]\nhost = "0.0.0.0"',
         '[modbus_tcp]\nhost = «"300.1.1.1"',
         "modbus_tcp.host",
-        "is no IP address",
+        "is not an IP address",
     ),
     (
         '[modbus_tcp]\nhost = "0.0.0.0"',
@@ -190,7 +190,12 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "modbus_tcp.host",
         "name its interface",
     ),
-    ('reserved = ["192', 'reserved = [«"192.168.1.10:502", "192', "modbus_tcp.reserved.0", "is no network"),
+    (
+        'reserved = ["192',
+        'reserved = [«"192.168.1.10:502", "192',
+        "modbus_tcp.reserved.0",
+        "is not a network",
+    ),
     (
         '[http]\nhost = "0.0.0.0"',
         '[http]\nhost = «"240.0.0.1"',
@@ -199,9 +204,9 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ),
     ('[http]\nhost = "0.0.0.0"', '[http]\nhost = «"::ffff:10.0.0.1"', "http.host", "write 10.0.0.1"),
     ('allow = ["10.0.0.0/8"', 'allow = [«"10.0.0.1/8"', "http.allow.0", "possible: 10.0.0.0/8"),
-    ('allow = ["10.0.0.0/8"', 'allow = [«"plant"', "http.allow.0", "is no network"),
+    ('allow = ["10.0.0.0/8"', 'allow = [«"plant"', "http.allow.0", "is not a network"),
     ('allow = ["10.0.0.0/8"', 'allow = [«"::ffff:10.0.0.0/104"', "http.allow.0", "write it as IPv4"),
-    ('names = ["alt-0007', 'names = [«"http://alt-0007', "http.names.0", "is no name of a computer"),
+    ('names = ["alt-0007', 'names = [«"http://alt-0007', "http.names.0", "is not a host name"),
     (
         'allow = ["10.0.0.0/8", "fd00::/8"]',
         'allow = «"10.0.0.0/8"',
@@ -222,7 +227,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ),
     ('credentials = "credentials"', "credentials = «7", "http.credentials", "is not a path"),
     # [mqtt]
-    ('host = "broker.plant', 'host = «"mqtt://broker.plant', "mqtt.host", "is no name of a computer"),
+    ('host = "broker.plant', 'host = «"mqtt://broker.plant', "mqtt.host", "is not a host name"),
     (
         '"broker.plant.example"',
         '«"broker.plant:1883"',
@@ -236,10 +241,10 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         'topic = "plant/line-4"',
         'topic = «"plant/#"',
         "mqtt.topic",
-        "is no beginning of topics; possible: letters",
+        "is not a topic prefix; possible: letters",
     ),
-    ('topic = "plant/line-4"', 'topic = «"/plant"', "mqtt.topic", "is no beginning of topics"),
-    ('topic = "plant/line-4"', 'topic = «"$SYS"', "mqtt.topic", "is no beginning of topics"),
+    ('topic = "plant/line-4"', 'topic = «"/plant"', "mqtt.topic", "is not a topic prefix"),
+    ('topic = "plant/line-4"', 'topic = «"$SYS"', "mqtt.topic", "is not a topic prefix"),
     ('= "homeassistant"', "= «true", "mqtt.home_assistant", "true is not text"),
     (
         '= "homeassistant"',
@@ -258,13 +263,13 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         'home_assistant = "homeassistant"',
         'sparkplug = {group = «"plant/4"}',
         "mqtt.sparkplug.group",
-        "is no identifier; possible: letters, digits",
+        "is not an identifier; possible: letters, digits",
     ),
     (
         'home_assistant = "homeassistant"',
         'sparkplug = {group = "4", node = «"+"}',
         "mqtt.sparkplug.node",
-        "is no identifier",
+        "is not an identifier",
     ),
     ('ca = "plant-ca.pem"\n', "", "mqtt.certificate", "is set without ca; possible: both"),
     ('key = "broker-unit.key"\n', "", "mqtt.certificate", "is set without key; possible: both"),
@@ -322,13 +327,13 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         'socket = "/run/altd/altd.sock"',
         'socket = «"altd.sock"',
         "local.socket",
-        '"altd.sock" is no path from the root',
+        '"altd.sock" is not an absolute path',
     ),
     (
         'socket = "/run/altd/altd.sock"',
         r'socket = «"/run/\u0007x"',
         "local.socket",
-        "is no path from the root",
+        "is not an absolute path",
     ),
     (
         'socket = "/run/altd/altd.sock"',

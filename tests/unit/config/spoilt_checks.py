@@ -74,7 +74,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         'this key is missing; possible: "balluff_bsi_r11a0" or',
     ),
     (f"device = {_DEVICE}\n", "", "inclinometer.device", "this key is missing; possible: path"),
-    (_DEVICE, '«"ttyUSB1"', "inclinometer.device", '"ttyUSB1" is no path of a device'),
+    (_DEVICE, '«"ttyUSB1"', "inclinometer.device", '"ttyUSB1" is not the path of a device'),
     (_DEVICE, "«5", "inclinometer.device", "5 is not a path"),
     _of_roll("baud", "9601", "9601 is not possible; possible: 4800 or 9600 or 19200"),
     _of_roll("baud", '"19200"', '"19200" is text; possible: 4800 or 9600 or 19200'),

@@ -54,15 +54,15 @@ def test_a_password_that_is_none_changes_nothing(tmp_path: Path, typed: str, sai
 @pytest.mark.parametrize("command", ["password", "token"])
 def test_names_and_places_that_cannot_be_are_named(tmp_path: Path, command: str) -> None:
     path = tmp_path / "credentials"
-    assert "'Ana' is no name" in refusal(altd_here(command, path, "Ana", stdin="open sesame\n"))
-    assert "has none that could be removed" in refusal(altd_here(command, path, "ana", "--remove"))
+    assert "'Ana' is not a valid name" in refusal(altd_here(command, path, "Ana", stdin="open sesame\n"))
+    assert "has none to remove" in refusal(altd_here(command, path, "ana", "--remove"))
     missing = tmp_path / "nowhere" / "credentials"
     assert str(missing) in refusal(altd_here(command, missing, "ana", stdin="open sesame\n"))
 
 
 def test_at_a_terminal_it_asks_twice_and_shows_nothing(tmp_path: Path) -> None:
     path = tmp_path / "credentials"
-    assert "not the same" in typed_at_terminal(path, b"open sesame", b"open sesamy")
+    assert "the passwords differ" in typed_at_terminal(path, b"open sesame", b"open sesamy")
     assert not path.exists()
     said = typed_at_terminal(path, b"open sesame", b"open sesame")
     assert "sesame" not in said

@@ -159,7 +159,7 @@ def test_what_is_not_there_cannot_be_removed(path: Path) -> None:
     content = path.read_bytes()
     with pytest.raises(BadInputError, match="bob has none to remove"):
         change(path, "bob", lambda known: known.with_password("bob", None))
-    with pytest.raises(BadInputError, match=re.escape("'Bob!' is no name")):
+    with pytest.raises(BadInputError, match=re.escape("'Bob!' is not a valid name")):
         change(path, "Bob!", lambda known: known.with_password("Bob!", HASH))
     assert path.read_bytes() == content
 

@@ -234,7 +234,7 @@ class TestSensor:
         wait(1.0)
         with Inclinometer.balluff() as sensor:
             sensor.echoes, sensor.answers = True, False
-            with pytest.raises(InclinometerTimeoutError, match="gives back what is sent, and no sensor"):
+            with pytest.raises(InclinometerTimeoutError, match="echoes the requests, and no sensor"):
                 ModbusInclinometer(settings(sensor.device)).open()
 
     def test_with_damaged_answers_is_said_to_have_them(self) -> None:

@@ -93,7 +93,7 @@ def test_a_line_that_does_not_take_a_request_is_reported_at_once(
 
     line = Line(settings(Wire.laid().device), 19200, 1)
     monkeypatch.setattr(driver.os, "write", write)
-    with pytest.raises(InclinometerNotFoundError, match="takes no request"):
+    with pytest.raises(InclinometerNotFoundError, match="accepts no request"):
         line.ask(4, 0, 1)
 
 

@@ -75,8 +75,8 @@ def test_a_path_that_leads_nowhere_is_named(tmp_path: Path) -> None:
     assert complaint(tmp_path / "loop") == "Too many levels of symbolic links"
     assert complaint(tmp_path / "none") == "No such file or directory"
     assert complaint(tmp_path / ("x" * 300)) == "File name too long"
-    assert complaint(Path("a\0b")) == "is no path"
-    assert complaint(Path("\ud800")) == "is no path"
+    assert complaint(Path("a\0b")) == "is not a path"
+    assert complaint(Path("\ud800")) == "is not a path"
 
 
 def test_a_file_of_proc_has_no_size_and_is_bounded_all_the_same() -> None:

@@ -78,7 +78,7 @@ def test_a_symbolic_link_is_not_replaced_and_says_where_it_leads(tmp_path: Path)
 def test_what_names_no_place_is_refused(tmp_path: Path) -> None:
     for path, why in (
         (tmp_path / "none" / "file", "its folder does not exist"),
-        (tmp_path / "a\0b", "is no path"),
+        (tmp_path / "a\0b", "is not a path"),
         (tmp_path / ("x" * 300), "File name too long"),
     ):
         with pytest.raises(BadInputError, match=why):

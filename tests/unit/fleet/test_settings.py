@@ -44,7 +44,7 @@ def test_the_example_is_good() -> None:
         (
             '"broker.plant.example"',
             '"mqtt://x"',
-            '2:8: broker.host: "mqtt://x" is no name of a computer',
+            '2:8: broker.host: "mqtt://x" is not a host name',
         ),
         (
             '"dbname=altd"',

@@ -355,7 +355,7 @@ def test_a_reader_that_does_not_end_stops_the_writing_before_the_log_fills_the_d
     foreign = sqlite3.connect(tmp_path / "history.db", isolation_level=None)
     foreign.execute("BEGIN")
     foreign.execute("SELECT count(*) FROM measurements").fetchone()
-    with pytest.raises((UnusableFileError, sqlite3.OperationalError), match="another program keeps it"):
+    with pytest.raises((UnusableFileError, sqlite3.OperationalError), match="another program blocks it"):
         write_seconds(writing, START_S + 1, [10.0] * 100)
     assert (tmp_path / "history.db-wal").stat().st_size < 300_000
     foreign.execute("COMMIT")

@@ -113,7 +113,7 @@ def test_what_the_history_deletes_unacknowledged_is_counted_over_restarts(
     later.end(None)
     with closing(sqlite3.connect(tmp_path / "history.db")) as foreign:
         texts = [text for (text,) in foreign.execute("SELECT text FROM events WHERE kind = 'history'")]
-    assert "to free space, the oldest summaries of 1 s that no ingest has acknowledged are deleted" in texts
+    assert "to free space, the oldest summaries of 1 s that no ingest has acknowledged were deleted" in texts
 
 
 def test_without_an_outbox_nothing_is_queued(tmp_path: Path) -> None:

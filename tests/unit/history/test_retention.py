@@ -109,7 +109,7 @@ def test_the_size_is_bounded_seconds_go_before_minutes_and_it_is_said(tmp_path: 
         assert files < limit
     writing.end(None)
     texts = [notice.text for notice in notices if notice.kind is EventKind.HISTORY]
-    assert texts == ["a new history was begun", "to free space, the oldest seconds are deleted"]
+    assert texts == ["a new history was begun", "to free space, the oldest seconds were deleted"]
     with read(tmp_path) as reader:
         seconds = [row.t_us // US - START_S for row in reader.summaries(SECONDS, 0, 2**62)]
         assert len(list(reader.summaries(MINUTES, 0, 2**62))) == -(-80 * 400 // 60)
@@ -133,7 +133,7 @@ def test_of_the_events_the_oldest_of_the_least_severe_go(
     with read(tmp_path) as reader:
         left = sorted(int(one.text) for one in reader.events(0, 2**62, ["cause_came"]))
     assert left == [*range(10), *range(29, 40)]
-    assert "to free space, the oldest events are deleted" in [notice.text for notice in notices]
+    assert "to free space, the oldest events were deleted" in [notice.text for notice in notices]
 
 
 @pytest.mark.parametrize("kind", [EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK])
@@ -156,4 +156,4 @@ def test_what_is_asked_for_without_end_pushes_out_nothing_else(
         left = [int(one.text) for one in reader.events(0, 2**62, [kind])]
     assert left == [*range(99, 99 - len(left), -1)]
     assert 15 <= len(left) <= 20
-    assert f"to free space, the oldest {kind} events are deleted" in [notice.text for notice in notices]
+    assert f"to free space, the oldest {kind} events were deleted" in [notice.text for notice in notices]

@@ -66,7 +66,7 @@ def test_the_request_is_one_that_the_daemon_takes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (b"", "is no daemon of altd: Remote end closed connection without response"),
+        (b"", "is not an altd daemon: Remote end closed connection without response"),
         *GARBAGE,
         (b"HTTP/1.1 \x1b[2J\n\r\n", r"\x1b[2J"),
     ],

@@ -143,9 +143,9 @@ def test_a_bad_header_is_named(recording: Path, key: str, value: object, message
 def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, tmp_path: Path) -> None:
     assert "recording.json: No such file" in complaint(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    assert complaint(tmp_path / "empty") == f"{tmp_path}/empty: is no recording: it has no recording.json"
+    assert complaint(tmp_path / "empty") == f"{tmp_path}/empty: is not a recording: it has no recording.json"
     table = recording / "frames.csv"
-    assert complaint(table) == f"{table}: is no recording: a recording is a folder"
+    assert complaint(table) == f"{table}: is not a recording: a recording is a folder"
     (recording / "frames.csv").write_text("sequence,t_s,camera,file,leds,x_mm,y_mm\n")
     assert "frames.csv: has no frames" in complaint(recording)
     (recording / "recording.json").write_text('{"format": "altd-rec')

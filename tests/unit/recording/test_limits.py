@@ -39,7 +39,7 @@ def test_what_altd_scan_writes_is_what_its_settings_state() -> None:
     ("more", "place"),
     [
         ({"limits": {"stage_mm": -0.001}}, "stage_mm: -0.001 is not an uncertainty; possible: 0 to 1000"),
-        ({"limits": {"stage_scale_ppm": 1e9}}, "stage_scale_ppm: 1e+09 is no uncertainty"),
+        ({"limits": {"stage_scale_ppm": 1e9}}, "stage_scale_ppm: 1e+09 is not an uncertainty"),
         ({"limits": {"stage_mm": "good"}}, "limits.stage_mm"),
         ({"limits": 0.1}, "limits"),
         ({"turned_deg": 90}, "turned_deg: possible: 0, 180, not 90"),

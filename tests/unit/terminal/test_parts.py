@@ -177,7 +177,7 @@ LEDs front   unknown  >= 3               2 of 6 used, 3 always lit, 1 dark
 drift rear   bad      <= 0.03   > 0.1    0.1376 +/- 0.0015 mm
 drift front  unknown  <= 0.03   > 0.1    not known
 
-verdict  BAD: look for a blow or loose screws at cameras and targets; then
+verdict  BAD: check cameras and targets for a blow or loose screws; then
          calibrate the unit again
   - rear: moved by up to 0.138 deg
   - front: 2 of 6 LEDs can be used

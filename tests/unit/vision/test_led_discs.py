@@ -55,7 +55,7 @@ def test_what_is_no_disc_is_rejected_with_its_place() -> None:
     assert len(seen.found) == 35
     told = " ".join(seen.rejected)
     assert "(200, 60) px has no edge: a glow" in told
-    assert "is no disc: aspect ratio" in told
+    assert "is not a disc: aspect ratio" in told
     assert len(seen.rejected) == 3
 
 

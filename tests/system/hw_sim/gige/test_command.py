@@ -90,7 +90,7 @@ def test_a_port_that_is_taken_is_one_clear_line() -> None:
     ("arguments", "says"),
     [
         (["--front", "203.0.113.7"], "203.0.113.7:3956: no network interface of this machine has this"),
-        (["--front", "localhost"], "'localhost' is no IPv4 address"),
+        (["--front", "localhost"], "'localhost' is not an IPv4 address"),
         (["--seed", "1234567"], "makes a serial number of more than 15 characters"),
         (["--faults", "gremlins"], "unknown fault 'gremlins'"),
         (["--fps", "0"], "'0' is not a number from 1 to 200"),

@@ -184,7 +184,7 @@ def test_where_marked_ones_take_all_the_room_nothing_is_removed_and_it_is_said(t
     for _ in range(2):
         shelf.store.mark(shelf.add(20 * KIB).name, is_marked=True)
     before = shelf.names()
-    with pytest.raises(NotKeptError, match="no room for up to 0 MB: marked recordings take 0 of 0 MB"):
+    with pytest.raises(NotKeptError, match="no space for up to 0 MB: marked recordings take 0 of 0 MB"):
         shelf.add(30 * KIB)
     assert shelf.names() == before
     with pytest.raises(NotKeptError, match=r"that is more than all of 0 MB \(kept_frames.disk_mb\)"):

@@ -97,5 +97,5 @@ def test_a_folder_that_cannot_be_used_is_named(place: str, why: str, tmp_path: P
 def test_a_report_has_the_name_of_its_calibration_and_never_takes_its_place() -> None:
     assert report_names(Path("unit-7.json")) == ("unit-7.html", "unit-7.pdf", "unit-7-budget.json")
     for name in ("cal.html", "some/cal.pdf"):
-        with pytest.raises(BadInputError, match="is what its report would be called"):
+        with pytest.raises(BadInputError, match="is reserved for its report"):
             report_names(Path(name))

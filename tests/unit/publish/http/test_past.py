@@ -128,7 +128,7 @@ async def test_no_parameter_gets_into_the_sql(
 ) -> None:
     async with served_with(board, health, recorded) as unit:
         answer = await unit.ask(f"/api/v1/events?kind={kind.replace(' ', '+')}")
-        assert (answer.status, "kind is none" in answer.json["error"]) == (400, True)
+        assert (answer.status, "kind is invalid" in answer.json["error"]) == (400, True)
         assert len((await unit.ask("/api/v1/events?kind=state")).json["events"]) == 5
 
 

@@ -270,15 +270,15 @@ async def test_a_renewed_certificate_is_shown_without_a_restart(
 @pytest.mark.parametrize(
     ("spoil", "named", "said"),
     [
-        (lambda cert, key: cert.write_text("nonsense"), "cert", "holds no certificate"),
-        (lambda cert, key: cert.write_bytes(b""), "cert", "holds no certificate"),
+        (lambda cert, key: cert.write_text("nonsense"), "cert", "contains no certificate"),
+        (lambda cert, key: cert.write_bytes(b""), "cert", "contains no certificate"),
         (lambda cert, key: cert.unlink(), "cert", "No such file"),
-        (lambda cert, key: key.write_text("nonsense"), "key", "holds no private key"),
+        (lambda cert, key: key.write_text("nonsense"), "key", "contains no usable private key"),
         (lambda cert, key: key.unlink(), "key", "No such file"),
         (lambda cert, key: key.chmod(0o644), "key", "chmod 640"),
         (lambda cert, key: _swap(cert, key), "key", "unit.pem does: the two are swapped"),
-        (lambda cert, key: (key.unlink(), os.mkfifo(key, 0o600)), "key", "is no file"),
-        (lambda cert, key: (cert.unlink(), cert.mkdir()), "cert", "is no file"),
+        (lambda cert, key: (key.unlink(), os.mkfifo(key, 0o600)), "key", "is not a file"),
+        (lambda cert, key: (cert.unlink(), cert.mkdir()), "cert", "is not a file"),
     ],
 )
 def test_files_that_cannot_be_used_are_one_clear_line(

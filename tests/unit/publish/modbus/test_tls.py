@@ -308,7 +308,7 @@ async def test_renewed_files_count_from_the_next_handshake_on(
         ca.write_text("nothing")
         assert await is_answered(publisher, reader), "the old ones count until the new ones fit"
         assert component.state is State.DEGRADED
-        assert "ca.pem: holds no certificate" in component.message
+        assert "ca.pem: contains no certificate" in component.message
         shutil.copy(plant.stranger[0], ca)
         assert await is_answered(publisher, stranger)
         assert not await is_answered(publisher, reader)

@@ -160,7 +160,7 @@ async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
         (bytes.fromhex("20 03 00 84 00"), "the broker refuses the unit: Unsupported protocol version"),
         (bytes.fromhex("20 02 00 01"), "the broker refuses the unit: Unsupported protocol version"),
         (b"HTTP/1.1 400 Bad Request\r\n" + bytes(100), "the broker sent data that is not MQTT"),
-        (CONNECTED + PUBLISH_TO_UNIT, "the unit subscribes to nothing"),
+        (CONNECTED + PUBLISH_TO_UNIT, "the unit has no subscription"),
         (CONNECTED + bytes.fromhex("e0 02 8e 00"), "the broker ended the connection: Session taken over"),
         (CONNECTED + b"\x30\xff\xff\xff\x7f" + bytes(300_000), "the broker sends more than acknowledgements"),
         (CONNECTED + bytes.fromhex("3408 000161 0001 00 7879") * 10_000, "more than acknowledgements"),

@@ -41,8 +41,8 @@ def test_no_spot_is_looked_for_where_it_was_lost() -> None:
     dark = seen()
     assert "switch the laser on" in remedy_of(dark, Fault(Reason.SPOT_MISSING, "rear"))
     assert "switch the laser on" in remedy_of(dark, Fault(Reason.CAMERA_SILENT, "rear"))
-    assert "the other target sees the laser" in remedy_of(dark)
-    assert "the other target sees the laser" in remedy_of(dark, Fault(Reason.SIMULATED))
+    assert "the laser reaches the other target" in remedy_of(dark)
+    assert "the laser reaches the other target" in remedy_of(dark, Fault(Reason.SIMULATED))
 
 
 def test_a_second_spot_is_a_reflection_or_another_laser() -> None:
@@ -64,7 +64,7 @@ def test_leds_that_shine_at_their_places_are_told_from_other_lasers() -> None:
         assert lit == sum(blob.diameter_px == 40.0 for blob in blobs)
         told = with_leds_as_cause(spot, lit, len(LEDS))
         assert (told.reason, told.detail) == (spot.reason, f"{LEDS_LIT}, {lit} of 6 shine at their places")
-        assert "look for what lights them" in remedy_of(told)
+        assert "check `altd lamps on`" in remedy_of(told)
 
 
 def test_light_that_is_no_led_is_not_taken_for_them() -> None:

@@ -118,7 +118,7 @@ def test_a_question_mark_helps_and_version_tells(line: str, told: str) -> None:
 
 @pytest.mark.parametrize("line", ["exit", "quit", "Exit"])
 def test_who_wants_to_leave_learns_how(line: str) -> None:
-    assert answer(line)[0].startswith("there is nothing to leave")
+    assert answer(line)[0].startswith("No session to end")
     assert "picocom Ctrl-A Ctrl-X" in answer(line)[1]
 
 

@@ -55,7 +55,7 @@ class TestWatch:
     def test_exit_is_understood_although_its_first_key_ended_it(self, line: bytes) -> None:
         unit = console()
         unit.feed(b"watch\r")
-        assert b"there is nothing to leave" in unit.feed(line)
+        assert b"No session to end" in unit.feed(line)
         assert b"no command 'xit'" in unit.feed(b"xit\r")
 
     def test_enter_of_either_kind_ends_it_with_one_prompt(self) -> None:
