@@ -251,7 +251,7 @@ def budget_section(budget: Budget) -> list[Block]:
     rows += [
         ("combined standard uncertainty", "", "", "", *numbers(budget.combined)),
         ("effective degrees of freedom", "", "", "", *freedom),
-        (f"coverage factor for {COVERAGE:.0%}", "", "", "", *factors),
+        (f"coverage factor for {100 * COVERAGE:.0f} %", "", "", "", *factors),
         ("expanded uncertainty", "", "", "", *numbers(budget.expanded)),
     ]
     words = (

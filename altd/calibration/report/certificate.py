@@ -75,8 +75,8 @@ def sections(facts: Facts, source: Source, budget: Budget) -> list[Block]:
         Words(
             "The calibration file applies the corrections; zero remains. The expanded uncertainty is the "
             f"combined standard uncertainty of a measurement of {budget.exposures} exposures times the "
-            f"coverage factor k, for a coverage probability of {COVERAGE:.0%}; see the uncertainty budget. "
-            "The results hold for the item at the time of calibration."
+            f"coverage factor k, for a coverage probability of {100 * COVERAGE:.0f} %; see the uncertainty "
+            "budget. The results hold for the item at the time of calibration."
         ),
         Table(
             ("", "value", "standard uncertainty", "k", "expanded uncertainty"),

@@ -160,7 +160,7 @@ def _criteria(verdict: Verdict) -> list[Block]:
     return [
         Heading("Criteria"),
         Table(
-            ("", "found", "wanted", ""),
+            ("", "found", "required", ""),
             tuple((check.name, check.value, check.wanted, check.level.word) for check in verdict.checks),
             (0.3, 0.33, 0.23, 0.14),
             tuple(check.level for check in verdict.checks),

@@ -175,7 +175,7 @@ def averaging(
             axes.plot(exposures, values, line, color=colour, linewidth=1.2, label=name)
         axes.axvline(usual, color=QUIET, linewidth=0.6, linestyle=":")
         axes.annotate(
-            f"{usual} are usual", (usual, 0.06), (3, 0), xycoords=("data", "axes fraction"),
+            f"{usual}: the default", (usual, 0.06), (3, 0), xycoords=("data", "axes fraction"),
             textcoords="offset points", fontsize=6.5, color=QUIET,
         )  # fmt: skip
         axes.set_xscale("log")

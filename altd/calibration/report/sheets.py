@@ -163,6 +163,7 @@ class _Setter:
             self._line(table, starts, table.columns, None, head=True)
         for number, row in enumerate(table.rows):
             self._line(table, starts, row, table.levels[number] if table.levels else None, head=False)
+        self.gap(0.08)
 
     def _line(
         self, table: Table, starts: list[float], row: tuple[str, ...], level: Level | None, *, head: bool
