@@ -43,8 +43,8 @@ class ScanGrid:
                 if abs(end - last) > axis.step_mm / 2:
                     line = "column" if name == "x" else "row"
                     words.append(
-                        f"no node of the outer {line} at {name} {end:g} mm can be used: what can be "
-                        f"measured ends at {name} {last + outward * margin_mm:.1f} mm"
+                        f"no node of the outer {line} at {name} {end:g} mm can be used: the measurable "
+                        f"area ends at {name} {last + outward * margin_mm:.1f} mm"
                     )
         return words
 

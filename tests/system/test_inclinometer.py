@@ -137,7 +137,7 @@ def _too_hot(sensor: Inclinometer, on: bool) -> None:
 FAULTS: tuple[tuple[Callable[[Inclinometer, bool], None], set[str], str], ...] = (
     (_silent, {"no_answer"}, "no answer"),
     (_corrupts, {"bad_answer"}, "damaged answer"),
-    (_echoes, {"no_answer"}, "gives back what is sent"),
+    (_echoes, {"no_answer"}, "echoes the requests"),
     (_frozen, {"frozen"}, "has frozen"),
     (_noisy, {"noisy", "out_of_range"}, "scatter"),
     (_far_out, {"out_of_range", "noisy"}, "roll is 60.0 deg"),

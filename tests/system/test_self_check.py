@@ -115,7 +115,7 @@ async def test_a_camera_that_stands_still_during_a_check_is_named(calibration_of
         running.seen.alter = alter
         report = await running.check()
         assert report.document["verdict"] == "unknown"
-        assert "rear: the camera stands still" in report.sentence
+        assert "rear: the camera repeats a picture" in report.sentence
         assert not (await running.measured(valid=False)).valid
 
 

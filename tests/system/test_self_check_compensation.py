@@ -59,7 +59,7 @@ async def test_a_correction_that_no_check_confirms_ends_and_the_drift_counts(
         while "compensated" in codes(last):
             corrected, last = last, await running.measured(valid=True)
         health = running.daemon.health.component("self-check")
-        assert (health.state, health.message.split(":")[0]) == ("degraded", "nothing is corrected any more")
+        assert (health.state, health.message.split(":")[0]) == ("degraded", "the correction has ended")
     assert "geometry_suspect" in codes(last)
     off_mm_per_m = [
         abs((one.number("yaw_mm_per_m") or 0.0) - 1000 * POSE.slope_x) for one in (corrected, last)

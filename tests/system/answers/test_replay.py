@@ -300,7 +300,7 @@ class TestRefusals:
     def test_what_is_read(self, played_unit: PlayedUnit) -> None:
         for path in (played_unit.calibration, played_unit.beams / "frames.csv"):
             before = path.read_bytes()
-            assert refusal(replay(played_unit.beams, played_unit, "-o", path)).endswith(": is what is read")
+            assert refusal(replay(played_unit.beams, played_unit, "-o", path)).endswith(": is the input")
             assert path.read_bytes() == before
 
     def test_a_folder_that_is_not_there(self, played_unit: PlayedUnit, tmp_path: Path) -> None:

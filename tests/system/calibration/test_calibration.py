@@ -64,7 +64,7 @@ def test_a_flat_of_another_target_is_doubted(scan: Path) -> None:
     result = calibrate_scans(target_frames([open_recording(scan)]), {"front": strange}, lambda *_: None)
     assert result.remarks[:2] == ("front: localised through its recorded flat", "rear: plain, no print")
     of_flat, of_view = result.doubts
-    assert re.match(r"front: the flat is not what the spots show \(correlation -?0\.0\d of 1\): ", of_flat)
+    assert re.match(r"front: the flat does not match the spots \(correlation -?0\.0\d of 1\): ", of_flat)
     assert of_view.startswith("front: the flat does not show the spots' ground")
 
 

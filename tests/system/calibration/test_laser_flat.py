@@ -160,7 +160,7 @@ def test_a_flat_of_the_laser_removes_what_a_lamp_shows_wrongly(
         (unit_of(1), raster(12.0), r"rear: no exposure lights x -?\d+ y -?\d+ mm: the spot has 12 mm"),
         (unit_of(1), raster(4.0, half_x_mm=30.0), r"rear: no exposure lights x -?(39|40) y -?\d+ mm"),
         (unit_of(1), raster(4.0)[:9], r"rear: no exposure lights"),
-        (unit_of(2), raster(4.0), r"rear: the flat is not what the spots of the scan show \("),
+        (unit_of(2), raster(4.0), r"rear: the flat does not match the spots of the scan \("),
         (replace(unit_of(1), sign_x=-1.0), raster(4.0), r"rear: "),
         (replace(unit_of(1), peak=400.0), raster(4.0), r"rear: too bright to be a flat: \d+% of the pixels"),
         (replace(unit_of(1), peak=3.0), raster(4.0), r"rear: too dark to be a flat: its spots have \d\.\d"),

@@ -106,7 +106,7 @@ def test_a_program_that_heeds_no_locks_is_kept_out(unplugged: Any) -> None:
 
 def test_controllers_that_take_nothing_hold_up_neither_the_unit_nor_its_end(seen: Any) -> None:
     stalled = seen["stalled"]
-    assert "does not take the telegrams" in stalled["messages"]["telegram"]
+    assert "does not accept the telegrams" in stalled["messages"]["telegram"]
     assert stalled["counters"]["telegram"]["telegrams_dropped"] > 10
     assert stalled["counters"]["modbus_rtu"]["answers_dropped"] > 10
     assert stalled["slowest_s"] < 0.5

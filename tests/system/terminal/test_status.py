@@ -207,4 +207,4 @@ class TestSomebodyElse:
 
     def test_a_closed_folder_is_said_so(self, path: Path) -> None:
         path.parent.chmod(0o700)
-        assert self.told(path).startswith(f"{path}: permission denied: the folder lets in its owner")
+        assert self.told(path).startswith(f"{path}: permission denied: only the folder's owner")

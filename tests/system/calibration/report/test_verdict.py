@@ -38,7 +38,7 @@ def test_the_numbers_are_in_the_checks() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern_px", "level", "word"), [(0.09, Level.USABLE, "can be used"), (1.0, Level.BAD, "not good")]
+    ("pattern_px", "level", "word"), [(0.09, Level.USABLE, "is usable"), (1.0, Level.BAD, "not good")]
 )
 def test_a_coarse_pattern_spoils_yaw_and_pitch(pattern_px: float, level: Level, word: str) -> None:
     made = calibration(target("front", pattern_px=pattern_px), target("rear", pattern_px=pattern_px))
