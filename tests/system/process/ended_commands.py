@@ -45,10 +45,10 @@ COMMANDS = {
         says="(altd: .*\n)+",
     ),
     "calibrate": Command("calibrate {scan} -o cal.json", FRAME),
-    "calibrate's file": Command("calibrate {scan} -o cal.json", "altd.files.writing:_opened_beside 1"),
+    "calibrate's file": Command("calibrate {scan} -o cal.json", "altd.files.writing:_temporary_file 1"),
     "calibrate's report": Command(
         "calibrate {scan} -o cal.json --report rep",
-        "altd.files.writing:_opened_beside 3",
+        "altd.files.writing:_temporary_file 3",
         frozenset({"cal.json"}),
     ),
     "calibrate's report, at its first drawing": Command(
@@ -98,7 +98,7 @@ COMMANDS = {
     "map": Command(
         "map --calibration {cal} --target rear", "altd.measuring.calibration:TargetCalibration.point 2"
     ),
-    "token": Command("token credentials press", "altd.files.writing:_opened_beside 1"),
+    "token": Command("token credentials press", "altd.files.writing:_temporary_file 1"),
     "selfcheck": Command("selfcheck {check} --calibration {cal}", FRAME),
     "verify": Command("verify {scan} --calibration {cal}", FRAME),
     "verify's page": Command(
