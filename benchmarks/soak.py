@@ -42,6 +42,8 @@ MINUTE, HOUR = 60, 3600
 """Exposures in a minute and in an hour."""
 _SILENT = 10
 _SAMPLE = 15 * MINUTE
+"""Exposures between samples. They are taken in the middle of this interval: at a full hour the frames of the
+silence are being written, and one to three of their files are open."""
 _WARM_HOURS = 5.0
 """Time in which buffers, the ring of frames and the trends' minutes fill up."""
 _MIN_HOURS, _MAX_HOURS = 1.0, 10_000.0
@@ -103,7 +105,7 @@ async def run(hours: float, rig: SimulatedRig, folder: Path, broker_port: int | 
             samples = []
             async for sample in _samples(count, stock, unit, wires):
                 samples.append(sample)
-                if sample.hour % max(round(hours / 20), 1) == 0:  # in case the run is interrupted
+                if sample.hour % max(round(hours / 20), 1) < _SAMPLE / HOUR:  # in case the run is interrupted
                     print(f"{sample}; {unit.daemon.chain.frame_sets} exposures measured", flush=True)
             counters = unit.daemon.health.component("measuring").counters
             lost = sum(number for name, number in counters.items() if name.startswith(("dropped", "late")))
@@ -123,7 +125,7 @@ async def _samples(
         await unit.deliver(*(Frame(camera, k, t_ns, pixels[camera], 8) for camera in seen))
         if k % MINUTE == MINUTE - 1:
             await wires.read()
-        if k % _SAMPLE == _SAMPLE - 1:
+        if k % _SAMPLE == _SAMPLE // 2:
             yield ProcessSample.taken((k + 1) / HOUR)
             show(f"{(k + 1) / HOUR:.2f} of {count / HOUR:g} hours")
 
