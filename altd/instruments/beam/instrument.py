@@ -46,7 +46,7 @@ QUANTITIES = Quantities(
             "roll_deg",
             "roll",
             "°",
-            "needs an inclinometer: the beam does not show it",
+            "needs an inclinometer, as it cannot be measured from the beam",
             5,
             False,
             True,
