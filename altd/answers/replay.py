@@ -106,7 +106,7 @@ def _check(question: Question) -> None:
         check_parquet(question.output)
     if question.plot is not None:
         if question.plot.suffix.lower() != ".svg":
-            raise BadInputError(question.plot, "is an SVG drawing: name it ….svg")
+            raise BadInputError(question.plot, "the plot is written as SVG: name it ….svg")
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # on first use it reports its font cache
         try:
             importlib.import_module("matplotlib")
