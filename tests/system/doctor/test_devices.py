@@ -13,4 +13,4 @@ def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> 
         assert [finding["verdict"] for finding in found[chip]] == ["good"]
     (finding,) = found["other-board"]
     assert finding["verdict"] == "ERROR"
-    assert "there is /dev/gpiochip0" in finding["text"]
+    assert "existing: /dev/gpiochip0" in finding["text"]
