@@ -128,7 +128,7 @@ class Reason(StrEnum):
         "distorted", _TARGET, 10, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is distorted",
         "clean the window, look for reflections and other light",
-        "the light differs from that of one spot as calibrated: a reflection, dirt, a torn picture",
+        "the light is not that of one spot as calibrated: a reflection, dirt, a torn or enlarged picture",
     )  # fmt: skip
     CAMERA_SILENT = (
         "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT, _FAILURE,

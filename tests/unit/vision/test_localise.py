@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -146,6 +147,17 @@ def test_a_spot_outside_the_size_limits_is_of_the_wrong_size() -> None:
     assert isinstance(locate(frame(light(Blob(300, 200, 40))), limits), Spot)
     for diameter in (12, 120):
         assert reason(locate(frame(light(Blob(300, 200, diameter))), limits)) is Reason.WRONG_SIZE
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+@pytest.mark.parametrize(("rows", "columns"), [(2, 2), (3, 3), (4, 4), (2, 1), (1, 2)])
+def test_a_binned_picture_enlarged_to_its_old_size_is_distorted(rows: int, columns: int, bits: int) -> None:
+    scale = ((1 << bits) - 1) / 255
+    whole = frame(light(Blob(311.3, 207.9)) * scale, np.random.default_rng(8), 1.0 * scale, 8 * scale, bits)
+    assert isinstance(locate(whole), Spot)
+    small = cv2.resize(whole.pixels, (WIDTH // columns, HEIGHT // rows), interpolation=cv2.INTER_AREA)
+    enlarged = cv2.resize(small, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    assert reason(locate(replace(whole, pixels=enlarged))) is Reason.DISTORTED
 
 
 def test_a_line_of_light_has_the_wrong_shape() -> None:
