@@ -126,7 +126,7 @@ def _calibration_of(content: _Content) -> PlanarCalibration:
     covariance = array_of("covariance", content.covariance, 2 * (count + 2 * len(content.leds_mm),))
     sigmas = np.sqrt(np.diag(covariance).clip(1e-300))
     if np.linalg.eigvalsh(covariance / np.outer(sigmas, sigmas)).min() < -1e-6:
-        raise ValueError("covariance: is invalid: it has a negative eigenvalue")
+        raise ValueError("covariance: has a negative eigenvalue")
     return PlanarCalibration(
         unit_serial=content.unit.serial,
         created=content.created,

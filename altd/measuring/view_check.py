@@ -108,7 +108,7 @@ class ViewCheck:
 
     def _restart_examination(self) -> None:
         """Examine the next frames; an earlier finding, wrong or displaced, holds until they refute it."""
-        self._doubt = "no frame was examined yet"
+        self._doubt = "no frame has been examined yet"
         self._shift_px: float | None = None
         self._verified_ns: int | None = None
         self._sensor_is_same = False

@@ -48,7 +48,7 @@ class Knowledge:
         self._past: deque[tuple[float, Reading | None]] = deque()
 
     def set_reading(self, reading: Reading | None, now_s: float) -> None:
-        """Store the latest measurement; None: none was made so far."""
+        """Store the latest measurement; None: none has been made yet."""
         self._reading, self._reading_s, self._lost = reading, now_s, ""
         self._past.append((now_s, reading))
         while now_s - self._past[0][0] > KEPT_S:

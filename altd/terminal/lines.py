@@ -134,7 +134,7 @@ def _unit(status: StatusDocument) -> Iterator[str]:
 def _measured(reading: Reading | None) -> Iterator[str]:
     yield ""
     if reading is None:
-        yield from hanging("measuring", "NO: nothing was measured so far", WIDTH, _INDENT)
+        yield from hanging("measuring", "NO: nothing has been measured yet", WIDTH, _INDENT)
         return
     age = "of unknown age" if reading.age_s is None else f"{reading.age_s:.2f} s old"
     said = f"{age}, mean of {counted(reading.frames, 'exposure')}, number {reading.sequence}"

@@ -100,7 +100,7 @@ def _head(canvas: Canvas, moment: Moment) -> None:
 def _verdict(moment: Moment) -> tuple[str, Style]:
     reading = moment.reading
     if reading is None:
-        return "NOT VALID: nothing was measured so far", Style.BAD
+        return "NOT VALID: nothing has been measured yet", Style.BAD
     codes, verdict = ", ".join(reading.status), verdict_text(reading)
     if not reading.valid:
         return f"{verdict}: {codes}", Style.BAD

@@ -122,7 +122,7 @@ class ExposureControl:
 
     @property
     def is_due(self) -> bool:
-        """Whether the setpoint was not yet requested from the camera."""
+        """Whether the setpoint has not been requested yet from the camera."""
         return self._ability.limits is not None and self.setpoint != self._requested
 
     def apply(self, camera: Camera) -> Applied | Refused:

@@ -111,7 +111,7 @@ class InclinationMonitor:
         self._component = component
         self._clock = clock
         self._judge = InclinationJudge(settings, driver.accuracy)
-        self._latest = SensorValue(Quality.STARTING, "the inclinometer was not read so far")
+        self._latest = SensorValue(Quality.STARTING, "the inclinometer has not been read yet")
         self._failure: SensorValue | None = None
         """The failure since the last reading; None: the last call succeeded."""
         self._logged: Quality | None = None

@@ -300,7 +300,7 @@ PATHS = (
                 Answers.ready,
                 "Whether the unit measures",
                 models.Ready,
-                errors={503: "nothing was measured yet, or there is no new measurement"},
+                errors={503: "nothing has been measured yet, or there is no new measurement"},
             )
         },
     ),

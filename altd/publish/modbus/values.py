@@ -241,7 +241,7 @@ def of_target(target: str, key: str) -> Reading:
 
 
 def targets(snapshot: Snapshot) -> int | None:
-    """Number of targets of a row; None: no row was measured yet."""
+    """Number of targets of a row; None: no row has been measured yet."""
     measurement = snapshot.measurement
     return len(measurement.targets) if measurement and measurement.quantities.has_places else None
 

@@ -187,7 +187,7 @@ def state_metrics(report: StateReport | None, now_ms: int) -> list[Metric]:
 
 
 def measurement_metrics(measurement: Measurement | None, board: Board, clock: Clock) -> list[Metric]:
-    """Return the metrics of ``measurement``; None: no measurement was made yet.
+    """Return the metrics of ``measurement``; None: no measurement has been made yet.
 
     Only current measurements of this unit's cameras are good. Played, simulated and rehearsed values are
     historical and bad. Unknown values are null: stale if nothing is measured any more, otherwise bad.

@@ -167,7 +167,7 @@ def checksum(body: Iterable[int]) -> int:
 
 
 def encode(measurement: Measurement | None) -> bytes:
-    """Return the telegram of a measurement, to be written in one piece; None: nothing was measured so far."""
+    """Return the telegram of a measurement, written in one piece; None: nothing has been measured yet."""
     return Telegram.of(measurement).encode()
 
 

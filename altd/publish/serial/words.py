@@ -165,7 +165,7 @@ def _uncertainty(measurement: Measurement, age_s: float | None) -> str:
         for quantity in measurement.quantities.main
         if (sigma := _sigma_now(measurement, quantity, age_s)) is not None
     ]
-    return ", ".join(told) or "not known: the motion of the beam was not observed yet"
+    return ", ".join(told) or "not known: the motion of the beam has not been observed yet"
 
 
 def _sigma_now(measurement: Measurement, quantity: Quantity, age_s: float | None) -> float | None:

@@ -251,7 +251,7 @@ def test_a_wrong_view_is_no_more_once_it_is_verified_where_it_is_known_to_lie(be
 
 
 def test_health_says_whether_the_view_is_verified(bench: Bench) -> None:
-    assert bench.figures() == {"view_front": "could not be verified: no frame was examined yet"}
+    assert bench.figures() == {"view_front": "could not be verified: no frame has been examined yet"}
     bench.push(1, DOUBT)
     assert bench.figures() == {"view_front": f"could not be verified: {DOUBT.reason}"}
     bench.push(21, GOOD)

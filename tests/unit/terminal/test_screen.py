@@ -147,7 +147,7 @@ def test_before_the_first_measurement_it_says_so() -> None:
     knowledge = Knowledge()
     assert "no answer so far" in screen(knowledge, 0.0)
     hear(knowledge, {"error": "nothing was measured", "status": ["warming_up"]}, 1.0)
-    assert "NOT VALID: nothing was measured so far" in screen(knowledge, 1.0)
+    assert "NOT VALID: nothing has been measured yet" in screen(knowledge, 1.0)
 
 
 @pytest.mark.parametrize("code", ["simulated", "playback"])

@@ -229,7 +229,7 @@ async def test_only_a_measurement_is_data(
     async with served() as unit:
         for path in ("/", "/api/status", "/api/measurement"):
             await unit.ask(path)
-        assert component.data_given == 0  # nothing was measured yet
+        assert component.data_given == 0  # nothing has been measured yet
         board.publish(measured)
         await unit.ask("/api/measurement")
     assert component.data_given == 1

@@ -89,7 +89,7 @@ def test_the_numbers_are_those_of_the_json(
 def test_what_does_not_come_from_the_units_cameras_is_not_live(
     board: Board, health: Health, clock: FakeClock, reasons: tuple[Reason, ...], valid: float, live: float
 ) -> None:
-    assert one(read(board, health), "altd_live") == 0.0, "nothing was measured yet"
+    assert one(read(board, health), "altd_live") == 0.0, "nothing has been measured yet"
     board.publish(measurement(160, clock.now_ns, *reasons))
     found = read(board, health)
     assert (one(found, "altd_valid"), one(found, "altd_live")) == (valid, live)

@@ -169,7 +169,7 @@ async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
         for number in range(2000):
             flooding.send(frame(NOW, transaction=number))
         for _ in range(5):
-            assert await reading.ask(status) == bytes.fromhex("04 02 0002")  # nothing was measured yet
+            assert await reading.ask(status) == bytes.fromhex("04 02 0002")  # nothing has been measured yet
         assert len(asked) < 1000
         for number in range(2000):
             assert await flooding.hear() == (number, UNIT, NOW)
