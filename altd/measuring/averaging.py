@@ -175,7 +175,8 @@ def mean_spots(
         t_ns=middle_ns,
         frames=count,
         lost=len(frame_sets) - len(usable),
-        shapes=tuple(_mean_shape(inliers[:, place, _SHAPE]) for place in range(len(targets))),
+        shapes=_mean_shapes(inliers),
+        shape_parts=tuple(_mean_shapes(part) for part in np.array_split(inliers, min(_SHAPE_PARTS, count))),
         excess_px=tuple(math.sqrt(square) for square in mean[:, _EXCESS2].tolist()),
         log_lights=inliers[:, :, _LIGHT],
         motion=_motion(deviations_px, since_middle_ns, is_inlier, covariance_px2, typical_noise),
@@ -187,6 +188,8 @@ _LIGHT_SIGMA_DIAMETERS = 8.0
 """Relative noise of a Gaussian's volume per noise of its centre in 1/e² diameters: twice that of its peak
 (Hagen and Dereniak, Applied Optics 47, 6842, 2008), because the width is as uncertain."""
 _NO_SHAPE = (math.nan,) * 4
+_SHAPE_PARTS = 3
+"""Number of parts of a window whose shapes are compared: a disturbance of a third is not averaged down."""
 
 
 def _numbers_of(frame_set: FrameSet, target: str) -> tuple[float, ...]:
@@ -220,10 +223,10 @@ def _motion(
     )
 
 
-def _mean_shape(shapes: FloatArray) -> SpotShape | None:
-    """Return the mean of a target's shapes (n, 4), NaN where unknown; None if all are."""
-    known = shapes[~np.isnan(shapes[:, 0])]
-    return SpotShape(*known.mean(axis=0).tolist()) if len(known) else None
+def _mean_shapes(spots: FloatArray) -> tuple[SpotShape | None, ...]:
+    """Return the mean shape of each target's spots (frame sets, targets, numbers); None if none is known."""
+    known = [shapes[~np.isnan(shapes[:, 0])] for shapes in np.moveaxis(spots[:, :, _SHAPE], 1, 0)]
+    return tuple(SpotShape(*each.mean(axis=0).tolist()) if len(each) else None for each in known)
 
 
 def _middle_ns(times_ns: Sequence[int]) -> int:

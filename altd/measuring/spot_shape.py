@@ -109,12 +109,11 @@ def shape_doubts_mm(
     """Return the uncertainty of each target's point from the spots' shapes, one sigma in mm, (targets,).
 
     Returns a fault if a spot is not the beam's. The value is 0 for targets without a shape or a reference.
+    A difference below the calibration's scatter adds nothing. So a disturbance that begins or ends in the
+    window could be too small in the mean: the uncertainty is the mean of those of the window's parts.
     """
     doubts_mm = np.zeros(len(points))
-    shapes = [
-        None if shape is None else shape_in_mm(shape, point.jacobian_mm_per_px)
-        for shape, point in zip(mean.shapes, points, strict=True)
-    ]
+    shapes = _in_mm(mean.shapes, points)
     for target, shape, reference in zip(mean.targets, shapes, known, strict=True):
         if shape is not None and (why := unlike_a_laser(shape, reference)):
             return Fault(Reason.DISTORTED, target, why)
@@ -126,6 +125,7 @@ def shape_doubts_mm(
     first, first_known = shapes[0], known[0]
     if first is None or first_known is None:
         return doubts_mm
+    parts = [_in_mm(part, points) for part in mean.shape_parts]
     for index, (second, second_known) in enumerate(zip(shapes[1:], known[1:], strict=True), start=1):
         if second is None or second_known is None:
             continue
@@ -134,8 +134,21 @@ def shape_doubts_mm(
         if compared.distortion is not None:
             pair = f"{mean.targets[0]} and {mean.targets[index]}"
             return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distortion}")
-        doubts_mm[[0, index]] = np.hypot(doubts_mm[[0, index]], compared.sigma_mm)
+        sigmas_mm = [
+            shape_agreement(one, other, first_known, second_known, changed_light).sigma_mm
+            for one, other in ((part[0], part[index]) for part in parts)
+            if one is not None and other is not None
+        ]
+        sigma_mm = sum(sigmas_mm) / len(sigmas_mm) if sigmas_mm else compared.sigma_mm
+        doubts_mm[[0, index]] = np.hypot(doubts_mm[[0, index]], sigma_mm)
     return doubts_mm
+
+
+def _in_mm(shapes: Sequence[SpotShape | None], points: Sequence[TargetPoint]) -> list[FloatArray | None]:
+    return [
+        None if shape is None else shape_in_mm(shape, point.jacobian_mm_per_px)
+        for shape, point in zip(shapes, points, strict=True)
+    ]
 
 
 def _diameter_mm(log_radius: float) -> float:

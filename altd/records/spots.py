@@ -166,12 +166,13 @@ class MeanSpots:
 
     ``px`` (targets, 2) contains u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 ·
     targets) is that of the means, u and v of one target after the other: vibration moves all spots together.
-    ``shapes`` contains the mean shape of each target's spots, None if one was not fitted. ``excess_px`` is
-    the part of each sigma that averaging does not reduce; the covariance includes it. ``log_lights`` (frames,
-    targets, 2) contains the logarithm of each spot's light per ms and its standard deviation, NaN if not
-    known. ``changed_light`` is the relative change of each target's light against the first's
-    (``LightBalance``). ``t_ns`` is the mean time of the ``frames`` averaged exposures; ``lost`` were not
-    usable. ``motion`` is None if there were too few to determine it.
+    ``shapes`` contains the mean shape of each target's spots, None if one was not fitted; ``shape_parts``
+    those of the first, middle and last third of the exposures. ``excess_px`` is the part of each sigma that
+    averaging does not reduce; the covariance includes it. ``log_lights`` (frames, targets, 2) contains the
+    logarithm of each spot's light per ms and its standard deviation, NaN if not known. ``changed_light`` is
+    the relative change of each target's light against the first's (``LightBalance``). ``t_ns`` is the mean
+    time of the ``frames`` averaged exposures; ``lost`` were not usable. ``motion`` is None if there were too
+    few to determine it.
     """
 
     targets: tuple[str, ...]
@@ -181,6 +182,7 @@ class MeanSpots:
     frames: int
     lost: int
     shapes: tuple[SpotShape | None, ...] = ()
+    shape_parts: tuple[tuple[SpotShape | None, ...], ...] = ()
     excess_px: tuple[float, ...] = ()
     log_lights: FloatArray | None = None
     changed_light: tuple[float, ...] = ()

@@ -17,6 +17,7 @@ from datetime import timedelta
 from altd.errors import BadInputError
 from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.way import Draw, Way
+from benchmarks.campaign.ways.spots import photographed_beam
 from benchmarks.faults.live import LiveUnit
 from benchmarks.faults.wires import Wires
 from benchmarks.interfaces import HOST
@@ -187,13 +188,15 @@ _GROUPS = {
 """Kinds of the campaign's ways that are used; the others disturb nothing, or files."""
 _OF_CAMERA = ("exchanged", "one_for_both", "mirrored", "flipped", "upside_down")
 """Ways of the kind ``cameras`` in which no camera has moved."""
+_LEFT_OUT = ("clean_times", ANOTHER_UNIT, photographed_beam.__name__)
+"""Not faults of a daemon; and photographs that the repository does not contain: runs would differ without."""
 _BLIND = ("frozen", "loop", "inverted", "camera_unplugged", *_OF_CAMERA)
 
 
 def _faults() -> Iterator[Fault]:
     for group, kinds in _GROUPS.items():
         for way in WAYS.values():
-            if way.kind in kinds and way.name not in ("clean_times", ANOTHER_UNIT):
+            if way.kind in kinds and way.name not in _LEFT_OUT:
                 of = "camera" if way.name in _OF_CAMERA else group
                 yield Fault(way.name, of, summary_of(way.make), way=way, is_blind=way.name in _BLIND)
     for group, acts in _ACTS.items():

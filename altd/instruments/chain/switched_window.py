@@ -199,6 +199,10 @@ def _together(parts: list[MeanSpots], t_ns: int) -> MeanSpots:
         frames=min(part.frames for part in parts),
         lost=max(part.lost for part in parts),
         shapes=tuple(shape for part in parts for shape in part.shapes),
+        shape_parts=tuple(
+            tuple(shape for shapes in thirds for shape in shapes)
+            for thirds in zip(*(part.shape_parts for part in parts), strict=False)
+        ),
         excess_px=tuple(excess for part in parts for excess in part.excess_px),
         motion=SpotMotion(
             rate_px_per_s=np.concatenate([motion.rate_px_per_s for motion in motions]),

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from altd.measuring.averaging import mean_spots
 from altd.measuring.spot_shape import shape_doubts_mm, shape_in_mm
 from altd.reasons import Reason
-from altd.records import Fault, MeanSpots, SpotShape, TargetPoint
+from altd.records import Fault, FrameSet, MeanSpots, Spot, SpotShape, TargetPoint
 from altd.vision.settings import ShapeReference
 
 PX_PER_MM = 5.0
@@ -85,6 +86,34 @@ def test_a_weak_second_spot_on_one_target_adds_to_sigma_what_it_displaces(share,
     displaced_mm = share * aside_mm / (1 + share)
     assert isinstance(sigma_mm, np.ndarray)
     assert displaced_mm < 6 * sigma_mm[1]
+
+
+@pytest.mark.parametrize("count", range(4, 18))
+def test_a_stretch_that_begins_within_the_window_is_in_sigma(count: int) -> None:
+    """Torn pictures of a moving beam: half of each rear spot is one exposure late."""
+    displaced_mm = 0.07  # in run 345 of the fault suite, at this stretch and scatter
+    known = ShapeReference(KNOWN.mean, (0.0008, 0.0006, 0.0007, 0.003))
+    torn, whole = gaussian(12.07, 11.93), gaussian(12, 12)
+    mean = mean_spots(
+        [
+            FrameSet(
+                number,
+                number * 50_000_000,
+                {
+                    "front": Spot(300, 200, 0.02, 60, 180, shape=whole),
+                    "rear": Spot(310, 220, 0.02, 60, 180, shape=torn if number >= 20 - count else whole),
+                },
+            )
+            for number in range(20)
+        ],
+        ("front", "rear"),
+        20,
+    )
+    assert isinstance(mean, MeanSpots)
+    points = [TargetPoint(0.0, 0.0, MM_PER_PX, np.eye(2)) for _ in range(2)]
+    sigma_mm = shape_doubts_mm(mean, points, [known, known])
+    assert isinstance(sigma_mm, np.ndarray)
+    assert displaced_mm * count / 20 < 5 * math.hypot(sigma_mm[1], 0.004)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
