@@ -122,7 +122,7 @@ class ExposureControl:
 
     @property
     def is_due(self) -> bool:
-        """Whether the setpoint has not been requested yet from the camera."""
+        """Whether the setpoint has not been requested from the camera yet."""
         return self._ability.limits is not None and self.setpoint != self._requested
 
     def apply(self, camera: Camera) -> Applied | Refused:
