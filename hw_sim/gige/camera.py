@@ -126,10 +126,9 @@ class GigeCamera:
         begin_ns = self._begin_ns(buffer.timestamp_ns) + unit.lag_ns(name)
         buffer.stamp(begin_ns)
         begin_monotonic_ns = begin_ns - (time.time_ns() - time.monotonic_ns())
-        number = self._first + self.frames
-        frame = unit.expose(name, number, begin_monotonic_ns + 500 * exposure_us)
+        frame = unit.expose(name, self._first + self.frames, begin_monotonic_ns + 500 * exposure_us)
         buffer.pixels(np.uint8 if bits == 8 else np.uint16)[:] = frame.pixels[rows, columns]
-        lost = unit.is_silent(name) or unit.drops(name, number)
+        lost = unit.is_silent(name) or unit.drops(name, self.frames)
         self._camera.set_packet_loss(1.0 if lost else 0.0)
         self.frames += 1
         time.sleep(max(begin_monotonic_ns + 1000 * exposure_us - time.monotonic_ns(), 0) * 1e-9)
