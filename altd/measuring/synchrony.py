@@ -38,6 +38,8 @@ _CLIP_SIGMAS = 4.0
 _MAX_INTERVAL_DEVIATION = 0.25
 _MAX_SKEW_PERIODS = 0.1
 """Maximum skew: between frames further apart vibration changes the motion, so that no lag compares them."""
+_COMMON_LAG_FRAME_SETS2 = 1 / 12
+"""Variance of a lag of all cameras: pictures torn alike show the frame before in a part of the spot."""
 _PATTERN_DIAMETERS = 1e-3
 """Noise of a moving spot by print and surface, per its diameter: 0.01 mm for 12 mm."""
 
@@ -47,7 +49,8 @@ class SynchronyCheck:
 
     Steady vibration reveals a lag after seconds, the start of a motion from rest at once (``StartOfMotion``).
     A lag found at the start is included in sigma, because a separate yaw may look like it. So is one frame
-    set while the spots move from rest and the cameras never were in step (``with_lag_in_sigma``).
+    set while the spots move from rest and the cameras never were in step, and always a lag of all cameras
+    within one frame set (``with_lag_in_sigma``).
 
     Not detected: a lag in a machine at rest, or one that moves smoothly or in pure lines of vibration,
     because a lag may then as well be a separate yaw (at v mm/s the wrong displacement of the late target is v
@@ -76,12 +79,15 @@ class SynchronyCheck:
             start.restart()
 
     def with_lag_in_sigma(self, mean: MeanSpots) -> MeanSpots:
-        """Return the mean spots with the movement within a found or possible lag added to their covariance.
+        """Return the mean spots with the movement within found and possible lags added to their covariance.
 
         While the spots start from rest and never were in step, a lag of one frame set is possible in any of
-        the targets; its square counts in equal shares. Windows of three frame sets or fewer, whose motion is
-        unknown, are not changed.
+        the targets; its square counts in equal shares. A lag common to all targets always is possible, since
+        nothing shows it: up to a frame set, evenly distributed (GUM 4.3.7). Windows of three frame sets or
+        fewer, whose motion is unknown, are not changed.
         """
+        if mean.motion is None or len(self._rows) < 2:
+            return mean
         frame_sets2 = np.zeros(len(self._targets))
         for index, target in enumerate(self._targets[1:], start=1):
             lag = self._late_at_start.get(target)
@@ -89,12 +95,10 @@ class SynchronyCheck:
                 frame_sets2[index if lag > 0 else 0] += lag**2
             elif lag is None and self._starts[target].is_open:
                 frame_sets2[[0, index]] += 0.5
-        if not frame_sets2.any() or mean.motion is None or len(self._rows) < 2:
-            return mean
-        period_s = (self._rows[-1][0] - self._rows[-2][0]) * 1e-9
-        moved_px = np.repeat(np.sqrt(frame_sets2), 2) * mean.motion.rate_px_per_s * period_s
-        blocks = np.kron(np.eye(len(self._targets)), np.ones((2, 2)))
-        return replace(mean, covariance_px2=mean.covariance_px2 + blocks * np.outer(moved_px, moved_px))
+        own_frame_sets2 = np.kron(np.diag(frame_sets2), np.ones((2, 2)))
+        step_px = mean.motion.rate_px_per_s * (self._rows[-1][0] - self._rows[-2][0]) * 1e-9
+        lag_px2 = (own_frame_sets2 + _COMMON_LAG_FRAME_SETS2) * np.outer(step_px, step_px)
+        return replace(mean, covariance_px2=mean.covariance_px2 + lag_px2)
 
     def inspect(self, frame_set: FrameSet) -> str:
         """Add a frame set; return as text which target's pictures do not belong to its time, empty if none.

@@ -40,6 +40,7 @@ class ViewStatus:
     ``has_fingerprint``: the calibration has data to verify it. ``verified_ns`` is the time of the last
     verification, ``wrong`` and ``doubt`` are texts on what is wrong or not known, ``shift_px`` is the shift
     of the picture, ``frame_ns`` the time of the last frame compared with the calibration; None: not known.
+    ``certain_shift_px`` is the last shift that a flat shows, 0 if there is none.
     """
 
     target: str
@@ -50,6 +51,7 @@ class ViewStatus:
     sensor_is_same: bool
     shift_px: float | None
     frame_ns: int | None
+    certain_shift_px: float = 0.0
 
     def figures(self, now_ns: int) -> dict[str, float | str]:
         """Return the figures for health: whether the view is verified, since when, and the picture's shift.
@@ -104,6 +106,7 @@ class ViewCheck:
         self._wrong_verdicts = 0
         self.displaced_px = 0.0
         """Uncertainty that the picture's shift adds to spots that are not rejected."""
+        self._certain_shift_px = 0.0
         self._restart_examination()
 
     def _restart_examination(self) -> None:
@@ -165,6 +168,7 @@ class ViewCheck:
             self._sensor_is_same,
             self._shift_px,
             self._last_ns,
+            self._certain_shift_px,
         )
 
     def _is_due(self, frame: Frame, spot: Spot | NoSpot, has_jumped: bool) -> bool:
@@ -213,6 +217,7 @@ class ViewCheck:
             self._shift_px = verdict.shift_px
         if verdict.displaced_px is not None:
             self.displaced_px = verdict.displaced_px
+            self._certain_shift_px = verdict.shift_px or 0.0
         if verdict.outcome is ViewOutcome.REFUTED:
             self._wrong = verdict
             self._wrong_verdicts += 1

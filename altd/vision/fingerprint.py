@@ -21,8 +21,10 @@ from altd.vision.texture import Match, Sample, Texture, match, sample_of, stacke
 TextureSource = Literal["flat", "scan"]
 
 MAX_SHIFT_PX = 0.4
-"""Maximum shift of the picture, 0.08 mm on the target: if pictures of both targets move against each other,
-they make 0.03°. Heat moves an image by 0.1 to 0.3 px, of which up to a fifth more is measured."""
+"""Maximum shift of the picture, 0.08 mm on the target. Heat moves an image by 0.1 to 0.3 px, of which up to a
+third more is measured."""
+MAX_SHIFTS_PX = 0.72
+"""Maximum sum of the shifts of two targets: if their pictures move against each other, they make 0.0295°."""
 _MIN_SIGNIFICANCE = 8.0
 _NOISE_SIGMAS = 3.0
 _MODEL_ERROR_PX = 0.02
