@@ -143,6 +143,48 @@ def test_a_beam_that_wanders_more_than_is_asked_for_is_unsteady(calibration: Cal
     assert beam_of(drifting).x_mm == pytest.approx(0.075, abs=0.03)
 
 
+def test_pictures_torn_alike_in_a_moving_machine_are_late_within_their_sigma(
+    calibration: Calibration,
+) -> None:
+    """Each picture has the beam of the exposure before in its upper half: 7.3 sigma without a common lag."""
+    places = [(0.115 * number, 5.0) for number in range(21)]
+    frames = shots(places)
+    torn = []
+    for before, frame in zip(frames, frames[2:], strict=False):
+        spot = MeasuringChain.located(chain(calibration), frame).spot
+        assert isinstance(spot, Spot)
+        pixels = frame.pixels.copy()
+        pixels[: round(spot.v_px)] = before.pixels[: round(spot.v_px)]
+        torn.append(replace(frame, pixels=pixels))
+    measuring = Measuring(window=20)
+    measured = MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring))
+    beam = beam_of(last(measured, torn))
+    late_mm = np.mean(places[1:], axis=0)[0] - beam.x_mm
+    assert late_mm == pytest.approx(0.115 / 2, abs=0.02)
+    assert late_mm < 5 * beam.sigma_x_mm
+    assert beam.sigma_yaw_deg < math.degrees(0.115 / math.sqrt(12) / 280), "both spots are late alike"
+
+
+@pytest.mark.parametrize(
+    ("front_px", "rear_px", "status"), [(0.37, 0.34, []), (0.35, 0.38, ["rear_wrong_camera"])]
+)
+def test_pictures_aside_on_both_targets_are_limited_by_their_sum(
+    calibration: Calibration, front_px: float, rear_px: float, status: list[str]
+) -> None:
+    """Pictures that crept by 0.3 px a second, each within its own limit, made 0.0303°."""
+    measured = chain(calibration)
+    aside_px = {"left": front_px, "right": rear_px}
+    found = [measured.located(frame) for frame in shots([(10.0, 5.0)] * 4)]
+    aside = [replace(one, view=replace(one.view, certain_shift_px=aside_px[one.camera])) for one in found]
+    *_, measurement = [measured.add(paired(*aside[place : place + 2])) for place in range(0, 8, 2)]
+    assert measurement is not None
+    assert [str(fault) for fault in measurement.status] == status
+    if status:
+        assert measurement.status[0].detail == (
+            "the pictures of front and rear lie 0.73 px aside in sum, the limit is 0.72 px"
+        )
+
+
 @pytest.mark.parametrize("which", ["map", "cross_check"])
 @pytest.mark.parametrize("target", ["front", "rear"])
 def test_maps_that_contradict_each_other_are_implausible(

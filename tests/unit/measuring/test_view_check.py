@@ -169,8 +169,10 @@ def test_dim_frames_before_a_jump_and_before_a_bright_one_do_not_count(bench: Be
 def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(bench: Bench) -> None:
     bench.push(5)
     assert bench.check.displaced_px == 0.0
+    assert bench.check.status.certain_shift_px == 0.0  # of a scan's texture
     bench.push(4, replace(GOOD, shift_px=0.3, displaced_px=0.29))
     assert bench.check.displaced_px == 0.29
+    assert bench.check.status.certain_shift_px == 0.3
     bench.push(4, DOUBT)
     assert bench.check.displaced_px == 0.29  # no frame has shown it back
     bench.push(4, replace(GOOD, displaced_px=0.0))
