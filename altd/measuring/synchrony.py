@@ -95,9 +95,11 @@ class SynchronyCheck:
                 frame_sets2[index if lag > 0 else 0] += lag**2
             elif lag is None and self._starts[target].is_open:
                 frame_sets2[[0, index]] += 0.5
-        own_frame_sets2 = np.kron(np.diag(frame_sets2), np.ones((2, 2)))
         step_px = mean.motion.rate_px_per_s * (self._rows[-1][0] - self._rows[-2][0]) * 1e-9
-        lag_px2 = (own_frame_sets2 + _COMMON_LAG_FRAME_SETS2) * np.outer(step_px, step_px)
+        step_px2 = np.outer(step_px, step_px)
+        lag_px2 = _COMMON_LAG_FRAME_SETS2 * step_px2
+        if frame_sets2.any():
+            lag_px2 += np.kron(np.diag(frame_sets2), np.ones((2, 2))) * step_px2
         return replace(mean, covariance_px2=mean.covariance_px2 + lag_px2)
 
     def inspect(self, frame_set: FrameSet) -> str:
