@@ -124,8 +124,9 @@ def run(progress: Progress) -> Result:
             "x of three simulated units, from pictures; rms over all places. *When new* is at the newest "
             "exposure. The lag is the slope of error against speed. `now` scatters more: a straight line "
             "through 20 exposures scatters twice as much at its end as in its middle. Its sigma includes the "
-            "vibration at that instant, as `sigma_now` of the mean does. In a motion each sigma also includes a "
-            "lag of both cameras (rectangular, one frame interval wide), which these units do not have."
+            "vibration at that instant, as `sigma_now` of the mean does. In a motion each sigma also "
+            "includes a lag of both cameras (rectangular, one frame interval wide), which these units do "
+            "not have."
         ),
         figure=_figure(arrays),
         caption="Rms error of x when new: mean (orange) and now (blue)",

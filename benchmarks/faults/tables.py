@@ -141,7 +141,7 @@ def _failed(runs: Sequence[Run]) -> Iterator[str]:
 _PAGE = """\
 # Fault suite: the whole daemon, disturbed and judged on its interfaces
 
-This page gives the values and reasons on the interfaces of a disturbed unit, and the time until it is valid again.
+This page gives the values and reasons that a disturbed unit shows, and its time to the next valid value.
 
 {totals}
 
