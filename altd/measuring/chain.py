@@ -17,6 +17,7 @@ from altd.measuring.motion_memory import MotionMemory
 from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located, SpotLocator
 from altd.measuring.synchrony import SynchronyCheck
+from altd.measuring.view_check import shift_fault
 from altd.reasons import Reason
 from altd.records import (
     CameraIdentity,
@@ -29,7 +30,6 @@ from altd.records import (
     Spot,
 )
 from altd.records.spots import Motion
-from altd.vision.fingerprint import MAX_SHIFTS_PX
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
 _MOTION_UNKNOWN = Fault(Reason.WARMING_UP, detail="how the beam moves is not known yet")
@@ -302,8 +302,8 @@ class MeasuringChain:
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
             return self._invalid(frame_set, mean.t_ns, (fault,))
-        if (displaced := self._displaced()) is not None:
-            return self._invalid(frame_set, mean.t_ns, (displaced,))
+        if (shifted := shift_fault(self._view_status.values())) is not None:
+            return self._invalid(frame_set, mean.t_ns, (shifted,))
         if not self._is_switched:
             mean = self._synchrony.with_lag_in_sigma(mean)
         self._changed_light = self._light_balance.changed_light(mean)
@@ -331,21 +331,6 @@ class MeasuringChain:
         if not self._is_of_now:
             return measurement
         return measurement.with_motion_in_sigma() or self._invalid(frame_set, spots.t_ns, (_MOTION_UNKNOWN,))
-
-    def _displaced(self) -> Fault | None:
-        """Return the fault of pictures that lie aside on two targets: the direction is wrong by both."""
-        shifts_px = [
-            (view.certain_shift_px, self._views[camera].target) for camera, view in self._view_status.items()
-        ]
-        largest = sorted(shifts_px)[-2:]
-        total_px = sum(shift_px for shift_px, _ in largest)
-        if total_px <= MAX_SHIFTS_PX:
-            return None
-        names = " and ".join(target for _, target in largest)
-        detail = (
-            f"the pictures of {names} lie {total_px:.2f} px aside in sum, the limit is {MAX_SHIFTS_PX} px"
-        )
-        return Fault(Reason.WRONG_CAMERA, largest[-1][1], detail)
 
     def _motions(
         self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]

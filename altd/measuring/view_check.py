@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Frame, NoSpot, Spot
-from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
+from altd.records import CameraIdentity, Fault, Frame, NoSpot, Spot
+from altd.vision.fingerprint import MAX_SHIFTS_PX, Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.texture import Sample
 
@@ -77,6 +77,17 @@ class ViewStatus:
             return f"wrong: {self.wrong}"
         sensor = "the sensor is verified, its view " if self.sensor_is_same else ""
         return f"{sensor}could not be verified: {self.doubt}"
+
+
+def shift_fault(views: Iterable[ViewStatus]) -> Fault | None:
+    """Return the fault if the pictures of two targets are shifted by too much in sum, else None."""
+    shifted = sorted(views, key=lambda view: view.certain_shift_px)[-2:]
+    total_px = sum(view.certain_shift_px for view in shifted)
+    if total_px <= MAX_SHIFTS_PX:
+        return None
+    names = " and ".join(view.target for view in shifted)
+    detail = f"the pictures of {names} lie {total_px:.2f} px aside in sum, the limit is {MAX_SHIFTS_PX} px"
+    return Fault(Reason.WRONG_CAMERA, shifted[-1].target, detail)
 
 
 class ViewCheck:
