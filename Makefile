@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults soak studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-outages bench-overload bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults soak studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -21,6 +21,7 @@ FAULT_RUNS ?= 120
 SOAK_H ?= 100
 FUZZ_S ?= 600
 FLEET ?= 1000
+CUT_S ?= 1800
 WORKSHOP ?= tests/workshop
 HOSTILE ?= 100000
 SPRAY_S ?= 600
@@ -152,6 +153,13 @@ bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S
 
 bench-memory: venv ## peak memory and time of commands against nodes and frames; takes a quarter of an hour
 	@exec $(python) -m benchmarks.memory
+
+bench-outages: venv ## twenty units, network cut for half an hour, broker, ingest and PostgreSQL killed, batches repeated: rows lost or twice; as root; CUT_S=60
+	@.ci/programs must mosquitto '/usr/lib/postgresql/*/bin/initdb=postgresql'
+	exec unshare -n $(python) -m benchmarks.outages --cut $(CUT_S)
+
+bench-overload: venv ## a quarter of an hour of refused recordings, a full disk, and 64 addresses that connect: memory, polls cut
+	exec unshare -rmn $(python) -m benchmarks.overload
 
 bench-page: venv ## the page in Chromium: a year's trend, and its memory over an hour; PAGE_S=180 for three minutes
 	@.ci/programs must chromium

@@ -37,7 +37,7 @@ from altd.status.proof import Identity
 from altd.status.state import UnitState
 from benchmarks.fleet import servers
 
-_UNITS = 20
+UNITS = 20
 _BLIND, _CUT_OFF = 7, 13
 """Numbers of the units with faults."""
 
@@ -50,7 +50,7 @@ _AGE_S = 2.0
 class DemoUnit:
     """A unit without cameras."""
 
-    def __init__(self, number: int, folder: Path, port: int) -> None:
+    def __init__(self, number: int, folder: Path, port: int, host: str = "127.0.0.1") -> None:
         self.number = number
         self._clock = SystemClock()
         serial = f"ALT-{number:04d}"
@@ -64,7 +64,7 @@ class DemoUnit:
         about = About(columns_of(QUANTITIES, ()), {"serial": serial})
         self._past.keep_in(folder / f"{serial}.db", _MAX_BYTES, about, has_outbox=True)
         self._component = self._health.component("mqtt")
-        settings = MqttSettings(host="127.0.0.1", port=port, store_and_forward=True)
+        settings = MqttSettings(host=host, port=port, store_and_forward=True)
         self._publisher = MqttPublisher(
             settings, self._board, self._health, self._component, random.Random(number), self._past.outbox
         )
@@ -118,7 +118,7 @@ async def _demo(folder: Path, port: int, connection: str, seconds: float | None)
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(seconds):
             work: list[Awaitable[None]] = [
-                DemoUnit(number, folder, port).run() for number in range(1, _UNITS + 1)
+                DemoUnit(number, folder, port).run() for number in range(1, UNITS + 1)
             ]
             await asyncio.gather(*work, _show(connection))
 

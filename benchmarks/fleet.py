@@ -43,6 +43,7 @@ QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 ROWS_PER_BATCH = MAX_NUMBERS // (len(Second._fields) + 4 * len(QUANTITIES))
 WEEK_S = 7 * 86_400
 _TIMEOUT_S = 120.0
+_START_TIMEOUT_S = 60.0
 
 
 @dataclass
@@ -206,34 +207,52 @@ def faults(connection: str, units: Units) -> tuple[int, int]:
     return lost, twice
 
 
+def write_settings(folder: Path, connection: str, address: str = "127.0.0.1") -> tuple[int, list[str], Path]:
+    """Write settings of a broker at ``address`` and of an ingest; return its port and command, and theirs."""
+    port, broker, ingest = free_port(), folder / "mosquitto.conf", folder / "fleet.toml"
+    lines = (f"listener {port} {address}", "allow_anonymous true", "max_inflight_messages 1000",
+             "max_queued_messages 100000", "user root")  # fmt: skip
+    broker.write_text("\n".join(lines) + "\n")
+    ingest.write_text(
+        f'[broker]\nhost = "127.0.0.1"\nport = {port}\n[database]\nconnection = "{connection}"\n'
+    )
+    return port, ["mosquitto", "-c", str(broker)], ingest
+
+
+@contextlib.contextmanager
+def ingesting(config: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run `altd ingest`, from its subscription on; its log is beside ``config``."""
+    log = config.with_name(f"ingest-{time.monotonic_ns()}.log")
+    with log.open("wb") as out:
+        words = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(config)]
+        process = subprocess.Popen(words, stdout=out, stderr=out)  # noqa: S603
+    try:
+        deadline_s = time.monotonic() + _START_TIMEOUT_S
+        while b"connected to" not in log.read_bytes():
+            assert process.poll() is None, log.read_text()  # noqa: S101
+            assert time.monotonic() < deadline_s, log.read_text()  # noqa: S101
+            time.sleep(0.02)
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        process.wait()
+
+
 @contextlib.contextmanager
 def servers(settings: list[str]) -> Iterator[tuple[int, str, dict[str, int]]]:
     """Run broker, database and ingest; yield the broker's port, the database and the processes."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        port = free_port()
-        lines = (f"listener {port} 127.0.0.1", "allow_anonymous true", "max_inflight_messages 1000",
-                 "max_queued_messages 100000", "user root")  # fmt: skip
-        (folder / "mosquitto.conf").write_text("\n".join(lines) + "\n")
         cluster = stack.enter_context(postgresql(*settings))
         connection = cluster.new_database()
         assert cluster.server is not None  # noqa: S101
-        pids = {"database": cluster.server.pid}
-        (folder / "fleet.toml").write_text(
-            f'[broker]\nhost = "127.0.0.1"\nport = {port}\n[database]\nconnection = "{connection}"\n'
-        )
-        log = folder / "log"
-        ingest = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(folder / "fleet.toml")]
-        broker = ["mosquitto", "-c", str(folder / "mosquitto.conf")]
-        for name, words in (("broker", broker), ("ingest", ingest)):
-            with log.open("wb") as out:
-                process = subprocess.Popen(words, stderr=out)  # noqa: S603
-            pids[name] = process.pid
-            stack.callback(process.wait)
-            stack.callback(process.terminate)
-        while b"connected to" not in log.read_bytes():  # the ingest has subscribed
-            assert process.poll() is None, log.read_text()  # noqa: S101
-            time.sleep(0.1)
+        port, command, config = write_settings(folder, connection)
+        broker = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603
+        stack.callback(broker.wait)
+        stack.callback(broker.terminate)
+        ingest = stack.enter_context(ingesting(config))
+        pids = {"database": cluster.server.pid, "broker": broker.pid, "ingest": ingest.pid}
         yield port, connection, pids | {"units": os.getpid()}
 
 

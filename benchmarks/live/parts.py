@@ -19,9 +19,8 @@ from hw_sim.unit import EXPOSURES_MS
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 1
 FRONT, REAR = "127.0.0.1", "127.0.0.2"
-LINKED = "10.77.0.2"
-"""Address of the front camera on its own link."""
-_UNITS_END = "10.77.0.1"
+LINKED, NEAR = "10.77.0.2", "10.77.0.1"
+"""Addresses of the far and the near end of a link."""
 _READY = "Ctrl-C ends it"
 _START_TIMEOUT_S = 20.0
 _DAEMON_CORE = min(os.sched_getaffinity(0))
@@ -184,22 +183,29 @@ def both_cameras(folder: Path, *more: str) -> Iterator[Running]:
 
 
 @contextlib.contextmanager
-def camera_behind_link(folder: Path) -> Iterator[Running]:
-    """Serve the front camera in its own namespace, at the far end of a pair of virtual Ethernet cards."""
-    serve = cameras_command(SEED, "--only", "front", "--front", LINKED)
+def behind_link(command: Sequence[str], log: Path) -> Iterator[Running]:
+    """Run a command in its own namespace, at the far end of a pair of virtual Ethernet cards."""
     setup = f"ip link set lo up; until ip address add {LINKED}/24 dev far 2>/dev/null; do sleep 0.05; done"
     shell = f'{setup}; ip link set far up; exec "$@"'
-    with running(["unshare", "-n", "sh", "-c", shell, "sh", *serve], folder / "linked.log") as camera:
+    with running(["unshare", "-n", "sh", "-c", shell, "sh", *command], log) as process:
         time.sleep(0.3)  # until unshare has made the namespace
-        ip("link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(camera.process.pid))
-        ip("address", "add", f"{_UNITS_END}/24", "dev", "near")
+        ip("link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(process.process.pid))
+        ip("address", "add", f"{NEAR}/24", "dev", "near")
         set_link("up")
+        yield process
+
+
+@contextlib.contextmanager
+def camera_behind_link(folder: Path) -> Iterator[Running]:
+    """Serve the front camera behind a link."""
+    serve = cameras_command(SEED, "--only", "front", "--front", LINKED)
+    with behind_link(serve, folder / "linked.log") as camera:
         camera.await_text(_READY)
         yield camera
 
 
 def set_link(state: str) -> float:
-    """Disconnect the front camera's link (``down``) or reconnect it (``up``); return when, monotonic s."""
+    """Disconnect the link (``down``) or reconnect it (``up``); return when, monotonic s."""
     ip("link", "set", "near", state)
     return time.monotonic()
 

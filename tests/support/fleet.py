@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import subprocess
-import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psycopg
-
 from altd.history.history import History
 from altd.history.outbox import Outbox
-from altd.history.reader import Reader
-from altd.history.schema import SECONDS
 from altd.history.store import Store
+from benchmarks.fleet import ingesting
+from benchmarks.outages import Row, history_rows, stored_rows
 from benchmarks.postgresql import Cluster, programs
 from benchmarks.postgresql import postgresql as server
 from support.foreign import need
 from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample, state
 from support.mqtt import PublishingUnit
 
-Row = tuple[object, ...]
+__all__ = ["Cluster", "FleetUnit", "Row", "fleet_toml", "ingesting", "postgresql", "stored_rows", "until"]
 
 
 @contextlib.contextmanager
@@ -41,26 +37,6 @@ def fleet_toml(folder: Path, port: int, connection: str, more: str = "") -> Path
     text = f'[broker]\nhost = "127.0.0.1"\nport = {port}\n{more}\n[database]\nconnection = "{connection}"\n'
     path.write_text(text)
     return path
-
-
-@contextlib.contextmanager
-def ingesting(config: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """`altd ingest` as a process, once it has subscribed; its log is beside the settings."""
-    log = config.with_name(f"ingest-{time.monotonic_ns()}.log")
-    with log.open("wb") as out:
-        words = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(config)]
-        process = subprocess.Popen(words, stdout=out, stderr=out)
-    try:
-        deadline_s = time.monotonic() + 60
-        while b"connected to" not in log.read_bytes():
-            assert process.poll() is None, log.read_text()
-            assert time.monotonic() < deadline_s
-            time.sleep(0.02)
-        yield process
-    finally:
-        if process.poll() is None:
-            process.terminate()
-        process.wait()
 
 
 @dataclass
@@ -126,31 +102,7 @@ class FleetUnit:
 
     def rows(self) -> set[Row]:
         """All seconds of the history, as ``stored_rows`` has those of the database."""
-        with Reader(self.path) as reader:
-            points = reader.summaries(SECONDS, 0, 2**52)
-            return {
-                (
-                    self.serial,
-                    point.t_us // 10**6,
-                    point.n,
-                    point.n_valid,
-                    point.worst,
-                    point.worst_code,
-                    point.lost_to,
-                    tuple(sorted((key, (v.mean, v.sigma, v.low, v.high)) for key, v in point.values.items())),
-                )
-                for point in points
-            }
-
-
-def stored_rows(connection: str) -> list[Row]:
-    """All seconds of the database, in the order of their sequences."""
-    with psycopg.connect(connection) as opened:
-        found = opened.execute(
-            "SELECT serial, extract(epoch FROM time)::bigint, n, n_valid, s.worst, s.cause, lost_to, "
-            "quantities FROM altd.seconds AS s JOIN altd.units ON units.id = unit ORDER BY serial, sequence"
-        ).fetchall()
-    return [(*row[:7], tuple(sorted((key, tuple(value)) for key, value in row[7].items()))) for row in found]
+        return history_rows(self.serial, self.path)
 
 
 async def until(condition: Callable[[], bool], within_s: float = 60.0) -> None:

@@ -1,9 +1,14 @@
-"""The benchmark of the fleet finds all that it sent, and its demo shows units that fail."""
+"""The benchmarks of the fleet find all that was sent, and its demo shows units that fail."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 from support.cli import Outcome, altd
 from support.foreign import need, need_program
+from support.places import ROOT
 
 from benchmarks.postgresql import programs
 
@@ -29,3 +34,22 @@ def test_twenty_units_are_shown() -> None:
     outcome = measured("benchmarks.demo_fleet", "--seconds", "20")
     assert outcome.status == 0, outcome
     assert outcome.out.rpartition("unit")[2].count("ALT-00") >= 19, outcome.out
+
+
+def test_outages_lose_nothing() -> None:
+    need(os.getuid() == 0, "only root can connect two networks")
+    need(programs() is not None, "PostgreSQL is not installed (Debian package postgresql)")
+    need_program("mosquitto")
+    command = ["unshare", "-n", sys.executable, "-m", "benchmarks.outages"]
+    done = subprocess.run(
+        [*command, "--cut", "15", "--kills", "2", "--crashes", "1"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, (done.stdout, done.stderr)
+    assert "link down for 15 s; killed: " in done.stdout
+    assert "missing 0, different 0, twice 0, order kept" in done.stdout
+    rows = int(done.stdout.partition("rows of the units ")[2].partition(",")[0])
+    assert rows > 20 * 10

@@ -1,0 +1,28 @@
+"""``make bench-overload`` counts answers, memory and polls. Its figures belong to no test."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+from support.foreign import need_namespaces, need_program
+from support.places import ROOT
+
+
+def test_each_part_is_measured() -> None:
+    need_program("ip", "iproute2")
+    namespaces = need_namespaces("--net", "--mount")
+    sizes = ["--refused", "3", "--full-disk", "6", "--connections", "3", "--settle", "3"]
+    done = subprocess.run(
+        [*namespaces, sys.executable, "-m", "benchmarks.overload", *sizes],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == ""
+    assert done.stdout.count("answers: 3 of status 409") == 2, done.stdout
+    assert re.search(r"[1-9]\d+ connections from 64 addresses", done.stdout)
+    polls = re.findall(r"(\d+) Hz, .*: \d+ of (\d+) polls cut", done.stdout)
+    assert polls == [("10", "30"), ("1", "3"), ("1", "3")]
