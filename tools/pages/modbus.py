@@ -52,7 +52,7 @@ from altd.publish.modbus.values import (
 )
 from altd.reasons import Reason, Signal
 from altd.status.health import FIGURE_AGE_S
-from altd.tcp_port import CONNECTIONS, HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
+from altd.tcp_port import BACKLOG, CONNECTIONS, HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
 from tools.markdown import wrapped
 from tools.pages.example import MEASURED
 
@@ -335,6 +335,11 @@ When all {MAX_CLIENTS} connections are taken, a new one closes another:
 - The other {MAX_CLIENTS - kept} places go to new connections. A connection without a request for {QUIET_S:g}
   s, or for its first {FIRST_REQUEST_S:g} s, is closed first, then one of the address that has most, then the
   oldest.
+
+Keep the connection of a controller open. Beside 64 addresses that opened 63,000 connections a second for a
+minute, none of 599 polls at 10 Hz and none of 60 at 1 Hz was cut, and the slowest took 0.20 s. A client that
+connected again for each poll lost 5 of 9, because the kernel drops connections while {BACKLOG} wait
+(`make bench-overload`).
 
 Reserve the places of your controllers: they then always get a connection, and no other address closes it.
 Otherwise a new controller can lose its connection to other clients, or to hosts behind the same address
