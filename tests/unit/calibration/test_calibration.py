@@ -136,7 +136,7 @@ def test_a_file_without_the_map_that_checks_is_refused(file: Path) -> None:
     assert "targets.0.cross_check: Field required" in complaint(tampered(file, targets=targets))
 
 
-def test_one_changed_digit_fails_thechecksum_of(file: Path) -> None:
+def test_one_changed_digit_is_a_wrong_checksum(file: Path) -> None:
     text = file.read_text()
     file.write_text(text.replace('"smoothing_px": 4.0', '"smoothing_px": 5.0', 1))
     assert file.read_text() != text
