@@ -30,6 +30,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from altd.history.reader import Reader
 from altd.history.schema import SECONDS
+from altd.process.endings import run_to_end
 from benchmarks.demo_fleet import UNITS, DemoUnit
 from benchmarks.fleet import ingesting, write_settings
 from benchmarks.live.parts import NEAR, behind_link, ip, set_link
@@ -196,4 +197,4 @@ def _kill(servers: Servers, names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.outages"))

@@ -18,6 +18,7 @@ import itertools
 import math
 import multiprocessing
 import os
+import signal
 import socket
 import struct
 import subprocess
@@ -32,6 +33,7 @@ from http.client import HTTPConnection
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from altd.process.endings import run_to_end
 from altd.records import Frame
 from benchmarks.daemon import running
 from benchmarks.interfaces import HOST
@@ -104,6 +106,7 @@ def unit(material: Material, folder: Path, disk_mb: int) -> Iterator[Unit]:
 
 
 def _run(material: Material, folder: Path, disk_mb: int, ready: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
     asyncio.run(_serve(material, folder, disk_mb, ready))
 
 
@@ -207,7 +210,9 @@ def polled(unit: Unit, seconds: float) -> int:
     for thread in threads:
         thread.join()
     here.send(None)
-    print(f"  {here.recv()} connections from {ADDRESSES} addresses")
+    attempts, took_s = here.recv()
+    rate = attempts / took_s
+    print(f"  {attempts} attempts to connect from {ADDRESSES} addresses, {rate:.0f} a second")
     crowd.join()
     print("\n".join(map(str, controllers)))
     return sum(each.cut for each in controllers if not each.reconnects)
@@ -215,7 +220,9 @@ def polled(unit: Unit, seconds: float) -> int:
 
 def _connect_continuously(port: int, parent: Connection) -> None:
     """Connect from address after address, and keep the newest few of each, until the parent sends a word."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
     held: deque[socket.socket] = deque()
+    start_s = time.monotonic()
     for number in itertools.count(1):
         link = socket.socket()
         link.setblocking(False)
@@ -228,7 +235,7 @@ def _connect_continuously(port: int, parent: Connection) -> None:
         if number == ADDRESSES:
             parent.send(None)
         if number % ADDRESSES == 0 and parent.poll():
-            parent.send(number)
+            parent.send((number, time.monotonic() - start_s))
             return
 
 
@@ -263,4 +270,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.overload"))
