@@ -4,7 +4,8 @@ A unit on two cameras from memory, 20 pairs/s, runs in a separate process. Three
 
 - refused: requests to keep the last seconds, all refused, because a recording is larger than ``disk_mb``.
 - full disk: the same requests, and faults of the beam, while the file system of the recordings is full.
-- connections: three controllers at Modbus TCP, while clients at 64 other addresses connect continuously.
+- connections: three controllers at Modbus TCP, two of which keep the connection that they had before, while
+  clients at 64 other addresses connect continuously.
 
 It must run where it may mount a file system and use all loopback addresses: ``unshare -rmn``.
 """
@@ -49,6 +50,8 @@ FREE_MB = 3
 ADDRESSES = 64
 
 _PAIRS = 40
+_CONNECTED_S = 2.0
+"""Time in which the controllers connect before the others do."""
 _REQUEST_EVERY_S = 2.0
 _PATIENCE_S = 10.0
 _HELD_PER_ADDRESS = 8
@@ -203,10 +206,11 @@ def polled(unit: Unit, seconds: float) -> int:
         Controller("127.0.2.3", 1.0, reconnects=True),
     ]
     threads = [threading.Thread(target=each.run, args=(unit.modbus, seconds)) for each in controllers]
-    crowd.start()
-    here.recv()
     for thread in threads:
         thread.start()
+    time.sleep(_CONNECTED_S)
+    crowd.start()
+    here.recv()
     for thread in threads:
         thread.join()
     here.send(None)
