@@ -336,14 +336,13 @@ When all {MAX_CLIENTS} connections are taken, a new one closes another:
   s, or for its first {FIRST_REQUEST_S:g} s, is closed first, then one of the address that has most, then the
   oldest.
 
-Keep the connection of a controller open. Beside 64 addresses with 80,000 attempts to connect a second, none of
-451 polls at 10 Hz on an open connection was cut. A client that connects during such a flood can fail for a
+Keep the connection of a controller open. Beside 64 addresses with 80,000 attempts to connect a second, none
+of 451 polls at 10 Hz on an open connection was cut. A client that connects during such a flood can fail for a
 minute or longer, also from a reserved address: the kernel drops connections while {BACKLOG} wait
 (`make bench-overload`).
 
-Reserve the places of your controllers: they then always get a connection, and no other address closes it.
-Otherwise a new controller can lose its connection to other clients, or to hosts behind the same address
-(NAT).
+Reserve the places of your controllers: no other address then closes their connections. Otherwise a new
+controller can lose its connection to other clients, or to hosts behind the same address (NAT).
 
     [modbus_tcp]
     reserved = ["192.168.1.10"]
