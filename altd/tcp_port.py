@@ -8,14 +8,17 @@ tracebacks.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import ctypes
 import errno
 import ipaddress
 import logging
 import os
 import resource
 import socket
+import struct
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -54,6 +57,64 @@ def listen(host: str, port: int) -> socket.socket:
         raise OSError(number, f"{sentence}{_remedy(number, host, port)}") from error
     listener.setblocking(False)
     return listener
+
+
+_SO_ATTACH_REUSEPORT_CBPF = 51
+_FROM_NETWORK_HEADER = 0xFFF00000
+"""``SKF_NET_OFF`` of linux/filter.h: an offset counts from the header of the network's protocol."""
+_LOAD_WORD, _AND, _SKIP_UNLESS_EQUAL, _RETURN = 0x20, 0x54, 0x15, 0x06
+_INSTRUCTION = struct.Struct("HBBI")
+"""``struct sock_filter`` of linux/filter.h: code, instructions to skip if true, if false, operand."""
+
+
+def listen_with_reserved(host: str, port: int, reserved: Iterable[str]) -> list[socket.socket]:
+    """Open the listening sockets of a port: one, and a second for clients in ``reserved`` networks.
+
+    Each has its own queue in the kernel, so that these clients connect while others flood the first one.
+    Raises OSError as ``listen`` does.
+    """
+    listener = listen(host, port)
+    program = b"".join(_matches(map(ipaddress.ip_network, reserved), listener.family))
+    if not program:
+        return [listener]
+    # Sockets that share a port would also share it with another daemon of this user: the first shared none.
+    family, port = listener.family, listener.getsockname()[1]
+    listener.close()
+    program += _INSTRUCTION.pack(_RETURN, 0, 0, 0)
+    memory = ctypes.create_string_buffer(program, len(program))
+    fprog = struct.pack("HP", len(program) // _INSTRUCTION.size, ctypes.addressof(memory))
+    with contextlib.ExitStack() as opened:
+        listeners = [
+            opened.enter_context(
+                socket.create_server((host, port), family=family, backlog=BACKLOG, reuse_port=True)
+            )
+            for _ in range(2)
+        ]
+        listeners[0].setsockopt(socket.SOL_SOCKET, _SO_ATTACH_REUSEPORT_CBPF, fprog)
+        for one in listeners:
+            one.setblocking(False)
+        opened.pop_all()
+    return listeners
+
+
+def _matches(
+    networks: Iterable[ipaddress.IPv4Network | ipaddress.IPv6Network], family: int
+) -> Iterator[bytes]:
+    """Yield a filter program for each network of the family: it returns 1, the second socket, on a match."""
+    version, source_offset = (4, 12) if family == socket.AF_INET else (6, 8)
+    for network in networks:
+        if network.version != version:
+            continue
+        length = network.max_prefixlen // 8
+        words = struct.Struct(f">{length // 4}I")
+        wanted = words.unpack(network.network_address.packed)
+        masks = words.unpack(network.netmask.packed)
+        for n, (word, mask) in enumerate(zip(wanted, masks, strict=True)):
+            to_next_network = 3 * (len(masks) - n - 1) + 1
+            yield _INSTRUCTION.pack(_LOAD_WORD, 0, 0, _FROM_NETWORK_HEADER + source_offset + 4 * n)
+            yield _INSTRUCTION.pack(_AND, 0, 0, mask)
+            yield _INSTRUCTION.pack(_SKIP_UNLESS_EQUAL, 0, to_next_network, word)
+        yield _INSTRUCTION.pack(_RETURN, 0, 0, 1)
 
 
 def _remedy(number: int, host: str, port: int) -> str:

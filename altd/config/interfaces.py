@@ -87,7 +87,7 @@ class ModbusTcpSettings(Table):
     allow_zero: bool = False
     """Clients may set the zero of the relative values by a write; without TLS any client."""
     reserved: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
-    """Addresses or networks of controllers, `["192.168.1.10"]`: they always get a connection."""
+    """Networks of controllers, `["192.168.1.10"]`: they connect also while others flood the port."""
     certificate: Path | None = None
     """The unit's certificate chain, PEM; with it, only TLS is served. Needs `key` and `client_ca`."""
     key: Path | None = None

@@ -38,7 +38,7 @@ from altd.tcp_port import (
     address_of,
     group_of,
     is_among_last,
-    listen,
+    listen_with_reserved,
 )
 
 log = logging.getLogger("altd")
@@ -93,14 +93,18 @@ class ModbusTcpPublisher:
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError if the address is not available."""
-        with listen(self._settings.host, self._settings.port_or_default) as listener:
-            _detect_dead_peers(listener)
-            self.port = listener.getsockname()[1]
-            async with asyncio.TaskGroup() as clients:
+        settings = self._settings
+        with contextlib.ExitStack() as listening:
+            listeners = listen_with_reserved(settings.host, settings.port_or_default, settings.reserved)
+            for listener in map(listening.enter_context, listeners):
+                _detect_dead_peers(listener)
+                self.port = listener.getsockname()[1]
+            async with asyncio.TaskGroup() as tasks:
                 ready()
                 self._set_state("")
-                admit = functools.partial(self._admit, clients)
-                await accept(listener, self._component, admit)
+                admit = functools.partial(self._admit, tasks)
+                for listener in listeners:
+                    tasks.create_task(accept(listener, self._component, admit), name="modbus tcp accept")
 
     def _set_state(self, complaint: str) -> None:
         """Set the state; ``complaint`` is the reason why a renewed certificate cannot be used, or empty."""

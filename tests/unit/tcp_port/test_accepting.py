@@ -9,16 +9,18 @@ import itertools
 import logging
 import os
 import resource
+import select
 import socket
 from collections.abc import AsyncIterator, Iterator
 from unittest.mock import Mock
 
 import pytest
 from support.clock import FakeClock
+from support.foreign import need
 
 from altd import tcp_port
 from altd.status.health import Component
-from altd.tcp_port import accept, is_among_last, listen
+from altd.tcp_port import accept, is_among_last, listen, listen_with_reserved
 
 
 @pytest.fixture
@@ -169,3 +171,72 @@ def test_where_the_process_or_the_right_is_not_known_the_answer_says_what_to_do(
         monkeypatch.setattr(tcp_port, "owner_of_socket", lambda _: None)
         with pytest.raises(OSError, match=answer):
             listen("127.0.0.1", 502)
+
+
+@pytest.mark.parametrize(
+    ("host", "reserved", "client", "queue"),
+    [
+        ("127.0.0.1", ["127.0.3.1"], "127.0.3.1", 1),
+        ("127.0.0.1", ["127.0.3.1"], "127.0.3.2", 0),
+        ("127.0.0.1", ["10.0.0.0/8", "127.0.3.0/24"], "127.0.3.255", 1),
+        ("127.0.0.1", ["10.0.0.0/8", "127.0.3.0/24"], "127.0.4.0", 0),
+        ("127.0.0.1", ["0.0.0.0/0"], "127.0.3.1", 1),
+        ("127.0.0.1", ["::/0", "10.0.0.0/8"], "127.0.3.1", 0),
+        ("127.0.0.1", [f"127.0.{n}.1" for n in range(64)], "127.0.63.1", 1),
+        ("127.0.0.1", [f"127.0.{n}.1" for n in range(64)], "127.0.64.1", 0),
+        ("::1", ["2001:db8::/32", "::1"], "::1", 1),
+        ("::1", ["::/64"], "::1", 1),
+        ("::1", ["::2", "::1:0:0:1", "1::1", "0:0:1::1"], "::1", 0),
+        ("::1", [f"2001:db8::{n:x}" for n in range(63)] + ["::/1"], "::1", 1),
+    ],
+)
+def test_reserved_clients_wait_in_a_queue_of_their_own(
+    host: str, reserved: list[str], client: str, queue: int
+) -> None:
+    need(host == "127.0.0.1" or has_ipv6(), "this machine has no IPv6")
+    with contextlib.ExitStack() as stack:
+        listeners = listen_with_reserved(host, 0, reserved)
+        for listener in listeners:
+            stack.enter_context(listener)
+        stack.enter_context(socket.create_connection(listeners[0].getsockname()[:2], 10, (client, 0)))
+        ready, _, _ = select.select(listeners, [], [], 10)
+        assert ready == [listeners[queue]]
+
+
+def has_ipv6() -> bool:
+    """Whether the loopback interface has its IPv6 address."""
+    try:
+        listen("::1", 0).close()
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("reserved", [[], ["::/0"]])
+def test_without_reserved_clients_of_the_family_there_is_one_queue(reserved: list[str]) -> None:
+    (listener,) = listen_with_reserved("127.0.0.1", 0, reserved)
+    listener.close()
+
+
+def test_a_reserved_client_connects_while_the_queue_of_the_others_is_full() -> None:
+    with contextlib.ExitStack() as stack:
+        listeners = [
+            stack.enter_context(each) for each in listen_with_reserved("127.0.0.1", 0, ["127.0.3.1"])
+        ]
+        address = listeners[0].getsockname()
+        for _ in range(2 * tcp_port.BACKLOG):
+            waiting = stack.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(address)
+        stack.enter_context(socket.create_connection(address, 10, ("127.0.3.1", 0)))
+        with pytest.raises(TimeoutError):
+            stack.enter_context(socket.create_connection(address, 0.2, ("127.0.3.2", 0)))
+
+
+@pytest.mark.parametrize("first", [[], ["127.0.3.1"]])
+@pytest.mark.parametrize("second", [[], ["127.0.3.1"]])
+def test_two_daemons_never_share_a_port(first: list[str], second: list[str]) -> None:
+    with contextlib.ExitStack() as stack:
+        listeners = [stack.enter_context(each) for each in listen_with_reserved("127.0.0.1", 0, first)]
+        with pytest.raises(OSError, match=f"Address already in use by .* \\(process {os.getpid()}\\)"):
+            listen_with_reserved("127.0.0.1", listeners[0].getsockname()[1], second)

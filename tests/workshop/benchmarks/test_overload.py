@@ -24,4 +24,4 @@ def test_each_part_is_measured() -> None:
     assert "Traceback" not in done.stderr
     assert done.stdout.count("answers: 3 of status 409") == 2, done.stdout
     assert re.search(r"[1-9]\d+ attempts to connect from 64 addresses", done.stdout)
-    assert re.findall(r"(\d+) Hz, .*: \d+ of [1-9]\d* polls cut", done.stdout) == ["10", "1", "1"]
+    assert re.findall(r"(\d+) Hz, .*: \d+ of [1-9]\d* polls cut", done.stdout) == ["10", "1", "1", "1"]
