@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import copy
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -53,6 +54,11 @@ class Drawn:
     is_blind: bool
     undetectable: str
 
+    def without_effect(self) -> Drawn:
+        """The same run with faults that change nothing."""
+        times = tuple(replace(one, change=lambda deliveries, _: deliveries, held_ns=0) for one in self.times)
+        return replace(self, spoil=Spoil(""), times=times, acts=())
+
 
 def drawn(faults: Sequence[Fault], rig: SimulatedRig, rng: np.random.Generator) -> Drawn:
     """Draw the parameters of one fault, or of two at once."""
@@ -87,7 +93,7 @@ class _Film:
     """Frames of one run with their arrival times, and the beam's truth."""
 
     def __init__(self, rig: SimulatedRig, faults: Drawn, rng: np.random.Generator) -> None:
-        self._rng = rng
+        self.rng = rng
         self.bits = rig.bits
         self._clocks = {camera: DeviceClock() for camera in CAMERAS}
         self._own_clock = any(one.own_clock for one in faults.times)
@@ -114,7 +120,7 @@ class _Film:
         self.held_ns = max((one.held_ns for one in faults.times), default=0)
 
     def _clip(self, rig: SimulatedRig) -> SimulatedClip:
-        rng = self._rng
+        rng = self.rng
         if not self.faults.is_moving and not rig.spec.drives:
             (pose,) = random_poses(1, rig.spec.config.target_distance_mm, rng)
             return SimulatedClip(rig, pose, np.zeros(4), 0, self.length, rng)
@@ -133,7 +139,7 @@ class _Film:
                     if camera not in lit or not self.clip.still or spoil.varies:
                         lit[camera] = spoil.light(scene, k - BEFORE)
                     scene = lit[camera]
-                shots.append(Shot(camera, k, k, 0, self.clip.snap(scene, k, self._rng), self.bits))
+                shots.append(Shot(camera, k, k, 0, self.clip.snap(scene, k, self.rng), self.bits))
         spoil_pixels(spoil, shots, BEFORE)
         return shots if spoil.stream is None else spoil.stream(shots, BEFORE)
 
@@ -151,7 +157,7 @@ class _Film:
         k = (one.true_ns - START_NS) // PERIOD_NS
         pixels = self.pixels.get((one.camera, k))
         if pixels is None:
-            pixels = self.clip.snap(self.clip.scene(one.camera, k), k, self._rng)
+            pixels = self.clip.snap(self.clip.scene(one.camera, k), k, self.rng)
         pixels.flags.writeable = False
         t_ns = self._clocks[one.camera].host_ns(one.t_ns, one.arrives_ns) if self._own_clock else one.t_ns
         if t_ns is None:
@@ -187,23 +193,36 @@ def _window_means(truth: FloatArray) -> FloatArray:
 def run_episode(
     rig: SimulatedRig, faults: Drawn, rng: np.random.Generator, places: Interfaces, has_broker: bool
 ) -> Result:
-    """Run a daemon through the faults and judge the outputs of all its interfaces."""
-    film = _Film(rig, faults, rng)
-    with (
-        tempfile.TemporaryDirectory(prefix="altd-faults-") as folder,
-        contextlib.closing(TelegramLine(Path(folder, "ttyUSB0"))) as telegram,
-    ):
-        return asyncio.run(_run(rig, film, rng, places, telegram, has_broker))
+    """Run a daemon through the faults and judge the outputs of all its interfaces.
+
+    If it does not measure again in time, it is compared with one without the faults: the beam may have moved
+    to a place where every unit refuses it.
+    """
+
+    def run(drawn: Drawn, rng: np.random.Generator, steady_ns: float) -> Judge:
+        film = _Film(rig, drawn, rng)
+        with (
+            tempfile.TemporaryDirectory(prefix="altd-faults-") as folder,
+            contextlib.closing(TelegramLine(Path(folder, "ttyUSB0"))) as telegram,
+        ):
+            return asyncio.run(_run(rig, film, places, telegram, has_broker, steady_ns))
+
+    same_rng = copy.deepcopy(rng)
+    judge = run(faults, rng, _STEADY_NS)
+    if not judge.result.is_back:
+        judge.time_recovery(run(faults.without_effect(), same_rng, math.inf).refusals)
+        judge.result.back_by_comparison = judge.result.is_back
+    return judge.result
 
 
 async def _run(
     rig: SimulatedRig,
     film: _Film,
-    rng: np.random.Generator,
     places: Interfaces,
     telegram: TelegramLine,
     has_broker: bool,
-) -> Result:
+    steady_ns: float,
+) -> Judge:
     pair_by = film.faults.times[0].pair_by if film.faults.times else "time"
     judge = Judge(film.error_of, film.onset_ns, film.end_ns, film.held_ns)
     async with (
@@ -211,7 +230,7 @@ async def _run(
         wires_of(places, telegram, unit.socket, has_broker) as wires,
     ):
         waiting = list(reversed(film.arrivals))
-        acts = [act(unit, wires, Draw(rng)) for act in film.faults.acts]
+        acts = [act(unit, wires, Draw(film.rng)) for act in film.faults.acts]
         for k in range(film.length):
             now_ns = START_NS + k * PERIOD_NS + _READ_AFTER_NS
             since_ns = now_ns - film.onset_ns
@@ -235,7 +254,7 @@ async def _run(
                     await anext(act)
             shown = await wires.read()
             judge.take(shown, now_ns, _START + unit.clock.utc_step)
-            is_back = judge.back_ns is not None and now_ns - judge.back_ns > _STEADY_NS
+            is_back = judge.back_ns is not None and now_ns - judge.back_ns > steady_ns
             if is_back or now_ns - film.end_ns > BACK * PERIOD_NS:
                 break
-    return judge.result
+    return judge

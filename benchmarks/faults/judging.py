@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
@@ -22,6 +22,7 @@ LIMITS = np.array([0.15, 0.15, 0.03, 0.03])
 MAX_REASON_S, MAX_BACK_S = 1.0, 3.0
 MAX_AGE_S = 1.0 + (WINDOW + 2) / 2 * PERIOD_NS * 1e-9
 """Default of ``stale_after_s``, counted from the window's last exposure, and one interval."""
+UNANSWERED = "unanswered"
 _CLOCK_SET = timedelta(seconds=1)
 POLLED = ("http", "local", "modbus")
 """Interfaces that are polled at each exposure; reason and recovery are timed by them."""
@@ -50,6 +51,8 @@ class Result:
     """Time from the onset until every polled interface was invalid with a reason; None: never."""
     back_s: float = math.inf
     """Time from the end until every polled interface was valid, and remained so."""
+    back_by_comparison: bool = False
+    """Whether after ``back_s`` it refuses where a unit without the fault refuses too."""
     was_invalid: bool = False
     """Whether no interface showed a value before the onset: the unit refuses the beam at this position."""
 
@@ -80,6 +83,8 @@ class Judge:
         self.result = Result()
         self.onset_ns, self.end_ns = onset_ns, end_ns
         self.back_ns: float | None = None
+        self.refusals: dict[int, frozenset[str]] = {}
+        """Reasons of the polled interfaces after the end, by time, ns; empty: all showed a value."""
         self._error_of = error_of
         self._held_ns = held_ns
         self._utc_zeros: list[datetime] = []
@@ -107,12 +112,21 @@ class Judge:
         if is_due and shown_ns >= 0 and len(invalid) >= len(POLLED):
             result.reason_s = shown_ns * 1e-9
         if now_ns >= self.end_ns:
-            is_back = len(polled) - len(invalid) >= len(POLLED)
-            if not is_back:
+            self.refusals[now_ns] = frozenset(reason for one in invalid for reason in one.reasons)
+            if len(polled) < len(POLLED):
+                self.refusals[now_ns] |= {UNANSWERED}
+            self.time_recovery({})
+
+    def time_recovery(self, undisturbed: Mapping[int, frozenset[str]]) -> None:
+        """Time the recovery: every later poll got a value, or the refusals of a unit without the fault."""
+        self.back_ns = None
+        for now_ns, reasons in self.refusals.items():
+            if reasons and reasons != undisturbed.get(now_ns):
                 self.back_ns = None
             elif self.back_ns is None:
                 self.back_ns = now_ns
-                result.back_s = (now_ns - self.end_ns) * 1e-9
+        back_ns = math.inf if self.back_ns is None else self.back_ns
+        self.result.back_s = (back_ns - self.end_ns) * 1e-9
 
     def _judge(self, one: Published, now_ns: int) -> None:
         assert one.values is not None  # noqa: S101  checked by the caller

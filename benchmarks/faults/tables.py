@@ -118,6 +118,8 @@ def totals(runs: Sequence[Run]) -> Iterator[str]:
     yield count_of("invalid without a reason", [run.result.no_reason for run in runs])
     yield count_of(f"nothing measurable, and no reason within {MAX_REASON_S:g} s", late)
     yield count_of(f"not back {MAX_BACK_S:g} s after the end", [not run.result.is_back for run in told])
+    compared = [run.result.back_by_comparison for run in told]
+    yield count_of("back at a place where a unit without the fault refuses too", compared)
     yield count_of("requests without an answer", [run.result.unanswered for run in runs])
 
 
@@ -164,7 +166,7 @@ OPC UA, Modbus RTU and the console are not judged.
 | wrong | of these, above 0.15 mm or 0.03°, older than 1.55 s, or at odds with their own flag |
 | mm, °, sigmas | largest errors of the values shown |
 | reason s | longest time from the onset until all interfaces showed a reason; –: values stayed valid |
-| back s | longest time from the fault's end until all interfaces showed a value again |
+| back s | longest time from the end until all interfaces showed a value, or refused as without the fault |
 
 A late reason is no defect while the values shown are right.
 """

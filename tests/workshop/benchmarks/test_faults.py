@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import weakref
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 
 from altd.measuring.freshness import FreshnessCheck
-from altd.records import FloatArray
+from altd.records import FloatArray, Frame
 from benchmarks.faults import __main__ as faults
 from benchmarks.faults.judging import Judge, Result
 from benchmarks.faults.tables import Run, failures
@@ -104,6 +106,51 @@ def test_a_unit_is_to_measure_again_where_it_measured_before(before: dict[str, A
         judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
     run = Run(0, "dusty", ("inverted",), "", "", False, judge.result)
     assert failures(run) == (["back after inf s"] if failed else [])
+
+
+def test_a_value_that_comes_back_and_goes_is_no_recovery() -> None:
+    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
+    for now_s, message in ((9, GOOD), (11, NO_SPOT), (13, GOOD), (14, NO_SPOT)):
+        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
+    run = Run(0, "plain", ("inverted",), "", "", False, judge.result)
+    assert failures(run) == ["back after inf s"]
+
+
+@pytest.mark.parametrize(
+    ("undisturbed", "back_s"),
+    [
+        ({}, math.inf),
+        ({15: ["front_spot_missing"]}, 3),
+        ({15: ["front_spot_missing", "warming_up"]}, math.inf),
+        ({14: ["front_spot_missing"]}, math.inf),
+    ],
+    ids=["measures", "refuses too", "for another reason", "at another time"],
+)
+def test_a_refusal_counts_as_recovered_only_where_a_unit_without_the_fault_refuses(
+    undisturbed: dict[int, list[str]], back_s: float
+) -> None:
+    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
+    for now_s, message in ((9, GOOD), (14, NO_SPOT), (15, NO_SPOT)):
+        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
+    judge.time_recovery({now_s * S: frozenset(reasons) for now_s, reasons in undisturbed.items()})
+    assert judge.result.back_s == back_s
+
+
+@pytest.mark.timeout(1200)
+def test_a_unit_that_never_recovers_fails_beside_one_without_the_fault(
+    units: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stuck = weakref.WeakKeyDictionary[FreshnessCheck, str]()
+    compare = FreshnessCheck.repeated
+
+    def repeated_for_ever(self: FreshnessCheck, frame: Frame) -> str:
+        if repeated := compare(self, frame):
+            stuck.setdefault(self, repeated)
+        return stuck.get(self, "")
+
+    monkeypatch.setattr(FreshnessCheck, "repeated", repeated_for_ever)
+    assert faults.main(["--runs", "1", "--seed", "1", "--only", "frozen", "--units", "plain"]) == 1
+    assert "back after inf s" in capsys.readouterr().out
 
 
 NAMES = "laser_off,camera_unplugged,port_flood,clock_set"
