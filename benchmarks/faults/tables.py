@@ -154,7 +154,7 @@ ends the fault after 1 to 2 s, or at an end of its own. HTTP, the local socket a
 each exposure. The telegram (every 0.1 s, through a pseudo terminal) and MQTT (every measurement, through
 Mosquitto) are read as they come. Every answer is compared with the truth at its own time. The daemon's clock
 is set, so that a run takes less than real time; threads, sockets and terminals are real. Faults of the
-process run in real time: there the simulated cameras are in the daemon's process, and share what befalls it.
+process run in real time: there the simulated cameras run in the daemon's process, and fail with it.
 One run in five has two faults. Units: {units}. Exposure is fixed, and there are no frame LEDs.
 OPC UA, Modbus RTU and the console are not judged.
 

@@ -89,7 +89,7 @@ steer by them |
 | `roll_deg` | from an [inclinometer](inclinometer.md), also when `valid` is false; then `sensors` has its \
 `quality` and `age_s` |
 
-What is not known is `null`, never zero and never old. `sigma_now` is not known in the first two seconds, nor
+An unknown value is `null`, never zero and never old. `sigma_now` is not known in the first two seconds, nor
 with `rates` when fewer than four exposures are averaged.
 
 ### Age and limits
@@ -148,7 +148,7 @@ now. At most {MAX_POINTS} points and {MAX_EVENTS} events are sent at once.
 
 Each value is `altd_KEY` (`altd_x_mm`) with `altd_KEY_sigma` and `altd_KEY_sigma_now`; Others are
 `altd_target_x_mm`, `altd_measurement_age_seconds`, `altd_status`, `altd_state`, `altd_cause`,
-`altd_availability_ratio`, `altd_self_check_verdict` and `altd_component_state`. What is not known has no
+`altd_availability_ratio`, `altd_self_check_verdict` and `altd_component_state`. An unknown value has no
 sample. `altd_valid` and `altd_live` are always there; `altd_live` is 0 while measurements are played or
 simulated. Alarm on:
 

@@ -268,7 +268,7 @@ Over a serial line: `mbpoll -m rtu -b {baud} -P {parity} … /dev/ttyUSB0`. `rol
 
 {grouped_table(CONDITION.rows)}
 
-What was not observed for {FIGURE_AGE_S:g} s is *not known*. Shares of time are updated every ten seconds.
+A value not observed for {FIGURE_AGE_S:g} s is *not known*. Shares of time are updated every ten seconds.
 
 ## Discrete inputs, function 2
 

@@ -86,7 +86,7 @@ Keys may be added.
 
 1. Subscribe with Clean Start and a session expiry of 0. With QoS 1 a message may come twice.
 2. Use `{_TOPICS.measurement.rpartition("/")[2]}` only when `valid` is true, and a mean of `summary` only
-   when it is not `null`. What is not known is `null`, never zero and never old.
+   when it is not `null`. An unknown value is `null`, never zero and never old.
 3. Do not use numbers with `playback`, `simulated` or `rehearsal` in `status`. Do not steer by MQTT at all
    ([why](integrate.md#choose-an-interface)).
 4. Stop using numbers when no message has come for 3 s, or when the availability is `offline`. `online` alone

@@ -150,7 +150,7 @@ the time of sending. Properties are `Quality` and, in NBIRTH, `engUnit` and `doc
 
 ## Use a number
 
-1. Use it only with the quality 192 and `valid` true. What is not known is null.
+1. Use it only with the quality 192 and `valid` true. An unknown value is null.
 2. Drop all numbers on an NDEATH with the `bdSeq` of the last NBIRTH, and after 3 s without NDATA.
 3. Compare the timestamp of the metric with your own clock; both clocks need NTP. A new value is the mean of
    one second and about 0.5 s old; without `every_measurement` it is shown for up to 1 s longer. Recommended

@@ -28,7 +28,7 @@ This page lists the formats and columns of these commands.
 | `csv` | all three | RFC 4180: a header, commas, CRLF, UTF-8 |
 | `parquet` | `replay -o FILE` | typed, with units and origin; needs the extra `altd[parquet]` |
 
-What is not known is absent: `null`, an empty field. In CSV truth values are `true` and `false`, times are
+An unknown value is absent: `null`, an empty field. In CSV truth values are `true` and `false`, times are
 ISO 8601 with `Z`, and unprintable characters are
 escapes (`\\x1b`).
 
