@@ -141,10 +141,11 @@ async def accept(
     A flood of connections gets only a part of the loop's time; requests get the rest. Raises OSError if the
     listening socket itself is gone.
     """
-    loop = asyncio.get_running_loop()
     while True:
         try:
-            connection, _ = await loop.sock_accept(listener)
+            await _readable(listener)
+            connection, _ = listener.accept()
+            connection.setblocking(False)
         except OSError as error:  # any other error: that connection was gone already (accept(2))
             if error.errno in _NO_LISTENER:
                 raise
@@ -158,6 +159,17 @@ async def accept(
             except OSError:  # the client has disconnected meanwhile
                 connection.close()
         await asyncio.sleep(_ACCEPT_INTERVAL_S)
+
+
+async def _readable(listener: socket.socket) -> None:
+    """Wait for a connection. ``loop.sock_accept`` loses one that it has accepted when it is cancelled."""
+    loop = asyncio.get_running_loop()
+    ready = asyncio.Event()
+    loop.add_reader(listener, ready.set)
+    try:
+        await ready.wait()
+    finally:
+        loop.remove_reader(listener)
 
 
 def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:

@@ -167,7 +167,13 @@ class ModbusTcpPublisher:
                 writer.transport.abort()
                 return
             client.may_command = not tls or self._has_role(writer)
-            serving = tasks.create_task(self._serve(client, reader, writer), name="modbus tcp client")
+            requests = self._serve(client, reader, writer)
+            try:
+                serving = tasks.create_task(requests, name="modbus tcp client")
+            except RuntimeError:  # the publisher is ending
+                requests.close()
+                writer.transport.abort()
+                return
             serving.add_done_callback(lambda _: self._dismiss(client, writer))
             self._clients[client] = serving
             self._component.count("clients")

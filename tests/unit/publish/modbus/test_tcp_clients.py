@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import itertools
 import logging
 import socket
@@ -267,7 +268,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
             assert await clients[0].ask(ONE) == ONE_ANSWER
             clients[1].send(frame(ONE)[:5])
         assert asyncio.all_tasks() == before
-        assert component.counters["clients"] == 0
+        assert not component.counters.get("clients")
         for client in clients:
             assert await client.is_closed()
     again = ModbusTcpPublisher(
@@ -275,3 +276,25 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
     )
     async with serving(again):
         pass
+
+
+@pytest.mark.parametrize("turns", range(12))
+async def test_a_client_that_connects_as_the_publisher_ends_is_closed(
+    board: Board, component: Component, caplog: pytest.LogCaptureFixture, turns: int
+) -> None:
+    """In one of these turns of the loop the connection is accepted, in the next its streams are made."""
+    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT)
+    publisher = ModbusTcpPublisher(settings, board, component, Health(component.clock))
+    async with serving(publisher):
+        client = socket.create_connection(("127.0.0.1", publisher.port), 10)
+        for _ in range(turns):
+            await asyncio.sleep(0)
+    for _ in range(12):
+        await asyncio.sleep(0)
+    with client:
+        client.settimeout(10)
+        with contextlib.suppress(ConnectionResetError):
+            assert client.recv(1) == b""
+    gc.collect()
+    assert not caplog.records
+    assert not component.counters.get("clients")
