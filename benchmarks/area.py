@@ -26,6 +26,7 @@ from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
+from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import Measurement
 from hw_sim.assembly import FIELD_HALF_MM
@@ -216,4 +217,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.area"))

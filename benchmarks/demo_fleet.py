@@ -26,6 +26,7 @@ from altd.history.columns import columns_of
 from altd.history.records import About
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
+from altd.process.endings import run_to_end
 from altd.publish.mqtt.publisher import MqttPublisher
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
@@ -140,4 +141,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.demo_fleet"))

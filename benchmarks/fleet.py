@@ -33,6 +33,7 @@ import psycopg
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
+from altd.process.endings import run_to_end
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S
 from altd.status.outbox import MAX_NUMBERS, Second
 from altd.status.proof import sealed
@@ -309,4 +310,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.fleet"))

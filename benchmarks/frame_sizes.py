@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 
 from altd.calibration.calibrating import calibrate
+from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import PixelArray
 from benchmarks.daemon import SETTLE_S, Latency, latency_of, lost, running, watch
@@ -208,4 +209,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.frame_sizes"))

@@ -24,6 +24,7 @@ from altd.history.records import About, Batch, StateSample
 from altd.history.schema import HOURS, MINUTES, SECONDS, SUMMARY_PARTS, SummaryTable, column_name
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.process.endings import run_to_end
 
 END_S = 1_795_161_600
 """End of the history, 2026-11-20T08:00:00Z, at a whole hour."""
@@ -174,4 +175,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.history"))

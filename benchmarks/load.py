@@ -32,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
+from altd.process.endings import run_to_end
 from benchmarks.daemon import SETTLE_S, ServedUnit, lost, served_unit
 from benchmarks.load_readers import Seen
 from benchmarks.material import FPS, Material, make_material
@@ -201,4 +202,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.load"))

@@ -23,6 +23,7 @@ import numpy as np
 
 from altd.calibration.file import save_calibration
 from altd.measuring.calibration import Calibration
+from altd.process.endings import run_to_end
 from benchmarks.daemon import LoadFigures, RateFigures, measure_load, measure_rate, measure_served
 from benchmarks.interfaces import BROKER
 from benchmarks.material import FPS, SEED, WINDOW, Material, make_material, make_pairs
@@ -294,4 +295,4 @@ def _machine() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.measure"))

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from altd.process.endings import run_to_end
 from benchmarks.unit_toml import unit_toml
 
 NODES = 30, 120, 480, 2000
@@ -142,4 +143,4 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.memory"))

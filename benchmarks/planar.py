@@ -29,6 +29,7 @@ from altd.instruments.planar.homography import fit_homography
 from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.instruments.planar.layout import Pose, rigid_pose, wrapped_deg
 from altd.instruments.planar.plane import homography_camera, lens_camera
+from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import FloatArray, Value
 from altd.vision.led_discs import Disc
@@ -249,4 +250,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.planar"))

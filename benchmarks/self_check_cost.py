@@ -19,6 +19,7 @@ from itertools import pairwise
 
 from altd.acquisition.self_check.schedule import REST_S
 from altd.app.daemon import Daemon
+from altd.process.endings import run_to_end
 from altd.reasons import Reason
 from altd.records import Frame
 from benchmarks.daemon import SETTLE_S, running
@@ -277,4 +278,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.self_check_cost"))

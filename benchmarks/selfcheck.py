@@ -15,6 +15,7 @@ from collections import Counter
 import numpy as np
 
 from altd.measuring.calibration import Calibration
+from altd.process.endings import run_to_end
 from altd.records import FloatArray
 from altd.selfcheck.drift import chi2_limit, fit_similarity
 from altd.selfcheck.history import DAY_S, History
@@ -227,4 +228,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.selfcheck"))

@@ -24,6 +24,7 @@ import numpy as np
 
 from altd.config import Measuring
 from altd.measuring.freshness import MAX_COMPARED_FRAMES
+from altd.process.endings import run_to_end, until_signal
 from altd.records import Frame, PixelArray
 from benchmarks.campaign.clips import SimulatedClip, SimulatedRig, rig_of
 from benchmarks.campaign.timed import START_NS
@@ -142,7 +143,7 @@ def main() -> int:
     rig, port, began_s = rig_of(UNIT), free_port(), time.monotonic()
     assert isinstance(rig, SimulatedRig)  # noqa: S101
     with tempfile.TemporaryDirectory() as folder, broker(port) if BROKER else contextlib.nullcontext():
-        result = asyncio.run(run(options.hours, rig, Path(folder), port if BROKER else None))
+        result = asyncio.run(until_signal(run(options.hours, rig, Path(folder), port if BROKER else None)))
         history_mb = Path(folder, "history.db").stat().st_size * 1e-6
     show("")
     print(
@@ -155,4 +156,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.soak"))

@@ -28,6 +28,7 @@ from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.cross_check import CrossCheck
+from altd.process.endings import run_to_end
 from altd.records import FloatArray, Limits, MeanSpots, Measurement, Value
 from altd.vision.settings import SpotSettings
 from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_lens
@@ -258,4 +259,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.verification"))

@@ -21,6 +21,7 @@ from altd.calibration.calibrating import calibrate
 from altd.calibration.file import save_calibration
 from altd.calibration.report.html import html_page
 from altd.calibration.report.verification import verification_page
+from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import Limits
 from benchmarks.verification import CALIBRATION_LIMITS, CHECKED, REFERENCE_LIMITS, Stage
@@ -81,4 +82,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.verification_rendered"))

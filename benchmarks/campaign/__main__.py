@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from altd.errors import BadInputError
+from altd.process.endings import run_to_end
 from benchmarks.campaign import tally_table
 from benchmarks.campaign.catalogue import WAYS, chosen
 from benchmarks.campaign.episode import WINDOW
@@ -46,11 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
         for way in WAYS.values():
             print(f"{way.kind:<9} {way.name:<22} {(way.make.__doc__ or '').strip()}")
         return 0
-    try:
-        return _campaign(options)
-    except BadInputError as error:
-        print(f"campaign: {error}", file=sys.stderr)
-        return 2
+    return _campaign(options)
 
 
 def _campaign(options: argparse.Namespace) -> int:
@@ -112,4 +109,4 @@ def _show(made: int, passed_s: float) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.campaign"))

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from altd.errors import BadInputError
+from altd.process.endings import run_to_end
 from benchmarks.campaign.clips import SimulatedRig, rig_of
 from benchmarks.faults import real, tables
 from benchmarks.faults.catalogue import FAULTS, Fault, chosen
@@ -49,18 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     logging.getLogger("altd").setLevel(logging.CRITICAL)
     cv2.setNumThreads(1)
-    try:
-        began_s = time.monotonic()
-        runs = list(_runs(options))
-        took_s = time.monotonic() - began_s
-        print("\n".join(tables.text(runs)))
-        if options.page is not None:
-            command = f"python -m benchmarks.faults --runs {options.runs} --real {options.real}"
-            command += f" --seed {options.seed}" + f" --only {options.only}" * bool(options.only)
-            tables.write_page(options.page, runs, command)
-    except BadInputError as error:
-        print(f"faults: {error}", file=sys.stderr)
-        return 2
+    began_s = time.monotonic()
+    runs = list(_runs(options))
+    took_s = time.monotonic() - began_s
+    print("\n".join(tables.text(runs)))
+    if options.page is not None:
+        command = f"python -m benchmarks.faults --runs {options.runs} --real {options.real}"
+        command += f" --seed {options.seed}" + f" --only {options.only}" * bool(options.only)
+        tables.write_page(options.page, runs, command)
     print(f"{len(runs)} runs, seed {options.seed}, {took_s:.0f} s")
     return 1 if any(tables.failures(run) for run in runs) else 0
 
@@ -121,4 +118,4 @@ def _run(
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.faults"))

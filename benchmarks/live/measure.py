@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from altd.process.endings import run_to_end
 from benchmarks.live.parts import (
     FRONT,
     LINKED,
@@ -159,4 +160,4 @@ def _fault_line(recovery: Recovery) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.live.measure"))

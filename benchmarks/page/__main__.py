@@ -15,6 +15,7 @@ import numpy as np
 from playwright.async_api import Browser, Page
 
 from altd.app.keeping import FILE_NAME
+from altd.process.endings import run_to_end
 from benchmarks.chromium import chromium
 from benchmarks.daemon import served_unit
 from benchmarks.history import make_history
@@ -145,4 +146,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.page"))

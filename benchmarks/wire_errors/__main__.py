@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from altd.errors import BadInputError
+from altd.process.endings import run_to_end
 from benchmarks.progress import show
 from benchmarks.wire_errors.errors import ERRORS, HOLD_S, LIMIT_S
 from benchmarks.wire_errors.runner import WIRES, Tally, run
@@ -108,13 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
     print("\n".join(text(tallies)))
     if options.page is not None:
         command = f"python -m benchmarks.wire_errors --count {options.count} --seed {options.seed}"
-        try:
-            write_page(options.page, tallies, command)
-        except BadInputError as error:
-            print(f"wire_errors: {error}", file=sys.stderr)
-            return 2
+        write_page(options.page, tallies, command)
     return 1 if passed(tallies) else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "benchmarks.wire_errors"))

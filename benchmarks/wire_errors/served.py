@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -112,4 +113,5 @@ async def _serve(ports: list[dict[str, list[str]]]) -> None:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
     asyncio.run(_serve(json.loads(sys.argv[1])))

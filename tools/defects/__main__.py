@@ -10,6 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from altd.process.endings import run_to_end
 from tools.defects.catalogue import DEFECTS, Defect
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,4 +55,4 @@ def _caught_by(defect: Defect) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "tools.defects"))

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from altd.process.endings import run_to_end
 from tools.pictures.animation import Still, animated_svg
 from tools.pictures.browser import screenshot
 from tools.pictures.planar import draw_planar
@@ -81,4 +82,4 @@ def _run(command: Sequence[str | Path]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_to_end(main, lambda: "tools.pictures"))

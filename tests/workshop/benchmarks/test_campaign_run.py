@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from support.places import ROOT
 
+from altd.errors import BadInputError
 from benchmarks.campaign import __main__ as campaign
 from benchmarks.campaign import catalogue
 from benchmarks.campaign.good import Count
@@ -74,11 +75,10 @@ def test_what_needs_photographs_and_recordings_says_so_where_there_are_none(
     monkeypatch.setattr(campaign, "RECORDINGS", nowhere)
     monkeypatch.setattr(campaign, "BEAMS", nowhere)
     monkeypatch.setattr(catalogue, "WAYS", {"clean": catalogue.WAYS["clean"]})
-    for arguments in (["--ways", "photographed_beam"], ["--units", "unit-a"]):
-        assert campaign.main(arguments) == 2
-    first, second = capsys.readouterr().err.splitlines()
-    assert first.startswith("campaign: --ways: photographed_beam needs the photographs in ")
-    assert second == "campaign: --units: unit-a needs the recordings in /nowhere"
+    with pytest.raises(BadInputError, match="--ways: photographed_beam needs the photographs in "):
+        campaign.main(["--ways", "photographed_beam"])
+    with pytest.raises(BadInputError, match="--units: unit-a needs the recordings in /nowhere"):
+        campaign.main(["--units", "unit-a"])
     planned: list[tuple[str, ...]] = []
 
     def run_nothing(plan: Plan, *_: object) -> tuple[dict[str, object], float]:
