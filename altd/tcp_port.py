@@ -77,7 +77,8 @@ def listen_with_reserved(host: str, port: int, reserved: Iterable[str]) -> list[
     program = b"".join(_matches(map(ipaddress.ip_network, reserved), listener.family))
     if not program:
         return [listener]
-    # Sockets that share a port would also share it with another daemon of this user: the first shared none.
+    # Sockets that share a port would share it with another daemon of this user too. `listen` does not share:
+    # it has just shown that the port is free.
     family, port = listener.family, listener.getsockname()[1]
     listener.close()
     program += _INSTRUCTION.pack(_RETURN, 0, 0, 0)
