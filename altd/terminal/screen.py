@@ -260,5 +260,5 @@ causes   causes and remedies, the worst first
 parts    availability, the last self-check, the parts of the unit
 
 +/- is the standard uncertainty (1 sigma) of the mean, "now" that of the value as
-a statement about the beam at this moment. What is not known is not shown.""".splitlines()
+a statement about the beam at this moment. Unknown values are not shown.""".splitlines()
 )
