@@ -217,21 +217,22 @@ def copied_lines(batch: Batch, unit: int, file: int) -> str:
     return "".join(lines)
 
 
-def maintain(connection: psycopg.Connection, settings: FleetSettings) -> bool:
-    """Delete old rows, create tomorrow's partition and roll up what is due, in one instance at a time.
+def maintain(connection: psycopg.Connection, settings: FleetSettings) -> int | None:
+    """Delete old rows, create tomorrow's partition and roll up one due hour of each unit.
 
-    Returns False if another instance does it. Raises psycopg.Error.
+    Returns the number of hours; None: another instance does it at this time. Raises psycopg.Error.
     """
     held = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK + 1,)).fetchone()
     if held is None or not held[0]:
-        return False
+        return None
     try:
         connection.execute("SET lock_timeout = '2s'")
         connection.execute("SELECT altd.make_day(date_trunc('day', now()) + interval '1 day')")
         keep = settings.retention
         connection.execute("SELECT altd.retain(%s, %s)", (keep.seconds_days, keep.minutes_days))
-        while (row := connection.execute("SELECT altd.roll_up()").fetchone()) is not None and row[0]:
-            pass
+        hours, unit = 0, 0
+        while (row := connection.execute("SELECT altd.roll_up(%s)", (unit,)).fetchone()) and row[0]:
+            hours, unit = hours + 1, row[0]
     finally:
         connection.execute("SELECT pg_advisory_unlock(%s)", (_LOCK + 1,))
-    return True
+    return hours

@@ -207,8 +207,8 @@ class Ingest:
             try:
                 with connect(self._settings) as connection:
                     while True:
-                        maintain(connection, self._settings)
-                        time.sleep(MAINTENANCE_INTERVAL_S)
+                        if not maintain(connection, self._settings):
+                            time.sleep(MAINTENANCE_INTERVAL_S)
             except psycopg.Error as error:
                 log.warning("ingest: maintenance of the database: %s", one_line(str(error).strip()))
                 time.sleep(_MAX_BACKOFF_S)

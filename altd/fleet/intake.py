@@ -16,6 +16,12 @@ MAX_BYTES = 64 << 10
 RATE_HZ, BURST = 20.0, 200.0
 """Maximum rate and burst of a unit's messages in one instance; a unit that catches up sends 10 a second."""
 
+SECONDS_RATE_HZ, SECONDS_BURST = 2.0, 31 * 86_400.0
+"""The same for its seconds: it measures 1 a second, and catches up with at most 31 days.
+
+A hostile unit can store twice the seconds of another one, and these days again at each start of an instance.
+"""
+
 MAX_UNITS = 100_000
 
 
@@ -29,12 +35,32 @@ class Refusal(StrEnum):
     DATABASE = "database"
 
 
+class _Limit:
+    """Token bucket of each unit."""
+
+    def __init__(self, rate_hz: float, burst: float) -> None:
+        self._rate_hz = rate_hz
+        self._burst = burst
+        self._tokens: dict[str, tuple[float, float]] = {}
+
+    def admits(self, unit: str, number: int, now_s: float) -> bool:
+        """Take a number of tokens, if the unit has as many."""
+        if len(self._tokens) > MAX_UNITS:
+            self._tokens.clear()
+        tokens, then_s = self._tokens.get(unit, (self._burst, now_s))
+        tokens = min(tokens + (now_s - then_s) * self._rate_hz, self._burst)
+        is_admitted = tokens >= number
+        self._tokens[unit] = tokens - is_admitted * number, now_s
+        return is_admitted
+
+
 class Intake:
     """Checks the messages of all units; a unit that floods is refused before its messages are parsed."""
 
     def __init__(self, topic: str) -> None:
         self._levels = topic.split("/")
-        self._tokens: dict[str, tuple[float, float]] = {}
+        self._messages = _Limit(RATE_HZ, BURST)
+        self._seconds = _Limit(SECONDS_RATE_HZ, SECONDS_BURST)
 
     def unit_of(self, topic: str) -> str:
         """Serial number in a topic; empty: it is not the topic of a unit's outbox."""
@@ -48,7 +74,7 @@ class Intake:
     def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:
         """Return the batch of a message, or the reason of its refusal; ``now_s`` is monotonic."""
         unit = self.unit_of(topic)
-        if not self._has_token(unit, now_s):
+        if not self._messages.admits(unit, 1, now_s):
             return Refusal.RATE
         if not is_sealed(payload):
             return Refusal.CRC
@@ -56,13 +82,6 @@ class Intake:
             batch = Batch.model_validate_json(payload)
         except ValidationError:
             return Refusal.SCHEMA
-        return batch if batch.serial == unit else Refusal.UNIT
-
-    def _has_token(self, unit: str, now_s: float) -> bool:
-        if len(self._tokens) > MAX_UNITS:
-            self._tokens.clear()
-        tokens, then_s = self._tokens.get(unit, (BURST, now_s))
-        tokens = min(tokens + (now_s - then_s) * RATE_HZ, BURST)
-        has_token = tokens >= 1
-        self._tokens[unit] = tokens - has_token, now_s
-        return has_token
+        if batch.serial != unit:
+            return Refusal.UNIT
+        return batch if self._seconds.admits(unit, max(len(batch.rows), 1), now_s) else Refusal.RATE

@@ -123,19 +123,21 @@ RETURNS SETOF altd.minutes LANGUAGE sql STABLE AS $$
     FROM spans GROUP BY at
 $$;
 
--- Roll up one stale hour that is over; false: there is none. The unit's row is locked: no second of the unit is
--- written between the deletion of the mark and the sums.
-CREATE FUNCTION altd.roll_up(settled interval DEFAULT '1 minute') RETURNS boolean LANGUAGE plpgsql AS $$
+-- Roll up one stale hour that is over, of the first unit after this one: with each unit's turn, one with many stale
+-- hours delays itself alone. Returns the unit; null: there is none. The unit's row is locked: no second of the unit
+-- is written between the deletion of the mark and the sums.
+CREATE FUNCTION altd.roll_up(after integer, settled interval DEFAULT '1 minute') RETURNS integer LANGUAGE plpgsql AS $$
 DECLARE
     of_unit integer;
     begins timestamptz;
     ends timestamptz;
 BEGIN
     SELECT unit, hour INTO of_unit, begins FROM altd.stale
-        WHERE marked <= now() - settled AND NOT (hour > now() - settled - interval '1 hour' AND hour <= now())
-        ORDER BY hour LIMIT 1;
+        WHERE unit > after AND marked <= now() - settled
+            AND NOT (hour > now() - settled - interval '1 hour' AND hour <= now())
+        ORDER BY unit, hour LIMIT 1;
     IF of_unit IS NULL THEN
-        RETURN false;
+        RETURN NULL;
     END IF;
     ends := begins + interval '1 hour';
     PERFORM 1 FROM altd.units WHERE id = of_unit FOR UPDATE;
@@ -148,7 +150,7 @@ BEGIN
         ON CONFLICT (unit, time) DO UPDATE SET seconds = excluded.seconds, n = excluded.n,
             n_valid = excluded.n_valid, worst = excluded.worst, quantities = excluded.quantities
         WHERE excluded.seconds >= old.seconds;
-    RETURN true;
+    RETURN of_unit;
 END $$;
 
 -- Delete what is old: seconds and minutes by their age; hours stay. Rows of wrong clocks count from their arrival.

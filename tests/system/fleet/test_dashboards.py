@@ -55,7 +55,7 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[psycopg.Conne
             asyncio.run(send(port))
         with psycopg.connect(connection, autocommit=True) as opened:
             opened.execute("INSERT INTO altd.refused VALUES ('ALT-1', 'crc', 3)")
-            while opened.execute("SELECT altd.roll_up('0 s')").fetchone() == (True,):
+            while opened.execute("SELECT altd.roll_up(0, '0 s')").fetchone() != (None,):
                 pass
             yield opened
     unit.close()

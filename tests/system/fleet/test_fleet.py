@@ -277,7 +277,7 @@ async def test_roll_ups_are_what_the_history_itself_makes_of_its_seconds(
                     for payload in some:
                         publish(port, "ALT-1", payload)
                         await acks.next()
-                    while opened.execute("SELECT altd.roll_up('0 s')").fetchone() == (True,):
+                    while opened.execute("SELECT altd.roll_up(0, '0 s')").fetchone() != (None,):
                         pass
                 found = opened.execute(
                     "SELECT extract(epoch FROM time)::bigint, n, quantities FROM altd.hours"
@@ -314,17 +314,40 @@ def test_the_day_of_a_wrong_clock_comes_and_old_days_go(cluster: Cluster) -> Non
         connection.execute("SELECT altd.make_day('2020-01-01')")
         connection.execute(insert.format("'2020-01-01'", 3).encode())
         assert connection.execute(count.encode()).fetchone() == (2,)
-        assert maintain(connection, settings)
+        assert maintain(connection, settings) == 0
         assert connection.execute(count.encode()).fetchone() == (1,), "tomorrow has its own partition now"
         found = connection.execute("SELECT sequence FROM altd.seconds ORDER BY 1").fetchall()
         assert found == [(1,), (2,)], "1970 arrived today; 2020 is old"
         connection.execute("UPDATE altd.seconds_other SET received = now() - interval '94 days'")
         with connect(settings) as other:
-            assert maintain(other, settings)
+            assert maintain(other, settings) == 0
         assert connection.execute("SELECT sequence FROM altd.seconds").fetchall() == [(1,)]
         connection.execute("INSERT INTO altd.version VALUES (99)")
         with pytest.raises(Exception, match="of version 99, and this program knows"):
             migrate(connection)
+
+
+def test_stale_hours_of_a_hostile_unit_delay_its_own_alone(cluster: Cluster) -> None:
+    """Each maintenance ends, and rolls up an hour of each unit, however many one unit has made stale."""
+    from altd.fleet.database import connect, maintain, migrate
+    from altd.fleet.settings import FleetSettings
+
+    settings = FleetSettings.model_validate(
+        {"broker": {"host": "localhost"}, "database": {"connection": cluster.new_database()}}
+    )
+    with connect(settings) as connection:
+        migrate(connection)
+        insert = (
+            "INSERT INTO altd.stale SELECT {}, to_timestamp(3600.0 * hour), now() - interval '1 h' FROM {}"
+        )
+        connection.execute(insert.format(1, "generate_series(0, 99999) AS hour").encode())
+        connection.execute(
+            insert.format("unit", "generate_series(2, 3) AS unit, (VALUES (1), (2)) AS v(hour)").encode()
+        )
+        left = "SELECT unit, count(*) FROM altd.stale GROUP BY 1 ORDER BY 1"
+        for hours, others in ((3, [(2, 1), (3, 1)]), (3, []), (1, [])):
+            assert maintain(connection, settings) == hours
+            assert connection.execute(left.encode()).fetchall()[1:] == others
 
 
 async def test_a_daemon_keeps_its_seconds_until_the_ingest_has_them(

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from altd.fleet import intake as limits
 from altd.fleet.intake import BURST, RATE_HZ, Intake, Refusal
 from altd.status.outbox import Batch
 from altd.status.proof import sealed
@@ -119,3 +120,22 @@ def test_a_flood_is_refused_before_it_is_read_and_others_are_not() -> None:
     assert isinstance(intake.check(TOPIC.replace("7", "8"), message(serial="ALT/8"), 10.0), Batch)
     later = [intake.check(TOPIC, b"flood", 12.0) for _ in range(1000)]
     assert later.count(Refusal.CRC) == 2 * RATE_HZ
+
+
+def test_seconds_that_no_unit_can_have_measured_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A unit whose messages verify could otherwise fill the database of all."""
+    assert limits.SECONDS_BURST == 31 * 86_400, "a catch-up after 31 days is not delayed"
+    monkeypatch.setattr(limits, "SECONDS_BURST", 100.0)
+    intake = Intake("plant/line-4")
+    batch = message(rows=[[number, *ROW[1:]] for number in range(1, 11)], first=1, last=10)
+    found = [intake.check(TOPIC, batch, 10.0) for _ in range(12)]
+    assert [isinstance(each, Batch) for each in found] == 10 * [True] + 2 * [False]
+    assert found[-1] is Refusal.RATE
+    assert isinstance(intake.check(TOPIC.replace("7", "8"), message(serial="ALT/8"), 10.0), Batch)
+    empty = message(rows=[], first=6)
+    later = [intake.check(TOPIC, empty, 15.0) for _ in range(20)]
+    assert [isinstance(each, Batch) for each in later] == 10 * [True] + 10 * [False], (
+        "an empty one counts as one"
+    )
+    live = [intake.check(TOPIC, message(), 20.0 + second) for second in range(1000)]
+    assert all(isinstance(each, Batch) for each in live), "one a second is always admitted"
