@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from datetime import timedelta
 from typing import Any
 
 import psycopg
@@ -27,6 +28,9 @@ KEYS = (
     "dropped",
     "refused",
 )
+_MAX_AHEAD = timedelta(minutes=1)
+"""Advance of a unit's clock over the database's that needs no mark."""
+
 _SIGNALS = {signal.severity: str(signal) for signal in Signal}
 _HEAD = ("unit", "newest", "state", "cause", "lag", "valid in 1 h", "backlog", "dropped", "refused")
 
@@ -70,12 +74,16 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     share, lag_s, time = row["valid_share"], row["lag_s"], row["last_time"]
     return (
         row["unit"],
-        "-" if time is None else utc_text(time)[:19] + "Z",
+        "-" if time is None else f"{utc_text(time)[:19]}Z{_ahead(time - row['heard'])}",
         "-" if row["worst"] is None else _SIGNALS[row["worst"]],
         row["cause"] or "-",
-        "-" if lag_s is None else duration(max(lag_s, 0.0)),
+        "-" if lag_s is None else duration(lag_s),
         "-" if share is None else f"{100 * share:.1f} %",
         "-" if row["backlog"] is None else duration(float(row["backlog"])),
         str(row["dropped"]),
         str(row["refused"]),
     )
+
+
+def _ahead(advance: timedelta) -> str:
+    return f" +{duration(advance.total_seconds())}" if advance > _MAX_AHEAD else ""

@@ -171,10 +171,11 @@ BEGIN
         SELECT FROM altd.streams AS newer WHERE newer.unit = old.unit AND newer.updated > old.updated);
 END $$;
 
--- All units: lag since the newest summary, valid share of the last hour, seconds that the unit still keeps.
+-- All units: age of the newest summary by the clock that makes it older, for the unit's may be ahead; valid share of
+-- the last hour, seconds that the unit still keeps.
 CREATE VIEW altd.fleet AS
     SELECT units.serial AS unit, units.last_time, units.heard, units.worst, units.cause,
-        extract(epoch FROM now() - units.last_time)::float8 AS lag_s, hour.valid_share, stream.backlog,
+        extract(epoch FROM now() - least(units.last_time, units.heard))::float8 AS lag_s, hour.valid_share, stream.backlog,
         coalesce(kept.dropped, 0)::bigint AS dropped, coalesce(wrong.refused, 0)::bigint AS refused
     FROM altd.units
     LEFT JOIN LATERAL (

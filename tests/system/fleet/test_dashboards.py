@@ -75,7 +75,28 @@ def test_each_panel_shows_the_data(title: str, database: psycopg.Connection) -> 
 @pytest.mark.parametrize("title", ALERTS)
 def test_each_alert_names_the_unit(title: str, database: psycopg.Connection) -> None:
     rows = database.execute(ALERTS[title].encode()).fetchall()
-    assert rows == ([] if "too little" in title else [("ALT-1", 3 if "deleted" in title else 1)])
+    is_healthy = "too little" in title or "clock" in title
+    assert rows == ([] if is_healthy else [("ALT-1", 3 if "deleted" in title else 1)])
+
+
+def test_a_clock_that_is_ahead_does_not_hide_silence(database: psycopg.Connection, tmp_path: Path) -> None:
+    table = ("fleet", "--config", fleet_toml(tmp_path, 1883, database.info.dsn))
+    times = database.execute("SELECT last_time, heard FROM altd.units").fetchone()
+    database.execute(
+        "UPDATE altd.units SET last_time = now() + interval '26 h', heard = now() - interval '2 h'"
+    )
+    try:
+        for title in ("A unit is silent", "A unit's clock is ahead"):
+            assert database.execute(ALERTS[title].encode()).fetchall() == [("ALT-1", 1)], title
+        units = QUERIES["fleet: Units"].encode()
+        assert database.execute(units).fetchone() == (1, 0, 1), "of 1 unit, none is live"
+        cells = re.split(r" {2,}", altd_here(*table).out.splitlines()[1])
+        (unit,) = json.loads(altd_here(*table, "--json").out)
+    finally:
+        database.execute("UPDATE altd.units SET last_time = %s, heard = %s", times)
+    assert cells[1].endswith("Z +1 d 4 h")
+    assert cells[4] == "2 h 0 min"
+    assert unit["lag_s"] == pytest.approx(7200, abs=60)
 
 
 def test_the_table_in_a_terminal_shows_the_worst(database: psycopg.Connection, tmp_path: Path) -> None:
