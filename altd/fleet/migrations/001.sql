@@ -142,14 +142,19 @@ BEGIN
     ends := begins + interval '1 hour';
     PERFORM 1 FROM altd.units WHERE id = of_unit FOR UPDATE;
     DELETE FROM altd.stale WHERE unit = of_unit AND hour = begins;
-    INSERT INTO altd.minutes AS old SELECT * FROM altd.sums(of_unit, begins, ends, 'minute')
-        ON CONFLICT (unit, time) DO UPDATE SET seconds = excluded.seconds, n = excluded.n,
-            n_valid = excluded.n_valid, worst = excluded.worst, quantities = excluded.quantities
-        WHERE excluded.seconds >= old.seconds;
-    INSERT INTO altd.hours AS old SELECT * FROM altd.sums(of_unit, begins, ends, 'hour')
-        ON CONFLICT (unit, time) DO UPDATE SET seconds = excluded.seconds, n = excluded.n,
-            n_valid = excluded.n_valid, worst = excluded.worst, quantities = excluded.quantities
-        WHERE excluded.seconds >= old.seconds;
+    BEGIN
+        INSERT INTO altd.minutes AS old SELECT * FROM altd.sums(of_unit, begins, ends, 'minute')
+            ON CONFLICT (unit, time) DO UPDATE SET seconds = excluded.seconds, n = excluded.n,
+                n_valid = excluded.n_valid, worst = excluded.worst, quantities = excluded.quantities
+            WHERE excluded.seconds >= old.seconds;
+        INSERT INTO altd.hours AS old SELECT * FROM altd.sums(of_unit, begins, ends, 'hour')
+            ON CONFLICT (unit, time) DO UPDATE SET seconds = excluded.seconds, n = excluded.n,
+                n_valid = excluded.n_valid, worst = excluded.worst, quantities = excluded.quantities
+            WHERE excluded.seconds >= old.seconds;
+    EXCEPTION WHEN data_exception THEN  -- values that no unit sends, such as 1e308: they must not end the maintenance
+        INSERT INTO altd.refused AS old (unit, reason, count) SELECT serial, 'database', 1 FROM altd.units
+            WHERE id = of_unit ON CONFLICT (unit, reason) DO UPDATE SET count = old.count + 1, last = now();
+    END;
     RETURN of_unit;
 END $$;
 

@@ -72,6 +72,14 @@ def test_each_panel_shows_the_data(title: str, database: psycopg.Connection) -> 
     assert len(set(columns)) == len(columns)
 
 
+def test_availability_is_a_share_of_time(database: psycopg.Connection) -> None:
+    """Seconds in which the unit was off count as well: of its hour, 100 s had a valid measurement."""
+    rows = database.execute(
+        QUERIES["fleet: Availability by hour"].replace("$__timeFilter(h.time)", "true").encode()
+    )
+    assert sum(3600 * share for _, _, share in rows) == pytest.approx(100)
+
+
 @pytest.mark.parametrize("title", ALERTS)
 def test_each_alert_names_the_unit(title: str, database: psycopg.Connection) -> None:
     rows = database.execute(ALERTS[title].encode()).fetchall()

@@ -327,8 +327,8 @@ def test_the_day_of_a_wrong_clock_comes_and_old_days_go(cluster: Cluster) -> Non
             migrate(connection)
 
 
-def test_stale_hours_of_a_hostile_unit_delay_its_own_alone(cluster: Cluster) -> None:
-    """Each maintenance ends, and rolls up an hour of each unit, however many one unit has made stale."""
+def test_a_hostile_unit_delays_its_own_roll_ups_alone(cluster: Cluster) -> None:
+    """Each maintenance rolls up an hour of each unit; unit 1 has 100,000, and a value without a sum."""
     from altd.fleet.database import connect, maintain, migrate
     from altd.fleet.settings import FleetSettings
 
@@ -337,17 +337,27 @@ def test_stale_hours_of_a_hostile_unit_delay_its_own_alone(cluster: Cluster) -> 
     )
     with connect(settings) as connection:
         migrate(connection)
-        insert = (
-            "INSERT INTO altd.stale SELECT {}, to_timestamp(3600.0 * hour), now() - interval '1 h' FROM {}"
-        )
-        connection.execute(insert.format(1, "generate_series(0, 99999) AS hour").encode())
-        connection.execute(
-            insert.format("unit", "generate_series(2, 3) AS unit, (VALUES (1), (2)) AS v(hour)").encode()
-        )
-        left = "SELECT unit, count(*) FROM altd.stale GROUP BY 1 ORDER BY 1"
+        for sql in (
+            "INSERT INTO altd.units (serial) SELECT 'ALT-' || n FROM generate_series(1, 3) AS n",
+            "INSERT INTO altd.stale SELECT 1, to_timestamp(3600.0 * n), now() - interval '1 h' "
+            "FROM generate_series(0, 99999) AS n",
+            "INSERT INTO altd.stale SELECT unit, to_timestamp(3600 * n), now() - interval '1 h' "
+            "FROM generate_series(2, 3) AS unit, generate_series(1, 2) AS n",
+            "INSERT INTO altd.seconds SELECT n, to_timestamp(3600), 1, 1, 1, 9, 9, 0, '', '', "
+            "jsonb_build_object('x_mm', jsonb_build_array(CASE n WHEN 1 THEN 1e308 ELSE 1 END, 1, 1, 1)) "
+            "FROM generate_series(1, 3) AS n",
+        ):
+            connection.execute(sql.encode())
         for hours, others in ((3, [(2, 1), (3, 1)]), (3, []), (1, [])):
             assert maintain(connection, settings) == hours
-            assert connection.execute(left.encode()).fetchall()[1:] == others
+            left = connection.execute(
+                "SELECT unit, count(*) FROM altd.stale GROUP BY 1 ORDER BY 1"
+            ).fetchall()
+            assert left[1:] == others
+        rolled = connection.execute("SELECT unit FROM altd.hours ORDER BY 1").fetchall()
+        assert rolled == [(2,), (3,)]
+        refused = connection.execute("SELECT unit, reason, count FROM altd.refused").fetchall()
+        assert refused == [("ALT-1", "database", 1)]
 
 
 async def test_a_daemon_keeps_its_seconds_until_the_ingest_has_them(
