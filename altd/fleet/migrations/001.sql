@@ -176,16 +176,19 @@ BEGIN
         SELECT FROM altd.streams AS newer WHERE newer.unit = old.unit AND newer.updated > old.updated);
 END $$;
 
--- All units: age of the newest summary by the clock that makes it older, for the unit's may be ahead; valid share of
--- the last hour, seconds that the unit still keeps.
+-- All units: age of the newest summary, by the clock that makes it older, for the unit's may be ahead; share of time
+-- with a valid measurement in the hour up to that summary, for a new unit since its first one; seconds still kept.
 CREATE VIEW altd.fleet AS
     SELECT units.serial AS unit, units.last_time, units.heard, units.worst, units.cause,
-        extract(epoch FROM now() - least(units.last_time, units.heard))::float8 AS lag_s, hour.valid_share, stream.backlog,
-        coalesce(kept.dropped, 0)::bigint AS dropped, coalesce(wrong.refused, 0)::bigint AS refused
+        extract(epoch FROM now() - least(units.last_time, units.heard))::float8 AS lag_s, hour.valid_share,
+        stream.backlog, coalesce(kept.dropped, 0)::bigint AS dropped, coalesce(wrong.refused, 0)::bigint AS refused
     FROM altd.units
     LEFT JOIN LATERAL (
-        SELECT sum(n_valid)::float8 / nullif(sum(n), 0) AS valid_share FROM altd.seconds
-        WHERE unit = units.id AND time > now() - interval '1 hour' AND time <= now() + interval '1 minute'
+        SELECT least(1, sum(n_valid::float8 / nullif(n, 0)) / CASE
+            WHEN EXISTS (SELECT FROM altd.hours WHERE unit = units.id AND time <= units.last_time - interval '2 hours')
+            THEN 3600 ELSE extract(epoch FROM units.last_time - min(time))::float8 + 1 END) AS valid_share
+        FROM altd.seconds
+        WHERE unit = units.id AND time > units.last_time - interval '1 hour' AND time <= units.last_time
     ) AS hour ON true
     LEFT JOIN LATERAL (
         SELECT newest - altd.contiguous(received) AS backlog FROM altd.streams

@@ -72,12 +72,19 @@ def test_each_panel_shows_the_data(title: str, database: psycopg.Connection) -> 
     assert len(set(columns)) == len(columns)
 
 
-def test_availability_is_a_share_of_time(database: psycopg.Connection) -> None:
-    """Seconds in which the unit was off count as well: of its hour, 100 s had a valid measurement."""
-    rows = database.execute(
-        QUERIES["fleet: Availability by hour"].replace("$__timeFilter(h.time)", "true").encode()
-    )
-    assert sum(3600 * share for _, _, share in rows) == pytest.approx(100)
+def test_time_in_which_a_unit_was_off_is_not_valid(database: psycopg.Connection) -> None:
+    """100 s of its hours had a valid measurement. The view takes a unit of less than two hours as new."""
+    by_hour = QUERIES["fleet: Availability by hour"].replace("$__timeFilter(h.time)", "true").encode()
+    assert sum(3600 * share for _, _, share in database.execute(by_hour)) == pytest.approx(100)
+    shares = "SELECT valid_share FROM altd.fleet"
+    too_little = ALERTS["A unit measures too little"].encode()
+    assert database.execute(shares).fetchall() == [(pytest.approx(100 / 101),)]
+    with database.transaction(force_rollback=True):
+        database.execute(
+            "INSERT INTO altd.hours SELECT id, last_time - interval '1 day', 1, 1, 1, 0, '{}' FROM altd.units"
+        )
+        assert database.execute(shares).fetchall() == [(pytest.approx(100 / 3600),)]
+        assert database.execute(too_little).fetchall() == [("ALT-1", 1)]
 
 
 @pytest.mark.parametrize("title", ALERTS)
@@ -127,7 +134,7 @@ def test_the_table_in_a_terminal_shows_the_worst(database: psycopg.Connection, t
     ]
     cells = re.split(r" {2,}", row)
     assert cells[:4] == ["ALT-1", "2026-11-20T08:01:41Z", "out_of_specification", "front_spot_missing"]
-    assert cells[5:] == ["-", "0.0 s", "0", "3"]
+    assert cells[5:] == ["99.0 %", "0.0 s", "0", "3"], "100 of 101 s"
 
 
 def test_all_dashboards_use_the_provisioned_source() -> None:
