@@ -24,7 +24,7 @@ from benchmarks.campaign.timed import START_NS
 from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
 from benchmarks.campaign.ways.times import MS, PERIOD_NS, Delivery, Mistimed
 from benchmarks.faults.catalogue import Act, Fault
-from benchmarks.faults.judging import LIMITS, MAX_AGE_S, WINDOW, Judge, Result, exposures_ns
+from benchmarks.faults.judging import MAX_AGE_S, WINDOW, Judge, Result, error_of_times, exposures_ns
 from benchmarks.faults.live import live_unit
 from benchmarks.faults.wires import Published, TelegramLine, wires_of
 from benchmarks.interfaces import Interfaces
@@ -172,12 +172,13 @@ class _Film:
         assert one.values is not None  # noqa: S101  checked by the judge
         if self.faults.spoil.no_beam and self.onset_ns <= t_ns + PERIOD_NS / 2 < self.end_ns:
             return np.full(4, np.inf)
-        if self.faults.times:
-            at_ns = np.linspace(now_ns - MAX_AGE_S * 1e9, now_ns, 240)
-            errors = np.abs(self._places(self._path, at_ns) - one.values)
-            return np.asarray(errors[(errors / LIMITS).max(axis=1).argmin()])
         truth = self._places(self._truth, exposures_ns(t_ns, one.frames)).mean(axis=0)
-        return np.asarray(np.abs(truth - one.values))
+        error = np.asarray(np.abs(truth - one.values))
+        if not self.faults.times:
+            return error
+        at_ns = np.linspace(now_ns - MAX_AGE_S * 1e9, now_ns, 240)
+        assert one.sigma is not None  # noqa: S101  as the values
+        return error_of_times(np.abs(self._places(self._path, at_ns) - one.values), error, one.sigma)
 
     def _places(self, path: FloatArray, at_ns: FloatArray) -> FloatArray:
         times_ns = START_NS + PERIOD_NS * np.arange(self.length)

@@ -154,6 +154,15 @@ class Judge:
         result.worst_sigmas = max(result.worst_sigmas, sigmas)
 
 
+def error_of_times(errors: FloatArray, own: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Smallest of the errors at several times (times, 4) that are within all limits; else ``own``, (4,).
+
+    ``own`` is the error at the value's own time: at another time a quantity can differ that is not wrong.
+    """
+    within = errors[(errors <= np.minimum(LIMITS, SIGMAS * sigma)).all(axis=1)]
+    return np.asarray(within[(within / LIMITS).max(axis=1).argmin()]) if len(within) else own
+
+
 def exposures_ns(t_ns: float, frames: int) -> FloatArray:
     """Exposure times of a mean over ``frames`` exposures with their middle at ``t_ns``."""
     return np.asarray(t_ns + PERIOD_NS * (np.arange(frames) - (frames - 1) / 2))

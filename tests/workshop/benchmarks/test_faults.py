@@ -17,7 +17,7 @@ from altd.errors import BadInputError
 from altd.measuring.freshness import FreshnessCheck
 from altd.records import FloatArray, Frame
 from benchmarks.faults import __main__ as faults
-from benchmarks.faults.judging import Judge, Result
+from benchmarks.faults.judging import Judge, Result, error_of_times
 from benchmarks.faults.tables import Run, failures
 from benchmarks.faults.wires import Published, of_json
 
@@ -50,6 +50,21 @@ def judged(message: dict[str, Any], wire: str = "http") -> Result:
     judge = Judge(error_of, 0.0, 1e18)
     judge.take([shown(wire, message)], 10 * S, ZERO)
     return judge.result
+
+
+def test_the_error_of_a_fault_of_times_is_that_of_a_permitted_time_or_its_own() -> None:
+    """Grease, seed 4, run 143: pitch was wrong by 0.049°; at another time x, y and pitch differed by less."""
+    sigma = np.array([0.038, 0.037, 0.024, 0.023])
+    own = np.array([0.008, 0.005, 0.002, 0.049])
+    other, beyond_5_sigma, right = (
+        [0.215, 0.19, 0.005, 0.044],
+        [0.149, 0.149, 0.0, 0.0],
+        [0.1, 0.0, 0.0, 0.02],
+    )
+    sharp = np.array([0.02, 0.02, 0.024, 0.023])
+    assert error_of_times(np.array([other, own]), own, sigma) is own
+    assert error_of_times(np.array([other, beyond_5_sigma]), own, sharp) is own
+    assert error_of_times(np.array([other, right, [0.149, 0.0, 0.0, 0.0]]), own, sigma).tolist() == right
 
 
 @pytest.mark.parametrize(
