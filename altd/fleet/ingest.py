@@ -40,6 +40,9 @@ GATHER_S = 0.05
 """Time within which arriving messages share a transaction."""
 
 MAINTENANCE_INTERVAL_S = 60.0
+ROUND_INTERVAL_S = 5.0
+"""Time between two rounds of roll-ups: a unit with many stale hours must not keep the database busy."""
+
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 10.0
 _REPORT_INTERVAL_S = 60.0
 
@@ -207,8 +210,8 @@ class Ingest:
             try:
                 with connect(self._settings) as connection:
                     while True:
-                        if not maintain(connection, self._settings):
-                            time.sleep(MAINTENANCE_INTERVAL_S)
+                        is_more = maintain(connection, self._settings)
+                        time.sleep(ROUND_INTERVAL_S if is_more else MAINTENANCE_INTERVAL_S)
             except psycopg.Error as error:
                 log.warning("ingest: maintenance of the database: %s", one_line(str(error).strip()))
                 time.sleep(_MAX_BACKOFF_S)

@@ -123,9 +123,9 @@ RETURNS SETOF altd.minutes LANGUAGE sql STABLE AS $$
     FROM spans GROUP BY at
 $$;
 
--- Roll up one stale hour that is over, of the first unit after this one: with each unit's turn, one with many stale
--- hours delays itself alone. Returns the unit; null: there is none. The unit's row is locked: no second of the unit
--- is written between the deletion of the mark and the sums.
+-- Roll up the first stale hour that is over, of the first such unit with an id above "after". Each unit has its turn,
+-- so that one with many stale hours delays itself alone. Returns its id; null: there is none. The unit's row is locked:
+-- no second of the unit is written between the deletion of the mark and the sums.
 CREATE FUNCTION altd.roll_up(after integer, settled interval DEFAULT '1 minute') RETURNS integer LANGUAGE plpgsql AS $$
 DECLARE
     of_unit integer;
