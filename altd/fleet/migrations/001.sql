@@ -184,11 +184,12 @@ CREATE VIEW altd.fleet AS
         stream.backlog, coalesce(kept.dropped, 0)::bigint AS dropped, coalesce(wrong.refused, 0)::bigint AS refused
     FROM altd.units
     LEFT JOIN LATERAL (
-        SELECT least(1, sum(n_valid::float8 / nullif(n, 0)) / CASE
+        SELECT least(1, coalesce(sum(n_valid::float8 / nullif(n, 0)), 0) / CASE
             WHEN EXISTS (SELECT FROM altd.hours WHERE unit = units.id AND time <= units.last_time - interval '2 hours')
             THEN 3600 ELSE extract(epoch FROM units.last_time - min(time))::float8 + 1 END) AS valid_share
         FROM altd.seconds
         WHERE unit = units.id AND time > units.last_time - interval '1 hour' AND time <= units.last_time
+        HAVING count(*) > 0
     ) AS hour ON true
     LEFT JOIN LATERAL (
         SELECT newest - altd.contiguous(received) AS backlog FROM altd.streams

@@ -85,6 +85,13 @@ def test_time_in_which_a_unit_was_off_is_not_valid(database: psycopg.Connection)
         )
         assert database.execute(shares).fetchall() == [(pytest.approx(100 / 3600),)]
         assert database.execute(too_little).fetchall() == [("ALT-1", 1)]
+        database.execute("UPDATE altd.seconds SET n = 0, n_valid = 0")
+        database.execute("UPDATE altd.hours SET n = 0, n_valid = 0")
+        assert database.execute(shares).fetchall() == [(0.0,)], "no frame, no measurement"
+        assert {share for _, _, share in database.execute(by_hour)} == {0.0}
+        assert database.execute(too_little).fetchall() == [("ALT-1", 1)]
+        database.execute("DELETE FROM altd.seconds")
+        assert database.execute(shares).fetchall() == [(None,)], "not known any more"
 
 
 @pytest.mark.parametrize("title", ALERTS)
