@@ -21,6 +21,7 @@ import hypothesis
 import pytest
 from support import own_network
 from support.foreign import need
+from support.longest_first import LongestFirst
 from support.made_once import made_once
 from support.places import SHARED_DATA
 from support.played_unit import PlayedUnit
@@ -127,6 +128,11 @@ def no_thread_is_left() -> Iterator[None]:
         if time.monotonic() > deadline:
             pytest.fail(f"threads left behind: {[t.name for t in leaked]}")
         time.sleep(0.01)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not own_network.inside():
+        config.pluginmanager.register(LongestFirst.of(config))
 
 
 @pytest.hookimpl(tryfirst=True)
