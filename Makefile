@@ -25,14 +25,9 @@ CUT_S ?= 1800
 WORKSHOP ?= tests/workshop
 HOSTILE ?= 100000
 SPRAY_S ?= 600
-# Workers of the tests: more than cores, for some tests wait; those with limits of real time get a core each.
-cores := $(shell nproc)
-side_by_side := --numprocesses $(shell expr $(cores) '*' 3 / 2) --dist loadfile
+LANES ?= workshop package python simulator
+side_by_side := --numprocesses $(shell expr $$(nproc) '*' 3 / 2) --dist loadfile # more than cores: some tests wait
 pytest := $(python) -m pytest
-# Tests of tests/system that do not depend on real time: `make test-all` does not repeat one that failed.
-never_repeated := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config mapping/test_monte_carlo.py \
-    measuring/test_chain_lies.py measuring/test_synchrony.py recording \
-    test_bad_files.py test_invalid_cases.py test_layers.py vision/test_bit_depths.py)
 
 # Pages and other files of docs/, and the modules that write them.
 pages := \
@@ -80,27 +75,7 @@ test: venv ## the tests that need Python alone: three to six minutes on two core
 	echo "make test-all adds: real kernel drivers, Aravis, Chromium, systemd, foreign clients, real time, and the longer tests."
 
 test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
-	@trap 'exit 130' INT
-	export ALTD_MADE_ONCE=$$(mktemp -d) # calibrated units, for all parts
-	trap 'rm -rf "$$ALTD_MADE_ONCE"' EXIT
-	failed=
-	rm -f .pytest_cache/v/cache/lastfailed .pytest_cache/repeated
-	part() { # NAME COMMAND...
-	    printf '\n== %s\n' "$$1"
-	    "$${@:2}" || failed+=" $$1"
-	}
-	timed() { # MARKS [OPTION...]: a limit of real time that another program on the machine broke holds when tried again
-	    $(pytest) "$${@:2}" -m "$$1" tests/system && return
-	    printf '\n== those that failed, again, one at a time\n'
-	    cat .pytest_cache/v/cache/lastfailed | tee -a .pytest_cache/repeated
-	    $(pytest) --last-failed --last-failed-no-failures none -m "$$1" tests/system
-	}
-	part unit $(pytest) $(side_by_side) -m 'not real_time and not alone and not own_network' tests/unit $(never_repeated)
-	part system timed 'not real_time and not alone' $(side_by_side) $(addprefix --ignore=,$(never_repeated))
-	part real-time timed 'real_time and not alone' --numprocesses $(cores) --dist loadfile
-	part alone timed alone
-	[[ ! -e .pytest_cache/repeated ]] || { echo "altd: failed once and repeated:"; cat .pytest_cache/repeated; }
-	[[ -z $$failed ]] || { cat .pytest_cache/v/cache/lastfailed; echo "altd: tests failed:$$failed" >&2; exit 1; }
+	@exec .ci/tests $(LANES)
 
 test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
 	@exec $(pytest) $(side_by_side) $(WORKSHOP)
