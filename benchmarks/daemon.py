@@ -7,7 +7,6 @@ import contextlib
 import json
 import os
 import subprocess
-import sys
 import time
 from collections.abc import AsyncIterator, Callable, Collection
 from dataclasses import dataclass
@@ -18,9 +17,11 @@ import numpy as np
 from altd.app.daemon import Daemon
 from altd.app.keeping import FILE_NAME, history_about
 from altd.config import Config
+from altd.errors import unwrap_group
 from altd.ports import Lamps
 from altd.records import FloatArray
 from altd.status.health import State
+from benchmarks.harness import child, reporter
 from benchmarks.interfaces import Interfaces, broker, interfaces
 from benchmarks.material import CAMERAS, FPS, WINDOW, Material, Source, make_config
 from benchmarks.stages import pure_rate
@@ -84,21 +85,18 @@ def measure_served(
 
     Without clients the telegrams go to the null device. Without a broker the unit tries to connect to one.
     """
-    with interfaces() as unit, broker(unit.mqtt_port) if has_broker else contextlib.nullcontext():
-        command = [sys.executable, "-m", "benchmarks.poller", str(unit.modbus_port)]
-        command += ["--rate", str(POLLS_PER_S), "--http", str(unit.http_port), "--line", str(unit.telegram)]
-        with subprocess.Popen(  # noqa: S603  our own interpreter and module
-            command if has_clients else ["/bin/cat"],
-            stdin=subprocess.PIPE if has_clients else unit.telegram,
-            stdout=subprocess.PIPE if has_clients else subprocess.DEVNULL,
-            pass_fds=[unit.telegram],
-        ) as clients:
+    with interfaces() as unit, broker(unit.mqtt_port, has_broker):
+        places = "--http", unit.http_port, "--line", unit.telegram
+        polling = reporter(
+            *("benchmarks.poller", unit.modbus_port, "--rate", POLLS_PER_S, *places), pass_fds=[unit.telegram]
+        )
+        discarding = child(["/bin/cat"], stdin=unit.telegram, stdout=subprocess.DEVNULL)
+        with polling if has_clients else discarding as clients:
 
             def dismiss() -> dict[str, int]:
                 if not has_clients:
-                    clients.kill()
                     return {}
-                told = json.loads(clients.communicate()[0])
+                told = json.loads(clients.result())
                 return {"modbus answers": len(told.pop("polls")), **told}
 
             config = make_config(**unit.tables)
@@ -206,18 +204,21 @@ def lost(daemon: Daemon) -> int:
 async def running(
     source: Source, config: Config, lamps: Lamps | None = None, history: Path | None = None
 ) -> AsyncIterator[Daemon]:
-    """Run a daemon on the cameras of a source within the block; its history is stored in ``history``."""
+    """Run a daemon on the cameras of a source within the block; its history is stored in ``history``.
+
+    The block ends if the daemon does. Raises BadInputError for what the daemon refuses.
+    """
     daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps, rehearsal=True)
     if history is not None:
         about = history_about(config, source.material.calibration, daemon.board.quantities)
         daemon.past.keep_in(history, _MAX_HISTORY_BYTES, about)
-    task = asyncio.create_task(daemon.run(), name="daemon")
     try:
-        yield daemon
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(daemon.run(), name="daemon")
+            yield daemon
+            task.cancel()
+    except BaseExceptionGroup as group:
+        raise unwrap_group(group, BaseException) or group from None
 
 
 def _busy_s(core: int) -> float:
@@ -253,8 +254,7 @@ async def served_unit(
 
     It has Modbus TCP and HTTP, ``rtu_lines`` of Modbus RTU, and ``more``: ``mqtt`` with a broker, ``opcua``.
     """
-    has_broker = "mqtt" in more
-    with interfaces(rtu_lines) as unit, broker(unit.mqtt_port) if has_broker else contextlib.nullcontext():
+    with interfaces(rtu_lines) as unit, broker(unit.mqtt_port, "mqtt" in more):
         _, *unit.tables["serial"] = unit.tables["serial"]
         for table in {"mqtt", "opcua"}.difference(more):
             del unit.tables[table]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks.harness import child
 from benchmarks.poller import connected
 from benchmarks.wire_errors.polled import raw_terminal
 from hw_sim.ports import free_port
@@ -59,12 +59,12 @@ def interfaces(rtu_lines: int = 1) -> Iterator[Interfaces]:
 
 
 @contextlib.contextmanager
-def broker(port: int) -> Iterator[None]:
-    """Run Mosquitto on this port, in the idle scheduling class: in a plant it has its own computer."""
-    with subprocess.Popen([BROKER, "-p", str(port)], stderr=subprocess.DEVNULL) as process:  # noqa: S603
-        os.sched_setscheduler(process.pid, os.SCHED_IDLE, os.sched_param(0))
-        try:
-            connected(port).close()
-            yield
-        finally:
-            process.terminate()
+def broker(port: int, is_wanted: bool = True) -> Iterator[None]:
+    """Run Mosquitto on this port if wanted, in the idle scheduling class: a plant's has its own computer."""
+    if not is_wanted:
+        yield
+        return
+    with child([BROKER, "-p", str(port)]) as mosquitto:
+        os.sched_setscheduler(mosquitto.process.pid, os.SCHED_IDLE, os.sched_param(0))
+        connected(port).close()
+        yield

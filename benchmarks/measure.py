@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import http.client
 import json
 import logging
-import os
-import platform
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from altd.calibration.file import save_calibration
 from altd.measuring.calibration import Calibration
-from altd.process.endings import run_to_end
 from benchmarks.daemon import LoadFigures, RateFigures, measure_load, measure_rate, measure_served
+from benchmarks.harness import (
+    Columns,
+    Parser,
+    child,
+    end,
+    machine,
+    module_command,
+    quiet,
+    show,
+    write_json,
+)
 from benchmarks.interfaces import BROKER
 from benchmarks.material import FPS, SEED, WINDOW, Material, make_material, make_pairs
-from benchmarks.progress import show
-from benchmarks.stages import StageFigures, measure_stages
+from benchmarks.stages import CHAIN, RATES_HZ, StageFigures, measure_inside, measure_stages
 from benchmarks.unit_toml import unit_toml
 from hw_sim import unit as simulated
 from hw_sim.beam import BeamPose
@@ -72,7 +77,7 @@ def measure_start(material: Material, runs: int) -> StartFigures:
 def _write_run_folder(folder: Path, calibration: Calibration, http_port: int, exposures: int) -> Path:
     """Write a config for ``altd run`` that plays a recording in real time, with all files that it needs."""
     still = simulated.Unit(simulated.UnitConfig(seed=SEED))
-    with recording(folder / "recording", still, "measurement", exposures, lambda done, planned: None) as made:
+    with recording(folder / "recording", still, "measurement", exposures, quiet) as made:
         for _ in range(exposures):
             made.expose(BeamPose(4.0, -3.0, 0.02, -0.03))
     save_calibration(calibration, folder / "calibration.json")
@@ -86,27 +91,16 @@ def _write_run_folder(folder: Path, calibration: Calibration, http_port: int, ex
 def _start(config: Path, port: int) -> tuple[float, float]:
     """Time to the first answer of any kind, and to the first valid measurement, s."""
     begun_s = time.monotonic()
-    command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
-    with (
-        tempfile.TemporaryFile("w+") as said,
-        subprocess.Popen(command, stderr=said) as daemon,  # noqa: S603  our own interpreter and module
-    ):
-        try:
-            first_answer_s = None
-            while (passed_s := time.monotonic() - begun_s) < _TIMEOUT_S and daemon.poll() is None:
-                valid = _ask(port)
-                if valid is None:
-                    time.sleep(0.005)
-                    continue
-                if first_answer_s is None:
-                    first_answer_s = time.monotonic() - begun_s
-                if valid:
-                    return first_answer_s, time.monotonic() - begun_s
-                time.sleep(0.005)
-            said.seek(0)
-            raise TimeoutError(f"altd run had no valid measurement after {passed_s:.1f} s:\n{said.read()}")
-        finally:
-            daemon.terminate()
+    first_answer_s = None
+    with child(module_command("altd.cli", "run", "--rehearsal", "--config", config)) as daemon:
+        while (passed_s := time.monotonic() - begun_s) < _TIMEOUT_S and daemon.process.poll() is None:
+            valid = _ask(port)
+            if valid is not None and first_answer_s is None:
+                first_answer_s = time.monotonic() - begun_s
+            if valid and first_answer_s is not None:
+                return first_answer_s, time.monotonic() - begun_s
+            time.sleep(0.005)
+        raise TimeoutError(f"altd run had no valid measurement after {passed_s:.1f} s:\n{daemon.output}")
 
 
 def _ask(port: int) -> bool | None:
@@ -146,6 +140,8 @@ class Figures:
     quick: bool
     pairs: int
     stages: list[StageFigures]
+    inside_us: dict[str, list[float]]
+    """Time of each stage within the chain, µs a pair, at each of ``RATES_HZ``."""
     loads: list[LoadFigures]
     rate: RateFigures
     start: StartFigures
@@ -159,7 +155,7 @@ def lines(figures: Figures) -> Iterator[str]:
         f" {figures.pairs} different pairs of hw_sim (seed {SEED}) in memory"
     )
     yield ""
-    yield from _stages(figures.stages)
+    yield from _stages(figures.stages, figures.inside_us)
     yield ""
     yield from _loads(figures.loads)
     yield ""
@@ -170,30 +166,49 @@ def lines(figures: Figures) -> Iterator[str]:
     yield ", ".join(f"{what} {value}" for what, value in figures.machine.items())
 
 
-def _stages(stages: list[StageFigures]) -> Iterator[str]:
-    yield f"{'stage':<34}{'calls':>6}{'median µs':>11}{'p99 µs':>9}{'µs a pair':>11}{'× copy':>8}   aim"
+_STAGES = Columns(
+    *("stage:<34", "calls:>6", "median µs:>11.1f", "p99 µs:>9.1f", "µs a pair:>11.0f", "× copy:>8.1f"),
+    *(f"at {rate}/s:>10.0f" for rate in RATES_HZ),
+    "   aim:",
+)
+
+
+def _stages(stages: list[StageFigures], inside_us: Mapping[str, list[float]]) -> Iterator[str]:
+    yield _STAGES.head
+    blank = [""] * len(RATES_HZ)
+    alone = [stage.name for stage in stages]
     for stage in stages:
+        if stage.name == CHAIN:
+            more = {name: times_us for name, times_us in inside_us.items() if name not in alone}
+            yield from (_STAGES.row(name, *[""] * 5, *times_us) for name, times_us in more.items())
         name = f"  of it {stage.name}" if stage.part_of else stage.name
-        aim = STAGE_AIMS.get(stage.name, "")
-        yield (
-            f"{name:<34}{stage.calls_a_pair:>6}{stage.median_us:>11.1f}{stage.p99_us:>9.1f}"
-            f"{stage.calls_a_pair * stage.median_us:>11.0f}{stage.passes:>8.1f}   {aim}".rstrip()
-        )
+        a_pair_us = stage.calls_a_pair * stage.median_us
+        figures = name, stage.calls_a_pair, stage.median_us, stage.p99_us, a_pair_us, stage.passes
+        aim = f"   {STAGE_AIMS.get(stage.name, '')}"
+        yield _STAGES.row(*figures, *inside_us.get(stage.name, blank), aim)
+    yield "at so many pairs/s: mean CPU µs a pair of each stage in the running chain, frames not in a cache"
+
+
+_LOADS = Columns(
+    *(
+        f"daemon, {FPS:g} pairs/s:<24",
+        "CPU % of a core:>16.2f",
+        "CPU ms a pair:>15.2f",
+        "pairs:>7",
+        "lost:>6",
+    ),
+    *("p50 ms:>9.2f", "p99 ms:>8.2f", "max ms:>8.2f"),
+)
 
 
 def _loads(loads: list[LoadFigures]) -> Iterator[str]:
-    yield (
-        f"{f'daemon, {FPS:g} pairs/s':<24}{'CPU % of a core':>16}{'CPU ms a pair':>15}"
-        f"{'pairs':>7}{'lost':>6}{'p50 ms':>9}{'p99 ms':>8}{'max ms':>8}"
-    )
+    yield _LOADS.head
     for load in loads:
-        line = f"{load.name:<24}{100 * load.cpu_share:>16.2f}"
-        if load.cpu_ms_a_pair is not None and load.latency is not None:
-            wait = load.latency
-            line += f"{load.cpu_ms_a_pair:>15.2f}{load.pairs:>7}{load.lost:>6}"
-            line += f"{wait.p50_ms:>9.2f}{wait.p99_ms:>8.2f}{wait.max_ms:>8.2f}"
-        yield line
-    yield f"{'aim':<24}{'':>16}{f'< {CPU_AIM_MS:g}':>15}{'':>7}{0:>6}{'':>9}{f'< {LATENCY_AIM_MS:g}':>8}"
+        figures: tuple[object, ...] = ()
+        if (wait := load.latency) is not None:
+            figures = load.cpu_ms_a_pair, load.pairs, load.lost, wait.p50_ms, wait.p99_ms, wait.max_ms
+        yield _LOADS.row(load.name, 100 * load.cpu_share, *figures)
+    yield _LOADS.row("aim", "", f"< {CPU_AIM_MS:g}", "", 0, "", f"< {LATENCY_AIM_MS:g}")
     yield "p50, p99, max: from the pair's last frame handed over to the value in a reader's hands"
     attached = next((load.answers for load in loads if load.answers), {})
     yield "clients were given " + ", ".join(f"{count} {what}" for what, count in attached.items())
@@ -246,14 +261,13 @@ QUICK = Effort(60, 1, 2, 0.3, 1.5, 0.3, 3, 1.0, 1)
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print, and write the same figures to ``--json``."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.measure", description=__doc__)
+    parser = Parser("benchmarks.measure", __doc__)
     parser.add_argument("--quick", action="store_true", help="15 s instead of two minutes; coarser")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    parser.json()
     options = parser.parse_args(arguments)
     figures = measure(QUICK if options.quick else FULL, options.quick)
     print("\n".join(lines(figures)))
-    if options.json:
-        options.json.write_text(json.dumps(dataclasses.asdict(figures), indent=1) + "\n")
+    write_json(options.json, figures)
     return 0
 
 
@@ -261,11 +275,13 @@ def measure(effort: Effort, quick: bool) -> Figures:
     """Measure everything, one after another, in this process and its children."""
     cv2.setNumThreads(1)  # as in the daemon
     logging.getLogger().addHandler(logging.NullHandler())  # the broker is missing intentionally
-    machine = _machine()
+    of_machine = machine()
     show("rendering the frames")
     material = make_material(effort.pairs, effort.exposures_a_node)
     show("stages")
     stages = measure_stages(material, effort.rounds)
+    show("stages in the chain")
+    inside_us = measure_inside(material)
     loads = []
     for name, pairs_per_s, seconds in (IDLE, 0.0, effort.idle_s), (BARE, FPS, effort.load_s):
         show(f"daemon, {name}")
@@ -279,20 +295,8 @@ def measure(effort: Effort, quick: bool) -> Figures:
     show("start of altd run")
     start = measure_start(material, effort.starts)
     show("")
-    return Figures(quick, effort.pairs, stages, loads, rate, start, machine)
-
-
-def _machine() -> dict[str, str]:
-    model = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
-    return {
-        "cpu": model[0].split(":", 1)[1].strip() if model else platform.machine(),
-        "cores": str(len(os.sched_getaffinity(0))),
-        "load before": f"{os.getloadavg()[0]:.2f}",
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "opencv": cv2.__version__,
-    }
+    return Figures(quick, effort.pairs, stages, inside_us, loads, rate, start, of_machine)
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.measure"))
+    end(main, "benchmarks.measure")

@@ -1,18 +1,20 @@
-"""Microseconds per stage of the chain, each over many frames that are not in any cache."""
+"""Microseconds per stage of the chain, over many frames that are not in any cache: each alone, and inside."""
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import Any
 from unittest import mock
 
 import cv2
 import numpy as np
 
+import altd.instruments.beam.instrument as instrument_room
+import altd.measuring.spot_locator as locator_room
 import altd.vision.frame_analysis as analysis_room
 import altd.vision.localise as localise_room
 import altd.vision.search as search_room
@@ -22,8 +24,12 @@ from altd.measuring.averaging import FrameSetWindow
 from altd.measuring.calibration import TargetCalibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.measuring.freshness import FreshnessCheck
+from altd.measuring.gate import Gate
+from altd.measuring.light_balance import LightBalance
+from altd.measuring.motion_memory import MotionMemory
 from altd.measuring.pairing import Pairer
 from altd.measuring.synchrony import SynchronyCheck
+from altd.measuring.view_check import ViewCheck
 from altd.reasons import Reason
 from altd.records import Fault, Frame, FrameSet, MeanSpots, Spot, TargetPoint
 from altd.vision.frame_analysis import FrameAnalysis
@@ -32,10 +38,10 @@ from altd.vision.search import Search
 from benchmarks.material import CAMERAS, WINDOW, Material, make_config
 
 PERIOD_NS = 50_000_000
-COPY, SEARCH, CHAIN = "memory pass: copy", "coarse search", "whole chain"
+COPY, SEARCH, CHAIN, REST = "memory pass: copy", "coarse search", "whole chain", "chain, all else"
 
-_Part = tuple[ModuleType, str, str]
-"""Module that calls a function, the function's name there, and its name in the table."""
+_Part = tuple[object, str, str]
+"""Module that calls a function, or class of a method, its name there, and its name in the table."""
 
 _SEARCH_PARTS: Sequence[_Part] = (
     (search_room, "coarse_image", "coarse picture"),
@@ -49,6 +55,28 @@ _SPOT_PARTS: Sequence[_Part] = (
     (localise_room, "_profile", "profile"),
     (localise_room, "misfit_of", "misfit"),
     (localise_room, "moment", "moment"),
+)
+RATES_HZ = 20, 100, 200
+"""Rates of the pairs for the stages inside the chain: a rare one finds less in the caches."""
+_INSIDE: Sequence[_Part] = (
+    (analysis_room, "search", SEARCH),
+    (localise_room, "spot_in", "fine {0.frame.camera}"),
+    (FreshnessCheck, "repeated", "new frames, both"),
+    (Pairer, "add", "pairing"),
+    (SynchronyCheck, "inspect", "motion in step"),
+    (FrameSetWindow, "add", f"averaging over {WINDOW}"),
+    (TargetCalibration, "point", "mapping, one point"),
+    (TargetCalibration, "implausible", "cross-check, one point"),
+    (instrument_room, "joint_covariance_mm2", "beam fit"),
+    (instrument_room, "fit_beam", "beam fit"),
+    (BeamInstrument, "solve", "solution, all else"),
+    (ViewCheck, "objection", "view of the camera"),
+    (locator_room, "count_dust", "dust, each 5 s"),
+    (LightBalance, "changed_light", "light of the targets"),
+    (LightBalance, "update", "light of the targets"),
+    (MotionMemory, "add", "motion over windows"),
+    (Gate, "admit", "gate"),
+    (MeasuringChain, "push", REST),
 )
 
 
@@ -132,6 +160,65 @@ def pure_rate(material: Material, seconds: float) -> float:
             chain.push(frame)
         count += 1
     return count / (time.perf_counter() - begun)
+
+
+class _Inside:
+    """CPU time of calls within each other: that of a call is without the timed calls that it makes.
+
+    Between two pairs of a slow rate other programs get the processor; CPU time does not contain theirs.
+    """
+
+    def __init__(self) -> None:
+        self.ns: Counter[str] = Counter()
+        self._of_inner_ns = [0]
+
+    def timed(self, work: Callable[..., object], name: str) -> Callable[..., object]:
+        """Time a function; ``name`` is a format of its arguments."""
+
+        def timed(*arguments: object, **more: object) -> object:
+            stage = name.format(*arguments)
+            self.ns[stage] += 0  # the order of the stages is that of their first calls
+            self._of_inner_ns.append(0)
+            before = time.thread_time_ns()
+            try:
+                return work(*arguments, **more)
+            finally:
+                took_ns = time.thread_time_ns() - before
+                self.ns[stage] += took_ns - self._of_inner_ns.pop()
+                self._of_inner_ns[-1] += took_ns
+
+        return timed
+
+
+def measure_inside(material: Material) -> dict[str, list[float]]:
+    """Mean CPU time of each stage inside the chain, µs a pair, with all pairs once at each of ``RATES_HZ``.
+
+    The last row is the whole chain: by construction the sum of the others.
+    """
+    runs = [_inside_us(material, rate_hz) for rate_hz in RATES_HZ]
+    _, *names = dict.fromkeys(name for run in runs for name in run)
+    inside_us = {name: [run.get(name, 0.0) for run in runs] for name in (*names, REST)}
+    return inside_us | {CHAIN: [sum(run.values()) for run in runs]}
+
+
+def _inside_us(material: Material, rate_hz: float) -> dict[str, float]:
+    """Pace the chain; its window is filled before."""
+    chain, calls = _chain(material), len(material.pairs)
+    sets = [material.pair(k, k * PERIOD_NS) for k in range(WINDOW + calls)]
+    inside = _Inside()
+    for frame in (frame for frames in sets[:WINDOW] for frame in frames):
+        chain.push(frame)
+    with ExitStack() as patches:
+        for place, function, name in _INSIDE:
+            timed = inside.timed(getattr(place, function), name)
+            patches.enter_context(mock.patch.object(place, function, timed))
+        due_s = time.monotonic()
+        for frames in sets[WINDOW:]:
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+            due_s += 1 / rate_hz
+            for frame in frames:
+                chain.push(frame)
+    return {name: total_ns * 1e-3 / calls for name, total_ns in inside.ns.items()}
 
 
 def _figures(stage: _Stage, one_pass_us: float) -> StageFigures:

@@ -24,13 +24,13 @@ class Outcome:
         return [json.loads(line) for line in self.out.splitlines()]
 
 
-def altd(*arguments: object, stdin: str = "", module: str = "altd.cli") -> Outcome:
+def altd(*arguments: object, stdin: str = "", module: str = "altd.cli", timeout_s: float = 200) -> Outcome:
     done = subprocess.run(
         [sys.executable, "-m", module, *map(str, arguments)],
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=timeout_s,
         check=False,
     )
     return Outcome(done.returncode, done.stdout, done.stderr)

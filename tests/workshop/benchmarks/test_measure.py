@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from support.places import ROOT
+import pytest
+from support.cli import altd
 
+from altd.errors import BadInputError
+from benchmarks.daemon import measure_served
+from benchmarks.frame_sizes import make_large_material
 from benchmarks.measure import SERVED
 
 
@@ -27,15 +29,8 @@ def numbers(value: object) -> Iterator[float]:
 
 def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -> None:
     written = tmp_path / "bench.json"
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.measure", "--quick", "--json", str(written)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    done = altd("--quick", "--json", written, module="benchmarks.measure", timeout_s=470)
+    assert (done.status, done.err) == (0, "")
     figures = json.loads(written.read_text())
     assert all(math.isfinite(number) and number >= 0 for number in numbers(figures))
 
@@ -66,6 +61,14 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     assert stages["memory pass: copy"]["passes"] == 1
     assert stages["coarse search"]["median_us"] > stages["background"]["median_us"]
 
+    inside = figures["inside_us"]
+    *parts_us, whole_us = inside.values()
+    assert [sum(of_rate) for of_rate in zip(*parts_us, strict=True)] == pytest.approx(whole_us)
+    shared = {name for name in stages if not stages[name]["part_of"]} & inside.keys()
+    assert shared == stages.keys() - {part for _, part in parts} - {
+        *("memory pass: copy", "memory pass: cv2.resize to 1/8", "fine front, no flat", "fine rear, no flat")
+    }
+
     idle, bare, *served = figures["loads"]
     assert idle["pairs"] == 0
     assert [load["name"] for load in served] == [name for name, _, _ in SERVED]
@@ -88,5 +91,12 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
         "highest rate without a lost pair",
         "altd run, from process",
     ):
-        assert line in done.stdout
-    assert done.stdout.splitlines()[-1].startswith("cpu ")
+        assert line in done.out
+    assert done.out.splitlines()[-1].startswith("cpu ")
+
+
+def test_an_interface_that_cannot_be_made_ends_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without asyncua the benchmark waited without end for its child process."""
+    monkeypatch.setattr("altd.publish.opcua.publisher.find_spec", lambda name: None)
+    with pytest.raises(BadInputError, match="needs asyncua"):
+        measure_served(make_large_material(752, 480, 2), "unread", 1.0, has_broker=False, has_clients=False)
