@@ -9,8 +9,6 @@ speckle; their flats are made with a lamp.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -26,15 +24,14 @@ from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
-from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import Measurement
+from benchmarks.harness import Columns, Parser, end, quiet
 from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose, Laser
 from hw_sim.flat import RASTER_PITCH_MM, record_flat, record_laser_flat
 from hw_sim.hardness import HARD, Hardness
 from hw_sim.measure import HALF_AREA_MM, random_poses
-from hw_sim.recording import Progress
 from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import ADJUSTED, MISALIGNED, Mounting, Stage
 from hw_sim.targets import DotPattern
@@ -136,7 +133,6 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison
 
 
 def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
-    quiet: Progress = lambda done, planned: None  # noqa: E731
     if case.flat:
         record_flat(folder / "flat", unit, FLAT_EXPOSURES, quiet)
     scans = [folder / "scan", folder / "turned"][: 2 if case.with_turned_scan else 1]
@@ -169,20 +165,26 @@ def _compared(measurement: Measurement, pose: BeamPose, distance_mm: float) -> C
     return Comparison(is_outer, errors, sigma, ())
 
 
-def line(name: str, beams: Sequence[Comparison]) -> str:
-    """Figures of a group of beams, as a line."""
+_TABLE = Columns(
+    *(":<24", "beams:>6", "  valid:>9.1%", "   x mm:>9.4f", " y mm:>7.4f", "  yaw:>8.4f", "pitch °:>8.4f"),
+    *("   x:>7.2f", "y:>6.2f", "yaw:>6.2f", "pitch:>6.2f", "all:>7.2f", "worst:>6.1f", "mm:>8.3f"),
+    f"in {COVERAGE_FACTOR:g} sigma:>11.1%",
+)
+
+
+def row(name: str, beams: Sequence[Comparison]) -> str:
+    """Figures of a group of beams, as a line of the table."""
     valid = [beam for beam in beams if beam.is_valid]
     if not valid:
-        return f"{name:<24}{len(beams):>6}     0 %"
+        return _TABLE.row(name, len(beams), 0.0)
     errors = np.array([beam.errors for beam in valid])
     normalised = errors / np.array([beam.sigma for beam in valid])
-    x_mm, y_mm, yaw_deg, pitch_deg = np.sqrt(np.mean(np.square(errors), axis=0))
-    each = "  ".join(f"{value:.2f}" for value in np.sqrt(np.mean(np.square(normalised), axis=0)))
-    return (
-        f"{name:<24}{len(beams):>6}  {len(valid) / len(beams):>6.1%}   {x_mm:.4f} {y_mm:.4f} mm  "
-        f"{yaw_deg:.4f} {pitch_deg:.4f}°   {each}   {np.sqrt(np.mean(np.square(normalised))):.2f}   "
-        f"{np.abs(normalised).max():.1f}   {np.abs(errors[:, :2]).max():.3f}   "
-        f"{np.mean(np.abs(normalised) <= COVERAGE_FACTOR):.1%}"
+    return _TABLE.row(
+        *(name, len(beams), len(valid) / len(beams)),
+        *np.sqrt(np.mean(np.square(errors), axis=0)),
+        *np.sqrt(np.mean(np.square(normalised), axis=0)),
+        *(np.sqrt(np.mean(np.square(normalised))), np.abs(normalised).max(), np.abs(errors[:, :2]).max()),
+        np.mean(np.abs(normalised) <= COVERAGE_FACTOR),
     )
 
 
@@ -194,15 +196,15 @@ def reasons(beams: Iterable[Comparison]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.area", description=__doc__)
+    parser = Parser("benchmarks.area", __doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6], help="which units")
-    parser.add_argument("--beams", type=int, default=100, help="beams a unit (default 100)")
+    parser.count("--beams", 100, "beams a unit")
     names = [case.name for case in CASES]
     parser.add_argument("--cases", nargs="+", default=names, choices=names, help="which cases")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)
-    print(f"{'':<24} beams   valid   rms error: x, y, yaw, pitch; rms(error/sigma): x, y, yaw, pitch, all;")
-    print(f"{'':<24}                 worst in sigmas; worst mm; within {COVERAGE_FACTOR:g} sigma")
+    print("rms error, rms of error/sigma, worst error in sigmas and in mm, share within so many sigma")
+    print(_TABLE.head)
     for case in CASES:
         if case.name not in options.cases:
             continue
@@ -210,11 +212,11 @@ def main(arguments: list[str] | None = None) -> int:
         for seed in options.seeds:
             with tempfile.TemporaryDirectory() as folder:
                 held += measured(case, seed, options.beams, Path(folder))
-        print(line(case.name, held))
-        print(line("  outer 10 mm", [beam for beam in held if beam.is_outer]))
+        print(row(case.name, held))
+        print(row("  outer 10 mm", [beam for beam in held if beam.is_outer]))
         print(f"  not measured: {reasons(held)}", flush=True)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.area"))
+    end(main, "benchmarks.area")

@@ -7,7 +7,6 @@ share of valid measurements show. The other has no network for forty seconds in 
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import dataclasses
@@ -26,7 +25,6 @@ from altd.history.columns import columns_of
 from altd.history.records import About
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
-from altd.process.endings import run_to_end
 from altd.publish.mqtt.publisher import MqttPublisher
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
@@ -37,6 +35,7 @@ from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity
 from altd.status.state import UnitState
 from benchmarks.fleet import servers
+from benchmarks.harness import Parser, end
 
 UNITS = 20
 _BLIND, _CUT_OFF = 7, 13
@@ -126,8 +125,8 @@ async def _demo(folder: Path, port: int, connection: str, seconds: float | None)
 
 def main() -> int:
     """Run until Ctrl-C."""
-    parser = argparse.ArgumentParser(prog="benchmarks.demo_fleet", description="twenty simulated units")
-    parser.add_argument("--seconds", type=float, help="end after this time (default: never)")
+    parser = Parser("benchmarks.demo_fleet", "Twenty simulated units.")
+    parser.number("--seconds", None, "end after this time (default: never)")
     options = parser.parse_args()
     with (
         contextlib.suppress(KeyboardInterrupt),
@@ -141,4 +140,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.demo_fleet"))
+    end(main, "benchmarks.demo_fleet")

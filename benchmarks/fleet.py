@@ -15,16 +15,14 @@ machine with the ingest.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,10 +31,10 @@ import psycopg
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from altd.process.endings import run_to_end
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S
 from altd.status.outbox import MAX_NUMBERS, Second
 from altd.status.proof import sealed
+from benchmarks.harness import Parser, child, cpu_s, end, module_command, until
 from benchmarks.postgresql import postgresql
 from hw_sim.ports import free_port
 
@@ -44,7 +42,6 @@ QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 ROWS_PER_BATCH = MAX_NUMBERS // (len(Second._fields) + 4 * len(QUANTITIES))
 WEEK_S = 7 * 86_400
 _TIMEOUT_S = 120.0
-_START_TIMEOUT_S = 60.0
 
 
 @dataclass
@@ -123,10 +120,8 @@ class Units:
 
     def wait(self) -> None:
         """Wait until every row is acknowledged."""
-        deadline_s = time.monotonic() + _TIMEOUT_S
-        while any(unit.acknowledged < unit.newest for unit in self.by_serial.values()):
-            assert time.monotonic() < deadline_s, "not all rows were acknowledged"  # noqa: S101
-            time.sleep(0.01)
+        units = self.by_serial.values()
+        until(lambda: all(unit.acknowledged >= unit.newest for unit in units), _TIMEOUT_S, "acknowledgements")
 
     def _take(self, client: Client, userdata: object, message: MQTTMessage) -> None:
         now_s = time.monotonic()
@@ -224,20 +219,9 @@ def write_settings(folder: Path, connection: str, address: str = "127.0.0.1") ->
 def ingesting(config: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run `altd ingest`, from its subscription on; its log is beside ``config``."""
     log = config.with_name(f"ingest-{time.monotonic_ns()}.log")
-    with log.open("wb") as out:
-        words = [sys.executable, "-m", "altd.cli", "ingest", "--config", str(config)]
-        process = subprocess.Popen(words, stdout=out, stderr=out)  # noqa: S603
-    try:
-        deadline_s = time.monotonic() + _START_TIMEOUT_S
-        while b"connected to" not in log.read_bytes():
-            assert process.poll() is None, log.read_text()  # noqa: S101
-            assert time.monotonic() < deadline_s, log.read_text()  # noqa: S101
-            time.sleep(0.02)
-        yield process
-    finally:
-        if process.poll() is None:
-            process.terminate()
-        process.wait()
+    with child(module_command("altd.cli", "ingest", "--config", config), log) as ingest:
+        ingest.await_text("connected to")
+        yield ingest.process
 
 
 @contextlib.contextmanager
@@ -249,41 +233,35 @@ def servers(settings: list[str]) -> Iterator[tuple[int, str, dict[str, int]]]:
         connection = cluster.new_database()
         assert cluster.server is not None  # noqa: S101
         port, command, config = write_settings(folder, connection)
-        broker = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603
-        stack.callback(broker.wait)
-        stack.callback(broker.terminate)
+        broker = stack.enter_context(child(command))
         ingest = stack.enter_context(ingesting(config))
-        pids = {"database": cluster.server.pid, "broker": broker.pid, "ingest": ingest.pid}
+        pids = {"database": cluster.server.process.pid, "broker": broker.process.pid, "ingest": ingest.pid}
         yield port, connection, pids | {"units": os.getpid()}
 
 
-def cpu_s(name: str, pid: int) -> float:
-    """CPU time of a process; for the database, with its children."""
-    pids = [pid]
-    if name == "database":
-        pids += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
-    ticks = 0
-    for each in pids:
-        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
-        ticks += int(fields[11]) + int(fields[12])
-    return ticks / os.sysconf("SC_CLK_TCK")
+def _cpu_s(pids: Mapping[str, int]) -> dict[str, float]:
+    """CPU time of each process; for the database, with its children."""
+    database = pids["database"]
+    children = map(int, Path(f"/proc/{database}/task/{database}/children").read_text().split())
+    used_s = {name: cpu_s(pid) for name, pid in pids.items()}
+    return used_s | {"database": used_s["database"] + sum(map(cpu_s, children))}
 
 
 def main() -> int:
     """Measure and print; return 1 if a row was lost or is duplicate."""
-    parser = argparse.ArgumentParser(prog="benchmarks.fleet", description="many units and one ingest")
-    parser.add_argument("--units", type=int, default=1000, help="units that are live (default: 1000)")
-    parser.add_argument("--hz", type=int, default=1, help="rows of each a second (default: 1)")
-    parser.add_argument("--seconds", type=int, default=600, help="time of the live part (default: 600)")
-    parser.add_argument("--backlog", type=int, default=WEEK_S, help="its seconds, or 0 (default: a week)")
-    parser.add_argument("--backlog-units", type=int, default=60, help="units that have it (default: 60)")
+    parser = Parser("benchmarks.fleet", "Many units and one ingest.")
+    parser.count("--units", 1000, "units that are live")
+    parser.count("--hz", 1, "rows of each a second")
+    parser.count("--seconds", 600, "time of the live part")
+    parser.count("--backlog", WEEK_S, "its seconds, or 0", least=0)
+    parser.count("--backlog-units", 60, "units that have it")
     options = parser.parse_args()
     start_s = int(time.time()) - WEEK_S
     with servers(["shared_buffers=512MB", "max_wal_size=4GB"]) as (port, connection, pids):
-        before_s = {name: cpu_s(name, pid) for name, pid in pids.items()}
+        before_s = _cpu_s(pids)
         units = live(port, options.units, options.hz, options.seconds, start_s)
         _, p99_s, _ = ages_at_s = np.percentile(units.ages_s, [50, 99, 100])
-        worked_s = {name: cpu_s(name, pid) - before_s[name] for name, pid in pids.items()}
+        worked_s = {name: used_s - before_s[name] for name, used_s in _cpu_s(pids).items()}
         lost, twice = faults(connection, units)
         live_copy_s, live_rows = plain_copy_s(connection)
         rate = options.units * options.hz
@@ -310,4 +288,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.fleet"))
+    end(main, "benchmarks.fleet")

@@ -8,13 +8,11 @@ the unit is calibrated with frames of that size.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import ctypes
 import json
 import os
 import struct
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -25,10 +23,10 @@ import cv2
 import numpy as np
 
 from altd.calibration.calibrating import calibrate
-from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import PixelArray
 from benchmarks.daemon import SETTLE_S, Latency, latency_of, lost, running, watch
+from benchmarks.harness import Columns, Parser, end, quiet, reporter
 from benchmarks.material import CAMERAS, FPS, SEED, Material, Source, make_config, make_pairs
 from hw_sim import unit as simulated
 from hw_sim.flat import record_flat
@@ -118,14 +116,9 @@ async def _measured(material: Material, seconds: float) -> SizeFigures:
                 await asyncio.sleep(0.05)
         await asyncio.sleep(SETTLE_S)
         seen, lost_before, begun_s, cpu_s = len(waits_ns), lost(daemon), time.monotonic(), time.process_time()
-        poller = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "benchmarks.poller", str(port)),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-        )
-        with Ticker() as ticker:
+        with reporter("benchmarks.poller", port) as poller, Ticker() as ticker:
             await asyncio.sleep(seconds)
-            printed, _ = await poller.communicate(b"")
+            printed = await asyncio.to_thread(poller.result)
         waits_ms = [1e3 * took_s for _, took_s, *_ in json.loads(printed)["polls"]]
         wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
         watching.cancel()
@@ -157,8 +150,8 @@ def make_large_material(width: int, height: int, pairs: int) -> Material:
     still = simulated.Unit(simulated.UnitConfig(seed=SEED))
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
         scan, flat = Path(folder, "scan"), Path(folder, "flat")
-        record_scan(scan, still, Stage(np.random.default_rng(SEED)), 1, lambda done, planned: None, _GRID)
-        record_flat(flat, still, _FLAT_EXPOSURES, lambda done, planned: None)
+        record_scan(scan, still, Stage(np.random.default_rng(SEED)), 1, quiet, _GRID)
+        record_flat(flat, still, _FLAT_EXPOSURES, quiet)
         for recorded in (scan, flat):
             _enlarge_recording(recorded, enlarged, width, height)
         calibration = calibrate([open_recording(scan)], open_recording(flat)).calibration
@@ -194,19 +187,22 @@ def _enlarge_recording(
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.frame_sizes", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="for each size")
+    parser = Parser("benchmarks.frame_sizes", __doc__)
+    parser.number("--seconds", 20.0, "for each size")
     seconds = parser.parse_args(arguments).seconds
     print(f"{FPS:g} pairs/s, a Modbus TCP client beside; each p50, p99, max in ms; core: share of one core")
     print("      frames  pairs  lost  core      value in hands       Modbus answer       loop comes late")
+    table = Columns(
+        "frames:>12", "pairs:>7", "lost:>6", "core:>6.2f", *("p50:>8.2f", "p99:>6.2f", "max:>7.2f") * 3
+    )
     for width, height in SIZES:
         figures = measure_size(make_large_material(width, height, _PAIRS), seconds)
-        columns = (figures.value, figures.modbus, figures.stalls)
-        spans = "".join(f"{each.p50_ms:8.2f}{each.p99_ms:6.2f}{each.max_ms:7.2f}" for each in columns)
-        size = f"{width} × {height}"
-        print(f"{size:>12}{figures.pairs:7}{figures.lost:6}{figures.cpu_share:6.2f}{spans}", flush=True)
+        each_ms = figures.value, figures.modbus, figures.stalls
+        times_ms = [time_ms for each in each_ms for time_ms in (each.p50_ms, each.p99_ms, each.max_ms)]
+        row = f"{width} × {height}", figures.pairs, figures.lost, figures.cpu_share, *times_ms
+        print(table.row(*row), flush=True)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.frame_sizes"))
+    end(main, "benchmarks.frame_sizes")

@@ -31,8 +31,8 @@ from altd.process.endings import run_to_end
 ROOT = Path(__file__).resolve().parents[1]
 """Folder in which child processes start."""
 _START_TIMEOUT_S = 60.0
-_END_TIMEOUT_S = 10.0
-_RESULT_TIMEOUT_S = 60.0
+_END_TIMEOUT_S = 30.0
+_RESULT_TIMEOUT_S = 300.0
 _POLL_INTERVAL_S = 0.01
 
 
@@ -201,12 +201,12 @@ def machine() -> dict[str, str]:
     }
 
 
-def until(holds: Callable[[], bool], timeout_s: float, what: str) -> None:
-    """Wait until a condition holds; raises TimeoutError with ``what``."""
+def until(holds: Callable[[], bool], timeout_s: float, what: str | Callable[[], str]) -> None:
+    """Wait until a condition holds; raises TimeoutError with ``what``, as text or a function of it."""
     deadline_s = time.monotonic() + timeout_s
     while not holds():
         if time.monotonic() > deadline_s:
-            raise TimeoutError(f"not within {timeout_s:g} s: {what}")
+            raise TimeoutError(f"not within {timeout_s:g} s: {what if isinstance(what, str) else what()}")
         time.sleep(_POLL_INTERVAL_S)
 
 
@@ -234,7 +234,7 @@ class Child:
         deadline_s = time.monotonic() + timeout_s
         while text not in self.output:
             if self.process.poll() is not None or time.monotonic() > deadline_s:
-                raise RuntimeError(f"{self._described()} did not say {text!r}")
+                raise RuntimeError(f"{self.described()} did not say {text!r}")
             time.sleep(_POLL_INTERVAL_S)
 
     def result(self, timeout_s: float = _RESULT_TIMEOUT_S) -> str:
@@ -245,7 +245,7 @@ class Child:
         if self.process.stdin is not None:
             self.process.stdin.close()
         if self.process.wait(timeout_s):
-            raise RuntimeError(self._described())
+            raise RuntimeError(self.described())
         return self.output
 
     def send(self, number: signal.Signals) -> None:
@@ -277,9 +277,10 @@ class Child:
     def explain(self, error: BaseException) -> None:
         """Add its output to an error if it has failed before."""
         if self.process.poll():
-            error.add_note(self._described())
+            error.add_note(self.described())
 
-    def _described(self) -> str:
+    def described(self) -> str:
+        """Command, state and output, for an error."""
         status = self.process.poll()
         ended = "is running" if status is None else f"ended with status {status}"
         return f"{self.process.args!r} {ended}; its output: {self.output!r}"

@@ -7,7 +7,6 @@ invalid. The file is a history as the daemon writes it, except that the rows are
 
 from __future__ import annotations
 
-import argparse
 import sqlite3
 import sys
 import tempfile
@@ -24,7 +23,7 @@ from altd.history.records import About, Batch, StateSample
 from altd.history.schema import HOURS, MINUTES, SECONDS, SUMMARY_PARTS, SummaryTable, column_name
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.process.endings import run_to_end
+from benchmarks.harness import Parser, end
 
 END_S = 1_795_161_600
 """End of the history, 2026-11-20T08:00:00Z, at a whole hour."""
@@ -152,7 +151,7 @@ def _fill_events(connection: sqlite3.Connection, end_s: int) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Make a year of history, print its size and the times of its trends."""
-    parser = argparse.ArgumentParser(prog="benchmarks.history")
+    parser = Parser("benchmarks.history", __doc__)
     parser.add_argument("--keep", type=Path, metavar="FILE", help="where to leave the year")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
@@ -175,4 +174,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.history"))
+    end(main, "benchmarks.history")

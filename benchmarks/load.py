@@ -18,11 +18,10 @@ Pictures have no age in their message; theirs counts from the exposure.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
+import contextlib
 import json
 import os
-import sys
 import tempfile
 import time
 from collections import deque
@@ -32,9 +31,9 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.process.endings import run_to_end
 from benchmarks.daemon import SETTLE_S, ServedUnit, lost, served_unit
-from benchmarks.load_readers import Seen
+from benchmarks.harness import Child, Columns, Parser, cpu_s, end, reporter
+from benchmarks.load_readers import READING, Seen
 from benchmarks.material import FPS, Material, make_material
 from benchmarks.process_memory import resident_mb
 
@@ -66,31 +65,30 @@ async def measure(
 ) -> LoadedFigures:
     """Run a daemon and these clients; ``chromium`` shows the page instead of an emulated browser."""
     more = [kind for kind in ("mqtt", "opcua") if kind in kinds]
-    async with served_unit(material, folder, CLIENTS["modbus_rtu"], more) as unit:
-        clients = {kind: await _started(kind, unit, chromium) for kind in kinds}
-        for kind, client in clients.items():
-            assert client.stdout is not None  # noqa: S101  requested
-            if not await client.stdout.readline():
-                raise RuntimeError(f"{kind} does not read")
+    async with contextlib.AsyncExitStack() as life:
+        unit = await life.enter_async_context(served_unit(material, folder, CLIENTS["modbus_rtu"], more))
+        clients = {kind: life.enter_context(_client(kind, unit, chromium)) for kind in kinds}
+        for client in clients.values():
+            await asyncio.to_thread(client.await_text, READING)
         await asyncio.sleep(SETTLE_S)
         counters = unit.daemon.health.component("measuring").counters
         before, lost_before = counters.get("measurements", 0), lost(unit.daemon)
-        begun_s, cpu_s, stolen_s = time.monotonic(), _cpu_s(), _stolen_s()
+        begun_s, used_s, stolen_s = time.monotonic(), _cpu_s(), _stolen_s()
         losses = await _losses(unit, seconds)
-        wall_s, cpu_s, stolen_s = time.monotonic() - begun_s, _cpu_s() - cpu_s, _stolen_s() - stolen_s
+        wall_s, used_s, stolen_s = time.monotonic() - begun_s, _cpu_s() - used_s, _stolen_s() - stolen_s
         measured, lost_now = counters["measurements"] - before, lost(unit.daemon) - lost_before
-        printed = {kind: (await client.communicate(b""))[0] for kind, client in clients.items()}
-        seen = {kind: Seen(**json.loads(text)) for kind, text in printed.items()}
+        seen = {}
+        for kind, client in clients.items():
+            printed = await asyncio.to_thread(client.result)
+            seen[kind] = Seen(**json.loads(printed.rpartition(READING)[2]))
         light_ms = (time.time_ns() - time.monotonic_ns() + unit.source.start_ns()) * 1e-6
         picture_ages_ms = [
             came_ms - light_ms - number * unit.source.period_ns * 1e-6
             for each in seen.values()
             for number, came_ms in each.pictures
         ]
-        cpu_share = cpu_s / wall_s
-        return LoadedFigures(
-            wall_s, measured, lost_now, cpu_share, stolen_s, losses, resident_mb(), seen, picture_ages_ms
-        )
+        used = used_s / wall_s, stolen_s, losses, resident_mb()
+        return LoadedFigures(wall_s, measured, lost_now, *used, seen, picture_ages_ms)
 
 
 async def _losses(unit: ServedUnit, seconds: float) -> list[str]:
@@ -109,7 +107,7 @@ async def _losses(unit: ServedUnit, seconds: float) -> list[str]:
     return losses
 
 
-async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subprocess.Process:
+def _client(kind: str, unit: ServedUnit, chromium: bool) -> contextlib.AbstractContextManager[Child]:
     found = unit.interfaces
     port = {
         "modbus_tcp": found.modbus_port,
@@ -119,24 +117,18 @@ async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subpr
     }
     places = found.rtu if kind == "modbus_rtu" else [port[kind]] * CLIENTS[kind]
     program = "chromium" if chromium and kind == "browser" else kind
-    return await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "benchmarks.load_readers", program, *map(str, places)),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        pass_fds=found.rtu,
-    )
+    return reporter("benchmarks.load_readers", program, *places, pass_fds=found.rtu)
 
 
 def _cpu_s() -> float:
     """CPU time so far of the daemon's process and of the process for OPC UA."""
-    own_s, ticks = time.process_time(), 0
-    for children in Path("/proc/self/task").glob("*/children"):
-        for pid in children.read_text().split():
-            process = Path("/proc", pid)
-            if b"altd.publish.opcua" in (process / "cmdline").read_bytes():
-                user, system = (process / "stat").read_text().rpartition(")")[2].split()[11:13]
-                ticks += int(user) + int(system)
-    return own_s + ticks / os.sysconf("SC_CLK_TCK")
+    pids = [
+        int(pid)
+        for children in Path("/proc/self/task").glob("*/children")
+        for pid in children.read_text().split()
+        if b"altd.publish.opcua" in Path("/proc", pid, "cmdline").read_bytes()
+    ]
+    return time.process_time() + sum(map(cpu_s, pids))
 
 
 def _stolen_s() -> float:
@@ -171,10 +163,8 @@ def lines(figures: LoadedFigures) -> Iterator[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a row for each set of clients, then the figures of each interface beside all others."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
-    parser.add_argument(
-        "--seconds", type=float, default=600.0, help="with all clients; a twentieth without and alone"
-    )
+    parser = Parser("benchmarks.load", __doc__)
+    parser.number("--seconds", 600.0, "with all clients; a twentieth without and alone")
     parser.add_argument(
         "--browsers",
         choices=("emulated", "chromium"),
@@ -184,7 +174,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     material = make_material(_PAIRS, 1)
     print(f"{FPS:g} pairs/s of 752 × 480, browsers {options.browsers}")
-    print(f"{'clients':>14}{'s':>7}{'pairs':>8}{'lost':>6}{'core':>8}{'more':>8}{'MB':>6}{'stolen s':>10}")
+    table = Columns(
+        *("clients:>14", "s:>7.0f", "pairs:>8", "lost:>6", "core:>8.3f", "more:>+8.3f", "MB:>6.0f"),
+        "stolen s:>10.2f",
+    )
+    print(table.head)
     unread_share = None
     for name, kinds in ("none", []), *((kind, [kind]) for kind in CLIENTS), ("all", list(CLIENTS)):
         seconds = options.seconds if name == "all" else options.seconds / 20
@@ -192,14 +186,12 @@ def main(arguments: list[str] | None = None) -> int:
             is_real = options.browsers == "chromium"
             figures = asyncio.run(measure(material, kinds, seconds, Path(folder), is_real))
         unread_share = figures.cpu_share if unread_share is None else unread_share
-        print(
-            f"{name:>14}{figures.seconds:7.0f}{figures.pairs:8}{figures.lost:6}{figures.cpu_share:8.3f}"
-            f"{figures.cpu_share - unread_share:+8.3f}{figures.memory_mb:6.0f}{figures.stolen_s:10.2f}",
-            flush=True,
-        )
+        counts, share = (figures.seconds, figures.pairs, figures.lost), figures.cpu_share
+        more = share - unread_share, figures.memory_mb, figures.stolen_s
+        print(table.row(name, *counts, share, *more), flush=True)
     print("\n".join(lines(figures)))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.load"))
+    end(main, "benchmarks.load")

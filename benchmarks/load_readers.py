@@ -57,6 +57,8 @@ _NOTE = """(() => {
 })()"""
 
 
+READING = "all read"
+"""Line that is printed when all clients read."""
 _HOST = "127.0.0.1"
 _POLLS_PER_S = 20.0
 _STATUS_INTERVAL_S = 0.5
@@ -106,7 +108,7 @@ async def _show(ports: list[int]) -> Seen:
         for page in pages:
             await until_pictures(page)
             await page.evaluate("() => { shownPictures.length = 0; }")
-        print("all show pictures", flush=True)
+        print(READING, flush=True)
         begun_s, cpu_s = time.monotonic(), sum(each.cpu_s for each in await processes(session))
         await asyncio.to_thread(sys.stdin.read)
         alive = await processes(session)
@@ -253,7 +255,7 @@ async def _read(kind: str, places: list[int]) -> Seen:
         seen.answers_ms.clear()
         seen.ages_ms.clear()
         seen.pictures.clear()
-        print("all read", flush=True)
+        print(READING, flush=True)
         await asyncio.to_thread(sys.stdin.read)
         for client in clients:
             client.cancel()

@@ -20,6 +20,7 @@ from altd.measuring.calibration import Calibration
 from altd.ports import CameraTimeoutError
 from altd.recording.reader import open_recording
 from altd.records import Frame, Origin
+from benchmarks.harness import quiet
 from hw_sim import unit as simulated
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
@@ -66,9 +67,9 @@ def make_material(pairs: int, exposures_a_node: int) -> Material:
         scan = Path(folder, "scan")
         still = simulated.Unit(simulated.UnitConfig(seed=SEED))
         stage = Stage(np.random.default_rng(SEED))
-        record_scan(scan, still, stage, exposures_a_node, lambda done, planned: None)
+        record_scan(scan, still, stage, exposures_a_node, quiet)
         flat = Path(folder, "flat")
-        record_flat(flat, still, FLAT_EXPOSURES, lambda done, planned: None)
+        record_flat(flat, still, FLAT_EXPOSURES, quiet)
         scans = [open_recording(scan)]
         calibration = calibrate(scans, open_recording(flat)).calibration
         without_flats = calibrate(scans).calibration

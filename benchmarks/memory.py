@@ -6,20 +6,17 @@ process begins with the peak of its parent, so this module imports nothing large
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
-from altd.process.endings import run_to_end
+from benchmarks.harness import Columns, Parser, child, end, module_command, write_json
 from benchmarks.unit_toml import unit_toml
 
 NODES = 30, 120, 480, 2000
@@ -43,26 +40,20 @@ class Figure:
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the inputs, run the commands, print a line for each."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.memory", description="Peak memory and time of altd's commands."
-    )
+    parser = Parser("benchmarks.memory", "Peak memory and time of altd's commands.")
     parser.add_argument("--nodes", type=_numbers, default=NODES, help="30,120,480,2000")
     parser.add_argument("--frames", type=_numbers, default=FRAMES, help="10,1000,10000")
-    parser.add_argument("--exposures", type=int, default=EXPOSURES_A_NODE, help="a node (2)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    parser.count("--exposures", EXPOSURES_A_NODE, "a node")
+    parser.json()
     options = parser.parse_args(arguments)
-    print(f"{'command':<34}{'nodes, frames':>14}{'peak MB':>9}{'seconds':>9}{'CPU s':>8}")
+    table = Columns("command:<34", "nodes, frames:>14", "peak MB:>9.0f", "seconds:>9.1f", "CPU s:>8.1f")
+    print(table.head)
     figures = []
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as name:
         for figure in measure(Path(name), options.nodes, options.frames, options.exposures):
             figures.append(figure)
-            print(
-                f"{figure.command:<34}{figure.size:>14}{figure.peak_mb:>9.0f}{figure.seconds:>9.1f}"
-                f"{figure.cpu_s:>8.1f}",
-                flush=True,
-            )
-    if options.json:
-        options.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=1) + "\n")
+            print(table.row(*astuple(figure)), flush=True)
+    write_json(options.json, figures)
     return 0
 
 
@@ -107,23 +98,20 @@ def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]
 def _run(name: str, size: int, *command: str) -> Figure:
     """Run a command to its end; raises RuntimeError with its output if it fails."""
     begun_s = time.monotonic()
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said)  # noqa: S603  our own
-        _, status, usage = os.wait4(process.pid, 0)
+    with child(command, stdout=subprocess.DEVNULL) as running:
+        _, status, usage = os.wait4(running.process.pid, 0)
         seconds = time.monotonic() - begun_s
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
-            said.seek(0)
-            raise RuntimeError(f"{' '.join(command)}: status {process.returncode}: {said.read()}")
+        running.process.returncode = os.waitstatus_to_exitcode(status)
+        running.result()
     return Figure(name, size, usage.ru_maxrss / 1024, seconds, usage.ru_utime + usage.ru_stime)
 
 
-def _altd(command: str, *paths: Path) -> tuple[str, ...]:
-    return sys.executable, "-m", "altd.cli", command, *map(str, paths)
+def _altd(command: str, *paths: Path) -> list[str]:
+    return module_command("altd.cli", command, *paths)
 
 
-def _hw_sim(command: str, output: Path) -> tuple[str, ...]:
-    return sys.executable, "-m", "hw_sim", command, "-o", str(output), "--seed", str(SEED)
+def _hw_sim(command: str, output: Path) -> list[str]:
+    return module_command("hw_sim", command, "-o", output, "--seed", SEED)
 
 
 def _grid(nodes: int) -> str:
@@ -143,4 +131,4 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.memory"))
+    end(main, "benchmarks.memory")

@@ -16,12 +16,10 @@ import asyncio
 import contextlib
 import random
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import psycopg
@@ -30,15 +28,16 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from altd.history.reader import Reader
 from altd.history.schema import SECONDS
-from altd.process.endings import run_to_end
 from benchmarks.demo_fleet import UNITS, DemoUnit
 from benchmarks.fleet import ingesting, write_settings
+from benchmarks.harness import Child, Parser, child, end, module_command
 from benchmarks.live.parts import NEAR, behind_link, ip, set_link
 from benchmarks.postgresql import Cluster, postgresql
 
 Row = tuple[str, int, *tuple[object, ...]]
 """Serial, time in s, the columns of the second, and its values by quantity."""
 
+MODULE = "benchmarks.outages"
 _SEED = 27
 _REPEATED_SHARE = 0.2
 _PAUSE_S = 2.0
@@ -76,7 +75,6 @@ class Servers:
         self.connection = cluster.new_database()
         self.port, self._command, self._config = write_settings(folder, self.connection, "0.0.0.0")  # noqa: S104  in its own namespace
         self._broker = self._started_broker()
-        life.callback(lambda: self._broker.kill())
         life.enter_context(ingesting(self._config))
         self._ingest = life.enter_context(ingesting(self._config))
 
@@ -84,7 +82,6 @@ class Servers:
         """Kill ``broker`` or ``ingest`` with SIGKILL, ``database`` as in a crash; start it again."""
         if name == "broker":
             self._broker.kill()
-            self._broker.wait()
             self._broker = self._started_broker()
         elif name == "ingest":
             self._ingest.kill()
@@ -94,8 +91,8 @@ class Servers:
             self._cluster.stop(signal.SIGQUIT)
             self._cluster.start()
 
-    def _started_broker(self) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(self._command, stderr=subprocess.DEVNULL)  # noqa: S603
+    def _started_broker(self) -> Child:
+        return self._life.enter_context(child(self._command))
 
 
 class Repeater:
@@ -120,14 +117,6 @@ class Repeater:
         if self._random.random() < _REPEATED_SHARE:
             self.repeated += 1
             client.publish(message.topic, message.payload, qos=1)
-
-
-@contextlib.contextmanager
-def units(folder: Path, port: int) -> Iterator[None]:
-    """Run the units at the far end of the link."""
-    command = [sys.executable, "-m", "benchmarks.outages", "--units-in", str(folder), "--port", str(port)]
-    with behind_link(command, folder.with_suffix(".log")):
-        yield
 
 
 async def run_units(folder: Path, port: int) -> None:
@@ -157,10 +146,10 @@ def compared(folder: Path, connection: str) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; return 1 if a row was lost, changed, stored twice or out of order."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.outages", description=__doc__)
-    parser.add_argument("--cut", type=float, default=1800.0, metavar="SECONDS", help="of the link (1800)")
-    parser.add_argument("--kills", type=int, default=10, help="of broker and of ingest (10)")
-    parser.add_argument("--crashes", type=int, default=3, help="of the database (3)")
+    parser = Parser(MODULE, __doc__)
+    parser.number("--cut", 1800.0, "of the link")
+    parser.count("--kills", 10, "of broker and of ingest", least=0)
+    parser.count("--crashes", 3, "of the database", least=0)
     parser.add_argument("--units-in", type=Path, metavar="FOLDER", help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
@@ -177,7 +166,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         servers = Servers(folder, cluster, life)
         repeater = Repeater(servers.port)
         life.callback(repeater.end)
-        life.enter_context(units(folder / "units", servers.port))
+        far_units = module_command(MODULE, "--units-in", folder / "units", "--port", servers.port)
+        life.enter_context(behind_link(far_units, folder / "units.log"))
         half = len(plan) // 2
         _kill(servers, plan[:half])
         set_link("down")
@@ -197,4 +187,4 @@ def _kill(servers: Servers, names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.outages"))
+    end(main, MODULE)

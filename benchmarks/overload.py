@@ -12,7 +12,6 @@ It must run where it may mount a file system and use all loopback addresses: ``u
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import itertools
@@ -23,7 +22,6 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -34,9 +32,9 @@ from http.client import HTTPConnection
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from altd.process.endings import run_to_end
 from altd.records import Frame
 from benchmarks.daemon import running
+from benchmarks.harness import Parser, end
 from benchmarks.interfaces import HOST
 from benchmarks.material import FPS, Material, Source, make_config, make_material
 from benchmarks.poller import read_registers
@@ -216,14 +214,18 @@ def polled(unit: Unit, seconds: float) -> int:
         thread.start()
     time.sleep(_CONNECTED_S)
     crowd.start()
-    here.recv()
-    for thread in threads:
-        thread.join()
-    here.send(None)
-    attempts, took_s = here.recv()
+    there.close()
+    try:
+        here.recv()
+        for thread in threads:
+            thread.join()
+        here.send(None)
+        attempts, took_s = here.recv()
+    finally:
+        crowd.kill()
+        crowd.join()
     rate = attempts / took_s
     print(f"  {attempts} attempts to connect from {ADDRESSES} addresses, {rate:.0f} a second")
-    crowd.join()
     print("\n".join(map(str, controllers)))
     return sum(each.cut for each in controllers if not each.reconnects or each.address == RESERVED)
 
@@ -251,13 +253,11 @@ def _connect_continuously(port: int, parent: Connection) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; return 1 if memory grew by more than a ring or a poll was cut that must not be."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.overload", description=__doc__)
-    parser.add_argument("--refused", type=int, default=100, help="number of refused requests (100)")
-    parser.add_argument("--full-disk", type=float, default=600.0, metavar="SECONDS", help="(600)")
-    parser.add_argument("--connections", type=float, default=60.0, metavar="SECONDS", help="(60)")
-    parser.add_argument(
-        "--settle", type=float, default=25.0, metavar="SECONDS", help="until memory is full (25)"
-    )
+    parser = Parser("benchmarks.overload", __doc__)
+    parser.count("--refused", 100, "number of refused requests")
+    parser.number("--full-disk", 600.0, "of requests on a full disk")
+    parser.number("--connections", 60.0, "of connections")
+    parser.number("--settle", 25.0, "until memory is full")
     options = parser.parse_args(arguments)
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)  # noqa: S607
     made = make_material(_PAIRS, 1)
@@ -280,4 +280,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.overload"))
+    end(main, "benchmarks.overload")

@@ -11,9 +11,7 @@ moved in the plane of the 28 others, have moved by a = b = 0 and turned by φ = 
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -29,10 +27,10 @@ from altd.instruments.planar.homography import fit_homography
 from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.instruments.planar.layout import Pose, rigid_pose, wrapped_deg
 from altd.instruments.planar.plane import homography_camera, lens_camera
-from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import FloatArray, Value
 from altd.vision.led_discs import Disc
+from benchmarks.harness import Columns, Parser, end, quiet
 from hw_sim.planar import HEIGHT_PX, MIDDLE_MM, WIDTH_PX, PlanarScene, known_and_unknown, places_mm, record
 from hw_sim.plate import LED_DIAMETER_MM
 
@@ -55,7 +53,7 @@ def simulated(seed: int, errors: _Errors) -> PlanarCalibration:
     stays = known_and_unknown(scene, scene.poses(KNOWN), [], None)
     stays += known_and_unknown(scene, [], scene.poses(UNKNOWN), None)
     with tempfile.TemporaryDirectory() as folder:
-        record(Path(folder) / "plate", scene, stays, EXPOSURES, lambda done, planned: None)
+        record(Path(folder) / "plate", scene, stays, EXPOSURES, quiet)
         recording = open_recording(Path(folder) / "plate")
         calibration = calibrate_planar([recording]).calibration
         measured = list(PlanarReplay(recording, calibration, EXPOSURES, EXPOSURES).measurements())
@@ -75,11 +73,17 @@ def print_simulated(seeds: Sequence[int]) -> dict[int, PlanarCalibration]:
         calibrations[seed] = simulated(seed, errors)
         of = calibrations[seed]
         print(f"seed {seed}: {of.fit.camera.model}, leave-one-out (mm, °) {dict(of.rms)}", flush=True)
-    print(f"{'LEDs':<5}{'poses':>6}{'valid':>6}  rms a, b mm, phi °         rms of error/sigma")
+    print("rms of the error, and of error/sigma", _POSES.head, sep="\n")
     for leds, of_leds in sorted(errors.items(), reverse=True):
         _print_row(str(leds), of_leds)
     _print_row("all", [each for of_leds in errors.values() for each in of_leds])
     return calibrations
+
+
+_POSES = Columns(
+    *("LEDs:<5", "poses:>6", "valid:>6", "a mm:>8.4f", "b mm:>8.4f", "phi °:>8.4f"),
+    *("a:>9.2f", "b:>6.2f", "phi:>6.2f"),
+)
 
 
 def _print_row(name: str, of_leds: Sequence[tuple[FloatArray, FloatArray]]) -> None:
@@ -87,13 +91,13 @@ def _print_row(name: str, of_leds: Sequence[tuple[FloatArray, FloatArray]]) -> N
     good = np.isfinite(off[:, 0])
     rms = np.sqrt(np.mean(off[good] ** 2, axis=0))
     ratio = np.sqrt(np.mean((off[good] / sigma[good]) ** 2, axis=0))
-    numbers = "  ".join(f"{value:.4f}" for value in rms), "  ".join(f"{value:.2f}" for value in ratio)
-    print(f"{name:<5}{len(off):>6}{good.sum():>6}  {numbers[0]}     {numbers[1]}")
+    print(_POSES.row(name, len(off), good.sum(), *rms, *ratio))
 
 
 def print_false_lights(calibrations: Mapping[int, PlanarCalibration], poses: int) -> None:
     """Count poses from LEDs among other lights: right, wrong by more than six sigma, or refused."""
-    print("LEDs  other lights    right  wrong  refused")
+    table = Columns("LEDs:<6", "other lights:<16", "right:>5", "wrong:>7", "refused:>9")
+    print(table.head)
     for lit, others in [(7, 1), (4, 1), (3, 1), (2, 1), (1, 1), (0, 2), (5, 3), (3, 2), (2, 4), (2, 0)]:
         tally: Counter[str] = Counter()
         for seed, calibration in calibrations.items():
@@ -105,7 +109,7 @@ def print_false_lights(calibrations: Mapping[int, PlanarCalibration], poses: int
                 seen = np.vstack([leds_mm, lights_mm])
                 tally[_outcome(instrument, _discs(scene, seen, rng), pose)] += 1
         print(
-            f"{lit:<6}{others:<16}{tally['right']:>5}  {tally['wrong']:>5}  {tally['refused']:>7}", flush=True
+            table.row(lit, others, *(tally[outcome] for outcome in ("right", "wrong", "refused"))), flush=True
         )
 
 
@@ -165,10 +169,10 @@ def print_photographs() -> None:
                 errors[name].append(np.array([*(np.array(pose[:2]) + turned), pose[2]]))
     count = len(views) * GROUPS
     print(f"{len(views)} photographs, {count} poses of {IN_GROUP} corners; squares of {SQUARE_MM:g} mm")
-    print(f"{'method':<52}rms a mm   b mm     phi °")
+    table = Columns("method:<52", "rms a mm:>8.3f", "b mm:>8.3f", "phi °:>8.3f")
+    print(table.head)
     for name, of_method in errors.items():
-        a, b, phi = np.sqrt(np.mean(np.square(of_method), axis=0))
-        print(f"{name:<52}{a:.3f}      {b:.3f}    {phi:.3f}")
+        print(table.row(name, *np.sqrt(np.mean(np.square(of_method), axis=0))))
 
 
 def _methods(size: tuple[int, int], others: Sequence[FloatArray]) -> dict[str, _Planar]:
@@ -238,9 +242,9 @@ def _in_space(board_mm: FloatArray) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print all three tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.planar", description=__doc__)
+    parser = Parser("benchmarks.planar", __doc__)
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS), help="of the simulated plates")
-    parser.add_argument("--poses", type=int, default=100, help="among false lights, of each seed")
+    parser.count("--poses", 100, "among false lights, of each seed")
     arguments = parser.parse_args(argv)
     if arguments.seeds:
         calibrations = print_simulated(arguments.seeds)
@@ -250,4 +254,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.planar"))
+    end(main, "benchmarks.planar")

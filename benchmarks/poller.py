@@ -7,7 +7,6 @@ It reads the input registers until its standard input ends. Then it prints as JS
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -16,6 +15,8 @@ import socket
 import struct
 import sys
 import time
+
+from benchmarks.harness import Parser
 
 REGISTERS = 100
 HEADER_REGISTERS = 7
@@ -29,11 +30,9 @@ _MIN_PAUSE_S, _MAX_PAUSE_S = 0.002, 0.012
 
 def main() -> int:
     """Poll, and print the result."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.poller", description=__doc__)
+    parser = Parser("benchmarks.poller", __doc__)
     parser.add_argument("port", type=int)
-    parser.add_argument(
-        "--rate", type=float, help="polls a second; default: pauses of which no two are alike"
-    )
+    parser.number("--rate", None, "polls a second; default: pauses of which no two are alike", "HZ")
     parser.add_argument("--http", type=int, metavar="PORT", help="read the stream of measurements there")
     parser.add_argument("--line", type=int, metavar="DESCRIPTOR", help="read the telegrams of a terminal")
     options = parser.parse_args()

@@ -6,16 +6,16 @@ import contextlib
 import itertools
 import os
 import pwd
-import shutil
 import signal
-import subprocess
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import psycopg
+
+from benchmarks.harness import Child, child, until
 
 _START_TIMEOUT_S = 60.0
 
@@ -33,36 +33,37 @@ class Cluster:
     folder: Path
     programs: Path
     settings: Sequence[str]
+    life: contextlib.ExitStack
+    """Its processes end with it."""
     user: str | None = None
-    server: subprocess.Popen[bytes] | None = None
+    server: Child | None = None
     databases: int = 0
 
     def initialise(self) -> None:
         """Initialise its data folder."""
-        made = self._run("initdb", "-D", str(self.folder / "data"), "-U", "altd", "-A", "trust", "--no-sync")
-        assert made.wait() == 0, (self.folder / "log").read_text()  # noqa: S101
+        data = str(self.folder / "data")
+        self._run("initdb", "-D", data, "-U", "altd", "-A", "trust", "--no-sync").result()
 
     def start(self) -> None:
         """Start, and wait until it answers."""
         words = itertools.chain.from_iterable(("-c", setting) for setting in self.settings)
         self.server = self._run("postgres", "-D", str(self.folder / "data"), "-k", str(self.folder), *words)
-        deadline_s = time.monotonic() + _START_TIMEOUT_S
-        while True:
-            try:
-                psycopg.connect(self.connection("postgres")).close()
-            except psycopg.OperationalError:
-                log = (self.folder / "log").read_text()
-                assert self.server.poll() is None, log  # noqa: S101
-                assert time.monotonic() < deadline_s, log  # noqa: S101
-                time.sleep(0.02)
-            else:
-                return
+        until(self._answers, _START_TIMEOUT_S, self.server.described)
 
-    def stop(self, how: signal.Signals = signal.SIGINT) -> None:
+    def _answers(self) -> bool:
+        try:
+            psycopg.connect(self.connection("postgres")).close()
+        except psycopg.OperationalError:
+            if self.server is not None and self.server.process.poll() is not None:
+                raise
+            return False
+        return True
+
+    def stop(self, how: signal.Signals) -> None:
         """Stop the server: SIGINT cleanly, SIGQUIT as in a crash."""
-        if self.server is not None and self.server.poll() is None:
-            self.server.send_signal(how)
-            self.server.wait()
+        if self.server is not None:
+            self.server.send(how)
+            self.server.process.wait()
 
     def connection(self, database: str) -> str:
         """Connection string of a database."""
@@ -76,17 +77,11 @@ class Cluster:
             connection.execute(f"CREATE DATABASE {name}".encode())
         return self.connection(name)
 
-    def _run(self, program: str, *arguments: str) -> subprocess.Popen[bytes]:
+    def _run(self, program: str, *arguments: str) -> Child:
         groups: list[int] | None = None if self.user is None else []
-        with (self.folder / "log").open("ab") as log:
-            return subprocess.Popen(  # noqa: S603
-                [str(self.programs / program), *arguments],
-                stdout=log,
-                stderr=log,
-                user=self.user,
-                cwd=self.folder,
-                extra_groups=groups,
-            )
+        settings: dict[str, Any] = {"user": self.user, "extra_groups": groups, "cwd": self.folder}
+        command = [str(self.programs / program), *arguments]
+        return self.life.enter_context(child(command, self.folder / "log", signal.SIGINT, **settings))
 
 
 @contextlib.contextmanager
@@ -94,16 +89,14 @@ def postgresql(*settings: str) -> Iterator[Cluster]:
     """Run a new cluster with these settings (such as ``fsync=off``)."""
     found = programs()
     assert found is not None, "PostgreSQL is not installed (Debian package postgresql)"  # noqa: S101
-    folder = Path(tempfile.mkdtemp(prefix="altd-postgresql-"))
-    user = "postgres" if os.getuid() == 0 else None
-    if user is not None:
-        owner = pwd.getpwnam(user)
-        os.chown(folder, owner.pw_uid, owner.pw_gid)
-    cluster = Cluster(folder, found, ("listen_addresses=", "max_connections=50", *settings), user)
-    try:
+    with contextlib.ExitStack() as life:
+        folder = Path(life.enter_context(tempfile.TemporaryDirectory(prefix="altd-postgresql-")))
+        user = "postgres" if os.getuid() == 0 else None
+        if user is not None:
+            owner = pwd.getpwnam(user)
+            os.chown(folder, owner.pw_uid, owner.pw_gid)
+        usual = "listen_addresses=", "max_connections=50"
+        cluster = Cluster(folder, found, (*usual, *settings), life, user)
         cluster.initialise()
         cluster.start()
         yield cluster
-    finally:
-        cluster.stop()
-        shutil.rmtree(folder)

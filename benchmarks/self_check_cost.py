@@ -6,23 +6,22 @@ second. A Modbus TCP client polls it 50 times a second, and further processes lo
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import json
 import sys
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from altd.acquisition.self_check.schedule import REST_S
 from altd.app.daemon import Daemon
-from altd.process.endings import run_to_end
 from altd.reasons import Reason
 from altd.records import Frame
 from benchmarks.daemon import SETTLE_S, running
+from benchmarks.harness import Columns, Parser, child, end, reporter
 from benchmarks.material import CAMERAS, FPS, SEED, Material, Source, make_config
 from benchmarks.selfcheck_units import calibrated
 from hw_sim import unit as simulated
@@ -173,7 +172,7 @@ async def _measured(material: Material, line: LedLine, checks: int, busy: int) -
         watching = asyncio.create_task(_watch(daemon, published_s))
         spans, verdicts, lost, answer_s = [], Counter[str](), [], []
         try:
-            async with _busy(busy), _polling(port) as polls:
+            with _busy(busy), reporter("benchmarks.poller", port, "--rate", POLLS_PER_S) as poller:
                 await asyncio.sleep(SETTLE_S)
                 first_s, before = time.monotonic(), len(line.lit_s)
                 for _ in range(checks):
@@ -187,6 +186,8 @@ async def _measured(material: Material, line: LedLine, checks: int, busy: int) -
                     verdicts[str(document["verdict"])] += 1
                     lost.append(int(str(document["exposures_lost"])))
                 last_s = time.monotonic()
+                printed = json.loads(await asyncio.to_thread(poller.result))["polls"]
+                polls = [_Poll(sent_s, header) for sent_s, _, *header in printed]
         finally:
             watching.cancel()
         rests = list(
@@ -224,58 +225,43 @@ async def _watch(daemon: Daemon, published_s: list[float]) -> None:
         published_s.append(time.monotonic())
 
 
-@contextlib.asynccontextmanager
-async def _polling(port: int) -> AsyncIterator[list[_Poll]]:
-    """Collect a client's polls during the block; they are available after it."""
-    polls: list[_Poll] = []
-    client = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "benchmarks.poller", str(port), "--rate", str(POLLS_PER_S)),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-    )
-    yield polls
-    printed, _ = await client.communicate(b"")
-    polls += [_Poll(sent_s, header) for sent_s, _, *header in json.loads(printed)["polls"]]
-
-
-@contextlib.asynccontextmanager
-async def _busy(count: int) -> AsyncIterator[None]:
+@contextlib.contextmanager
+def _busy(count: int) -> Iterator[None]:
     """Run processes that load the CPU."""
-    processes = [
-        await asyncio.create_subprocess_exec(sys.executable, "-c", "while True: pass") for _ in range(count)
-    ]
-    try:
+    with contextlib.ExitStack() as processes:
+        for _ in range(count):
+            processes.enter_context(child([sys.executable, "-c", "while True: pass"]))
         yield
-    finally:
-        for process in processes:
-            process.kill()
-            await process.wait()
 
 
-def _rows(cost: CheckCost) -> Iterator[str]:
+_CHECKS = Columns(
+    "busy:>6", "verdicts:>20", "lost:>9", "lit, s:>9.3f", "answer, s:>11.2f", "   largest of each:"
+)
+_POLLS = Columns(":6", "polls:>20", "gap, s:>9.2f", "age, ms:>9", "polls:>9", "invalid:>9", "  why:")
+
+
+def _rows(busy: int, cost: CheckCost) -> Iterator[str]:
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(cost.verdicts.items()))
     lost = f"{min(cost.lost)} to {max(cost.lost)}"
-    yield f"{verdicts:>20}{lost:>9}{max(cost.lit_s, default=0.0):9.3f}{max(cost.answer_s):11.2f}"
+    yield _CHECKS.row(busy, verdicts, lost, max(cost.lit_s, default=0.0), max(cost.answer_s))
     for what, told in (("checking", cost.checking), ("between", cost.between)):
         reasons = "; ".join(f"{count} {reason}" for reason, count in told.reasons.most_common())
-        figures = f"{told.longest_gap_s:9.2f}{told.largest_age_ms:9}{told.count:9}{told.invalid:9}"
-        yield f"{what:>20}{figures}  {reasons}"
+        figures = told.longest_gap_s, told.largest_age_ms, told.count, told.invalid
+        yield _POLLS.row("", what, *figures, f"  {reasons}")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.self_check_cost", description=__doc__)
-    parser.add_argument("--checks", type=int, default=5, help="beside each number of busy processes")
+    parser = Parser("benchmarks.self_check_cost", __doc__)
+    parser.count("--checks", 5, "beside each number of busy processes")
     checks = parser.parse_args(arguments).checks
     material, line = make_led_material(_PAIRS)
     print(f"{FPS:g} exposures/s, {POLLS_PER_S:g} polls/s")
-    print(f"{'busy':>6}{'verdicts':>20}{'lost':>9}{'lit, s':>9}{'answer, s':>11}   largest of each")
-    print(f"{'':6}{'polls':>20}{'gap, s':>9}{'age, ms':>9}{'polls':>9}{'invalid':>9}  why")
+    print(_CHECKS.head, _POLLS.head, sep="\n")
     for busy in BUSY_PROCESSES:
-        first, *more = _rows(measure_checks(material, line, checks, busy))
-        print(f"{busy:6}{first}", *(f"      {row}" for row in more), sep="\n", flush=True)
+        print(*_rows(busy, measure_checks(material, line, checks, busy)), sep="\n", flush=True)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.self_check_cost"))
+    end(main, "benchmarks.self_check_cost")

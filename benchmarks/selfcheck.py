@@ -7,20 +7,18 @@ positions alone, many more: LEDs with Gaussian noise through fit and test.
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from collections import Counter
 
 import numpy as np
 
 from altd.measuring.calibration import Calibration
-from altd.process.endings import run_to_end
 from altd.records import FloatArray
 from altd.selfcheck.drift import chi2_limit, fit_similarity
 from altd.selfcheck.history import DAY_S, History
 from altd.selfcheck.records import LedState, Limits, SelfCheck, Similarity, TargetDrift, Verdict
 from altd.selfcheck.verdict import SIGNIFICANT, Compensation, compensation_of, judge
+from benchmarks.harness import Parser, end
 from benchmarks.selfcheck_units import TIGHT, WIDE, CheckedUnit, calibrated
 from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement
@@ -209,10 +207,10 @@ def _say(what: str, errors: FloatArray, sigmas: FloatArray, normal: FloatArray) 
 
 def main() -> int:
     """Run and print the requested parts."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.selfcheck", description=__doc__)
+    parser = Parser("benchmarks.selfcheck", __doc__)
     parser.add_argument("what", choices=("detection", "alarms", "places", "history", "correction"))
-    parser.add_argument("--seed", type=int, default=3)
-    parser.add_argument("--checks", type=int, default=40)
+    parser.seed(3)
+    parser.count("--checks", 40, "of each unit, or calibrations of the history")
     options = parser.parse_args()
     if options.what == "detection":
         detection(options.seed, options.checks)
@@ -228,4 +226,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.selfcheck"))
+    end(main, "benchmarks.selfcheck")

@@ -20,6 +20,7 @@ from altd.selfcheck.records import LedView
 from altd.selfcheck.verdict import Compensation, compensated, flat_now
 from altd.vision.frame_leds import locate_leds
 from altd.vision.localise import locate
+from benchmarks.harness import quiet
 from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose
 from hw_sim.scan import STAGE_STREAM, record_scan
@@ -40,7 +41,7 @@ def calibrated(seed: int, field_half_mm: tuple[float, float] = WIDE) -> Calibrat
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
         unit = Unit(UnitConfig(seed=seed, field_half_mm=field_half_mm))
         stage = Stage(np.random.default_rng([seed, STAGE_STREAM]))
-        record_scan(Path(folder, "scan"), unit, stage, 2, lambda done, planned: None)
+        record_scan(Path(folder, "scan"), unit, stage, 2, quiet)
         return calibrate([open_recording(Path(folder, "scan"))]).calibration
 
 

@@ -8,11 +8,9 @@ frames are taken from a stock that is longer than the memory of the check for re
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import logging
-import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -24,16 +22,16 @@ import numpy as np
 
 from altd.config import Measuring
 from altd.measuring.freshness import MAX_COMPARED_FRAMES
-from altd.process.endings import run_to_end, until_signal
+from altd.process.endings import until_signal
 from altd.records import Frame, PixelArray
 from benchmarks.campaign.clips import SimulatedClip, SimulatedRig, rig_of
 from benchmarks.campaign.timed import START_NS
 from benchmarks.campaign.way import CAMERAS
 from benchmarks.faults.live import LiveUnit, live_unit
 from benchmarks.faults.wires import TelegramLine, Wires, wires_of
+from benchmarks.harness import Parser, end, show
 from benchmarks.interfaces import BROKER, broker, interfaces
 from benchmarks.process_memory import ProcessSample, growth_faults, growth_mb_per_hour
-from benchmarks.progress import show
 from hw_sim.beam import BeamPose
 from hw_sim.ports import free_port
 
@@ -47,7 +45,8 @@ _SAMPLE = 15 * MINUTE
 silence are being written, and one to three of their files are open."""
 _WARM_HOURS = 5.0
 """Time in which buffers, the ring of frames and the trends' minutes fill up."""
-_MIN_HOURS, _MAX_HOURS = 1.0, 10_000.0
+_HOURS = 1.0, 10_000.0
+"""Limits of the duration."""
 _TRANSFER_NS = 5_000_000
 
 
@@ -133,16 +132,14 @@ async def _samples(
 
 def main() -> int:
     """Run and print; return 1 if memory, descriptors or threads grow, or a delivered exposure is lost."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
-    parser.add_argument("--hours", type=float, default=100.0, help="of the set clock (default 100)")
+    parser = Parser("benchmarks.soak", __doc__)
+    parser.number("--hours", 100.0, "of the set clock; the growth needs two samples", "HOURS", _HOURS)
     options = parser.parse_args()
-    if not _MIN_HOURS <= options.hours <= _MAX_HOURS:
-        parser.error(f"--hours: {_MIN_HOURS:g} to {_MAX_HOURS:g}; the growth needs two samples")
     logging.getLogger("altd").setLevel(logging.CRITICAL)
     cv2.setNumThreads(1)
     rig, port, began_s = rig_of(UNIT), free_port(), time.monotonic()
     assert isinstance(rig, SimulatedRig)  # noqa: S101
-    with tempfile.TemporaryDirectory() as folder, broker(port) if BROKER else contextlib.nullcontext():
+    with tempfile.TemporaryDirectory() as folder, broker(port, bool(BROKER)):
         result = asyncio.run(until_signal(run(options.hours, rig, Path(folder), port if BROKER else None)))
         history_mb = Path(folder, "history.db").stat().st_size * 1e-6
     show("")
@@ -156,4 +153,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.soak"))
+    end(main, "benchmarks.soak")

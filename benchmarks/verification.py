@@ -9,9 +9,7 @@ by altd's own maps and solver. The verification has two sets, the second with th
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -28,9 +26,9 @@ from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.cross_check import CrossCheck
-from altd.process.endings import run_to_end
 from altd.records import FloatArray, Limits, MeanSpots, Measurement, Value
 from altd.vision.settings import SpotSettings
+from benchmarks.harness import Parser, end, show
 from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.scan import USUAL, dense_grid
@@ -224,8 +222,7 @@ def run(first_seed: int, units: int, wrong_every: int) -> Outcome:
             outcome.detected += is_detected
             outcome.detectable += is_detectable
             outcome.missed += [] if is_detected else [kind]
-        if sys.stderr.isatty():
-            sys.stderr.write(f"\r{number + 1}/{units} units")
+        show(f"{number + 1}/{units} units" if number + 1 < units else "")
     return outcome
 
 
@@ -238,9 +235,9 @@ def power(error_sigmas: float, tests: int) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--units", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1000)
+    parser = Parser("benchmarks.verification", __doc__)
+    parser.count("--units", 200, "without and with an error")
+    parser.seed(1000)
     options = parser.parse_args(arguments)
     outcome = run(options.seed, options.units, 10)
     print(
@@ -259,4 +256,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.verification"))
+    end(main, "benchmarks.verification")

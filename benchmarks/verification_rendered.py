@@ -7,9 +7,7 @@ stages and beams have errors according to the headers. Recordings, calibration a
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,9 +19,9 @@ from altd.calibration.calibrating import calibrate
 from altd.calibration.file import save_calibration
 from altd.calibration.report.html import html_page
 from altd.calibration.report.verification import verification_page
-from altd.process.endings import run_to_end
 from altd.recording.reader import open_recording
 from altd.records import Limits
+from benchmarks.harness import Parser, end, quiet
 from benchmarks.verification import CALIBRATION_LIMITS, CHECKED, REFERENCE_LIMITS, Stage
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
@@ -40,7 +38,7 @@ def scan(folder: Path, unit: Unit, stage: Stage, grid: Grid, turned: bool, limit
     nodes = grid.nodes_mm()
     planned = len(LED_REFERENCE) + EXPOSURES * len(nodes)
     sign = -1.0 if turned else 1.0
-    with recording(folder, unit, "scan", planned, lambda _done, _planned: None) as recorder:
+    with recording(folder, unit, "scan", planned, quiet) as recorder:
         for leds_on in LED_REFERENCE:
             recorder.expose(BeamPose(0.0, 0.0), leds_on=leds_on)
         for node, place in zip(nodes, stage.places_mm(np.array(nodes), rng), strict=True):
@@ -54,9 +52,9 @@ def scan(folder: Path, unit: Unit, stage: Stage, grid: Grid, turned: bool, limit
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Verify units, and print each verdict."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Parser("benchmarks.verification_rendered", __doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--units", type=int, default=5)
+    parser.count("--units", 5, "that are verified")
     parser.add_argument("--flat", action="store_true", help="calibrate with a lamp's flat")
     options = parser.parse_args(arguments)
     for seed in range(1, options.units + 1):
@@ -65,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scan(folder / "scan", unit, Stage.made(CALIBRATION_LIMITS, rng), USUAL, False, CALIBRATION_LIMITS)
         flat = None
         if options.flat:
-            record_flat(folder / "flat", unit, 10, lambda _done, _planned: None)
+            record_flat(folder / "flat", unit, 10, quiet)
             flat = open_recording(folder / "flat")
         file = folder / "calibration.json"
         save_calibration(calibrate([open_recording(folder / "scan")], flat).calibration, file)
@@ -73,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sets = [folder / "set-1", folder / "set-2"]
         for path in sets:
             scan(path, unit, reference, CHECKED, path is sets[1], REFERENCE_LIMITS)
-        document = verify(sets, file, None, lambda _done, _planned: None)
+        document = verify(sets, file, None, quiet)
         (folder / "verification.html").write_bytes(html_page(verification_page(document)))
         print(f"{unit.config.serial}: {document['verdict']} {document['reasons']}")
         for test in document["tests"]:
@@ -82,4 +80,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.verification_rendered"))
+    end(main, "benchmarks.verification_rendered")
