@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,23 +20,53 @@ from altd.config import (
 )
 from altd.errors import BadInputError
 
-from . import spoilt as spoilt_cases
-from . import spoilt_checks
-from .no_toml import NO_TOML
+from .spoilt import NO_TOML, OTHERS, TABLE
 from .whole_config import BASE
 
-CASES = spoilt_cases.CASES + spoilt_checks.CASES
+
+def with_lines(settings: str, table: str, lines: str) -> str:
+    """The settings with lines in place of those of the same keys of a table, or at its end."""
+    header = ".".join(name for name in table.split(".") if not name.isdigit())
+    number = next((int(name) for name in table.split(".") if name.isdigit()), 0)
+    begin = [found.end() for found in re.finditer(rf"^\[+{header}\]+\n", settings, re.MULTILINE)][number]
+    end = (settings + "\n[").index("\n[", begin - 1)
+    content = settings[begin:end].strip("\n").split("\n")
+    keys = [line.partition(" =")[0] for line in content]
+    for line in lines.split("; "):
+        key = line.partition(" =")[0]
+        place = keys.index(key) if key in keys else len(content)
+        content[place : place + 1] = [line]
+    return settings[:begin] + "\n".join([*content, ""]) + settings[end:]
 
 
-def spoilt(old: str, new: str) -> tuple[str, str]:
-    """The text without its mark, and the place of the mark."""
-    assert BASE.count(old) >= 1, old
-    text = BASE.replace(old, new, 1)
-    if "«" not in text:  # the fault is where it was, and another key makes it one
-        return text, ""
-    before, after = text.split("«")
+def of_table() -> Iterator[tuple[str, str, str, str]]:
+    """The table and the lines of each fault, the key that is wrong, words of the complaint."""
+    table = ""
+    for row in TABLE.strip().splitlines():
+        if row.startswith("["):
+            table = row.strip("[]")
+            continue
+        lines, words = (part.strip() for part in row.split(" # "))
+        key = f"{table}.{lines.partition(' =')[0].removeprefix('«')}"
+        inside, _, of_inside = words.partition(": ") if words.startswith(".") else ("", "", words)
+        yield table, lines, key + inside, of_inside
+
+
+def replaced(old: str, new: str) -> str:
+    assert old in BASE, old
+    return BASE.replace(old, new, 1)
+
+
+ROWS = tuple(of_table())
+CASES = tuple((with_lines(BASE, table, lines), key, words) for table, lines, key, words in ROWS)
+CASES += tuple((replaced(old, new), key, words) for old, new, key, words in OTHERS)
+
+
+def spoilt(marked: str) -> tuple[str, str]:
+    """The text without its mark, and the place of the mark; without one the fault is of another key."""
+    before, mark, after = marked.partition("«")
     line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-    return before + after, f"line {line}, column {column}: "
+    return before + after, f"line {line}, column {column}: " if mark else ""
 
 
 def complaints(path: Path) -> list[str]:
@@ -50,7 +82,7 @@ def test_the_base_is_good(tmp_path: Path) -> None:
 
 
 def test_there_are_enough_of_them() -> None:
-    assert len({(old, new) for old, new, _, _ in CASES}) == len(CASES) >= 60
+    assert len({text for text, _, _ in CASES}) == len(CASES) >= 240
 
 
 @pytest.mark.parametrize(
@@ -63,36 +95,37 @@ def test_there_are_enough_of_them() -> None:
     ],
 )
 def test_every_key_of_the_tables_that_watch_is_wrong_in_some_case(table: str, model: type[Table]) -> None:
-    spoilt_keys = {key.rpartition(".")[2] for _, _, key, _ in CASES if key.startswith(table)}
+    spoilt_keys = {key.rpartition(".")[2] for _, key, _ in CASES if key.startswith(table)}
     assert set(model.model_fields) <= spoilt_keys
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "key", "words"), CASES, ids=[f"{c[2]}-{n}" for n, c in enumerate(CASES)]
+    ("marked", "key", "words"), CASES, ids=[f"{key}-{n}" for n, (_, key, _) in enumerate(CASES)]
 )
 def test_a_fault_is_answered_by_its_line_and_its_key(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, key: str, words: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], marked: str, key: str, words: str
 ) -> None:
     path = tmp_path / "altd.toml"
-    text, place = spoilt(old, new)
+    text, place = spoilt(marked)
     path.write_text(text)
-    found = [line for line in complaints(path) if f": {key}: " in f": {line}"]
-    assert len(found) == 1, complaints(path)
+    said = complaints(path)
+    found = [line for line in said if f": {key}: " in f": {line}"]
+    assert len(found) == 1, said
     assert found[0].startswith(f"{place}{key}: ") or (not place and f": {key}: " in found[0])
     assert words in found[0]
-    follow_ups = [line for line in complaints(path) if line != found[0]]
+    follow_ups = [line for line in said if line != found[0]]
     assert all("is missing" in line for line in follow_ups), follow_ups  # of a tag that chooses the table
     for command in (["check-config", str(path)], ["run", "--config", str(path)]):
         assert main(command) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.splitlines() == [f"altd {command[0]}: {path}: {line}" for line in complaints(path)]
+        shown = capsys.readouterr()
+        assert shown.out == ""
+        assert shown.err.splitlines() == [f"altd {command[0]}: {path}: {line}" for line in said]
 
 
 @pytest.mark.parametrize(("old", "new", "words"), NO_TOML)
 def test_what_is_no_toml_is_one_line_with_its_place(tmp_path: Path, old: str, new: str, words: str) -> None:
     path = tmp_path / "altd.toml"
-    text, place = spoilt(old, new)
+    text, place = spoilt(replaced(old, new))
     path.write_text(text)
     (line,) = complaints(path)
     assert line.startswith(f"{place}not TOML: ")
@@ -121,14 +154,14 @@ def test_what_follows_from_a_name_that_is_wrong_is_not_said_before_it(
 
 
 def test_all_faults_are_said_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
-    """One case a line: none of them hides another."""
+    """One case a key: none of them hides another."""
     text = BASE
     keys: list[str] = []
-    for old, new, key, words in spoilt_cases.CASES:
-        alone = new.count("«") == 1 and "\n" not in old + new and key.count(".") == 1
-        if alone and not words.endswith("too") and text.count(old) == 1 and not key.startswith("targets"):
+    for table, line, key, words in ROWS:
+        follows = "; " in line or line.startswith("«") or words.endswith("too") or table.startswith("targets")
+        if not follows and key not in keys and key.count(".") == 1:
             keys.append(key)
-            text = text.replace(old, new.replace("«", ""))
+            text = with_lines(text, table, line.replace("«", ""))
     path = tmp_path / "altd.toml"
     path.write_text(text)
     said = [line.partition(": ")[2].partition(": ")[0] for line in complaints(path)]
