@@ -7,7 +7,9 @@ import contextlib
 import json
 from typing import Any
 
+import pytest
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
 
 from .conftest import Unit
 
@@ -40,3 +42,11 @@ async def shown(browser: ClientConnection, ask: str = "next") -> list[tuple[dict
         rest = rest[each["bytes"] :]
     assert rest == b""
     return found
+
+
+async def closed(browser: ClientConnection) -> tuple[int, str]:
+    """Code and reason with which the unit closes the connection."""
+    with pytest.raises(ConnectionClosed) as closed:
+        await asyncio.wait_for(browser.recv(), 60)
+    assert closed.value.rcvd is not None
+    return closed.value.rcvd.code, closed.value.rcvd.reason

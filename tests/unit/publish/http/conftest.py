@@ -39,6 +39,13 @@ class Answer:
     headers: dict[str, str]
     body: bytes
 
+    @classmethod
+    def of(cls, received: bytes) -> Answer:
+        head, _, body = received.partition(b"\r\n\r\n")
+        first, *lines = head.decode("latin-1").split("\r\n")
+        headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
+        return cls(int(first.split()[1]), headers, body)
+
     @property
     def json(self) -> Any:
         assert self.headers["content-type"] == "application/json"
@@ -77,11 +84,7 @@ class Unit:
     ) -> Answer:
         lines = {"Host": "unit", **({"Content-Length": str(len(body))} if body else {}), **(headers or {})}
         head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
-        answer = await self.send(f"{method} {path} HTTP/1.1\r\n{head}\r\n".encode("latin-1") + body)
-        head, _, body = answer.partition(b"\r\n\r\n")
-        first, *lines = head.decode("latin-1").split("\r\n")
-        headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
-        return Answer(int(first.split()[1]), headers, body)
+        return Answer.of(await self.send(f"{method} {path} HTTP/1.1\r\n{head}\r\n".encode("latin-1") + body))
 
     @contextlib.asynccontextmanager
     async def stream(self) -> AsyncIterator[Events]:
@@ -163,6 +166,12 @@ def served(board: Board, health: Health, events: EventLog) -> Served:
 
 
 @pytest.fixture
+async def unit(served: Served) -> AsyncIterator[Unit]:
+    async with served() as unit:
+        yield unit
+
+
+@pytest.fixture
 def credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, value in (("SCRYPT_N", 2), ("SCRYPT_R", 1), ("SCRYPT_P", 1)):
         monkeypatch.setattr(hashes, name, value)
@@ -180,7 +189,8 @@ def checked(health: Health) -> list[int]:
 
     def make() -> None:
         numbers.append(desk.begin())
-        desk.publish(SelfCheckReport(numbers[-1], "good", {"verdict": "good", "reasons": []}))
+        report = {"verdict": "good", "reasons": [], "number": numbers[-1]}
+        desk.publish(SelfCheckReport(numbers[-1], "good", report))
 
     desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
     return numbers

@@ -25,18 +25,17 @@ from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
 from altd.status.services import SelfCheckReport
 
-from .conftest import Served
+from .conftest import Unit
 from .documents import NEED_MORE
 
 
 async def test_the_measurement_is_the_object_of_replay_with_its_proof_behind(
-    served: Served, board: Board, clock: FakeClock, measured: Measurement
+    unit: Unit, board: Board, clock: FakeClock, measured: Measurement
 ) -> None:
     board.publish(measured)
     clock.now_ns += 520_000_000
-    async with served() as unit:
-        answer = await unit.ask("/api/measurement")
-        again = await unit.ask("/api/measurement")
+    answer = await unit.ask("/api/measurement")
+    again = await unit.ask("/api/measurement")
     assert answer.status == 200
     assert answer.body.startswith(
         json.dumps(as_object_now(measured, board.age_s())).removesuffix("}").encode() + b", "
@@ -50,83 +49,74 @@ async def test_the_measurement_is_the_object_of_replay_with_its_proof_behind(
     assert (answer.json["published"], answer.json["age_s"], answer.json["clock_ms"]) == (1, 0.52, 520)
 
 
-async def test_a_foreign_client_reads_it(served: Served, board: Board, measured: Measurement) -> None:
+async def test_a_foreign_client_reads_it(unit: Unit, board: Board, measured: Measurement) -> None:
     board.publish(measured)
-    async with served() as unit:
 
-        def fetch() -> dict[str, object]:
-            with urllib.request.urlopen(
-                f"http://127.0.0.1:{unit.port}/api/measurement", timeout=60
-            ) as answer:
-                return json.load(answer)
+    def fetch() -> dict[str, object]:
+        with urllib.request.urlopen(f"http://127.0.0.1:{unit.port}/api/measurement", timeout=60) as answer:
+            return json.load(answer)
 
-        assert (await asyncio.to_thread(fetch)).items() >= as_object_now(measured, board.age_s()).items()
+    assert (await asyncio.to_thread(fetch)).items() >= as_object_now(measured, board.age_s()).items()
 
 
-async def test_before_the_first_measurement_it_says_why_there_is_none(served: Served) -> None:
-    async with served() as unit:
-        answer = await unit.ask("/api/measurement")
+async def test_before_the_first_measurement_it_says_why_there_is_none(unit: Unit) -> None:
+    answer = await unit.ask("/api/measurement")
     assert answer.status == 503
     assert answer.json["status"] == ["warming_up"]
     assert "nothing was measured" in answer.json["error"]
 
 
 async def test_an_invalid_measurement_is_an_answer_without_numbers(
-    served: Served, board: Board, measured: Measurement
+    unit: Unit, board: Board, measured: Measurement
 ) -> None:
     board.publish(changed(measured, None, status=(Fault(Reason.SPOT_MISSING, "front"),)))
-    async with served() as unit:
-        answer = await unit.ask("/api/measurement")
+    answer = await unit.ask("/api/measurement")
     assert answer.status == 200
     assert (answer.json["valid"], answer.json["x_mm"]) == (False, None)
     assert answer.json["status"] == ["front_spot_missing"]
 
 
 async def test_an_old_measurement_is_stale(
-    served: Served, board: Board, clock: FakeClock, measured: Measurement
+    unit: Unit, board: Board, clock: FakeClock, measured: Measurement
 ) -> None:
     board.publish(measured)
     clock.now_ns += 1_100_000_000
-    async with served() as unit:
-        answer = await unit.ask("/api/measurement")
+    answer = await unit.ask("/api/measurement")
     assert (answer.json["valid"], answer.json["status"]) == (False, ["stale"])
 
 
-async def test_the_status_is_the_health_of_the_unit(served: Served, health: Health) -> None:
+async def test_the_status_is_the_health_of_the_unit(unit: Unit, health: Health) -> None:
     health.component("camera front").set_state(State.FAILED, "no such device")
-    async with served() as unit:
-        answer = await unit.ask("/api/status")
+    answer = await unit.ask("/api/status")
     assert answer.status == 200
     assert answer.json["serial"] == "ALT-0007"
     assert answer.json["components"]["camera front"]["message"] == "no such device"
     assert answer.json["components"]["http"]["state"] == "ok"
 
 
-async def test_the_page_needs_nothing_from_elsewhere(served: Served) -> None:
-    async with served() as unit:
-        answer = await unit.ask("/")
-        text = answer.body.decode()
-        assert answer.headers["content-type"] == "text/html; charset=utf-8"
-        policy = answer.headers["content-security-policy"]
-        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
-        assert "unsafe" not in policy
-        assert "://" not in text
-        named = set(re.findall(r'(?:src|href)="(/page/[^"]*)"', text))
-        assert len(named) == 4
-        for path in named:
-            assert (await unit.ask(path)).status == 200
-        linked = set(re.findall(r'href="(/api[^"]*)"', text))
-        assert linked <= {path.path for path in PATHS}
+async def test_the_page_needs_nothing_from_elsewhere(unit: Unit) -> None:
+    answer = await unit.ask("/")
+    text = answer.body.decode()
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    policy = answer.headers["content-security-policy"]
+    assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
+    assert "unsafe" not in policy
+    assert "://" not in text
+    named = set(re.findall(r'(?:src|href)="(/page/[^"]*)"', text))
+    assert len(named) == 4
+    for path in named:
+        assert (await unit.ask(path)).status == 200
+    linked = set(re.findall(r'href="(/api[^"]*)"', text))
+    assert linked <= {path.path for path in PATHS}
 
 
-async def test_every_file_of_the_page_is_served_as_what_it_is(served: Served) -> None:
-    async with served() as unit:
-        for name, file in page_files().items():
-            answer = await unit.ask(f"/page/{name}")
-            assert (answer.status, answer.body) == (200, file.content)
-            kind = "text/javascript" if name.endswith(".js") else "text/css"
-            assert answer.headers["content-type"] == f"{kind}; charset=utf-8"
-            assert answer.headers["x-content-type-options"] == "nosniff"
+async def test_every_file_of_the_page_is_served_as_what_it_is(unit: Unit) -> None:
+    for name, file in page_files().items():
+        answer = await unit.ask(f"/page/{name}")
+        assert (answer.status, answer.body) == (200, file.content)
+        kind = "text/javascript" if name.endswith(".js") else "text/css"
+        assert answer.headers["content-type"] == f"{kind}; charset=utf-8"
+        assert answer.headers["x-content-type-options"] == "nosniff"
 
 
 NO_FILES = (
@@ -136,9 +126,8 @@ NO_FILES = (
 
 
 @pytest.mark.parametrize("name", NO_FILES)
-async def test_nothing_else_is_served_of_it(served: Served, name: str) -> None:
-    async with served() as unit:
-        assert (await unit.ask(f"/page/{name}")).status == 404
+async def test_nothing_else_is_served_of_it(unit: Unit, name: str) -> None:
+    assert (await unit.ask(f"/page/{name}")).status == 404
 
 
 def test_vendored_files_are_those_of_their_releases() -> None:
@@ -161,29 +150,26 @@ def test_vendored_files_are_those_of_their_releases() -> None:
         ("OPTIONS", "/api/status", 405),
     ],
 )
-async def test_refusals_are_json(served: Served, method: str, path: str, status: int) -> None:
-    async with served() as unit:
-        answer = await unit.ask(path, method)
+async def test_refusals_are_json(unit: Unit, method: str, path: str, status: int) -> None:
+    answer = await unit.ask(path, method)
     assert answer.status == status
     assert set(answer.json) == {"error"}
 
 
-async def test_a_misspelled_path_names_the_right_one(served: Served) -> None:
-    async with served() as unit:
-        answer = await unit.ask("/api/v1/measurements")
+async def test_a_misspelled_path_names_the_right_one(unit: Unit) -> None:
+    answer = await unit.ask("/api/v1/measurements")
     assert answer.json["error"].startswith(
         "there is no /api/v1/measurements; did you mean `/api/v1/measurement`?"
     )
 
 
 async def test_a_defect_is_answered_in_json_and_logged_as_one(
-    served: Served, health: Health, caplog: pytest.LogCaptureFixture
+    unit: Unit, health: Health, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Such as a number that JSON does not have."""
     health.self_check.publish(SelfCheckReport(1, "good", {"verdict": "good", "moved_mm": math.nan}))
-    async with served() as unit:
-        answer = await unit.ask("/api/v1/self-check")
-        assert (await unit.ask("/healthz")).status == 200
+    answer = await unit.ask("/api/v1/self-check")
+    assert (await unit.ask("/healthz")).status == 200
     assert (answer.status, answer.json) == (500, {"error": "a defect of the unit; its log has the details"})
     assert [(record.name, record.getMessage()) for record in caplog.records] == [("altd", "http: a defect")]
     assert caplog.records[0].exc_info is not None
@@ -198,38 +184,34 @@ async def test_a_defect_is_answered_in_json_and_logged_as_one(
     ],
 )
 async def test_head_has_the_headers_and_no_body(
-    served: Served, board: Board, measured: Measurement, path: str
+    unit: Unit, board: Board, measured: Measurement, path: str
 ) -> None:
     board.publish(measured)
-    async with served() as unit:
-        answer = await unit.ask(path, "HEAD")
+    answer = await unit.ask(path, "HEAD")
     assert (answer.status, answer.body) == (200, b"")
 
 
 @pytest.mark.parametrize("path", ["/", "/api/measurement", "/api/status", "/nothing"])
-async def test_no_answer_is_kept_by_caches_or_given_to_other_sites(served: Served, path: str) -> None:
-    async with served() as unit:
-        answer = await unit.ask(path)
+async def test_no_answer_is_kept_by_caches_or_given_to_other_sites(unit: Unit, path: str) -> None:
+    answer = await unit.ask(path)
     assert answer.headers["cache-control"] == "no-store"
     assert not any(name.startswith("access-control") for name in answer.headers)
     assert "server" not in answer.headers
 
 
-async def test_requests_are_counted(served: Served, component: Component) -> None:
-    async with served() as unit:
-        for _ in range(3):
-            await unit.ask("/api/status")
+async def test_requests_are_counted(unit: Unit, component: Component) -> None:
+    for _ in range(3):
+        await unit.ask("/api/status")
     assert component.counters["requests"] == 3
     assert component.state is State.OK
 
 
 async def test_only_a_measurement_is_data(
-    served: Served, board: Board, measured: Measurement, component: Component
+    unit: Unit, board: Board, measured: Measurement, component: Component
 ) -> None:
-    async with served() as unit:
-        for path in ("/", "/api/status", "/api/measurement"):
-            await unit.ask(path)
-        assert component.data_given == 0  # nothing has been measured yet
-        board.publish(measured)
-        await unit.ask("/api/measurement")
+    for path in ("/", "/api/status", "/api/measurement"):
+        await unit.ask(path)
+    assert component.data_given == 0  # nothing has been measured yet
+    board.publish(measured)
+    await unit.ask("/api/measurement")
     assert component.data_given == 1

@@ -23,7 +23,7 @@ from altd.status.board import Board
 from altd.status.health import Health, State
 from altd.status.services import SelfCheckReport
 
-from .conftest import Served
+from .conftest import Unit
 from .documents import NEED_MORE
 
 HEADERS = {"X-Altd-Request": "1"}
@@ -51,19 +51,18 @@ async def said(path: Path, target: str, method: str = "GET") -> tuple[int, dict[
 
 
 async def test_every_path_of_the_network_is_answered_alike(
-    served: Served, path: Path, board: Board, measured: Measurement
+    unit: Unit, path: Path, board: Board, measured: Measurement
 ) -> None:
     board.publish(measured)
     own = {"message", "crc32", "may_act"}
     paths = [each.path for each in PATHS if "GET" in each.operations]
-    async with served() as unit:
-        for target in (each for each in paths if not each.endswith(NOT_JSON)):
-            (status, local), network = await said(path, target), (await unit.ask(target))
-            assert status == network.status == (503 if target in NEED_MORE else 200)
-            if "components" not in local:
-                assert {key: local[key] for key in local.keys() - own} == {
-                    key: network.json[key] for key in network.json.keys() - own
-                }
+    for target in (each for each in paths if not each.endswith(NOT_JSON)):
+        (status, local), network = await said(path, target), (await unit.ask(target))
+        assert status == network.status == (503 if target in NEED_MORE else 200)
+        if "components" not in local:
+            assert {key: local[key] for key in local.keys() - own} == {
+                key: network.json[key] for key in network.json.keys() - own
+            }
 
 
 async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, health: Health) -> None:
@@ -148,14 +147,13 @@ async def test_who_never_reads_is_cut_off_as_on_the_network(
                     client.send(b"x")
 
 
-async def test_a_flood_leaves_the_network_its_connections(served: Served, path: Path) -> None:
+async def test_a_flood_leaves_the_network_its_connections(unit: Unit, path: Path) -> None:
     loop = asyncio.get_running_loop()
-    async with served() as unit:
-        with contextlib.ExitStack() as clients:
-            for _ in range(server.MAX_CONNECTIONS + 10):
-                client = clients.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
-                client.setblocking(False)
-                await loop.sock_connect(client, str(path))
-            await asyncio.sleep(0.1)
-            assert (await unit.ask("/api/status")).status == 200
-        assert (await said(path, "/api/status"))[0] == 200
+    with contextlib.ExitStack() as clients:
+        for _ in range(server.MAX_CONNECTIONS + 10):
+            client = clients.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            client.setblocking(False)
+            await loop.sock_connect(client, str(path))
+        await asyncio.sleep(0.1)
+        assert (await unit.ask("/api/status")).status == 200
+    assert (await said(path, "/api/status"))[0] == 200

@@ -19,7 +19,7 @@ from altd.status.measurement_json import as_object_now
 from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 
-from .conftest import Served
+from .conftest import Unit
 
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -44,11 +44,10 @@ def read(board: Board, health: Health) -> Samples:
 
 
 async def test_it_is_served_in_prometheus_text_format(
-    served: Served, board: Board, measured: Measurement
+    unit: Unit, board: Board, measured: Measurement
 ) -> None:
     board.publish(measured)
-    async with served() as unit:
-        answer = await unit.ask("/metrics")
+    answer = await unit.ask("/metrics")
     assert answer.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
     found = samples(answer.body.decode())
     assert one(found, "altd_x_mm") == 10.012

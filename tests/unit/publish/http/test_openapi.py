@@ -29,7 +29,7 @@ from altd.status.health import Health, State
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 
-from .conftest import Served, served_with
+from .conftest import Served, Unit, served_with
 from .documents import DOCUMENT, fits
 
 
@@ -50,9 +50,8 @@ def test_each_old_path_stays_and_answers_as_its_new_one() -> None:
         assert operations[f"/api/{old}"] is operations[f"/api/v1/{old}"]
 
 
-async def test_it_is_served_as_it_is(served: Served, health: Health) -> None:
-    async with served() as unit:
-        answer = await unit.ask("/api/v1/openapi.json")
+async def test_it_is_served_as_it_is(unit: Unit, health: Health) -> None:
+    answer = await unit.ask("/api/v1/openapi.json")
     assert answer.json == document_of(PATHS, QUANTITIES, health.facts["version"])
 
 
@@ -75,15 +74,14 @@ async def test_it_is_made_once_for_all_interfaces_and_requests(
 
 
 async def test_measurements_of_every_kind_are_what_the_document_says(
-    served: Served, board: Board, measured: Measurement
+    unit: Unit, board: Board, measured: Measurement
 ) -> None:
     invalid = changed(measured, None, status=(Fault(Reason.SPOT_MISSING, "front"),))
     timeless = changed(measured, None, {"front": None, "rear": None})
-    async with served() as unit:
+    fits(DOCUMENT, "/api/v1/measurement", await unit.ask("/api/v1/measurement"))
+    for each in (measured, invalid, timeless):
+        board.publish(each)
         fits(DOCUMENT, "/api/v1/measurement", await unit.ask("/api/v1/measurement"))
-        for each in (measured, invalid, timeless):
-            board.publish(each)
-            fits(DOCUMENT, "/api/v1/measurement", await unit.ask("/api/v1/measurement"))
 
 
 async def test_a_unit_with_an_inclinometer_has_a_document_of_its_own(
@@ -101,21 +99,20 @@ async def test_a_unit_with_an_inclinometer_has_a_document_of_its_own(
 
 
 async def test_the_status_is_what_the_document_says_well_and_ill(
-    served: Served, board: Board, health: Health, clock: FakeClock, measured: Measurement
+    unit: Unit, board: Board, health: Health, clock: FakeClock, measured: Measurement
 ) -> None:
     state = UnitState(board, health, clock)
-    async with served() as unit:
-        fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))  # the state is not known yet
-        health.state = state.read
-        health.component("camera front").observe({"fps": 20.0, "driver": "v4l2", "celsius": None})
-        health.component("camera front").set_state(State.FAILED, "no such device")
-        board.publish(measured)
-        clock.now_ns += 3_000_000_000
-        shown = fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))
+    fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))  # the state is not known yet
+    health.state = state.read
+    health.component("camera front").observe({"fps": 20.0, "driver": "v4l2", "celsius": None})
+    health.component("camera front").set_state(State.FAILED, "no such device")
+    board.publish(measured)
+    clock.now_ns += 3_000_000_000
+    shown = fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))
     assert {cause["code"] for cause in shown["state"]["causes"]} >= {"camera_failed", "stale"}
 
 
-async def test_what_self_checks_say_is_what_the_document_says(served: Served, health: Health) -> None:
+async def test_what_self_checks_say_is_what_the_document_says(unit: Unit, health: Health) -> None:
     similarity = Similarity((376.0, 240.0), (0.1, -0.2), 0.01, 12.0, np.eye(4), 200.0)
     drift = TargetDrift("front", 8, 7, (LedState.USED, LedState.DARK), ((1.0, 2.0),), similarity, 0.05, 1.5)
     effects = {"x_mm": Value(0.01, 0.002), "yaw_deg": Value(0.001, 0.0002)}
@@ -123,27 +120,24 @@ async def test_what_self_checks_say_is_what_the_document_says(served: Served, he
         SelfCheck(Verdict.SUSPECT, {"front": drift}, effects, ("front has moved",)),
         SelfCheck(Verdict.UNKNOWN, {"front": TargetDrift("front", 8, 0, ())}, {}, ("no LED was seen",)),
     )
-    async with served() as unit:
-        none = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
-        for number, check in enumerate(checks, 1):
-            report = report_of(Occasion(number, Cause.REQUEST, None, 3), Judged(check, ("a note",)))
-            health.self_check.publish(report)
-            shown = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
-            assert shown["number"] == number
+    none = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
+    for number, check in enumerate(checks, 1):
+        report = report_of(Occasion(number, Cause.REQUEST, None, 3), Judged(check, ("a note",)))
+        health.self_check.publish(report)
+        shown = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
+        assert shown["number"] == number
     assert none["verdict"] is None
 
 
 @pytest.mark.parametrize("path", ["/api/v1/measurement", "/readyz"])
-async def test_errors_have_the_one_shape(served: Served, path: str) -> None:
-    async with served() as unit:
-        answer = await unit.ask(path)
+async def test_errors_have_the_one_shape(unit: Unit, path: str) -> None:
+    answer = await unit.ask(path)
     assert answer.status == 503
     assert set(fits(DOCUMENT, path, answer)) <= {"error", "status"}
 
 
-async def test_all_methods_of_a_path_are_named_where_another_is_asked_for(served: Served) -> None:
-    async with served() as unit:
-        answer = await unit.ask("/api/v1/self-check", "DELETE")
+async def test_all_methods_of_a_path_are_named_where_another_is_asked_for(unit: Unit) -> None:
+    answer = await unit.ask("/api/v1/self-check", "DELETE")
     assert answer.status == 405
     assert {method.strip() for method in answer.headers["allow"].split(",")} == {"GET", "HEAD", "POST"}
 
@@ -168,9 +162,8 @@ class Tags(HTMLParser):
         assert self.open.pop() == tag
 
 
-async def test_the_page_of_the_api_runs_nothing_and_loads_nothing(served: Served) -> None:
-    async with served() as unit:
-        answer = await unit.ask("/api/v1/")
+async def test_the_page_of_the_api_runs_nothing_and_loads_nothing(unit: Unit) -> None:
+    answer = await unit.ask("/api/v1/")
     page = answer.body.decode()
     tags = Tags(page)
     assert tags.open == []
@@ -191,10 +184,9 @@ def test_no_text_of_the_document_becomes_html() -> None:
     assert not Tags(api_page_of(evil)).seen & {"script", "img"}
 
 
-async def test_the_targets_are_what_the_document_says(served: Served, health: Health) -> None:
+async def test_the_targets_are_what_the_document_says(unit: Unit, health: Health) -> None:
     health.targets = (TargetArea("front", 0.0, ((-70.0, -55.0), (70.0, -55.0), (0.0, 55.5))),)
-    async with served() as unit:
-        told = fits(DOCUMENT, "/api/v1/targets", await unit.ask("/api/v1/targets"))
+    told = fits(DOCUMENT, "/api/v1/targets", await unit.ask("/api/v1/targets"))
     assert told["targets"] == [
         {"name": "front", "z_mm": 0.0, "valid_mm": [[-70.0, -55.0], [70.0, -55.0], [0.0, 55.5]]}
     ]

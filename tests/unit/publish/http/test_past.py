@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, AsyncIterator, Iterable
 from contextlib import aclosing
 from pathlib import Path
 from typing import Any
@@ -40,11 +40,19 @@ def recorded(tmp_path: Path) -> History:
     return History(tmp_path / "history.db")
 
 
-async def test_a_trend_is_what_was_measured(board: Board, health: Health, recorded: History) -> None:
+@pytest.fixture
+async def unit(
+    board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch
+) -> AsyncIterator[Unit]:
+    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     async with served_with(board, health, recorded) as unit:
-        path = f"/api/v1/trend?from={START_S}&to={START_S + 60}&points=6"
-        answer = await unit.ask(path)
-        head = await unit.ask(path, "HEAD")
+        yield unit
+
+
+async def test_a_trend_is_what_was_measured(unit: Unit) -> None:
+    path = f"/api/v1/trend?from={START_S}&to={START_S + 60}&points=6"
+    answer = await unit.ask(path)
+    head = await unit.ask(path, "HEAD")
     assert (head.status, head.body) == (200, b"")
     shown = fits(DOCUMENT, "/api/v1/trend", answer)
     assert (shown["source"], shown["span_s"]) == ("seconds", 10.0)
@@ -59,17 +67,14 @@ async def test_a_trend_is_what_was_measured(board: Board, health: Health, record
     assert shown["lost_to"][5] == "front_spot_missing"
 
 
-async def test_times_may_count_from_now(
-    board: Board, health: Health, recorded: History, clock: WallClock
-) -> None:
+async def test_times_may_count_from_now(unit: Unit, clock: WallClock) -> None:
     clock.now_ns += 60 * 10**9
     wall = clock.utc(clock.now_ns)
     clock.offset_s = START_S + 60 - wall.timestamp()
-    async with served_with(board, health, recorded) as unit:
-        whole = (await unit.ask("/api/v1/trend?points=1000")).json
-        last = (await unit.ask("/api/v1/trend?from=-10")).json
-        none = (await unit.ask("/api/v1/trend?from=5&to=5")).json
-        before = (await unit.ask("/api/v1/trend?from=1&to=60")).json
+    whole = (await unit.ask("/api/v1/trend?points=1000")).json
+    last = (await unit.ask("/api/v1/trend?from=-10")).json
+    none = (await unit.ask("/api/v1/trend?from=5&to=5")).json
+    before = (await unit.ask("/api/v1/trend?from=1&to=60")).json
     assert sum(whole["n"]) == 60
     assert sum(last["n"]) == 10
     assert none["t_s"] == before["t_s"] == []
@@ -80,16 +85,11 @@ def fits_columns(shown: dict[str, Any]) -> None:
     assert {len(column) for of in shown["quantities"].values() for column in of.values()} == {len(shown["n"])}
 
 
-async def test_events_come_newest_first_and_page_by_page(
-    board: Board, health: Health, recorded: History
-) -> None:
-    async with served_with(board, health, recorded) as unit:
-        first = fits(DOCUMENT, "/api/v1/events", await unit.ask("/api/v1/events?kind=state&limit=3"))[
-            "events"
-        ]
-        rest = (await unit.ask(f"/api/v1/events?kind=state&before={first[-1]['id']}")).json["events"]
-        other = (await unit.ask("/api/v1/events?kind=request")).json
-        all_of_them = (await unit.ask("/api/v1/events")).json["events"]
+async def test_events_come_newest_first_and_page_by_page(unit: Unit) -> None:
+    first = fits(DOCUMENT, "/api/v1/events", await unit.ask("/api/v1/events?kind=state&limit=3"))["events"]
+    rest = (await unit.ask(f"/api/v1/events?kind=state&before={first[-1]['id']}")).json["events"]
+    other = (await unit.ask("/api/v1/events?kind=request")).json
+    all_of_them = (await unit.ask("/api/v1/events")).json["events"]
     assert [each["text"] for each in first + rest] == [f"number {n}" for n in (4, 3, 2, 1, 0)]
     assert first[0]["time"] == "2026-11-20T08:00:04.000Z"
     assert other == {"events": []}
@@ -115,21 +115,17 @@ async def test_events_come_newest_first_and_page_by_page(
         "events?kind=state&kind=request",
     ],
 )
-async def test_what_cannot_be_is_named(board: Board, health: Health, recorded: History, query: str) -> None:
-    async with served_with(board, health, recorded) as unit:
-        answer = await unit.ask(f"/api/v1/{query}")
+async def test_what_cannot_be_is_named(unit: Unit, query: str) -> None:
+    answer = await unit.ask(f"/api/v1/{query}")
     assert answer.status == 400
     assert query.partition("?")[2].partition("=")[0] in answer.json["error"]
 
 
 @pytest.mark.parametrize("kind", ["'; DROP TABLE events; --", "state%00", "%F0%9F%92%A9"])
-async def test_no_parameter_gets_into_the_sql(
-    board: Board, health: Health, recorded: History, kind: str
-) -> None:
-    async with served_with(board, health, recorded) as unit:
-        answer = await unit.ask(f"/api/v1/events?kind={kind.replace(' ', '+')}")
-        assert (answer.status, "kind is invalid" in answer.json["error"]) == (400, True)
-        assert len((await unit.ask("/api/v1/events?kind=state")).json["events"]) == 5
+async def test_no_parameter_gets_into_the_sql(unit: Unit, kind: str) -> None:
+    answer = await unit.ask(f"/api/v1/events?kind={kind.replace(' ', '+')}")
+    assert (answer.status, "kind is invalid" in answer.json["error"]) == (400, True)
+    assert len((await unit.ask("/api/v1/events?kind=state")).json["events"]) == 5
 
 
 async def test_without_a_history_it_says_why(board: Board, health: Health, tmp_path: Path) -> None:
@@ -176,14 +172,10 @@ def ids_of(events: Iterable[Event]) -> list[str | None]:
     return [each.get("id") for each in events]
 
 
-async def test_a_stream_that_broke_off_goes_on_with_what_was_missed(
-    board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
+async def test_a_stream_that_broke_off_goes_on_with_what_was_missed(board: Board, unit: Unit) -> None:
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served_with(board, health, recorded) as unit:
-        last = key(40)
-        events = await read(unit, last, 20)
+    last = key(40)
+    events = await read(unit, last, 20)
     now, *past = events
     assert now["data"]["sequence"] == 60
     assert "id" not in now, "whoever breaks off now would lose what is past"
@@ -204,18 +196,11 @@ def key(sequence: int) -> str:
     return f"{measurement.sequence}-{measurement.t_ns}"
 
 
-async def test_once_all_has_come_events_have_ids_again(
-    board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch, clock: WallClock
-) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
+async def test_once_all_has_come_events_have_ids_again(board: Board, unit: Unit, clock: WallClock) -> None:
     clock.now_ns = at(START_S + 59, 5.9, 60).t_ns
     board.publish(at(START_S + 59, 5.9, 60))
-
     found: list[Event] = []
-    async with (
-        served_with(board, health, recorded) as unit,
-        aclosing(stream_of(unit, key(57))) as events,
-    ):
+    async with aclosing(stream_of(unit, key(57))) as events:
         async for each in events:
             found.append(each)
             if "id" in each and "event" not in each:
@@ -226,14 +211,10 @@ async def test_once_all_has_come_events_have_ids_again(
     assert found[0]["data"]["sequence"] == 60
 
 
-async def test_who_missed_nothing_gets_nothing_twice(
-    board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
+async def test_who_missed_nothing_gets_nothing_twice(board: Board, unit: Unit) -> None:
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served_with(board, health, recorded) as unit:
-        without = await read(unit, None, 1)
-        (again,) = await read(unit, without[0]["id"], 1)
+    without = await read(unit, None, 1)
+    (again,) = await read(unit, without[0]["id"], 1)
     assert without[0]["id"] == key(60)
     assert again["data"]["sequence"] == 60
 
@@ -249,67 +230,47 @@ async def test_who_missed_nothing_gets_nothing_twice(
     ],
 )
 async def test_what_cannot_be_resumed_is_a_gap_that_says_why(
-    board: Board,
-    health: Health,
-    recorded: History,
-    last_id: str,
-    why: str,
-    monkeypatch: pytest.MonkeyPatch,
+    board: Board, unit: Unit, last_id: str, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     monkeypatch.setattr(stream, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served_with(board, health, recorded) as unit:
-        _, gap = await read(unit, last_id, 2)
+    _, gap = await read(unit, last_id, 2)
     assert (gap["event"], gap["data"]) == ("gap", {"after": last_id[:64], "why": why})
 
 
 async def test_who_comes_back_before_his_last_one_is_written_misses_nothing(
-    board: Board,
-    health: Health,
-    recorded: History,
-    clock: WallClock,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    board: Board, unit: Unit, clock: WallClock, tmp_path: Path
 ) -> None:
     """The history writes a batch a second: what was sent last is not in it when the line breaks."""
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     board.publish(at(START_S + 62, 6.2, 63))
-    async with served_with(board, health, recorded) as unit:
-        reading = asyncio.create_task(read(unit, key(61), 2))
-        await asyncio.sleep(0.2)
-        kept = store(tmp_path)
-        kept.write(batch(START_S + 64, [sample(START_S + t, 0.1 * t, t + 1) for t in (60, 61, 62)]))
-        kept.end(None)
-        clock.now_ns += 600_000_000
-        now, missed = await reading
+    reading = asyncio.create_task(read(unit, key(61), 2))
+    await asyncio.sleep(0.2)
+    kept = store(tmp_path)
+    kept.write(batch(START_S + 64, [sample(START_S + t, 0.1 * t, t + 1) for t in (60, 61, 62)]))
+    kept.end(None)
+    clock.now_ns += 600_000_000
+    now, missed = await reading
     assert now["data"]["sequence"] == 63
     assert (missed.get("event"), missed["data"].get("sequence")) == ("past", 62)
 
 
 async def test_no_history_and_one_that_lags_are_gaps(
-    board: Board, health: Health, recorded: History, clock: WallClock, monkeypatch: pytest.MonkeyPatch
+    board: Board, health: Health, unit: Unit, clock: WallClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     monkeypatch.setattr(stream, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 70, 5.9, 71))
-    async with served_with(board, health, None) as unit:
-        _, gap = await read(unit, key(40), 2)
+    async with served_with(board, health, None) as without:
+        _, gap = await read(without, key(40), 2)
         assert gap["data"]["why"] == "there is no history"
-    async with served_with(board, health, recorded) as unit:
-        *past, gap = (await read(unit, key(58), 4))[1:]
-        assert [each["data"]["sequence"] for each in past] == [59, 60]
-        assert gap["data"]["why"] == "the history does not have the newest measurements"
+    *past, gap = (await read(unit, key(58), 4))[1:]
+    assert [each["data"]["sequence"] for each in past] == [59, 60]
+    assert gap["data"]["why"] == "the history does not have the newest measurements"
 
 
-async def test_too_much_is_not_sent_again(
-    board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
+async def test_too_much_is_not_sent_again(board: Board, unit: Unit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "MAX_ROWS_AT_ONCE", 5)
     monkeypatch.setattr(stream, "MAX_ROWS", 12)
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served_with(board, health, recorded) as unit:
-        events = await read(unit, key(1), 17)
+    events = await read(unit, key(1), 17)
     assert [each["data"]["sequence"] for each in events[1:-1]] == list(range(2, 17))
     assert events[-1]["event"] == "gap"

@@ -9,13 +9,13 @@ import pytest
 from support.clock import FakeClock
 from support.picture_maker import Maker, picture
 from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import InvalidStatus
 
 from altd.publish.http import pictures
 from altd.status.health import Component
 
-from .browsers import answered, first, looking, shown
-from .conftest import Served
+from .browsers import answered, closed, first, looking, shown
+from .conftest import Served, Unit
 
 SHOWN_AXES = {"middle": [375, 240], "x_axis": [-4, 0], "y_axis": [0, -4]}
 
@@ -112,10 +112,7 @@ async def test_a_browser_that_asks_for_nothing_any_more_is_closed(
     monkeypatch.setattr(pictures, "MAX_SILENCE_S", 0.2)
     async with served() as unit, looking(unit) as browser:
         await first(browser)
-        with pytest.raises(ConnectionClosed) as closed:
-            await asyncio.wait_for(browser.recv(), 60)
-        assert closed.value.rcvd is not None
-        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1001, "no picture was requested")
+        assert await closed(browser) == (1001, "no picture was requested")
 
 
 async def test_more_browsers_than_may_look_are_told_so(
@@ -126,10 +123,7 @@ async def test_more_browsers_than_may_look_are_told_so(
         for _ in range(pictures.MAX_VIEWERS):
             await first(await browsers.enter_async_context(looking(unit)))
         async with looking(unit) as late:
-            with pytest.raises(ConnectionClosed) as closed:
-                await asyncio.wait_for(late.recv(), 60)
-            assert closed.value.rcvd is not None
-            assert closed.value.rcvd.code == 1013
+            assert (await closed(late))[0] == 1013
         assert component.counters["viewers_refused"] == 1
         await browsers.aclose()
         await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
@@ -142,23 +136,17 @@ async def test_a_frame_that_cannot_be_shown_closes_with_the_reason(served: Serve
     async with served() as unit, looking(unit) as browser:
         await first(browser)
         maker.fails = "the frame of front cannot be encoded"
-        with pytest.raises(ConnectionClosed) as closed:
-            await shown(browser)
-        assert closed.value.rcvd is not None
-        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1013, maker.fails)
+        await browser.send("next")
+        assert await closed(browser) == (1013, maker.fails)
 
 
 async def test_a_unit_without_pictures_says_so(served: Served) -> None:
     async with served() as unit, looking(unit) as browser:
-        with pytest.raises(ConnectionClosed) as closed:
-            await asyncio.wait_for(browser.recv(), 60)
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.reason == "this unit shows no pictures"
+        assert (await closed(browser))[1] == "this unit shows no pictures"
 
 
-async def test_there_is_no_other_socket(served: Served, maker: Maker) -> None:
-    async with served() as unit:
-        for path in ("/", "/api/v1/measurement", "/api/v1/pictures/", "/nothing"):
-            with pytest.raises(InvalidStatus):
-                async with connect(f"ws://127.0.0.1:{unit.port}{path}"):
-                    pass
+async def test_there_is_no_other_socket(unit: Unit, maker: Maker) -> None:
+    for path in ("/", "/api/v1/measurement", "/api/v1/pictures/", "/nothing"):
+        with pytest.raises(InvalidStatus):
+            async with connect(f"ws://127.0.0.1:{unit.port}{path}"):
+                pass

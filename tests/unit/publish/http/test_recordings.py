@@ -73,48 +73,41 @@ def keeper(tmp_path: Path, health: Health) -> Keeper:
 
 async def asked(unit: Unit, method: str, path: str, headers: str = "") -> Answer:
     request = f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n"
-    head, _, body = (await unit.send(request.encode())).partition(b"\r\n\r\n")
-    first, *lines = head.decode("latin-1").split("\r\n")
-    named = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
-    return Answer(int(first.split()[1]), named, body)
+    return Answer.of(await unit.send(request.encode()))
 
 
-async def test_what_there_is_is_told_to_everybody(served: Served, keeper: Keeper) -> None:
-    async with served() as unit:
-        answer = await asked(unit, "GET", "/api/v1/recordings")
+async def test_what_there_is_is_told_to_everybody(unit: Unit, keeper: Keeper) -> None:
+    answer = await asked(unit, "GET", "/api/v1/recordings")
     assert answer.json == {"unavailable": "", "recordings": [KEPT.as_object()]}
 
 
-async def test_a_unit_that_keeps_none_says_why(served: Served) -> None:
-    async with served() as unit:
-        answer = await asked(unit, "GET", "/api/v1/recordings")
-        assert answer.json == {"unavailable": "this unit keeps no frames", "recordings": []}
-        answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
-        assert (answer.status, answer.json) == (409, {"error": "this unit keeps no frames"})
-        assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403, "no permission, no reason"
+async def test_a_unit_that_keeps_none_says_why(unit: Unit) -> None:
+    answer = await asked(unit, "GET", "/api/v1/recordings")
+    assert answer.json == {"unavailable": "this unit keeps no frames", "recordings": []}
+    answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
+    assert (answer.status, answer.json) == (409, {"error": "this unit keeps no frames"})
+    assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403, "no permission, no reason"
 
 
-async def test_who_may_act_keeps_the_last_seconds(served: Served, keeper: Keeper) -> None:
-    async with served() as unit:
-        answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
-        assert answer.status == 201
-        assert keeper.asked == ["asked by http 127.0.0.1"]
-        assert answer.json["why"] == "asked by http 127.0.0.1"
-        assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403
-        assert len(keeper.asked) == 1
-        keeper.refuses = "the disk is nearly full"
-        answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
-        assert (answer.status, answer.json) == (409, {"error": "the disk is nearly full"})
+async def test_who_may_act_keeps_the_last_seconds(unit: Unit, keeper: Keeper) -> None:
+    answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
+    assert answer.status == 201
+    assert keeper.asked == ["asked by http 127.0.0.1"]
+    assert answer.json["why"] == "asked by http 127.0.0.1"
+    assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403
+    assert len(keeper.asked) == 1
+    keeper.refuses = "the disk is nearly full"
+    answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
+    assert (answer.status, answer.json) == (409, {"error": "the disk is nearly full"})
 
 
-async def test_a_recording_is_marked_and_its_mark_taken_away(served: Served, keeper: Keeper) -> None:
-    async with served() as unit:
-        path = f"/api/v1/recordings/{NAME}/mark"
-        assert (await asked(unit, "PUT", path, ACT)).json["marked"] is True
-        assert (await asked(unit, "DELETE", path, ACT)).json["marked"] is False
-        assert (await asked(unit, "PUT", path)).status == 403
-        assert (await asked(unit, "PUT", "/api/v1/recordings/other/mark", ACT)).status == 404
-        assert (await asked(unit, "GET", path)).status == 405
+async def test_a_recording_is_marked_and_its_mark_taken_away(unit: Unit, keeper: Keeper) -> None:
+    path = f"/api/v1/recordings/{NAME}/mark"
+    assert (await asked(unit, "PUT", path, ACT)).json["marked"] is True
+    assert (await asked(unit, "DELETE", path, ACT)).json["marked"] is False
+    assert (await asked(unit, "PUT", path)).status == 403
+    assert (await asked(unit, "PUT", "/api/v1/recordings/other/mark", ACT)).status == 404
+    assert (await asked(unit, "GET", path)).status == 405
 
 
 async def test_a_foreign_tar_unpacks_what_is_fetched(served: Served, keeper: Keeper, tmp_path: Path) -> None:
@@ -125,17 +118,11 @@ async def test_a_foreign_tar_unpacks_what_is_fetched(served: Served, keeper: Kee
     assert answer.headers["content-disposition"] == f'attachment; filename="{NAME}.tar"'
     (tmp_path / "got.tar").write_bytes(unchunked(answer))
     (tmp_path / "out").mkdir()
-    done = subprocess.run(  # noqa: ASYNC221  nothing is served meanwhile
-        ["tar", "-xvf", str(tmp_path / "got.tar"), "-C", str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = ["tar", "-xvf", str(tmp_path / "got.tar"), "-C", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: ASYNC221  nothing is served
     assert (done.returncode, done.stderr) == (0, "")
-    assert sorted(done.stdout.split()) == [
-        f"{NAME}/{name}" for name in ("empty", "front/000000.png", "recording.json")
-    ]
-    for name in ("empty", "front/000000.png", "recording.json"):
+    assert sorted(done.stdout.split()) == [f"{NAME}/{name}" for name in FILES]
+    for name in FILES:
         assert (tmp_path / "out" / NAME / name).read_bytes() == (tmp_path / NAME / name).read_bytes()
 
 
@@ -154,26 +141,23 @@ def unchunked(answer: Answer) -> bytes:
 @pytest.mark.parametrize(
     "name", ["nothing", "..", "%2e%2e", "..%2fx", f"{NAME}%00", f"{NAME}/front", "a" * 500]
 )
-async def test_no_other_file_is_given(served: Served, keeper: Keeper, name: str) -> None:
-    async with served() as unit:
-        assert (await asked(unit, "GET", f"/api/v1/recordings/{name}")).status == 404
+async def test_no_other_file_is_given(unit: Unit, keeper: Keeper, name: str) -> None:
+    assert (await asked(unit, "GET", f"/api/v1/recordings/{name}")).status == 404
 
 
-async def test_a_file_that_is_gone_is_left_out(served: Served, keeper: Keeper, tmp_path: Path) -> None:
+async def test_a_file_that_is_gone_is_left_out(unit: Unit, keeper: Keeper, tmp_path: Path) -> None:
     (tmp_path / NAME / "front" / "000000.png").unlink()
-    async with served() as unit:
-        names = _names(await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n"))
+    names = _names(await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n"))
     assert names == [f"{NAME}/empty", f"{NAME}/recording.json"]
 
 
-async def test_what_a_disk_that_hangs_gives_is_no_recording(served: Served, keeper: Keeper) -> None:
+async def test_what_a_disk_that_hangs_gives_is_no_recording(unit: Unit, keeper: Keeper) -> None:
     keeper.hangs_at = "front/000000.png"
-    async with served() as unit:
-        answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n")
-        assert _names(answer) == [f"{NAME}/empty"]
-        keeper.refuses = "the disk does not answer"
-        refused = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
-        assert (refused.status, json.loads(refused.body)) == (409, {"error": keeper.refuses})
+    answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n")
+    assert _names(answer) == [f"{NAME}/empty"]
+    keeper.refuses = "the disk does not answer"
+    refused = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
+    assert (refused.status, json.loads(refused.body)) == (409, {"error": keeper.refuses})
 
 
 def _names(answer: Answer) -> list[str]:
@@ -181,24 +165,20 @@ def _names(answer: Answer) -> list[str]:
         return archive.getnames()
 
 
-async def test_few_are_fetched_at_a_time(served: Served, keeper: Keeper, tmp_path: Path) -> None:
+async def test_few_are_fetched_at_a_time(unit: Unit, keeper: Keeper, tmp_path: Path) -> None:
     (tmp_path / NAME / "front" / "000000.png").write_bytes(bytes(8 << 20))
-    async with served() as unit:
-        slow = [await unit.connect() for _ in range(MAX_DOWNLOADS)]
-        for reader, writer in slow:
-            writer.write(f"GET /api/v1/recordings/{NAME} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-            assert (await asyncio.wait_for(reader.readline(), 60)).startswith(b"HTTP/1.1 200")
-        answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
-        assert (answer.status, json.loads(answer.body)) == (
-            503,
-            {"error": "2 downloads are under way already"},
-        )
-        for _, writer in slow:
-            writer.close()
-        for _ in range(100):
-            if (await asked(unit, "HEAD", f"/api/v1/recordings/{NAME}")).status == 200:
-                answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
-                if answer.status == 200:
-                    break
-            await asyncio.sleep(0.02)
-        assert answer.status == 200
+    slow = [await unit.connect() for _ in range(MAX_DOWNLOADS)]
+    for reader, writer in slow:
+        writer.write(f"GET /api/v1/recordings/{NAME} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        assert (await asyncio.wait_for(reader.readline(), 60)).startswith(b"HTTP/1.1 200")
+    answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
+    assert (answer.status, answer.json) == (503, {"error": "2 downloads are under way already"})
+    for _, writer in slow:
+        writer.close()
+    for _ in range(100):
+        if (await asked(unit, "HEAD", f"/api/v1/recordings/{NAME}")).status == 200:
+            answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
+            if answer.status == 200:
+                break
+        await asyncio.sleep(0.02)
+    assert answer.status == 200

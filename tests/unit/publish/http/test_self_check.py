@@ -16,7 +16,7 @@ from altd.publish.http.guard import Guard
 from altd.status.health import Health
 from altd.status.services import SelfCheckReport
 
-from .conftest import Answer, Served, Unit
+from .conftest import Answer, Unit
 
 
 def report(number: int) -> SelfCheckReport:
@@ -25,49 +25,42 @@ def report(number: int) -> SelfCheckReport:
 
 async def post(unit: Unit, host: str = "127.0.0.1:80", header: str = "X-Altd-Request: 1\r\n") -> Answer:
     raw = f"POST /api/self-check HTTP/1.1\r\nHost: {host}\r\n{header}Content-Length: 0\r\n\r\n"
-    head, _, body = (await unit.send(raw.encode("latin-1"))).partition(b"\r\n\r\n")
-    first, *lines = head.decode("latin-1").split("\r\n")
-    headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
-    return Answer(int(first.split()[1]), headers, body)
+    return Answer.of(await unit.send(raw.encode("latin-1")))
 
 
-async def test_before_the_first_check_says_so(served: Served, health: Health) -> None:
-    async with served() as unit:
-        without = (await unit.ask("/api/self-check")).json
-        health.self_check.open(lambda: None)
-        before = (await unit.ask("/api/self-check")).json
+async def test_before_the_first_check_says_so(unit: Unit, health: Health) -> None:
+    without = (await unit.ask("/api/self-check")).json
+    health.self_check.open(lambda: None)
+    before = (await unit.ask("/api/self-check")).json
     why = "this unit has no frame LEDs that the daemon switches"
     assert without == {"verdict": None, "reasons": [why], "unavailable": why}
     why = "there was no self-check since the unit started"
     assert before == {"verdict": None, "reasons": [why], "unavailable": ""}
 
 
-async def test_the_last_check_is_for_anybody_to_read(served: Served, health: Health) -> None:
+async def test_the_last_check_is_for_anybody_to_read(unit: Unit, health: Health) -> None:
     health.self_check.publish(report(3))
-    async with served() as unit:
-        answer = await unit.ask("/api/self-check")
+    answer = await unit.ask("/api/self-check")
     assert (answer.status, answer.json) == (200, {"verdict": "good", "number": 3})
 
 
-async def test_who_asks_gets_what_a_check_says_that_began_afterwards(served: Served, health: Health) -> None:
+async def test_who_asks_gets_what_a_check_says_that_began_afterwards(unit: Unit, health: Health) -> None:
     service = health.self_check
     asked = asyncio.Event()
     service.open(asked.set)
     assert service.begin() == 1
-    async with served() as unit:
-        answering = asyncio.create_task(post(unit))
-        await asyncio.wait_for(asked.wait(), 60)
-        service.publish(report(1))  # it was under way before it was asked for
-        await asyncio.sleep(0.05)
-        assert not answering.done()
-        service.publish(report(service.begin()))
-        answer = await answering
+    answering = asyncio.create_task(post(unit))
+    await asyncio.wait_for(asked.wait(), 60)
+    service.publish(report(1))  # it was under way before it was asked for
+    await asyncio.sleep(0.05)
+    assert not answering.done()
+    service.publish(report(service.begin()))
+    answer = await answering
     assert (answer.status, answer.json["number"]) == (200, 2)
 
 
-async def test_a_unit_that_cannot_check_itself_says_why(served: Served) -> None:
-    async with served() as unit:
-        answer = await post(unit)
+async def test_a_unit_that_cannot_check_itself_says_why(unit: Unit) -> None:
+    answer = await post(unit)
     assert answer.status == 409
     assert "no frame LEDs" in answer.json["error"]
 
@@ -101,11 +94,10 @@ async def test_a_unit_that_cannot_check_itself_says_why(served: Served) -> None:
     ],
 )
 async def test_a_browser_on_the_unit_is_not_made_to_ask(
-    served: Served, health: Health, host: str, header: str
+    unit: Unit, health: Health, host: str, header: str
 ) -> None:
     health.self_check.open(lambda: pytest.fail("it was asked for"))
-    async with served() as unit:
-        answer = await post(unit, host, header)
+    answer = await post(unit, host, header)
     assert answer.status in (403, 421)  # 421: by a name that is not the unit's
     assert set(answer.json) == {"error"}
 
@@ -138,19 +130,6 @@ async def sent(unit: Unit, raw: str) -> list[str]:
 ASKING = "POST /api/self-check HTTP/1.1\r\nHost: 127.0.0.1:80\r\nX-Altd-Request: 1\r\n"
 
 
-@pytest.fixture
-def asked(health: Health) -> list[int]:
-    """Which checks were made; each is made as soon as it was asked for."""
-    service, numbers = health.self_check, list[int]()
-
-    def make() -> None:
-        numbers.append(service.begin())
-        service.publish(report(numbers[-1]))
-
-    service.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
-    return numbers
-
-
 @pytest.mark.parametrize(
     "rest",
     [
@@ -162,15 +141,11 @@ def asked(health: Health) -> list[int]:
     ],
 )
 async def test_what_comes_with_a_request_changes_nothing_of_it(
-    served: Served, asked: list[int], rest: str
+    unit: Unit, checked: list[int], rest: str
 ) -> None:
-    async with served() as unit:
-        assert await sent(unit, ASKING + rest) in (
-            ["HTTP/1.1 200 OK"],
-            [],
-        )  # []: cut off while it still sends
-        assert len(asked) == 1
-        assert (await unit.ask("/api/self-check")).json["number"] == 1
+    assert await sent(unit, ASKING + rest) in (["HTTP/1.1 200 OK"], [])  # []: cut off while it still sends
+    assert len(checked) == 1
+    assert (await unit.ask("/api/self-check")).json["number"] == 1
 
 
 @pytest.mark.parametrize(
@@ -185,27 +160,25 @@ async def test_what_comes_with_a_request_changes_nothing_of_it(
         pytest.param(ASKING.replace("POST", "OPTIONS") + "\r\n", id="what a browser asks before"),
     ],
 )
-async def test_what_is_malformed_asks_for_nothing(served: Served, asked: list[int], raw: str) -> None:
-    async with served() as unit:
-        (line,) = await sent(unit, raw) or ["HTTP/1.1 400 cut off"]
-        assert line.split()[1] in ("400", "405", "411")
-        assert asked == []
-        assert (await unit.ask("/api/measurement")).status == 503  # it answers, though nothing was measured
+async def test_what_is_malformed_asks_for_nothing(unit: Unit, checked: list[int], raw: str) -> None:
+    (line,) = await sent(unit, raw) or ["HTTP/1.1 400 cut off"]
+    assert line.split()[1] in ("400", "405", "411")
+    assert checked == []
+    assert (await unit.ask("/api/measurement")).status == 503  # it answers, though nothing was measured
 
 
-async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(served: Served, health: Health) -> None:
+async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(unit: Unit, health: Health) -> None:
     service, asked = health.self_check, list[bool]()
     service.open(lambda: asked.append(True))
-    async with served() as unit:
-        flood = [asyncio.create_task(post(unit)) for _ in range(40)]
-        await unit.until(lambda: sum(task.done() for task in flood) == 40 - MAX_WAITING)
-        assert {task.result().status for task in flood if task.done()} == {503}
-        assert len(asked) == MAX_WAITING  # the schedule makes one check of them
-        assert (await unit.ask("/api/status")).status == 200
-        service.publish(report(service.begin()))
-        statuses = [answer.status for answer in await asyncio.gather(*flood)]
-        assert sorted(statuses) == [200] * MAX_WAITING + [503] * (40 - MAX_WAITING)
-        again = asyncio.create_task(post(unit))
-        await unit.until(lambda: len(asked) == MAX_WAITING + 1)
-        service.publish(report(service.begin()))
-        assert (await again).status == 200
+    flood = [asyncio.create_task(post(unit)) for _ in range(40)]
+    await unit.until(lambda: sum(task.done() for task in flood) == 40 - MAX_WAITING)
+    assert {task.result().status for task in flood if task.done()} == {503}
+    assert len(asked) == MAX_WAITING  # the schedule makes one check of them
+    assert (await unit.ask("/api/status")).status == 200
+    service.publish(report(service.begin()))
+    statuses = [answer.status for answer in await asyncio.gather(*flood)]
+    assert sorted(statuses) == [200] * MAX_WAITING + [503] * (40 - MAX_WAITING)
+    again = asyncio.create_task(post(unit))
+    await unit.until(lambda: len(asked) == MAX_WAITING + 1)
+    service.publish(report(service.begin()))
+    assert (await again).status == 200

@@ -24,7 +24,7 @@ from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Component, Health
 
-from .conftest import Served
+from .conftest import Served, Unit
 
 
 async def test_a_taken_port_is_an_error(board: Board, health: Health, component: Component) -> None:
@@ -73,11 +73,10 @@ async def test_cancellation_is_prompt_and_leaves_nothing_even_with_streams_open(
     assert asyncio.all_tasks() == before
 
 
-async def test_the_signals_stay_the_daemons(served: Served) -> None:
+async def test_the_signals_stay_the_daemons(unit: Unit) -> None:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    async with served() as unit:
-        await unit.ask("/api/status")
-        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    await unit.ask("/api/status")
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
 @pytest.mark.parametrize(
@@ -94,12 +93,11 @@ async def test_the_signals_stay_the_daemons(served: Served) -> None:
     ],
     ids=["binary", "blanks", "no host", "two hosts", "length", "header", "target", "tls"],
 )
-async def test_what_is_no_request_is_refused(served: Served, request_bytes: bytes) -> None:
-    async with served() as unit:
-        answer = await unit.send(request_bytes)
-        assert answer[:12] in (b"HTTP/1.1 400", b"HTTP/1.1 431", b"")
-        assert answer == b"" or set(json.loads(answer.partition(b"\r\n\r\n")[2])) == {"error"}
-        assert (await unit.ask("/api/status")).status == 200
+async def test_what_is_no_request_is_refused(unit: Unit, request_bytes: bytes) -> None:
+    answer = await unit.send(request_bytes)
+    assert answer[:12] in (b"HTTP/1.1 400", b"HTTP/1.1 431", b"")
+    assert answer == b"" or set(json.loads(answer.partition(b"\r\n\r\n")[2])) == {"error"}
+    assert (await unit.ask("/api/status")).status == 200
 
 
 @pytest.fixture
@@ -119,15 +117,14 @@ def parsed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.parametrize("field", ["Transfer-Encoding: chunked", "transfer-encoding:gzip,chunked"])
 @pytest.mark.parametrize("body", [b"", b"1\r\nx\r\n" * 700], ids=["not sent", "at once"])
 async def test_a_body_in_chunks_is_refused_and_none_is_parsed(
-    served: Served, caplog: pytest.LogCaptureFixture, parsed: list[int], field: str, body: bytes
+    unit: Unit, caplog: pytest.LogCaptureFixture, parsed: list[int], field: str, body: bytes
 ) -> None:
     head = f"POST /api/v1/login HTTP/1.1\r\nHost: a\r\n{field}\r\n\r\n".encode()
-    async with served() as unit:
-        answer = await unit.send(head + body)
-        assert answer[:12] == b"HTTP/1.1 411" or (body and not answer)  # closed before all was taken
-        assert 411 in COMMON_ERRORS, "the OpenAPI document lacks it"
-        assert parsed == []
-        assert (await unit.ask("/api/status")).status == 200
+    answer = await unit.send(head + body)
+    assert answer[:12] == b"HTTP/1.1 411" or (body and not answer)  # closed before all was taken
+    assert 411 in COMMON_ERRORS, "the OpenAPI document lacks it"
+    assert parsed == []
+    assert (await unit.ask("/api/status")).status == 200
     assert caplog.records == []
 
 
@@ -146,7 +143,7 @@ async def test_a_body_in_chunks_is_refused_and_none_is_parsed(
 )
 @pytest.mark.parametrize("before", [b"", b"\r\n", b"\n", b"\r\n\r\n"])
 async def test_no_form_of_the_field_hides_chunks(
-    served: Served, monkeypatch: pytest.MonkeyPatch, before: bytes, fields: bytes
+    unit: Unit, monkeypatch: pytest.MonkeyPatch, before: bytes, fields: bytes
 ) -> None:
     """h11 itself decides what a body in chunks is."""
     events: list[object] = []
@@ -157,88 +154,81 @@ async def test_no_form_of_the_field_hides_chunks(
         return events[-1]
 
     monkeypatch.setattr(h11.Connection, "next_event", note)
-    async with served() as unit:
-        await unit.send(before + b"POST / HTTP/1.1\r\nHost: a\r\n" + fields + b"\r\n1\r\nx\r\n0\r\n\r\n")
+    await unit.send(before + b"POST / HTTP/1.1\r\nHost: a\r\n" + fields + b"\r\n1\r\nx\r\n0\r\n\r\n")
     requests = [event for event in events if isinstance(event, h11.Request)]
     assert all(name != b"transfer-encoding" for request in requests for name, _ in request.headers)
 
 
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=20))
 @settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
-async def test_garbage_does_not_trouble_it(served: Served, garbage: list[bytes]) -> None:
-    async with served() as unit:
-        for piece in garbage:
-            await unit.send(piece + b"\r\n\r\n")
-        assert (await unit.ask("/api/status")).status == 200
+async def test_garbage_does_not_trouble_it(unit: Unit, garbage: list[bytes]) -> None:
+    for piece in garbage:
+        await unit.send(piece + b"\r\n\r\n")
+    assert (await unit.ask("/api/status")).status == 200
 
 
-async def test_upgrades_and_bodies_are_ignored(served: Served) -> None:
-    async with served() as unit:
-        upgrade = b"GET /api/status HTTP/1.1\r\nHost: a\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n"
-        assert (await unit.send(upgrade)).startswith(b"HTTP/1.1 200")
-        body = b"GET /api/status HTTP/1.1\r\nHost: a\r\nContent-Length: 200000\r\n\r\n" + b"x" * 200_000
-        assert (await unit.send(body))[:12] in (b"HTTP/1.1 200", b"")
-        pipelined = b"GET /api/status HTTP/1.1\r\nHost: a\r\n\r\n" * 50
-        assert (await unit.send(pipelined))[:12] in (b"HTTP/1.1 200", b"")
-        assert (await unit.ask("/api/status")).status == 200
+async def test_upgrades_and_bodies_are_ignored(unit: Unit) -> None:
+    upgrade = b"GET /api/status HTTP/1.1\r\nHost: a\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n"
+    assert (await unit.send(upgrade)).startswith(b"HTTP/1.1 200")
+    body = b"GET /api/status HTTP/1.1\r\nHost: a\r\nContent-Length: 200000\r\n\r\n" + b"x" * 200_000
+    assert (await unit.send(body))[:12] in (b"HTTP/1.1 200", b"")
+    pipelined = b"GET /api/status HTTP/1.1\r\nHost: a\r\n\r\n" * 50
+    assert (await unit.send(pipelined))[:12] in (b"HTTP/1.1 200", b"")
+    assert (await unit.ask("/api/status")).status == 200
 
 
 @pytest.mark.parametrize("path", ["/api/v1/stream", "/api/v1/measurement", "/api/v1/login"])
 @pytest.mark.parametrize("pause_s", [0.0, 0.05], ids=["at once", "later"])
 async def test_a_body_that_nobody_asked_for_is_not_parsed(
-    served: Served, parsed: list[int], path: str, pause_s: float
+    unit: Unit, parsed: list[int], path: str, pause_s: float
 ) -> None:
     head = f"POST {path} HTTP/1.1\r\nHost: a\r\nContent-Length: 200000\r\n\r\n".encode()
-    async with served() as unit:
-        reader, writer = await unit.connect()
-        writer.write(head)
-        if pause_s:
-            await asyncio.sleep(pause_s)
-        writer.write(b"x" * 200_000)
-        with contextlib.suppress(ConnectionError, TimeoutError):
-            async with asyncio.timeout(0.5):
-                await reader.read()
-        writer.transport.abort()
-        assert len(head) <= sum(parsed) <= len(head) + server.MAX_BYTES_BEHIND_HEADER
-        parsed.clear()
-        assert (await unit.ask("/api/status")).status == 200
+    reader, writer = await unit.connect()
+    writer.write(head)
+    if pause_s:
+        await asyncio.sleep(pause_s)
+    writer.write(b"x" * 200_000)
+    with contextlib.suppress(ConnectionError, TimeoutError):
+        async with asyncio.timeout(0.5):
+            await reader.read()
+    writer.transport.abort()
+    assert len(head) <= sum(parsed) <= len(head) + server.MAX_BYTES_BEHIND_HEADER
+    parsed.clear()
+    assert (await unit.ask("/api/status")).status == 200
 
 
-async def test_a_header_that_never_ends_is_cut_off(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_header_that_never_ends_is_cut_off(unit: Unit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", 0.5)
-    async with served() as unit:
-        reader, writer = await unit.connect()
-        started = time.perf_counter()
-        with contextlib.suppress(ConnectionError):
-            while not (reader.at_eof() or reader.exception()):
-                assert time.perf_counter() - started < 60
-                writer.write(b"G")
-                await asyncio.sleep(0.01)
-        writer.close()
-        async with unit.stream() as events:
-            await events.head()
-            await asyncio.sleep(0.6)
-            assert unit.publisher.answers.streams.open == 1, "a stream outlives the deadline of its request"
+    reader, writer = await unit.connect()
+    started = time.perf_counter()
+    with contextlib.suppress(ConnectionError):
+        while not (reader.at_eof() or reader.exception()):
+            assert time.perf_counter() - started < 60
+            writer.write(b"G")
+            await asyncio.sleep(0.01)
+    writer.close()
+    async with unit.stream() as events:
+        await events.head()
+        await asyncio.sleep(0.6)
+        assert unit.publisher.answers.streams.open == 1, "a stream outlives the deadline of its request"
 
 
 async def test_a_flood_of_connections_is_bounded_and_passes(
-    served: Served, monkeypatch: pytest.MonkeyPatch
+    unit: Unit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "MAX_CONNECTIONS", 10)
-    async with served() as unit:
-        flood = [await unit.connect() for _ in range(40)]
-        await unit.until(
-            lambda: sum(reader.at_eof() or reader.exception() is not None for reader, _ in flood) >= 30
-        )
-        for _, writer in flood:
-            writer.close()
-        await asyncio.sleep(0.05)
-        assert (await unit.ask("/api/status")).status == 200
+    flood = [await unit.connect() for _ in range(40)]
+    await unit.until(
+        lambda: sum(reader.at_eof() or reader.exception() is not None for reader, _ in flood) >= 30
+    )
+    for _, writer in flood:
+        writer.close()
+    await asyncio.sleep(0.05)
+    assert (await unit.ask("/api/status")).status == 200
 
 
-async def test_many_clients_at_once_are_all_answered(served: Served) -> None:
-    async with served() as unit:
-        answers = await asyncio.gather(*(unit.ask("/api/status") for _ in range(40)))
+async def test_many_clients_at_once_are_all_answered(unit: Unit) -> None:
+    answers = await asyncio.gather(*(unit.ask("/api/status") for _ in range(40)))
     assert {answer.status for answer in answers} == {200}
 
 

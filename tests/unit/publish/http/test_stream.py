@@ -17,7 +17,7 @@ from altd.status.board import Board
 from altd.status.health import Component
 from altd.status.measurement_json import as_object_now
 
-from .conftest import Served
+from .conftest import Served, Unit
 
 
 async def test_the_latest_comes_at_once_and_then_every_new_one(
@@ -71,41 +71,37 @@ async def test_a_measurement_that_goes_stale_is_told_once(
 
 
 async def test_a_slow_client_skips_and_then_gets_the_newest(
-    served: Served, board: Board, component: Component, measured: Measurement
+    unit: Unit, board: Board, component: Component, measured: Measurement
 ) -> None:
-    async with served() as unit:
-        with socket.socket() as client:
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            client.setblocking(False)
-            loop = asyncio.get_running_loop()
-            await loop.sock_connect(client, ("127.0.0.1", unit.port))
-            await loop.sock_sendall(client, b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
-            await unit.until(lambda: component.counters.get("streams", 0) == 1)
-            for sequence in range(2000):
-                board.publish(replace(measured, sequence=sequence))
-                await asyncio.sleep(0)
-            received = b""
-            async with asyncio.timeout(60):
-                while b"id: 1999\n" not in received:
-                    received += await loop.sock_recv(client, 65536)
-        ids = [int(line[4:]) for line in received.split(b"\n") if line.startswith(b"id: ")]
-        assert ids == sorted(set(ids))
-        assert len(ids) < 300, "old measurements were queued"
-        assert component.counters["events_skipped"] == 2000 - len(ids)
+    with socket.socket() as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        client.setblocking(False)
+        loop = asyncio.get_running_loop()
+        await loop.sock_connect(client, ("127.0.0.1", unit.port))
+        await loop.sock_sendall(client, b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
+        await unit.until(lambda: component.counters.get("streams", 0) == 1)
+        for sequence in range(2000):
+            board.publish(replace(measured, sequence=sequence))
+            await asyncio.sleep(0)
+        received = b""
+        async with asyncio.timeout(60):
+            while b"id: 1999\n" not in received:
+                received += await loop.sock_recv(client, 65536)
+    ids = [int(line[4:]) for line in received.split(b"\n") if line.startswith(b"id: ")]
+    assert ids == sorted(set(ids))
+    assert len(ids) < 300, "old measurements were queued"
+    assert component.counters["events_skipped"] == 2000 - len(ids)
+    await unit.until(lambda: unit.publisher.answers.streams.open == 0)
+
+
+async def test_a_client_that_goes_away_leaves_nothing(unit: Unit, measured: Measurement) -> None:
+    before = len(asyncio.all_tasks())
+    for _ in range(3):
+        async with unit.stream() as events:
+            await events.head()
+            assert unit.publisher.answers.streams.open == 1
         await unit.until(lambda: unit.publisher.answers.streams.open == 0)
-
-
-async def test_a_client_that_goes_away_leaves_nothing(
-    served: Served, board: Board, measured: Measurement
-) -> None:
-    async with served() as unit:
-        before = len(asyncio.all_tasks())
-        for _ in range(3):
-            async with unit.stream() as events:
-                await events.head()
-                assert unit.publisher.answers.streams.open == 1
-            await unit.until(lambda: unit.publisher.answers.streams.open == 0)
-        await unit.until(lambda: len(asyncio.all_tasks()) == before)
+    await unit.until(lambda: len(asyncio.all_tasks()) == before)
 
 
 async def test_a_stalled_client_is_cut_off(
@@ -130,20 +126,19 @@ async def test_a_stalled_client_is_cut_off(
 
 
 async def test_only_so_many_streams_are_served(
-    served: Served, component: Component, monkeypatch: pytest.MonkeyPatch
+    unit: Unit, component: Component, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "MAX_STREAMS", 2)
-    async with served() as unit:
-        async with unit.stream() as first, unit.stream() as second:
-            await first.head()
-            await second.head()
-            refused = await unit.ask("/api/stream")
-            assert refused.status == 503
-            assert refused.json == {"error": "2 streams are open already"}
-            assert (await unit.ask("/api/status")).status == 200
-        await unit.until(lambda: unit.publisher.answers.streams.open == 0)
-        async with unit.stream() as again:
-            assert b" 200 " in await again.head()
+    async with unit.stream() as first, unit.stream() as second:
+        await first.head()
+        await second.head()
+        refused = await unit.ask("/api/stream")
+        assert refused.status == 503
+        assert refused.json == {"error": "2 streams are open already"}
+        assert (await unit.ask("/api/status")).status == 200
+    await unit.until(lambda: unit.publisher.answers.streams.open == 0)
+    async with unit.stream() as again:
+        assert b" 200 " in await again.head()
     assert component.counters["streams_refused"] == 1
 
 

@@ -11,7 +11,7 @@ import socket
 import ssl
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +36,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
 @pytest.fixture(scope="session")
 def others(tmp_path_factory: pytest.TempPathFactory) -> Files:
     return made(tmp_path_factory.mktemp("tls"), "other")
+
+
+@pytest.fixture
+async def unit(served: Served, files: Files) -> AsyncIterator[Unit]:
+    async with served(certificate=files[0], key=files[1]) as unit:
+        yield unit
 
 
 def _remove(path: Path) -> None:
@@ -70,31 +76,28 @@ async def name_shown(unit: Unit, context: ssl.SSLContext) -> str:
     return await asyncio.to_thread(ask)
 
 
-async def test_it_speaks_tls_and_nothing_else(served: Served, files: Files) -> None:
-    async with served(certificate=files[0], key=files[1]) as unit:
-        answer = await asyncio.to_thread(fetched, unit.port, client(files[0]))
-        assert answer.status == 200
-        assert await unit.send(b"GET / HTTP/1.1\r\nHost: unit\r\n\r\n") == b""
-        with pytest.raises(ssl.SSLCertVerificationError):
-            await asyncio.to_thread(fetched, unit.port, ssl.create_default_context())
+async def test_it_speaks_tls_and_nothing_else(unit: Unit, files: Files) -> None:
+    answer = await asyncio.to_thread(fetched, unit.port, client(files[0]))
+    assert answer.status == 200
+    assert await unit.send(b"GET / HTTP/1.1\r\nHost: unit\r\n\r\n") == b""
+    with pytest.raises(ssl.SSLCertVerificationError):
+        await asyncio.to_thread(fetched, unit.port, ssl.create_default_context())
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
-async def test_it_speaks_these_versions(served: Served, files: Files, version: ssl.TLSVersion) -> None:
+async def test_it_speaks_these_versions(unit: Unit, files: Files, version: ssl.TLSVersion) -> None:
     context = client(files[0])
     context.minimum_version = context.maximum_version = version
-    async with served(certificate=files[0], key=files[1]) as unit:
-        assert (await asyncio.to_thread(fetched, unit.port, context)).status == 200
+    assert (await asyncio.to_thread(fetched, unit.port, context)).status == 200
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-async def test_it_speaks_no_older_version(served: Served, files: Files) -> None:
+async def test_it_speaks_no_older_version(unit: Unit, files: Files) -> None:
     context = client(files[0])
     context.set_ciphers("ALL:@SECLEVEL=0")
     context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_1
-    async with served(certificate=files[0], key=files[1]) as unit:
-        with pytest.raises(OSError):  # noqa: PT011  whichever side gives up first
-            await asyncio.to_thread(fetched, unit.port, context)
+    with pytest.raises(OSError):  # noqa: PT011  whichever side gives up first
+        await asyncio.to_thread(fetched, unit.port, context)
     with pytest.raises(
         ssl.SSLError, match=r"(?i)unsupported|no protocols|version"
     ):  # and not the client itself
@@ -111,32 +114,28 @@ def _handshake(ours: ssl.SSLContext, theirs: ssl.SSLContext) -> None:
 
 
 async def test_a_handshake_that_does_not_come_holds_nobody_up(
-    served: Served, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    unit: Unit, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(server, "HANDSHAKE_TIMEOUT_S", 3.0)
-    async with served(certificate=files[0], key=files[1]) as unit:
-        silent = [await unit.connect() for _ in range(server.MAX_HANDSHAKES - 1)]
-        began = time.perf_counter()
-        assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
-        assert time.perf_counter() - began < 3.0, "it waited for the others"
-        for reader, writer in silent:
-            with contextlib.suppress(ConnectionError):
-                assert await asyncio.wait_for(reader.read(), 60) == b""
-            writer.close()
-        assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
+    silent = [await unit.connect() for _ in range(server.MAX_HANDSHAKES - 1)]
+    began = time.perf_counter()
+    assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
+    assert time.perf_counter() - began < 3.0, "it waited for the others"
+    for reader, writer in silent:
+        with contextlib.suppress(ConnectionError):
+            assert await asyncio.wait_for(reader.read(), 60) == b""
+        writer.close()
+    assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
     assert caplog.records == []
 
 
-async def test_handshakes_are_few_at_a_time(served: Served, files: Files, component: Component) -> None:
-    async with served(certificate=files[0], key=files[1]) as unit:
-        flood = [await unit.connect() for _ in range(60)]
-        await unit.until(
-            lambda: component.counters.get("connections_refused", 0) >= 60 - server.MAX_HANDSHAKES
-        )
-        for _, writer in flood:
-            writer.close()
-        await unit.until(lambda: component.counters.get("handshakes_failed", 0) >= server.MAX_HANDSHAKES)
-        assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
+async def test_handshakes_are_few_at_a_time(unit: Unit, files: Files, component: Component) -> None:
+    flood = [await unit.connect() for _ in range(60)]
+    await unit.until(lambda: component.counters.get("connections_refused", 0) >= 60 - server.MAX_HANDSHAKES)
+    for _, writer in flood:
+        writer.close()
+    await unit.until(lambda: component.counters.get("handshakes_failed", 0) >= server.MAX_HANDSHAKES)
+    assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
 
 
 @pytest.mark.parametrize(
@@ -150,21 +149,20 @@ async def test_handshakes_are_few_at_a_time(served: Served, files: Files, compon
     ],
 )
 async def test_garbage_instead_of_a_handshake_logs_nothing(
-    served: Served, files: Files, garbage: bytes, caplog: pytest.LogCaptureFixture, component: Component
+    unit: Unit, files: Files, garbage: bytes, caplog: pytest.LogCaptureFixture, component: Component
 ) -> None:
-    async with served(certificate=files[0], key=files[1]) as unit:
-        reader, writer = await unit.connect()
-        writer.write(garbage)
-        with contextlib.suppress(ConnectionError):
-            writer.write_eof()
-            await asyncio.wait_for(reader.read(), 60)
-        writer.close()
-        await unit.until(lambda: component.counters.get("handshakes_failed", 0) == 1)
-        assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
+    reader, writer = await unit.connect()
+    writer.write(garbage)
+    with contextlib.suppress(ConnectionError):
+        writer.write_eof()
+        await asyncio.wait_for(reader.read(), 60)
+    writer.close()
+    await unit.until(lambda: component.counters.get("handshakes_failed", 0) == 1)
+    assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
     assert caplog.records == []
 
 
-async def test_a_request_that_comes_with_the_handshake_is_answered(served: Served, files: Files) -> None:
+async def test_a_request_that_comes_with_the_handshake_is_answered(unit: Unit, files: Files) -> None:
     """The bytes that TLS deciphers at once must not be lost on their way to HTTP."""
 
     def ask(port: int) -> bytes:
@@ -188,13 +186,12 @@ async def test_a_request_that_comes_with_the_handshake_is_answered(served: Serve
                     ours.write(raw.recv(65536))
         return heard
 
-    async with served(certificate=files[0], key=files[1]) as unit:
-        for _ in range(20):
-            assert (await asyncio.to_thread(ask, unit.port)).startswith(b"HTTP/1.1 200")
+    for _ in range(20):
+        assert (await asyncio.to_thread(ask, unit.port)).startswith(b"HTTP/1.1 200")
 
 
 async def test_a_slow_client_skips_with_tls_too(
-    served: Served, files: Files, board: Board, component: Component, measured: Measurement
+    unit: Unit, files: Files, board: Board, component: Component, measured: Measurement
 ) -> None:
     """Old measurements must not wait in a buffer of TLS."""
 
@@ -204,17 +201,16 @@ async def test_a_slow_client_skips_with_tls_too(
             received += secured.recv(65536)
         return received
 
-    async with served(certificate=files[0], key=files[1]) as unit:
-        with await asyncio.to_thread(slow_stream, unit.port, client(files[0])) as secured:
-            await unit.until(lambda: component.counters.get("streams", 0) == 1)
-            for sequence in range(2000):
-                board.publish(replace(measured, sequence=sequence))
-                await asyncio.sleep(0)
-            received = await asyncio.to_thread(until_the_last, secured)
-        ids = [int(line[4:]) for line in received.split(b"\n") if line.startswith(b"id: ")]
-        assert ids == sorted(set(ids))
-        assert len(ids) < 300, "old measurements were queued"
-        await unit.until(lambda: unit.publisher.answers.streams.open == 0)
+    with await asyncio.to_thread(slow_stream, unit.port, client(files[0])) as secured:
+        await unit.until(lambda: component.counters.get("streams", 0) == 1)
+        for sequence in range(2000):
+            board.publish(replace(measured, sequence=sequence))
+            await asyncio.sleep(0)
+        received = await asyncio.to_thread(until_the_last, secured)
+    ids = [int(line[4:]) for line in received.split(b"\n") if line.startswith(b"id: ")]
+    assert ids == sorted(set(ids))
+    assert len(ids) < 300, "old measurements were queued"
+    await unit.until(lambda: unit.publisher.answers.streams.open == 0)
 
 
 def slow_stream(port: int, context: ssl.SSLContext) -> ssl.SSLSocket:
