@@ -11,13 +11,7 @@ import pytest
 
 from altd.app.settings import load_settings
 from altd.cli.main import main
-from altd.config import (
-    HwmonThermometerSettings,
-    InclinometerSettings,
-    Maintenance,
-    SelfCheckSettings,
-    Table,
-)
+from altd.config import HwmonThermometerSettings, InclinometerSettings, Maintenance, SelfCheckSettings, Table
 from altd.errors import BadInputError
 
 from .spoilt import NO_TOML, OTHERS, TABLE
@@ -25,18 +19,18 @@ from .whole_config import BASE
 
 
 def with_lines(settings: str, table: str, lines: str) -> str:
-    """The settings with lines in place of those of the same keys of a table, or at its end."""
+    """The settings with lines of ``TABLE`` in a table."""
     header = ".".join(name for name in table.split(".") if not name.isdigit())
     number = next((int(name) for name in table.split(".") if name.isdigit()), 0)
     begin = [found.end() for found in re.finditer(rf"^\[+{header}\]+\n", settings, re.MULTILINE)][number]
     end = (settings + "\n[").index("\n[", begin - 1)
-    content = settings[begin:end].strip("\n").split("\n")
-    keys = [line.partition(" =")[0] for line in content]
+    content = {line.partition(" =")[0]: line for line in settings[begin:end].strip("\n").split("\n")}
     for line in lines.split("; "):
-        key = line.partition(" =")[0]
-        place = keys.index(key) if key in keys else len(content)
-        content[place : place + 1] = [line]
-    return settings[:begin] + "\n".join([*content, ""]) + settings[end:]
+        if line.startswith("-"):
+            del content[line[1:]]
+        elif "=" in line:
+            content[line.partition(" =")[0]] = line
+    return settings[:begin] + "\n".join([*content.values(), ""]) + settings[end:]
 
 
 def of_table() -> Iterator[tuple[str, str, str, str]]:
@@ -46,8 +40,8 @@ def of_table() -> Iterator[tuple[str, str, str, str]]:
         if row.startswith("["):
             table = row.strip("[]")
             continue
-        lines, words = (part.strip() for part in row.split(" # "))
-        key = f"{table}.{lines.partition(' =')[0].removeprefix('«')}"
+        lines, words = (part.strip() for part in row.split(" #"))
+        key = f"{table}.{re.split(' =|; ', lines)[0].lstrip('«-')}"
         inside, _, of_inside = words.partition(": ") if words.startswith(".") else ("", "", words)
         yield table, lines, key + inside, of_inside
 
@@ -158,7 +152,12 @@ def test_all_faults_are_said_at_once_in_the_order_of_the_file(tmp_path: Path) ->
     text = BASE
     keys: list[str] = []
     for table, line, key, words in ROWS:
-        follows = "; " in line or line.startswith("«") or words.endswith("too") or table.startswith("targets")
+        follows = (
+            "; " in line
+            or line.startswith(("«", "-"))
+            or words.endswith("too")
+            or table.startswith("targets")
+        )
         if not follows and key not in keys and key.count(".") == 1:
             keys.append(key)
             text = with_lines(text, table, line.replace("«", ""))
