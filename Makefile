@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-outages bench-overload bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign faults soak studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-outages bench-overload bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign defects faults soak studies deb docs site sbom audit lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -161,6 +161,9 @@ campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=
 faults: venv ## faults into the whole daemon, all interfaces judged by truth; FAULT_RUNS=1000 for half an hour
 	@.ci/programs may mosquitto
 	exec $(python) -m benchmarks.faults --runs $(FAULT_RUNS) --real 1
+
+defects: venv ## a defect at a time in each room of altd: do the tests catch it? takes an hour
+	@exec $(python) -m tools.defects
 
 soak: venv ## the daemon for a hundred hours of a clock that is set: memory, descriptors, threads, exposures; SOAK_H=2
 	@.ci/programs may mosquitto

@@ -1,24 +1,8 @@
-"""One defect for each package of altd, each a plausible programming mistake in one line."""
+"""Defects chosen by hand, each a plausible mistake; and which drawn ones no unit test needs to catch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True, slots=True)
-class Defect:
-    """A defect and the text that it replaces in a file."""
-
-    what: str
-    file: str
-    old: str
-    new: str
-
-    @property
-    def room(self) -> str:
-        """Package or module of altd that contains the defect."""
-        return self.file.split("/")[1].removesuffix(".py")
-
+from tools.defects.defect import Defect
 
 DEFECTS = (
     Defect(
@@ -111,4 +95,25 @@ DEFECTS = (
         "        temporary.replace(path)\n    except BaseException:\n        temporary.unlink()\n",
         "        temporary.replace(path)\n    except BaseException:\n",
     ),
+    Defect(
+        "the variance of a chain's baseline is left out",
+        "altd/instruments/chain/displacement.py",
+        "return Displacement(epoch.place.t_ns, mm, random + baseline + lasting, random, lasting)",
+        "return Displacement(epoch.place.t_ns, mm, random + lasting, random, lasting)",
+    ),
+    Defect(
+        "the sigma of an LED's place leaves out the alignment to the pixel raster",
+        "altd/selfcheck/drift.py",
+        "sigma = np.sqrt(in_check**2 + claimed**2 + _RASTER_PX**2)",
+        "sigma = np.sqrt(in_check**2 + claimed**2)",
+    ),
+    Defect(
+        "light that one spot does not explain is left out of the covariance of a mean",
+        "altd/measuring/averaging.py",
+        "covariance_px2=covariance_px2 + np.diag(np.repeat(mean[:, _EXCESS2], 2)),",
+        "covariance_px2=covariance_px2,",
+    ),
 )
+
+EXPLAINED: dict[str, str] = {}
+"""Drawn defects that no unit test needs to catch, each with the reason."""

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,25 @@ def test_the_covariance_of_the_mean_is_that_of_monte_carlo() -> None:
     assert np.sqrt(np.diag(expected) / np.diag(observed)) == pytest.approx(1.0, abs=0.1)
     difference = np.array([1.0, 0, -1.0, 0])  # vibration that both targets share cancels
     assert np.sqrt(difference @ expected @ difference) < 0.15 * np.sqrt(expected[0, 0])
+
+
+def test_light_that_one_spot_does_not_explain_is_not_averaged_down() -> None:
+    """It is the same in all exposures: noise²/n remains, and its square beside it, of its spot alone."""
+    excess_px, noise_px, count = 0.05, 0.02, 16
+    rng = np.random.default_rng(6)
+    covariances, plain = [], []
+    for _ in range(50):
+        places = rng.normal((300, 200, 310, 220), noise_px, (count, 4))
+        frame_sets = [frame_set(n, tuple(at[:2]), tuple(at[2:])) for n, at in enumerate(places)]
+        plain.append(mean_of(frame_sets).covariance_px2)
+        for one in frame_sets:
+            one.spots["rear"] = replace(one.spots["rear"], excess_px=excess_px)
+        mean = mean_of(frame_sets)
+        assert mean.excess_px == pytest.approx((0.0, excess_px))
+        covariances.append(mean.covariance_px2)
+    added = np.mean(covariances, axis=0) - np.mean(plain, axis=0)
+    assert added == pytest.approx(np.diag([0.0, 0.0, excess_px**2, excess_px**2]), abs=1e-12)
+    assert np.mean(plain, axis=0).diagonal() == pytest.approx(noise_px**2 / count, rel=0.15)
 
 
 def test_steady_motion_does_not_count_as_scatter() -> None:

@@ -1,11 +1,18 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support import evidence
+from support.frames import HEIGHT, WIDTH
 from support.led_frames import LEDS, Motion
 
+from altd.records import Frame
+from altd.selfcheck import drift
 from altd.selfcheck.drift import Fitted, chi2_limit, fit_similarity
-from altd.selfcheck.records import Similarity
+from altd.selfcheck.lights import Lights
+from altd.selfcheck.records import LedView, Limits, Similarity
 
 ABOUT = LEDS.mean(axis=0)
 RADIUS_PX = float(np.sqrt(np.mean(np.sum((LEDS - ABOUT) ** 2, axis=1))))
@@ -59,3 +66,25 @@ def test_the_chi2_limit_is_exceeded_as_rarely_as_three_sigmas(freedom: int) -> N
 
 def test_without_freedom_nothing_can_disagree() -> None:
     assert chi2_limit(0, 4.5) == float("inf")
+
+
+def test_three_leds_on_the_pixel_raster_do_not_feign_a_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each LED's place is off by 0.0025 px rms, the same in all pairs: χ² (4) exceeds 18.5 in 0.1 %."""
+    rng = np.random.default_rng(8)
+    empty = Frame("camera", 0, 0, np.zeros((HEIGHT, WIDTH), np.uint8), 8)
+    view = LedView((replace(empty, leds_on=True),) * 2, (empty,) * 2)
+    calibrated = replace(evidence.target("front"), leds_px=LEDS[:3])
+    squares = []
+    for _ in range(30):
+        off_px = rng.normal(0.0, 0.0025, (3, 2))
+
+        def lights(*_: object, off_px: np.ndarray = off_px) -> Lights:
+            places = LEDS[:3] + off_px + rng.normal(0.0, 0.001, (3, 2))
+            return Lights(places, np.full(3, 0.001), np.full(3, 180.0), np.full(3, 18.0))
+
+        monkeypatch.setattr(drift, "lights_of", lights)
+        found = drift.drift_of("front", view, calibrated, Limits())
+        assert found.significance is not None
+        squares.append(found.significance**2)
+    assert max(squares) < 18.5
+    assert np.mean(squares) > 1.0

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.evidence import calibration, target
 
 from altd.config import ChainSettings
 from altd.instruments.chain.beam import at_instant, gain_at, moved_stable
 from altd.instruments.chain.budget import powers_mw
-from altd.instruments.chain.displacement import Displacement
+from altd.instruments.chain.displacement import Baseline, Displacement
 from altd.instruments.chain.places import Place
 from altd.instruments.chain.rate import DAY_NS, Trend, alarms
 from altd.instruments.chain.rounds import Observation, RoundWindow
+from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 
@@ -156,3 +160,50 @@ def test_a_visits_last_exposures_count_and_unbelievable_light_is_not_known() -> 
         only = one.flush()
         assert only is not None
         assert only.visits["a"].brightness("a", 4) == light
+
+
+ROW_Z_MM = {"t1": 0.0, "t2": 30e3, "t3": 60e3}
+
+
+def row_calibration() -> Calibration:
+    """Three targets whose maps agree with the truth: what is left of a displacement's error is random."""
+    targets = (
+        replace(target("rear", pattern_px=0.0, shift_px=0.0), name=name, z_mm=z_mm)
+        for name, z_mm in ROW_Z_MM.items()
+    )
+    return calibration(*targets)
+
+
+def visits(rng: np.random.Generator, round_number: int, sigmas_mm: dict[str, float]) -> dict[str, Place]:
+    """A round at rest: each place off by its own sigma, all at one instant."""
+    found = {}
+    for name, sigma_mm in sigmas_mm.items():
+        random = sigma_mm**2 * np.eye(2)
+        mm = rng.normal(0.0, sigma_mm, 2)
+        found[name] = Place(round_number * 10**9, 4, mm, random, random, 0.0, 2.5, np.eye(2) * 0.25)
+    return found
+
+
+@pytest.mark.parametrize("baseline_rounds", [1, 4])
+def test_a_displacements_covariance_is_that_of_monte_carlo_with_few_rounds_in_the_baseline(
+    baseline_rounds: int,
+) -> None:
+    """The middle of a row against its ends: s² + (s₁² + s₃²)/4, now and, over n, in the baseline."""
+    sigmas_mm = {"t1": 0.02, "t2": 0.01, "t3": 0.03}
+    now_mm2 = 0.01**2 + (0.02**2 + 0.03**2) / 4
+    rng = np.random.default_rng(7)
+    row, squares = row_calibration(), []
+    for _ in range(100):
+        baseline = Baseline(row, ("t1", "t3"), baseline_rounds)
+        history: dict[str, list[Place]] = {name: [] for name in sigmas_mm}
+        for number in range(baseline_rounds + 1):
+            taken = visits(rng, number, sigmas_mm)
+            for name, place_ in taken.items():
+                history[name].append(place_)
+            if not baseline.is_complete:
+                baseline.take(taken, history)
+        one = baseline.displaced(taken, history).places["t2"]
+        squares.append(one.significance**2)
+    assert one.covariance_mm2 == pytest.approx(now_mm2 * (1 + 1 / baseline_rounds) * np.eye(2), rel=1e-9)
+    assert one.random_mm2 == pytest.approx(now_mm2 * np.eye(2), rel=1e-9)
+    assert np.mean(squares) == pytest.approx(2.0, rel=0.25)
