@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-outages bench-overload bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign defects faults soak studies deb docs site sbom audit lock clean venv programs kernel
+.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-outages bench-overload bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign defects faults soak studies deb pages pictures site sbom audit lock clean venv programs kernel $(checks)
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -29,27 +29,8 @@ LANES ?= workshop package python simulator
 side_by_side := --numprocesses $(shell expr $$(nproc) '*' 3 / 2) --dist loadfile # more than cores: some tests wait
 pytest := $(python) -m pytest
 
-# Pages and other files of docs/, and the modules that write them.
-pages := \
-    modbus.md:tools.pages.modbus \
-    reasons.md:tools.pages.reasons \
-    commands.md:tools.pages.commands \
-    states.svg:tools.pages.states_picture \
-    coordinates.svg:tools.pages.coordinates \
-    architecture.svg:tools.pages.architecture \
-    telegram.md:tools.pages.telegram \
-    console.md:tools.pages.console \
-    http.md:tools.pages.http \
-    mqtt.md:tools.pages.mqtt \
-    mqtt.schema.json:tools.pages.mqtt_schema \
-    sparkplug.md:tools.pages.sparkplug \
-    opcua.md:tools.pages.opcua \
-    proof.md:tools.pages.proof \
-    clients.md:tools.pages.clients \
-    tables.md:tools.pages.tables \
-    config.md:tools.pages.config \
-    decisions/README.md:tools.pages.decisions \
-    licences.md:tools.licences.licence_page
+# What `make check` runs side by side, all of it whatever fails.
+checks := $(addprefix check-,pages types style format layers licences markdown wording)
 
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
@@ -84,19 +65,24 @@ fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 
 	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
 	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
-check: venv ## style, types, layers, licences, generated pages, width and wording of pages
+check: venv ## generated pages, style, types, layers, licences, width and wording of pages: all faults at once
+	@$(MAKE) --no-print-directory --keep-going --jobs=$(cores) --output-sync $(checks)
+check-pages:
+	@$(python) -m tools.pages --check
+check-types:
+	@$(python) -m mypy
+check-style:
 	@$(python) -m ruff check
-	$(python) -m ruff format --check
-	$(python) -m mypy
-	$(VENV)/bin/lint-imports --no-logo
-	$(python) -m tools.licences
-	for page in $(pages); do
-		file=docs/$${page%:*}
-		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
-	done
-	echo "generated pages are up to date"
-	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md
-	$(python) -m tools.plain README.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
+check-format:
+	@$(python) -m ruff format --check
+check-layers:
+	@$(VENV)/bin/lint-imports --no-logo
+check-licences:
+	@$(python) -m tools.licences
+check-markdown:
+	@$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md
+check-wording:
+	@$(python) -m tools.plain README.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
@@ -172,15 +158,12 @@ soak: venv ## the daemon for a hundred hours of a clock that is set: memory, des
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m studies -o docs/studies
 
-docs: venv ## write the generated pages and pictures of docs/
-	@for page in $(pages); do
-		file=docs/$${page%:*}
-		$(python) -m "$${page#*:}" >"$$file.new" || { rm -f "$$file.new"; exit 1; }
-		mv "$$file.new" "$$file"
-	done
-	.ci/programs must tmux chromium pdftoppm=poppler-utils
-	$(python) -m tools.pictures
-	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish -k "faults or night or checks_so_far"
+pages: venv ## write the generated pages and drawings of docs/ that changed: seconds
+	@exec $(python) -m tools.pages
+
+pictures: venv ## take the pictures of docs/ again: minutes; those that show the same stay; PICTURE=page for one
+	@.ci/programs must tmux chromium pdftoppm=poppler-utils
+	exec $(python) -m tools.pictures $(PICTURE)
 
 site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
 	@mkdir -p build # --quiet would not count the warnings that a strict build fails for

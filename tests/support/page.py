@@ -83,7 +83,7 @@ class Seen:
 
 
 async def picture(shown: Seen, name: str, last: Locator | None = None) -> None:
-    """For docs, of the whole page or down to its ``last`` part: ``make docs`` names the folder."""
+    """For docs, of the whole page or down to its ``last`` part: ``make pictures`` names the folder."""
     folder = os.environ.get("ALTD_PICTURES")
     if not folder:
         return

@@ -1,4 +1,4 @@
-"""``docs/architecture.svg``: the unit, the daemon and its clients; ``python -m tools.pages.architecture``."""
+"""``docs/architecture.svg``: the unit, the daemon and its clients."""
 
 from __future__ import annotations
 
@@ -99,7 +99,3 @@ def _text(
 ) -> str:
     place = f'x="{at[0]}" y="{at[1]}" text-anchor="{anchor}" font-weight="{weight}"'
     return f'<text {place} fill="{fill}" font-size="{size}">{escape(text)}</text>'
-
-
-if __name__ == "__main__":
-    print(picture(), end="")

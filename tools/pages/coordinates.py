@@ -1,4 +1,4 @@
-"""``docs/coordinates.svg``, the unit frame and its signs: ``python -m tools.pages.coordinates``.
+"""``docs/coordinates.svg``, the unit frame and its signs.
 
 Every point is projected from unit-frame coordinates in mm (``docs/conventions.md``), so the drawing cannot
 contradict the signs that it shows.
@@ -176,7 +176,3 @@ def _line(at: Projection, start: Point, end: Point, stroke: str, width: float, m
 def _text(at: tuple[float, float], text: str, fill: str, size: int = 14, anchor: str = "start") -> str:
     place = f'x="{at[0]:.1f}" y="{at[1]:.1f}" text-anchor="{anchor}"'
     return f'<text {place} fill="{fill}" font-size="{size}">{text}</text>'
-
-
-if __name__ == "__main__":
-    print(picture(), end="")

@@ -1,9 +1,8 @@
-"""``docs/mqtt.schema.json`` from the payloads' models: ``python -m tools.pages.mqtt_schema``."""
+"""``docs/mqtt.schema.json`` from the payloads' models."""
 
 from __future__ import annotations
 
 import json
-import sys
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.messages import schema_of
@@ -12,7 +11,3 @@ from altd.publish.mqtt.messages import schema_of
 def page() -> str:
     """JSON Schema of all payloads."""
     return json.dumps(schema_of(QUANTITIES), indent=1) + "\n"
-
-
-if __name__ == "__main__":
-    sys.stdout.write(page())

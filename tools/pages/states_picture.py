@@ -1,11 +1,7 @@
-"""``docs/states.svg``: the states, their causes and their transitions, from the code.
-
-``python -m tools.pages.states_picture``
-"""
+"""``docs/states.svg``: the states, their causes and their transitions, from the code."""
 
 from __future__ import annotations
 
-import sys
 from html import escape
 
 from altd.reasons import Reason, Signal
@@ -136,7 +132,3 @@ def _paragraph(x_px: int, y_px: int, lines: list[str]) -> list[str]:
 
 def _text(x_px: int, y_px: int, text: str, ink: str, more: str = "") -> str:
     return f'<text x="{x_px}" y="{y_px}" fill="{ink}"{f" {more}" if more else ""}>{escape(text)}</text>'
-
-
-if __name__ == "__main__":
-    sys.stdout.write(picture())

@@ -1,1 +1,1 @@
-"""Pictures for the README, captured from the running programs by ``make docs``."""
+"""Pictures for the README and other pages, captured from the running programs by ``make pictures``."""

@@ -51,7 +51,7 @@ def block(
 
 
 def test_the_page_in_docs_is_the_generated_one() -> None:
-    assert (DOCS / "proof.md").read_text() == page.page(), "run: python -m tools.pages.proof > docs/proof.md"
+    assert (DOCS / "proof.md").read_text() == page.page(), "run: make pages"
 
 
 def test_the_page_names_every_register_field_and_key() -> None:

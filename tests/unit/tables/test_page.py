@@ -8,7 +8,7 @@ from tools.pages.tables import page
 
 
 def test_the_page_is_generated_from_the_code() -> None:
-    assert (DOCS / "tables.md").read_text() == page(), "run python -m tools.pages.tables"
+    assert (DOCS / "tables.md").read_text() == page(), "run: make pages"
 
 
 def test_no_name_stands_twice_and_units_are_those_of_the_names() -> None:

@@ -1,10 +1,18 @@
-"""The film of a terminal: its text, where, how it looks, and when."""
+"""The film of a terminal: its text, where, how it looks, and when; which pictures are written."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 from xml.etree import ElementTree
 
+import cv2
+import numpy as np
+import pytest
+
+from altd.errors import BadInputError
+from tools.pictures import __main__ as pictures
 from tools.pictures.animation import Still, animated_svg
 from tools.pictures.terminal import Run, parse_screen
 
@@ -53,3 +61,41 @@ def test_each_line_is_seen_while_it_stood_there() -> None:
         "<a>": "0.00%{visibility:visible}25.00%{visibility:hidden}",
         "b & c": "0%{visibility:hidden}25.00%{visibility:visible}75.00%{visibility:hidden}",
     }
+
+
+def film(*seconds: str) -> bytes:
+    stills = [Still(parse_screen(f"head\n{second}"), 1.0) for second in seconds]
+    return animated_svg(stills, columns=20, rows=2, title="A film").encode()
+
+
+def png(value: int, words: slice = slice(0)) -> bytes:
+    """A grey picture with noise, a hundredth of it other numbers, and black words."""
+    pixels = np.random.default_rng(value).integers(100, 120, (100, 100, 3)).astype(np.uint8)
+    pixels[50, :] = value
+    pixels[words] = 0
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "is_written"),
+    [
+        ("a.svg", film("x -1.5", "x 1", "not valid"), film("x 12.25", "x 12.5", "not valid"), False),
+        ("a.svg", film("x -1.5", "not valid"), film("x -1.5", "no value"), True),
+        ("a.png", png(10), png(200), False),
+        ("a.png", png(10), png(200, words=slice(10, 12)), True),
+    ],
+)
+def test_a_picture_is_written_when_it_shows_more_than_other_numbers_or_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, before: bytes, after: bytes, is_written: bool
+) -> None:
+    def take(folder: Path) -> None:
+        (folder / file).write_bytes(after)
+
+    taken: dict[tuple[str, ...], tuple[Callable[[Path], None], float]] = {(file,): (take, 0.02)}
+    monkeypatch.setattr(pictures, "_TAKEN", taken)
+    for names, expected in (([], after if is_written else before), (["a"], after)):
+        (tmp_path / file).write_bytes(before)
+        assert pictures.main(names, tmp_path) == 0
+        assert (tmp_path / file).read_bytes() == expected
+    with pytest.raises(BadInputError, match="unknown picture 'b'; known are a"):
+        pictures.main(["b"], tmp_path)

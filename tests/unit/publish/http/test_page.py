@@ -9,7 +9,7 @@ from tools.pages.http import page
 
 
 def test_the_page_is_generated_from_the_code() -> None:
-    assert (DOCS / "http.md").read_text() == page(), "run python -m tools.pages.http"
+    assert (DOCS / "http.md").read_text() == page(), "run: make pages"
 
 
 def test_every_path_is_on_the_page() -> None:

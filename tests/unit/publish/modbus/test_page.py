@@ -12,7 +12,7 @@ COMMITTED = ROOT / "docs" / "modbus.md"
 
 
 def test_the_page_in_docs_is_the_generated_one() -> None:
-    assert COMMITTED.read_text() == page(), "run: python -m tools.pages.modbus > docs/modbus.md"
+    assert COMMITTED.read_text() == page(), "run: make pages"
 
 
 def test_the_page_names_every_register_bit_and_code() -> None:

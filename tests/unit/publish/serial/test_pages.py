@@ -15,7 +15,7 @@ from tools.pages import telegram as telegram_page
 @pytest.mark.parametrize(("name", "page"), [("telegram", telegram_page.page), ("console", console_page.page)])
 def test_the_page_is_generated_from_the_code(name: str, page: object) -> None:
     assert callable(page)
-    assert (DOCS / f"{name}.md").read_text() == page(), f"run python -m tools.pages.{name}"
+    assert (DOCS / f"{name}.md").read_text() == page(), "run: make pages"
 
 
 def test_every_field_of_the_telegram_is_on_its_page() -> None:
