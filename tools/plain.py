@@ -3,8 +3,7 @@
 ``python -m tools.plain PATH…`` lists each place, with the wording to use instead. It checks pages (``.md``),
 strings, docstrings and comments of Python, and files of the browser page (``.js``, ``.html``), and in a
 folder all files of these three kinds. A string of one word may be a key and is ignored, as are strings of
-tests, which are data. ``--sentences`` prints for each page its number of words, its mean sentence length, and
-sentences of more than 35 words.
+tests, which are data.
 """
 
 from __future__ import annotations
@@ -16,9 +15,6 @@ import tokenize
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
-
-MAX_WORDS = 35
-"""Maximum number of words of a sentence; longer ones are reported."""
 
 _PHRASES = (
     (r"\b(?:whoever|whosoever|whatever is)\b", "name the subject: a client, a reader, the technician"),
@@ -64,8 +60,6 @@ _INDENTED = re.compile(r"(?<=\n\n)(?: {4,}[^\n]*\n|\n)+", re.MULTILINE)
 _LINE_ENDS = {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}  # before a docstring
 _SUFFIXES = {".py", ".js", ".html"}
 _OWN = {"plain.py", "test_plain.py"}
-_SENTENCE_END = re.compile(r"(?<=[.!?])[\"”)]?\s+(?=[A-Z(\"“\[*_])")
-_PART = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. |#|\|))|(?<=\|)")
 
 
 class Finding(NamedTuple):
@@ -84,15 +78,6 @@ def findings(name: str, text: str) -> Iterator[Finding]:
                 yield Finding(
                     first_line + passage.count("\n", 0, match.start()), " ".join(match[0].split()), better
                 )
-
-
-def sentences(page: str) -> list[str]:
-    """Sentences of a page's paragraphs and list items, without tables, headings and code."""
-    parts = (part.strip().removeprefix("- ") for part in _PART.split(_without_code(page)))
-    texts = (
-        " ".join(part.split()) for part in parts if part and part[0] not in "#|<!" and not part.endswith("|")
-    )
-    return [sentence for text in texts for sentence in _SENTENCE_END.split(text) if len(sentence.split()) > 1]
 
 
 def _passages(name: str, text: str) -> Iterator[tuple[int, str]]:
@@ -127,17 +112,6 @@ def _blank(match: re.Match[str]) -> str:
     return re.sub(r"[^\n]", "_", match[0])
 
 
-def _print_sentences(paths: Iterable[Path]) -> None:
-    for path in paths:
-        text = path.read_text()
-        lengths = [(len(sentence.split()), sentence) for sentence in sentences(text)]
-        mean = sum(length for length, _ in lengths) / max(1, len(lengths))
-        print(f"{path}: {len(text.split())} words, {mean:.1f} words a sentence")
-        for length, sentence in sorted(lengths, reverse=True):
-            if length > MAX_WORDS:
-                print(f"    {length}: {sentence}")
-
-
 def _files(paths: Iterable[Path]) -> Iterator[Path]:
     """Yield the files, and the files in the folders except libraries and the two that contain the phrases."""
     for path in paths:
@@ -151,10 +125,7 @@ def _files(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def main(arguments: list[str]) -> int:
-    """Check the files or print their sentences; the exit status is 1 if a phrase was found."""
-    if arguments[:1] == ["--sentences"]:
-        _print_sentences(map(Path, arguments[1:]))
-        return 0
+    """Check the files; the exit status is 1 if a phrase was found."""
     count = 0
     for path in _files(map(Path, arguments)):
         for finding in findings(str(path), path.read_text()):

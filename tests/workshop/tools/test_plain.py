@@ -1,4 +1,4 @@
-"""Which phrases the language check finds, where, and what it counts as a sentence."""
+"""Which phrases the language check finds, and where."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.plain import findings, main, sentences
+from tools.plain import findings, main
 
 
 @pytest.mark.parametrize(
@@ -42,11 +42,6 @@ from tools.plain import findings, main, sentences
 )
 def test_phrases(name: str, text: str, expected: list[tuple[int, str]]) -> None:
     assert [(finding.line, finding.phrase) for finding in findings(name, text)] == expected
-
-
-def test_sentences_are_those_of_paragraphs_and_items() -> None:
-    page = "# A heading\n\nOne two. Three `four. five` six? (Seven\neight.)\n\n| a row |\n\n- An item.\n- b c"
-    assert [len(sentence.split()) for sentence in sentences(page)] == [2, 3, 2, 2, 2]
 
 
 def test_the_python_files_of_a_folder_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
