@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-chain demo-fleet demo-gige demo-planar test test-all test-workshop fuzz check bench bench-area bench-fleet bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-outages bench-overload bench-page bench-selfcheck bench-sizes bench-spray bench-verify bench-wires campaign defects faults soak studies deb pages pictures site sbom audit lock clean venv programs kernel $(checks)
+.PHONY: $(shell awk -F ':' '/^[a-z-]+:/ { print $$1 }' Makefile)
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -26,7 +26,8 @@ WORKSHOP ?= tests/workshop
 HOSTILE ?= 100000
 SPRAY_S ?= 600
 LANES ?= workshop package python simulator
-side_by_side := --numprocesses $(shell expr $$(nproc) '*' 3 / 2) --dist loadfile # more than cores: some tests wait
+cores := $(shell nproc)
+side_by_side := --numprocesses $(shell expr $(cores) '*' 3 / 2) --dist loadfile # more than cores: some tests wait
 pytest := $(python) -m pytest
 
 # What `make check` runs side by side, all of it whatever fails.
