@@ -25,8 +25,7 @@ from altd.measuring.freshness import MAX_COMPARED_FRAMES
 from altd.process.endings import until_signal
 from altd.records import Frame, PixelArray
 from benchmarks.campaign.clips import SimulatedClip, SimulatedRig, rig_of
-from benchmarks.campaign.timed import START_NS
-from benchmarks.campaign.way import CAMERAS
+from benchmarks.campaign.way import CAMERAS, START_NS
 from benchmarks.faults.live import LiveUnit, live_unit
 from benchmarks.faults.wires import TelegramLine, Wires, wires_of
 from benchmarks.harness import Parser, end, show

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol
+from dataclasses import replace
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
 
-from altd.measuring.calibration import Calibration
 from altd.recording.reader import Recording, open_recording
 from altd.records import FloatArray, PixelArray
 from benchmarks.campaign.scene import MeanImage, Noise, Scene, SpotShape, mean_image, noisy_image
 from benchmarks.campaign.units import RECORDED, RECORDINGS, SIMULATED, UnitSpec, calibrated
-from benchmarks.campaign.way import CAMERAS
+from benchmarks.campaign.way import CAMERAS, PERIOD_NS
 from hw_sim.beam import BeamPose
 from hw_sim.image import Image
 from hw_sim.measure import random_poses
@@ -24,51 +22,15 @@ from hw_sim.motion import Vibration, make_vibration
 from hw_sim.sensor import BLACK_LEVEL, FULL_WELL_E, Sensor
 from hw_sim.unit import Unit
 
-PERIOD_NS = 50_000_000
-START_NS = 1_000_000_000_000
-
 _DRIVING_MM_PER_S, _DRIVING_RAD_PER_S = 5.0, 0.01
 """Maximum speeds of a fast machine: four times as fast as hw_sim's drive."""
 _VIBRATION = Vibration(rms_mm=0.02, rms_mrad=0.05)
 """Vibration of every driving machine: a perfectly steady path would hide a late camera."""
 
 
-class Clip(Protocol):
-    """Exposures of one episode, counted by ``k`` from 0."""
-
-    length: int
-    still: bool
-    """Whether all exposures show the same light."""
-
-    def scene(self, camera: str, k: int) -> Scene:
-        """Light of a camera's frame."""
-
-    def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
-        """Frame of this scene, disturbed or not."""
-
-    def truth(self, k: int) -> FloatArray:
-        """True x mm, y mm, yaw °, pitch ° in the middle of frame set ``k``."""
-
-
-class Rig(Protocol):
-    """A calibrated unit that makes clips."""
-
-    name: str
-    bits: int
-    calibration: Calibration
-
-    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
-        """Exposures at a pose drawn from ``rng``; ``moving``: along a path."""
-
-
-def t_ns_of(k: int) -> int:
-    """Time of the middle of frame set ``k``."""
-    return START_NS + k * PERIOD_NS
-
-
-def rig_of(name: str) -> Rig:
-    """Unit of this name, with its calibration."""
-    return RecordedRig() if name == RECORDED else SimulatedRig(SIMULATED[name])
+def place_of(pose: BeamPose) -> FloatArray:
+    """Values of a pose: x mm, y mm, yaw °, pitch °."""
+    return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
 
 
 class SimulatedRig:
@@ -89,8 +51,8 @@ class SimulatedRig:
     def _rest(self, camera: str, lux: float) -> Image:
         return self.unit.imagers[camera].view.background_e(self.spec.exposure_ms, lux, False)
 
-    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
-        """Clip at any pose that meets both targets within the scanned area."""
+    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> SimulatedClip:
+        """Clip at any pose that meets both targets within the scanned area; ``moving``: along a path."""
         distance_mm = self.spec.config.target_distance_mm
         (pose,) = random_poses(1, distance_mm, rng)
         speed = np.zeros(4)
@@ -99,6 +61,12 @@ class SimulatedRig:
             speed[2:] = rng.uniform(-1, 1, 2) * _DRIVING_RAD_PER_S
         late_ns = int(rng.integers(1_000_000_000_000))
         return SimulatedClip(self, pose, speed, late_ns, length, rng)
+
+    def driving_clip(self, rng: np.random.Generator, length: int) -> SimulatedClip:
+        """Clip of a machine that drives across the middle of the targets."""
+        x_mm, y_mm = rng.uniform(-15, 15, 2)
+        speed = rng.uniform(-1, 1, 4) * (4.0, 4.0, 0.006, 0.006) * min(1.0, 100 / length)
+        return SimulatedClip(self, BeamPose(float(x_mm), float(y_mm)), speed, 0, length, rng)
 
     def scene(self, camera: str, t_ns: int, since_s: float) -> Scene:
         """Light of a frame at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
@@ -118,16 +86,9 @@ class SimulatedRig:
         to_mm = np.linalg.inv(to_px)
         xx, xy, yy = spot.form
         form = to_mm.T @ np.array([[xx, xy], [xy, yy]]) @ to_mm
-        shape = SpotShape(
-            u,
-            v,
-            (float(form[0, 0]), float(form[0, 1]), float(form[1, 1])),
-            spot.order,
-            spot.peak_mw_per_mm2 * exposure_ms,
-        )
-        return Scene(
-            camera, beam, rest, imager.view.response, shape, math.sqrt(abs(float(np.linalg.det(to_px))))
-        )
+        shape = SpotShape(u, v, _form(form), spot.order, spot.peak_mw_per_mm2 * exposure_ms)
+        px_per_mm = math.sqrt(abs(float(np.linalg.det(to_px))))
+        return Scene(camera, beam, rest, imager.view.response, shape, px_per_mm)
 
 
 class SimulatedClip:
@@ -181,8 +142,7 @@ class SimulatedClip:
     def truth(self, k: int) -> FloatArray:
         """Truth from the unit's formulas, vibration included."""
         self._rig.unit.follow(self._at)
-        pose = self._rig.unit.truth(self._late_ns + k * PERIOD_NS)
-        return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
+        return place_of(self._rig.unit.truth(self._late_ns + k * PERIOD_NS))
 
 
 class RecordedRig:
@@ -208,7 +168,7 @@ class RecordedRig:
         """Pixels of frame set ``k`` of a pose."""
         return self._frames[camera, pose * self.window + k]
 
-    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
+    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> RecordedClip:
         """Clip of one of the recorded poses: it has four exposures and does not move."""
         return RecordedClip(self, int(rng.integers(len(self.poses))))
 
@@ -222,14 +182,6 @@ class RecordedRig:
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _RecordedScene:
-    scene: Scene
-    electrons: Image
-    """Recorded electrons, including their noise."""
-    pixels: PixelArray
-
-
 class RecordedClip:
     """Exposures of one pose of unit-a; only added light gets added noise, the frames contain their own."""
 
@@ -240,20 +192,21 @@ class RecordedClip:
         self._pose = pose
         self.length = rig.window
         self._sensor = Sensor(rig.bits)
-        self._kept: dict[tuple[str, int], _RecordedScene] = {}
+        self._kept: dict[tuple[str, int], Scene] = {}
+        self._electrons: dict[tuple[str, int], Image] = {}
+        """Recorded electrons, including their noise."""
 
     def scene(self, camera: str, k: int) -> Scene:
         """Content of the frame, in electrons of a full well of 15 000."""
         if (camera, k) not in self._kept:
-            self._kept[camera, k] = self._read(camera, k)
-        return self._kept[camera, k].scene
+            black = np.float32(BLACK_LEVEL * self._sensor.full_scale)
+            electrons = self._rig.frame(camera, self._pose, k).astype(np.float32) - black
+            electrons /= np.float32(self._sensor.counts_per_electron(1.0))
+            self._electrons[camera, k] = electrons
+            self._kept[camera, k] = self._scene_of(camera, electrons)
+        return self._kept[camera, k]
 
-    def _read(self, camera: str, k: int) -> _RecordedScene:
-        pixels = self._rig.frame(camera, self._pose, k)
-        slope = self._sensor.counts_per_electron(1.0)
-        electrons = (
-            pixels.astype(np.float32) - np.float32(BLACK_LEVEL * self._sensor.full_scale)
-        ) / np.float32(slope)
+    def _scene_of(self, camera: str, electrons: Image) -> Scene:
         response = self._rig.responses[camera]
         shape, near = _spot_of(electrons)
         here = float(response[near].mean())
@@ -264,26 +217,38 @@ class RecordedClip:
         )
         assert point is not None  # noqa: S101  all poses are within the scan
         px_per_mm = abs(float(np.linalg.det(point.jacobian_mm_per_px))) ** -0.5
-        scene = Scene(
-            camera, beam, electrons - beam, response, replace(shape, peak=shape.peak / here), px_per_mm
-        )
-        return _RecordedScene(scene, electrons, pixels)
+        spot = replace(shape, peak=shape.peak / here)
+        return Scene(camera, beam, electrons - beam, response, spot, px_per_mm)
 
     def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
         """The recorded frame, with the changes of the way."""
-        kept = self._kept[scene.camera, k]
-        if scene is kept.scene:
-            return kept.pixels
+        if scene is self._kept[scene.camera, k]:
+            return self._rig.frame(scene.camera, self._pose, k)
         mean = scene.electrons
-        added = np.maximum(np.minimum(mean, FULL_WELL_E) - kept.electrons, 0.0)
+        added = np.maximum(np.minimum(mean, FULL_WELL_E) - self._electrons[scene.camera, k], 0.0)
         slope = self._sensor.counts_per_electron(1.0)
         spoilt = MeanImage(self._sensor.mean_counts(mean, 1.0), np.float32(slope) * np.sqrt(added))
         return noisy_image(spoilt, self._rig.noise.picture(mean.shape, rng), self._rig.bits)
 
     def truth(self, k: int) -> FloatArray:
         """Truth stated in the recording."""
-        pose = self._rig.poses[self._pose]
-        return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
+        return place_of(self._rig.poses[self._pose])
+
+
+Clip = SimulatedClip | RecordedClip
+"""Exposures of one episode, counted from 0. ``still``: all show the same light."""
+Rig = SimulatedRig | RecordedRig
+"""A calibrated unit that makes clips."""
+
+
+@cache
+def rig_of(name: str) -> Rig:
+    """Unit of this name, with its calibration."""
+    return RecordedRig() if name == RECORDED else SimulatedRig(SIMULATED[name])
+
+
+def _form(matrix: np.ndarray) -> tuple[float, float, float]:
+    return float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
 
 
 def _spot_of(electrons: Image) -> tuple[SpotShape, np.ndarray]:
@@ -299,7 +264,7 @@ def _spot_of(electrons: Image) -> tuple[SpotShape, np.ndarray]:
     blur = np.eye(2) * 16.0
     form = np.linalg.inv(4.0 * (moments - blur))
     lowered = math.sqrt(np.linalg.det(moments) / np.linalg.det(moments - blur))
-    shape = SpotShape(u, v, (float(form[0, 0]), float(form[0, 1]), float(form[1, 1])), 1.0, peak * lowered)
+    shape = SpotShape(u, v, _form(form), 1.0, peak * lowered)
     rows, columns = shape.window(electrons.shape)
     near = np.zeros(electrons.shape, bool)
     near[rows, columns] = True

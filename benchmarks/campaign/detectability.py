@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from benchmarks.campaign.units import UnitSpec
@@ -46,70 +46,65 @@ def always_detectable(subject: Subject) -> str:
     return ""
 
 
+def _wherever(hides: Callable[[Subject], bool], reason: str) -> Undetectable:
+    return lambda subject: reason if hides(subject) else ""
+
+
 def near_on_one(share: float, far_mm: float) -> Undetectable:
     """A second spot on one target, merged with the first: a shift, except for the stretch p (1 − p) d²/4."""
 
-    def undetectable(subject: Subject) -> str:
+    def hides(subject: Subject) -> bool:
         p, d = share / (1 + share), 2 * far_mm / subject.radius_mm
-        if d > 1.2 or p * (1 - p) * d * d / 4 > subject.stretch_known_to:
-            return ""
-        return (
-            "a second light within 0.6 of the spot's 1/e² radius that stretches it by less than 0.9 % (0.4 % "
-            "with a flat) looks like a shift, where it is there from the start or adds less than 5 % of the "
-            "light. Error: share × distance, up to 0.5 mm"
-        )
+        return d <= 1.2 and p * (1 - p) * d * d / 4 <= subject.stretch_known_to
 
-    return undetectable
+    return _wherever(
+        hides,
+        "a second light within 0.6 of the spot's 1/e² radius that stretches it by less than 0.9 % (0.4 % "
+        "with a flat) looks like a shift, where it is there from the start or adds less than 5 % of the "
+        "light. Error: share × distance, up to 0.5 mm",
+    )
 
 
 def near_on_both(far_mm: float) -> Undetectable:
     """A second spot beside both spots: equivalent to a laser of another shape, while the spots merge."""
-
-    def undetectable(subject: Subject) -> str:
-        if 2 * far_mm / subject.radius_mm > 1.0:
-            return ""
-        return (
-            "a second light beside both spots within half their 1/e² radius looks like a laser of another "
-            "shape. Error: share × distance, up to 1.5 mm for two equal spots 3 mm apart"
-        )
-
-    return undetectable
+    return _wherever(
+        lambda subject: 2 * far_mm / subject.radius_mm <= 1.0,
+        "a second light beside both spots within half their 1/e² radius looks like a laser of another "
+        "shape. Error: share × distance, up to 1.5 mm for two equal spots 3 mm apart",
+    )
 
 
 def on_a_plate(cameras: frozenset[str]) -> Undetectable:
     """The view of a plain plate has moved, alone or with the window's view, whose shift may be small."""
-
-    def undetectable(subject: Subject) -> str:
-        if subject.has_flat or "rear" not in cameras:
-            return ""
-        return (
-            "a plain plate without a recorded flat has no features that show its camera's pose. Error: up to "
-            "1° or 1 %, 0.5 mm on the plate, 0.1°. The frame LEDs show it (`altd selfcheck`)"
-        )
-
-    return undetectable
+    return _wherever(
+        lambda subject: not subject.has_flat and "rear" in cameras,
+        "a plain plate without a recorded flat has no features that show its camera's pose. Error: up to "
+        "1° or 1 %, 0.5 mm on the plate, 0.1°. The frame LEDs show it (`altd selfcheck`)",
+    )
 
 
 def by_a_step_of_the_print(shift_px: float) -> Undetectable:
     """The view has moved by about the pitch of the print's dots."""
-
-    def undetectable(subject: Subject) -> str:
-        if shift_px < 3.3:
-            return ""
-        return "a print shifted by one step of its dots (4 to 5 px, 0.9 mm) looks the same"
-
-    return undetectable
+    return _wherever(
+        lambda subject: shift_px >= 3.3,
+        "a print shifted by one step of its dots (4 to 5 px, 0.9 mm) looks the same",
+    )
 
 
 def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Undetectable:
     """A plain plate appears doubled by less than half a spot's radius."""
+    return _wherever(
+        lambda subject: "front" not in cameras and far_px <= 0.6 * 4.7 * subject.radius_mm,
+        "on a plain plate a picture doubled by less than half a spot looks like a shift. Error: "
+        "share × distance, up to 2 mm. Surface texture is too faint to show it",
+    )
 
-    def undetectable(subject: Subject) -> str:
-        if "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:
-            return ""
-        return (
-            "on a plain plate a picture doubled by less than half a spot looks like a shift. Error: "
-            "share × distance, up to 2 mm. Surface texture is too faint to show it"
-        )
 
-    return undetectable
+def two_lamps_like_a_laser(widths_mm: Iterable[float]) -> Undetectable:
+    """Two lamps without an edge, at two places that one beam can hit."""
+    are_like = all(4 < width_mm < 18 for width_mm in widths_mm)
+    return _wherever(
+        lambda subject: are_like,
+        "two lamps without an edge, 4 to 18 mm wide, at two places that one beam can hit, look like its "
+        "spots",
+    )

@@ -11,10 +11,9 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +21,13 @@ import numpy as np
 from altd.config import Measuring
 from altd.measuring.chain import MeasuringChain
 from altd.records import FloatArray, Frame, Measurement, NoSpot
+from benchmarks.campaign.clips import place_of
 from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
-from benchmarks.campaign.runner import prepare
+from benchmarks.campaign.runner import workers
 from benchmarks.campaign.scene import Noise, mean_image, noisy_image
 from benchmarks.campaign.units import ROOT, SIMULATED, calibrated, chain_of, hash_of
-from benchmarks.campaign.way import CAMERAS
+from benchmarks.campaign.way import CAMERAS, PERIOD_NS
+from benchmarks.harness import Columns
 from hw_sim.beam import BeamPose, Footprint
 from hw_sim.measure import HALF_AREA_MM, MAX_PITCH_SLOPE, MAX_YAW_SLOPE
 from hw_sim.motion import Vibration
@@ -35,7 +36,6 @@ from hw_sim.unit import Unit
 
 WINDOW, BURST = 20, 26
 HOUR_S = 3600.0
-PERIOD_NS = 50_000_000
 
 _DRIVING_S = 420.0
 """Duration of the path across the target and back, s, at up to 1 mm/s: machines drive this fast along the
@@ -99,11 +99,8 @@ class Count:
 
     def merge(self, other: Count) -> None:
         """Add another part."""
-        for name in ("measurements", "valid", "wrong", "frames"):
+        for name in ("measurements", "valid", "wrong", "frames", "invalid", "warned", "frames_refused"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.invalid += other.invalid
-        self.warned += other.warned
-        self.frames_refused += other.frames_refused
         self.squares = [mine + theirs for mine, theirs in zip(self.squares, other.squares, strict=True)]
         self.largest_sigmas = max(self.largest_sigmas, other.largest_sigmas)
 
@@ -123,11 +120,6 @@ class Count:
         for key in ("invalid", "warned", "frames_refused"):
             document[key] = Counter(document[key])
         return cls(**document)
-
-
-@cache
-def _unit(name: str) -> _GoodUnit:
-    return _GoodUnit(GOOD[name])
 
 
 class _GoodUnit:
@@ -162,8 +154,7 @@ class _GoodUnit:
 
     def truth(self, t_ns: int) -> FloatArray:
         """True x mm, y mm, yaw °, pitch °."""
-        pose = self.unit.truth(t_ns)
-        return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
+        return place_of(self.unit.truth(t_ns))
 
     def frame(self, camera: str, sequence: int, t_ns: int, rng: np.random.Generator) -> Frame:
         """Frame with the light, spot size and power of its time."""
@@ -184,6 +175,9 @@ class _GoodUnit:
         power = 1.0 + self.lives.power_drift * math.cos(2.0 * math.pi * t_s / 50_000.0)
         xx, xy, yy = (term / scale**2 for term in spot.form)
         return replace(spot, form=(xx, xy, yy), peak_mw_per_mm2=spot.peak_mw_per_mm2 * power / scale**2)
+
+
+_unit = cache(lambda name: _GoodUnit(GOOD[name]))
 
 
 def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
@@ -242,12 +236,13 @@ def run_good(
     """Sums by unit; hours with a result of exactly this code in ``kept`` are taken from there."""
     for circumstances in GOOD.values():
         calibrated(circumstances.unit)
-    folder = kept / f"good-{_code()}-{step_s:g}-{seed}"
+    code = hash_of(ROOT / part for part in ("altd", "hw_sim", "benchmarks/campaign"))
+    folder = kept / f"good-{code}-{step_s:g}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [(hour, name) for hour in range(hours) for name in GOOD]
     open_ = [(hour, name) for hour, name in wanted if not (folder / f"{name}-{hour}.json").exists()]
     progress(len(wanted) - len(open_), len(wanted))
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare) as pool:
+    with workers(processes) as pool:
         running = {pool.submit(measure_hour, name, hour, step_s, seed): (name, hour) for hour, name in open_}
         for done, future in enumerate(as_completed(running), start=len(wanted) - len(open_) + 1):
             name, hour = running[future]
@@ -259,9 +254,10 @@ def run_good(
     return sums
 
 
-def _code() -> str:
-    """Hash of all code that determines a result."""
-    return hash_of(ROOT / folder for folder in ("altd", "hw_sim", "benchmarks/campaign"))
+_TABLE = Columns(
+    *("unit:<9", "frames:>9", "refused:>9", "measured:>10", "invalid:>9", "warned:>8", "wrong:>7"),
+    *("rms(error/sigma) x y yaw pitch:>33", "largest:>9.1f"),
+)
 
 
 def lines(sums: Mapping[str, Count], hours: int, step_s: float) -> Iterator[str]:
@@ -270,37 +266,25 @@ def lines(sums: Mapping[str, Count], hours: int, step_s: float) -> Iterator[str]
         f"{hours} h of {len(sums)} units; every {step_s:g} s of it {BURST} exposures at 20 a second, "
         f"window {WINDOW}: {BURST - WINDOW + 1} measurements"
     )
-    yield (
-        f"{'unit':<9}{'frames':>9}{'refused':>9}{'measured':>10}{'invalid':>9}{'warned':>8}{'wrong':>7}"
-        f"{'rms(error/sigma) x y yaw pitch':>33}{'largest':>9}"
-    )
-    for name, count in sums.items():
-        rms = " ".join(f"{value:.2f}" for value in count.rms)
-        yield (
-            f"{name:<9}{count.frames:>9}{count.frames_refused.total():>9}{count.measurements:>10}"
-            f"{count.invalid.total():>9}{count.warned.total():>8}{count.wrong:>7}{rms:>33}"
-            f"{count.largest_sigmas:>9.1f}"
-        )
+    yield _TABLE.head
     total = Count()
-    for count in sums.values():
+    for name, count in sums.items():
+        alarms = (count.invalid.total(), count.warned.total(), count.wrong)
+        rms = " ".join(f"{value:.2f}" for value in count.rms)
+        refused = count.frames_refused.total()
+        yield _TABLE.row(name, count.frames, refused, count.measurements, *alarms, rms, count.largest_sigmas)
         total.merge(count)
-    alarms = total.invalid.total() + total.warned.total()
+    alarms_of_all = total.invalid.total() + total.warned.total()
     yield (
         f"{total.measurements} measurements: {total.invalid.total()} invalid, {total.warned.total()} warned: "
-        f"{1e5 * alarms / max(total.measurements, 1):.1f} false alarms in 100,000"
+        f"{1e5 * alarms_of_all / max(total.measurements, 1):.1f} false alarms in 100,000"
     )
-    yield f"rms(error/sigma), median of units and quantities: {_median_rms(sums):.2f}"
+    median = statistics.median(value for count in sums.values() for value in count.rms)
+    yield f"rms(error/sigma), median of units and quantities: {median:.2f}"
     for what, counter in (
         ("invalid", total.invalid),
         ("warned", total.warned),
         ("frames refused", total.frames_refused),
     ):
-        yield f"{what}: {_words(counter)}"
-
-
-def _median_rms(sums: Mapping[str, Count]) -> float:
-    return statistics.median(value for count in sums.values() for value in count.rms)
-
-
-def _words(counter: Counter[str]) -> str:
-    return ", ".join(f"{reason} {count}" for reason, count in counter.most_common()) or "none"
+        words = ", ".join(f"{reason} {count}" for reason, count in counter.most_common())
+        yield f"{what}: {words or 'none'}"

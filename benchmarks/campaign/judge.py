@@ -11,6 +11,8 @@ import numpy as np
 
 from altd.records import FloatArray, Measurement
 
+HIDDEN_SUFFIX = " (hidden)"
+"""Suffix of a way's name for its episodes that the drawn unit cannot detect."""
 SIGMAS = 5.0
 LIMITS = np.array([0.05, 0.05, 0.01, 0.01])
 """Error limits in mm, mm, °, °: an error is wrong if it exceeds both five sigmas and this limit."""
@@ -134,8 +136,7 @@ class Tally:
         for one in spoilt:
             self.verdicts[one.verdict] += 1
             self.reasons.update(one.reasons)
-        wrong = [one for one in spoilt if one.verdict is Verdict.WRONG]
-        self._remember(wrong, note)
+        self._remember([one for one in spoilt if one.verdict is Verdict.WRONG], note)
         first = next((n for n, one in enumerate(spoilt) if one.verdict is Verdict.INVALID), None)
         if first is not None:
             self.noticed.append(first + 1)
@@ -148,23 +149,20 @@ class Tally:
         self.worst_deg = max(self.worst_deg, *(one.error_deg for one in wrong))
         worst = max(wrong, key=lambda one: one.sigmas)
         self.worst_sigmas = max(self.worst_sigmas, worst.sigmas)
-        self.worst = sorted(
-            [*self.worst, (worst.sigmas, worst.error_mm, worst.error_deg, note)], reverse=True
-        )[:5]
+        noted = (worst.sigmas, worst.error_mm, worst.error_deg, note)
+        self.worst = sorted([*self.worst, noted], reverse=True)[:5]
 
     def merge(self, other: Tally) -> None:
         """Add the sums of another process."""
         self.invisible = other.invisible
-        self.episodes += other.episodes
-        self.verdicts += other.verdicts
-        self.reasons += other.reasons
-        self.worst_mm = max(self.worst_mm, other.worst_mm)
-        self.worst_deg = max(self.worst_deg, other.worst_deg)
-        self.worst_sigmas = max(self.worst_sigmas, other.worst_sigmas)
-        self.wrong_episodes += other.wrong_episodes
-        self.noticed += other.noticed
-        self.recovered_s += other.recovered_s
-        self.clean += other.clean
-        self.clean_refused += other.clean_refused
-        self.clean_wrong += other.clean_wrong
+        for name in _SUMS:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        for name in ("worst_mm", "worst_deg", "worst_sigmas"):
+            setattr(self, name, max(getattr(self, name), getattr(other, name)))
         self.worst = sorted([*self.worst, *other.worst], reverse=True)[:5]
+
+
+_SUMS = (
+    *("episodes", "verdicts", "reasons", "wrong_episodes", "noticed", "recovered_s"),
+    *("clean", "clean_refused", "clean_wrong"),
+)

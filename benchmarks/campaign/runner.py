@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import cache
-from multiprocessing import get_context
+from itertools import count, islice
+from multiprocessing import active_children, get_context
 
 import cv2
 import numpy as np
 
-from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.clips import Rig, rig_of
 from benchmarks.campaign.detectability import Subject
-from benchmarks.campaign.episode import run_episode, run_misnumbered
-from benchmarks.campaign.judge import Outcome, Tally
-from benchmarks.campaign.tally_table import HIDDEN_SUFFIX
-from benchmarks.campaign.timed import run_timed
+from benchmarks.campaign.episode import run_episode, run_misnumbered, run_timed
+from benchmarks.campaign.judge import HIDDEN_SUFFIX, Outcome, Tally
 from benchmarks.campaign.units import SIMULATED, calibrated
 from benchmarks.campaign.way import Draw, Spoil, Way, both
+from benchmarks.campaign.ways import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.ways.numbers import Misnumbered
 from benchmarks.campaign.ways.times import Mistimed
 
@@ -58,56 +58,52 @@ def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> t
     tallies: dict[str, Tally] = {}
     began_s = time.monotonic()
     made = 0
-    for results in _batches(plan, effort.processes):
-        for name, tally in results.items():
-            tallies.setdefault(name, Tally()).merge(tally)
-            made += tally.measurements + tally.clean
-        passed_s = time.monotonic() - began_s
-        progress(made, passed_s)
-        out_of_time = effort.seconds is not None and passed_s >= effort.seconds
-        if out_of_time or (effort.measurements is not None and made >= effort.measurements):
-            break
-    order = {
-        name: number
-        for number, name in enumerate(
-            name + suffix for name in (*WAYS, PAIRS) for suffix in ("", HIDDEN_SUFFIX)
-        )
-    }
-    return dict(sorted(tallies.items(), key=lambda item: order[item[0]])), time.monotonic() - began_s
+    with closing(_batches(plan, effort.processes)) as batches:
+        for results in batches:
+            for name, tally in results.items():
+                tallies.setdefault(name, Tally()).merge(tally)
+                made += tally.measurements + tally.clean
+            passed_s = time.monotonic() - began_s
+            progress(made, passed_s)
+            out_of_time = effort.seconds is not None and passed_s >= effort.seconds
+            if out_of_time or (effort.measurements is not None and made >= effort.measurements):
+                break
+    order = [name + suffix for name in (*WAYS, PAIRS) for suffix in ("", HIDDEN_SUFFIX)]
+    return {name: tallies[name] for name in order if name in tallies}, time.monotonic() - began_s
 
 
-def _batches(plan: Plan, processes: int) -> Iterator[dict[str, Tally]]:
+def _batches(plan: Plan, processes: int) -> Generator[dict[str, Tally]]:
     """Yield the sums of a few episodes at a time, in the order of their numbers."""
+    batches = (range(first, first + _BATCH) for first in count(0, _BATCH))
     if processes == 1:
         prepare()
-        number = 0
+        yield from (batch(plan, numbers) for numbers in batches)
+    with workers(processes) as pool:
+        waiting = deque(pool.submit(batch, plan, numbers) for numbers in islice(batches, 3 * processes))
         while True:
-            yield batch(plan, range(number, number + _BATCH))
-            number += _BATCH
-    # not forked: OpenCV's threads do not survive a fork
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare) as pool:
-        waiting = [
-            pool.submit(batch, plan, range(n * _BATCH, (n + 1) * _BATCH)) for n in range(3 * processes)
-        ]
-        number = len(waiting)
-        try:
-            while True:
-                yield waiting.pop(0).result()
-                waiting.append(pool.submit(batch, plan, range(number * _BATCH, (number + 1) * _BATCH)))
-                number += 1
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            yield waiting.popleft().result()
+            waiting.append(pool.submit(batch, plan, next(batches)))
+
+
+@contextmanager
+def workers(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Worker processes within the block; their unfinished work ends with it.
+
+    They are not forked: OpenCV's threads do not survive a fork.
+    """
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare)
+    try:
+        yield pool
+    finally:
+        for worker in active_children():  # one may be at work for an hour of ``good``
+            worker.terminate()
+        pool.shutdown(cancel_futures=True)
 
 
 def prepare() -> None:
     """Lower the priority of a worker process and limit it to one thread."""
     os.nice(5)
     cv2.setNumThreads(1)
-
-
-@cache
-def _rig(name: str) -> Rig:
-    return rig_of(name)
 
 
 def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
@@ -130,7 +126,7 @@ def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
     simulated = [name for name in plan.units if name in SIMULATED] or ["plain"]
     units = plan.units if isinstance(spoil, Spoil) else simulated
     unit = units[int(rng.integers(len(units)))]
-    rig = _rig(unit)
+    rig = rig_of(unit)
     if isinstance(spoil, Spoil):
         return _spoilt(plan, way, spoil, rig, rng, number)
     if isinstance(spoil, Mistimed):
@@ -156,9 +152,9 @@ def _spoilt(
     foreign = None
     if way.name == ANOTHER_UNIT:
         if not (alike := _units_alike(rig)):
-            rig = _rig("plain")
+            rig = rig_of("plain")
             alike = _units_alike(rig)
-        foreign = _rig(alike[int(rng.integers(len(alike)))])
+        foreign = rig_of(alike[int(rng.integers(len(alike)))])
     hidden = spoil.undetectable(Subject.of(SIMULATED.get(rig.name)))
     outcome = run_episode(rig, spoil, rng, moving, foreign)
     invisible = way.invisible or (_ONE_IS_HIDDEN if hidden and name == PAIRS else hidden)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from altd.records import PixelArray
 from hw_sim.beam import TAIL_CUTOFF
@@ -113,9 +114,17 @@ class Scene:
         """Scene with light that reaches the camera without meeting the target."""
         return replace(self, rest=self.rest + np.asarray(electrons, np.float32))
 
+    def seen_as(self, electrons: ArrayLike) -> Scene:
+        """The scene with all of its light replaced."""
+        return self.all_times(0.0).veiled(np.asarray(electrons, np.float32))
+
     def without_laser(self) -> Scene:
         """The scene without the laser."""
         return replace(self, beam=np.zeros_like(self.beam))
+
+    def with_laser(self, spot: SpotShape) -> Scene:
+        """The scene with another spot instead of the laser's."""
+        return self.without_laser().beam_plus(spot)
 
     def from_spot(self) -> tuple[Image, Image]:
         """Distances of the pixels right of and below the spot's centre, px: (1, columns) and (rows, 1)."""
@@ -129,16 +138,28 @@ class Scene:
         u, v = self.from_spot()
         return u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))
 
-    def edge(self, angle: float, at_px: float, soft_px: float) -> Image:
-        """0 beyond a straight edge and 1 before it: ``at_px`` from the spot's centre, ``soft_px`` wide."""
-        along = self.along(angle) - np.float32(at_px)
-        shadow: Image = np.clip(0.5 - along / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
-        return shadow
+    def edge(self, angle: float, at: float, soft_mm: float) -> Image:
+        """0 beyond a straight edge and 1 before it: ``at`` radii from the spot's centre, ``soft_mm`` wide."""
+        return self._edge_px(angle, at * self.spot.radius_px, soft_mm * self.px_per_mm)
 
     def stripe(self, angle: float, at: float, width_mm: float, soft_px: float) -> Image:
         """1 in a stripe across the picture, ``at`` radii from the spot's centre, 0 outside."""
         middle, half = at * self.spot.radius_px, width_mm * self.px_per_mm / 2
-        return self.edge(angle, middle + half, soft_px) - self.edge(angle, middle - half, soft_px)
+        return self._edge_px(angle, middle + half, soft_px) - self._edge_px(angle, middle - half, soft_px)
+
+    def _edge_px(self, angle: float, at_px: float, soft_px: float) -> Image:
+        along = self.along(angle) - np.float32(at_px)
+        shadow: Image = np.clip(0.5 - along / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
+        return shadow
+
+    def disc(self, angle: float, at: float, width_mm: float, soft_px: float) -> Image:
+        """1 inside a disc, ``at`` radii from the spot's centre in a direction, 0 outside."""
+        u, v = self.from_spot()
+        right_px, down_px = (at * self.spot.radius_px * f(angle) for f in (math.cos, math.sin))
+        far = np.sqrt((u - np.float32(right_px)) ** 2 + (v - np.float32(down_px)) ** 2)
+        radius_px = np.float32(width_mm * self.px_per_mm / 2)
+        disc: Image = np.clip(0.5 - (far - radius_px) / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
+        return disc
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,53 +4,35 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 
-from altd.errors import BadInputError
-from benchmarks.campaign.catalogue import WAYS
-from benchmarks.campaign.judge import LIMITS, SIGMAS, Tally, Verdict
+from benchmarks.campaign.judge import HIDDEN_SUFFIX, LIMITS, SIGMAS, Tally, Verdict
+from benchmarks.campaign.ways import WAYS
+from benchmarks.harness import aligned, markdown_table
 from tools.markdown import wrapped
 
-HIDDEN_SUFFIX = " (hidden)"
-"""Suffix of a way's name for its episodes that the drawn unit cannot detect."""
-
-HEAD = (
-    *("way", "kind", "episodes", "measured", "wrong", "right", "invalid"),
-    *("worst mm", "worst °", "sigmas", "notice", "back s"),
-)
+_WORST = ("worst mm", "worst °", "sigmas")
+HEAD = ("way", "kind", "episodes", "measured", "wrong", "right", "invalid", *_WORST, "notice", "back s")
 
 
 def cells(name: str, tally: Tally) -> tuple[str, ...]:
     """Cells of one row."""
-    seen = f"{statistics.median(tally.noticed):.0f} / {max(tally.noticed)}" if tally.noticed else "–"
-    back = (
-        f"{statistics.median(tally.recovered_s):.2f} / {max(tally.recovered_s):.2f}"
-        if tally.recovered_s
-        else ""
-    )
-    verdicts = tally.verdicts
-    wrong = str(verdicts[Verdict.WRONG]) + (" *" if tally.invisible else "")
+    noticed, back_s, verdicts = tally.noticed, tally.recovered_s, tally.verdicts
     worst = ("–", "–", "–")
     if verdicts[Verdict.WRONG]:
         worst = (f"{tally.worst_mm:.3g}", f"{tally.worst_deg:.3g}", f"{tally.worst_sigmas:.3g}")
-    counts = (wrong, str(verdicts[Verdict.RIGHT]), str(verdicts[Verdict.INVALID]))
     return (
         name,
         _kind(name.removesuffix(HIDDEN_SUFFIX)),
         str(tally.episodes),
         str(tally.measurements),
-        *counts,
+        str(verdicts[Verdict.WRONG]) + (" *" if tally.invisible else ""),
+        str(verdicts[Verdict.RIGHT]),
+        str(verdicts[Verdict.INVALID]),
         *worst,
-        seen,
-        back,
+        f"{statistics.median(noticed):.0f} / {max(noticed)}" if noticed else "–",
+        f"{statistics.median(back_s):.2f} / {max(back_s):.2f}" if back_s else "",
     )
-
-
-def rows(tallies: Mapping[str, Tally]) -> list[tuple[str, ...]]:
-    """All rows, the head first."""
-    return [HEAD, *(cells(name, tally) for name, tally in tallies.items())]
 
 
 def totals(tallies: Mapping[str, Tally]) -> Iterator[str]:
@@ -96,26 +78,12 @@ def worst(tallies: Mapping[str, Tally]) -> Iterator[str]:
             yield f"{name}: {sigmas:.1f} sigma, {error_mm:.3f} mm, {error_deg:.4f}°: {note}"
 
 
-def invisible(tallies: Mapping[str, Tally]) -> Iterator[str]:
-    """Cases that no method can detect."""
-    for name, tally in tallies.items():
-        if tally.invisible:
-            yield f"* {name}: {tally.invisible}"
-
-
 def text(tallies: Mapping[str, Tally]) -> Iterator[str]:
     """Table with aligned columns."""
-    table = rows(tallies)
-    widths = [max(len(row[column]) for row in table) for column in range(len(HEAD))]
-    for row in table:
-        cells_ = [
-            cell.ljust(width) if column < 2 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield "  ".join(cells_).rstrip()
+    yield from aligned([HEAD, *(cells(name, tally) for name, tally in tallies.items())], text_columns=2)
     yield "notice: frames from the onset to the first invalid measurement, median / largest"
     yield "back: seconds from the end of a disturbance to the next valid measurement, median / largest"
-    yield from invisible(tallies)
+    yield from (f"* {name}: {tally.invisible}" for name, tally in tallies.items() if tally.invisible)
     yield ""
     yield from totals(tallies)
 
@@ -127,7 +95,7 @@ This page states how often a wrong measurement is marked valid, for each kind of
 
 {headline}
 
-Command: `{command}` ({took_s:.0f} s; seed {seed}; units {units}).
+Command: {command}.
 Four of five episodes begin with undisturbed exposures. All exposures run through the measuring chain
 (window {window}), which measures at every exposure. Disturbances of times run through pipeline and board on a
 simulated clock. A reader of the board is judged every 25 ms: its numbers must be of a moment within the
@@ -146,53 +114,31 @@ found.
 
 """
 
-_WORST = ("worst mm", "worst °", "sigmas")
 
-
-@dataclass(frozen=True, slots=True)
-class RunDescription:
-    """Parameters of a campaign: its command, seed and units, its duration and window."""
-
-    command: str
-    seed: int
-    units: str
-    took_s: float
-    window: int
-
-
-def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) -> None:
-    """Write the page; raises BadInputError if the file cannot be written."""
-    wrong = wrong_count(tallies)
+def page(tallies: Mapping[str, Tally], command: str, window: int) -> str:
+    """Page as Markdown; ``command`` describes the run."""
     total = sum(tally.measurements + tally.clean for tally in tallies.values())
     ways = {name.removesuffix(HIDDEN_SUFFIX) for name in tallies} & WAYS.keys()
     headline = (
-        f"Of {total:,} measurements with {len(ways)} disturbances, and with pairs of them, {wrong:,} wrong "
-        f"ones were marked valid, beside {invisible_count(tallies):,} that cannot be detected."
+        f"Of {total:,} measurements with {len(ways)} disturbances, and with pairs of them, "
+        f"{wrong_count(tallies):,} wrong ones were marked valid, beside {invisible_count(tallies):,} that "
+        "cannot be detected."
     )
-    sections = [
-        _HEAD.format(headline=headline, **asdict(run))
-        + "\n".join(
-            f"- {line}."
-            for line in totals(tallies)
-            if not line.startswith("wrong ones")  # in the headline
-        )
-    ]
-    sections += [*_wrong(tallies), *_undetectable(tallies), *_kinds(tallies)]
-    try:
-        path.write_text(wrapped("\n\n".join(sections) + "\n"))
-    except OSError as error:
-        raise BadInputError(path, f"cannot be written: {error.strerror or error}") from error
+    told = [f"- {line}." for line in totals(tallies) if not line.startswith("wrong ones")]  # in the headline
+    head = _HEAD.format(headline=headline, command=command, window=window) + "\n".join(told)
+    return wrapped("\n\n".join([head, *_wrong(tallies), *_undetectable(tallies), *_kinds(tallies)]) + "\n")
 
 
 def _wrong(tallies: Mapping[str, Tally]) -> Iterator[str]:
     """Table of detectable disturbances with a wrong measurement that was marked valid."""
+    head = ("way", "measured", "wrong", *_WORST)
     rows = [
-        _columns(name, tally, "way", "measured", "wrong", *_WORST)
+        _columns(name, tally, *head)
         for name, tally in tallies.items()
         if tally.verdicts[Verdict.WRONG] and not tally.invisible
     ]
     if rows:
-        yield "## Wrong, marked valid\n\n" + _table(("way", "measured", "wrong", *_WORST), 1, rows)
+        yield "## Wrong, marked valid\n\n" + markdown_table(head, rows)
 
 
 def _undetectable(tallies: Mapping[str, Tally]) -> Iterator[str]:
@@ -202,7 +148,7 @@ def _undetectable(tallies: Mapping[str, Tally]) -> Iterator[str]:
     if not hidden:
         return
     rows = [_columns(name, tally, *head) for name, tally in hidden.items()]
-    yield "## Undetectable\n\nEpisodes that the drawn unit cannot detect:\n\n" + _table(head, 1, rows)
+    yield "## Undetectable\n\nEpisodes that the drawn unit cannot detect:\n\n" + markdown_table(head, rows)
     names: dict[str, list[str]] = {}
     for name, tally in hidden.items():
         names.setdefault(tally.invisible, []).append(name.removesuffix(HIDDEN_SUFFIX))
@@ -219,7 +165,7 @@ def _kinds(tallies: Mapping[str, Tally]) -> Iterator[str]:
         has_end = any(tallies[name].recovered_s for name in of)
         columns = ("measured", "wrong", "invalid", "notice", *(("back",) if has_end else ()))
         rows = [(name, _description(name), *_columns(name, tallies[name], *columns)) for name in of]
-        yield f"## {kind.capitalize()}\n\n" + _table(("way", "disturbance", *columns), 2, rows)
+        yield f"## {kind.capitalize()}\n\n" + markdown_table(("way", "disturbance", *columns), rows, 2)
 
 
 def _columns(name: str, tally: Tally, *columns: str) -> tuple[str, ...]:
@@ -229,16 +175,9 @@ def _columns(name: str, tally: Tally, *columns: str) -> tuple[str, ...]:
     return tuple(row[column].removesuffix(" *").replace(" / ", "/") for column in columns)
 
 
-def _table(head: Sequence[str], left: int, rows: Sequence[Sequence[str]]) -> str:
-    """Table whose first columns are text, the others numbers."""
-    rule = ["---"] * left + ["---:"] * (len(head) - left)
-    return "\n".join("|" + "|".join(row) + "|" for row in (head, rule, *rows))
-
-
 def _kind(name: str) -> str:
     return WAYS[name].kind if name in WAYS else "two at once"
 
 
 def _description(name: str) -> str:
-    make = WAYS[name].make if name in WAYS else None
-    return (make.__doc__ or "").strip().splitlines()[0].removesuffix(".") if make else "two of them"
+    return WAYS[name].summary.removesuffix(".") if name in WAYS else "two of them"

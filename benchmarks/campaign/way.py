@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,9 @@ from benchmarks.campaign.detectability import Undetectable, always_detectable
 from benchmarks.campaign.scene import Scene
 
 CAMERAS = ("front", "rear")
+MS, S = 1_000_000, 1_000_000_000
+PERIOD_NS, START_NS = 50 * MS, 1_000 * S
+"""Time between two exposures, and time of the first one."""
 
 
 @dataclass(slots=True)
@@ -29,20 +33,10 @@ class Shot:
     bits: int
 
 
-class OnLight(Protocol):
-    """Changes the light of frame set ``since`` after the onset."""
-
-    def __call__(self, scene: Scene, since: int) -> Scene:
-        """Return the disturbed scene."""
-
-
-class OnPixels(Protocol):
-    """Changes grey values; ``before`` is the camera's previous frame, None for the first."""
-
-    def __call__(self, pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        """Return the disturbed frame."""
-
-
+OnLight = Callable[[Scene, int], Scene]
+"""Changes the light of the frame set that is this number after the onset."""
+OnPixels = Callable[[PixelArray, PixelArray | None, int], PixelArray]
+"""Changes grey values of some bits; the second frame is the camera's previous one, None for the first."""
 OnStream = Callable[[list[Shot], int], list[Shot]]
 """Changes the frames of an episode, in order, from frame set ``onset`` on."""
 
@@ -100,6 +94,10 @@ class Draw:
         """Draw front, rear or both."""
         return frozenset(CAMERAS if self.rng.random() < 1 / 3 else (self.of(*CAMERAS),))
 
+    def both(self) -> frozenset[str]:
+        """Front and rear, without drawing."""
+        return frozenset(CAMERAS)
+
     def one(self) -> frozenset[str]:
         """Draw front or rear."""
         return frozenset((self.of(*CAMERAS),))
@@ -109,12 +107,56 @@ class Draw:
         return int(self.rng.integers(1 << 31))
 
 
+Parameter = Callable[[Draw], Any]
+"""Draws a parameter of a way, such as ``Draw.angle``."""
+
+
+def uniform(low: float, high: float) -> Parameter:
+    """Parameter drawn uniformly between two limits."""
+    return lambda draw: draw.uniform(low, high)
+
+
+def log(low: float, high: float) -> Parameter:
+    """Parameter drawn uniformly in its logarithm."""
+    return lambda draw: draw.log(low, high)
+
+
+def whole(low: int, high: int) -> Parameter:
+    """Parameter that is an integer, both ends included."""
+    return lambda draw: draw.whole(low, high)
+
+
+def of(*choices: str) -> Parameter:
+    """Parameter that is one of several choices."""
+    return lambda draw: draw.of(*choices)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A change whose last arguments are drawn once for each episode."""
+
+    change: Callable[..., Any]
+    parameters: tuple[Parameter, ...]
+
+    def values(self, draw: Draw) -> dict[str, Any]:
+        """Draw the arguments by their names."""
+        parameters = list(inspect.signature(self.change).parameters)
+        names = parameters[len(parameters) - len(self.parameters) :]
+        return {name: of(draw) for name, of in zip(names, self.parameters, strict=True)}
+
+
+def drawn(*parameters: Parameter) -> Callable[[Callable[..., Any]], Drawn]:
+    """Return a decorator of a change that draws its last arguments in this order."""
+    return lambda change: Drawn(change, parameters)
+
+
 @dataclass(frozen=True, slots=True)
 class Way:
     """A named way. ``moving``: only a moving beam reveals it. ``invisible``: why physics hides it, size."""
 
     name: str
     kind: str
+    summary: str
     make: Callable[[Draw], object]
     """Draws the parameters: a ``Spoil``, or the types of the modules ``times`` and ``numbers``."""
     moving: bool = False
@@ -128,16 +170,80 @@ class Registry:
     kind: str
     ways: list[Way] = field(default_factory=list)
 
+    def row(
+        self,
+        name: str,
+        summary: str,
+        make: Callable[[Draw], object],
+        *,
+        moving: bool = False,
+        invisible: str = "",
+    ) -> None:
+        """Register a way that is a case of another function."""
+        self.ways.append(Way(name, self.kind, summary, make, moving, invisible))
+
+    def on_light(
+        self, note: str, cameras: Callable[[Draw], frozenset[str]] = Draw.targets, *, varies: bool = False
+    ) -> Callable[[Drawn], Drawn]:
+        """Return a decorator that registers a change of a scene by its name and docstring.
+
+        ``note`` is formatted with the parameters. With ``varies`` the change gets ``since`` after the scene.
+        """
+
+        def enter(way: Drawn) -> Drawn:
+            def make(draw: Draw) -> Spoil:
+                values = way.values(draw)
+
+                def light(scene: Scene, since: int) -> Scene:
+                    changed: Scene = way.change(scene, *([since] if varies else []), **values)
+                    return changed
+
+                return Spoil(note.format(**values), light=light, cameras=cameras(draw), varies=varies)
+
+            return self._registered(way, make)
+
+        return enter
+
+    def on_pixels(self, note: str) -> Callable[[Drawn], Drawn]:
+        """Return a decorator that registers a change of a frame's own grey values with some bits."""
+
+        def enter(way: Drawn) -> Drawn:
+            def make(draw: Draw) -> Spoil:
+                values = way.values(draw)
+
+                def pixels(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+                    return grey(way.change(pixels.copy(), bits, **values), pixels)
+
+                return Spoil(note.format(**values), pixels=pixels, cameras=draw.targets())
+
+            return self._registered(way, make)
+
+        return enter
+
+    def _registered(self, way: Drawn, make: Callable[[Draw], Spoil]) -> Drawn:
+        self.row(way.change.__name__, summary_of(way.change), make)
+        return way
+
     def add(
         self, *, moving: bool = False, invisible: str = ""
     ) -> Callable[[Callable[[Draw], Spoil]], Callable[[Draw], Spoil]]:
-        """Return a decorator that registers a function under its own name."""
+        """Return a decorator that registers a function under its own name and docstring."""
 
         def enter(make: Callable[[Draw], Spoil]) -> Callable[[Draw], Spoil]:
-            self.ways.append(Way(make.__name__, self.kind, make, moving, invisible))
+            self.row(make.__name__, summary_of(make), make, moving=moving, invisible=invisible)
             return make
 
         return enter
+
+
+def summary_of(function: Callable[..., object]) -> str:
+    """First line of a docstring."""
+    return (function.__doc__ or "").strip().splitlines()[0]
+
+
+def names_of(cameras: Iterable[str]) -> str:
+    """Cameras of a note."""
+    return " and ".join(sorted(cameras))
 
 
 def both(first: Spoil, second: Spoil) -> Spoil:
@@ -150,20 +256,6 @@ def both(first: Spoil, second: Spoil) -> Spoil:
                 scene = part.light(scene, since)
         return scene
 
-    return Spoil(
-        note="; ".join(part.note for part in parts),
-        light=light,
-        stream=_streams(parts),
-        pixels=None,
-        varies=first.varies or second.varies,
-        no_beam=first.no_beam or second.no_beam,
-        undetectable=lambda subject: first.undetectable(subject) or second.undetectable(subject),
-    )
-
-
-def _streams(parts: Sequence[Spoil]) -> OnStream:
-    """Apply grey values and streams of several ways, one after another."""
-
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
         for part in parts:
             spoil_pixels(part, shots, onset)
@@ -171,7 +263,14 @@ def _streams(parts: Sequence[Spoil]) -> OnStream:
                 shots = part.stream(shots, onset)
         return shots
 
-    return stream
+    return Spoil(
+        note="; ".join(part.note for part in parts),
+        light=light,
+        stream=stream,
+        varies=first.varies or second.varies,
+        no_beam=first.no_beam or second.no_beam,
+        undetectable=lambda subject: first.undetectable(subject) or second.undetectable(subject),
+    )
 
 
 def spoil_pixels(spoil: Spoil, shots: Sequence[Shot], onset: int) -> None:

@@ -14,9 +14,8 @@ from collections.abc import AsyncGenerator, Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 
-from altd.errors import BadInputError
-from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
-from benchmarks.campaign.way import Draw, Way
+from benchmarks.campaign.way import Draw, Way, summary_of
+from benchmarks.campaign.ways import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.ways.spots import photographed_beam
 from benchmarks.faults.live import LiveUnit
 from benchmarks.faults.wires import Wires
@@ -34,34 +33,53 @@ class Fault:
     """
 
     name: str
-    group: str
+    kind: str
     summary: str
     way: Way | None = None
     act: Act | None = None
     is_blind: bool = False
 
 
-async def camera_unplugged(unit: LiveUnit, _wires: Wires, draw: Draw) -> AsyncGenerator[None]:
-    """One camera or both are unplugged, not found, and plugged in again."""
-    cameras = [unit.cameras[name] for name in draw.targets()]
+async def _lasting(begin: Callable[[], object], end: Callable[[], object]) -> AsyncGenerator[None]:
+    begin()
     try:
-        for camera in cameras:
-            camera.is_unplugged = True
         while True:
             yield
     finally:
-        for camera in cameras:
+        end()
+
+
+def camera_unplugged(unit: LiveUnit, _wires: Wires, draw: Draw) -> AsyncGenerator[None]:
+    """One camera or both are unplugged, not found, and plugged in again."""
+
+    def begin() -> None:
+        for name in draw.targets():
+            unit.cameras[name].is_unplugged = True
+
+    def end() -> None:
+        for camera in unit.cameras.values():
             camera.is_unplugged = False
 
+    return _lasting(begin, end)
 
-async def port_unplugged(_unit: LiveUnit, wires: Wires, _draw: Draw) -> AsyncGenerator[None]:
+
+def port_unplugged(_unit: LiveUnit, wires: Wires, _draw: Draw) -> AsyncGenerator[None]:
     """The serial port of the telegram is unplugged, and plugged in again."""
-    wires.telegram.unplug()
-    try:
-        while True:
-            yield
-    finally:
-        wires.telegram.plug()
+    return _lasting(wires.telegram.unplug, wires.telegram.plug)
+
+
+def reader_stuck(_unit: LiveUnit, wires: Wires, _draw: Draw) -> AsyncGenerator[None]:
+    """The reader of the telegram stops reading; it begins again with an empty buffer."""
+    return _lasting(wires.telegram.stop, wires.telegram.restart)
+
+
+def clock_set(unit: LiveUnit, _wires: Wires, draw: Draw) -> AsyncGenerator[None]:
+    """The computer's clock is set forward or back by an hour, and right again."""
+
+    def set_by(hours: int) -> None:
+        unit.clock.utc_step = timedelta(hours=hours)
+
+    return _lasting(lambda: set_by(draw.sign()), lambda: set_by(0))
 
 
 async def port_noise(_unit: LiveUnit, wires: Wires, draw: Draw) -> AsyncGenerator[None]:
@@ -77,16 +95,6 @@ async def port_flood(_unit: LiveUnit, wires: Wires, draw: Draw) -> AsyncGenerato
     while True:
         _write(wires, request * (4096 // len(request)))
         yield
-
-
-async def reader_stuck(_unit: LiveUnit, wires: Wires, _draw: Draw) -> AsyncGenerator[None]:
-    """The reader of the telegram stops reading; it begins again with an empty buffer."""
-    wires.telegram.is_read = False
-    try:
-        while True:
-            yield
-    finally:
-        wires.telegram.restart()
 
 
 async def network_cut(_unit: LiveUnit, wires: Wires, draw: Draw) -> AsyncGenerator[None]:
@@ -141,16 +149,6 @@ async def network_hostile(unit: LiveUnit, _wires: Wires, draw: Draw) -> AsyncGen
         _close(links)
 
 
-async def clock_set(unit: LiveUnit, _wires: Wires, draw: Draw) -> AsyncGenerator[None]:
-    """The computer's clock is set forward or back by an hour, and right again."""
-    unit.clock.utc_step = timedelta(hours=draw.sign())
-    try:
-        while True:
-            yield
-    finally:
-        unit.clock.utc_step = timedelta()
-
-
 def _link(port: int) -> socket.socket:
     link = socket.socket()
     link.setblocking(False)
@@ -198,29 +196,12 @@ def _faults() -> Iterator[Fault]:
         for way in WAYS.values():
             if way.kind in kinds and way.name not in _LEFT_OUT:
                 of = "camera" if way.name in _OF_CAMERA else group
-                yield Fault(way.name, of, summary_of(way.make), way=way, is_blind=way.name in _BLIND)
+                yield Fault(way.name, of, way.summary, way=way, is_blind=way.name in _BLIND)
     for group, acts in _ACTS.items():
         for act in acts:
             name = act.__name__
             yield Fault(name, group, summary_of(act), act=act, is_blind=name in _BLIND)
 
 
-def summary_of(of: Callable[..., object]) -> str:
-    """First line of a docstring."""
-    return (of.__doc__ or "").strip().splitlines()[0]
-
-
 FAULTS = {fault.name: fault for fault in _faults()}
 """All faults that run on the stepped clock; faults in real time are in ``real``."""
-
-
-def chosen(names: str) -> list[Fault]:
-    """Faults with these names or groups, comma-separated; all if empty. Raises BadInputError."""
-    found = []
-    for name in names.split(",") if names else FAULTS:
-        of_name = [fault for fault in FAULTS.values() if name in (fault.name, fault.group)]
-        if not of_name:
-            groups = dict.fromkeys(fault.group for fault in FAULTS.values())
-            raise BadInputError("--only", f"unknown fault {name!r}; groups are {', '.join(groups)}")
-        found += of_name
-    return list(dict.fromkeys(found))

@@ -19,16 +19,14 @@ from altd.devices.aravis.device_clock import DeviceClock
 from altd.records import FloatArray, Frame
 from benchmarks.campaign.clips import SimulatedClip, SimulatedRig
 from benchmarks.campaign.detectability import Subject
-from benchmarks.campaign.scene import Scene
-from benchmarks.campaign.timed import START_NS
-from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
-from benchmarks.campaign.ways.times import MS, PERIOD_NS, Delivery, Mistimed
+from benchmarks.campaign.episode import shots_of
+from benchmarks.campaign.way import CAMERAS, MS, PERIOD_NS, START_NS, Draw, Spoil, both
+from benchmarks.campaign.ways.times import TRANSFER_NS, Delivery, Mistimed, undisturbed
 from benchmarks.faults.catalogue import Act, Fault
 from benchmarks.faults.judging import MAX_AGE_S, WINDOW, Judge, Result, error_of_times, exposures_ns
 from benchmarks.faults.live import live_unit
 from benchmarks.faults.wires import Published, TelegramLine, wires_of
 from benchmarks.interfaces import Interfaces
-from hw_sim.beam import BeamPose
 from hw_sim.measure import random_poses
 
 BEFORE, BACK = 22, 80
@@ -36,7 +34,6 @@ BEFORE, BACK = 22, 80
 _STEADY_NS = 250 * MS
 _SHORTEST, _LONGEST = 20, 40
 """Minimum and maximum number of exposures of a fault without its own end."""
-_TRANSFER_NS = 5 * MS
 _READ_AFTER_NS = 25 * MS
 _START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 
@@ -104,53 +101,27 @@ class _Film:
             lasts = max(lasts, int(rng.integers(_SHORTEST, _LONGEST + 1)))
         self.end = BEFORE + max(lasts, 1)
         self.length = self.end + BACK + 40
-        self.clip = self._clip(rig)
+        if faults.is_moving or rig.spec.drives:
+            self.clip = rig.driving_clip(rng, self.length)
+        else:
+            (pose,) = random_poses(1, rig.spec.config.target_distance_mm, rng)
+            self.clip = SimulatedClip(rig, pose, np.zeros(4), 0, self.length, rng)
         self._truth = np.array([self.clip.truth(k) for k in range(self.length)])
         self._path = _window_means(self._truth)
         self.onset_ns = START_NS + BEFORE * PERIOD_NS
-        shots, deliveries = self._shots(), self._deliveries(range(self.end))
+        shots = shots_of(self.clip, faults.spoil, rng, BEFORE, self.bits, self.end)
+        if faults.spoil.stream is not None:
+            shots = faults.spoil.stream(shots, BEFORE)
+        deliveries = undisturbed(range(self.end))
         for one in faults.times:
             deliveries = one.change(deliveries, self.onset_ns)
         self.pixels = {(shot.camera, shot.k): shot.pixels for shot in shots}
         last_ns = max((one.arrives_ns for one in deliveries), default=0)
-        self.end_ns = max(START_NS + self.end * PERIOD_NS, last_ns - _TRANSFER_NS)
+        self.end_ns = max(START_NS + self.end * PERIOD_NS, last_ns - TRANSFER_NS)
         self.arrivals = sorted(
-            [*deliveries, *self._deliveries(range(self.end, self.length))], key=lambda one: one.arrives_ns
+            [*deliveries, *undisturbed(range(self.end, self.length))], key=lambda one: one.arrives_ns
         )
         self.held_ns = max((one.held_ns for one in faults.times), default=0)
-
-    def _clip(self, rig: SimulatedRig) -> SimulatedClip:
-        rng = self.rng
-        if not self.faults.is_moving and not rig.spec.drives:
-            (pose,) = random_poses(1, rig.spec.config.target_distance_mm, rng)
-            return SimulatedClip(rig, pose, np.zeros(4), 0, self.length, rng)
-        x, y = rng.uniform(-15, 15, 2)
-        speed = rng.uniform(-1, 1, 4) * (4.0, 4.0, 0.006, 0.006) * min(1.0, 100 / self.length)
-        return SimulatedClip(rig, BeamPose(float(x), float(y)), speed, 0, self.length, rng)
-
-    def _shots(self) -> list[Shot]:
-        """Frames up to the end of the fault, disturbed."""
-        spoil, shots = self.faults.spoil, list[Shot]()
-        lit: dict[str, Scene] = {}
-        for k in range(self.end):
-            for camera in CAMERAS:
-                scene = self.clip.scene(camera, k)
-                if spoil.light is not None and k >= BEFORE and camera in spoil.cameras:
-                    if camera not in lit or not self.clip.still or spoil.varies:
-                        lit[camera] = spoil.light(scene, k - BEFORE)
-                    scene = lit[camera]
-                shots.append(Shot(camera, k, k, 0, self.clip.snap(scene, k, self.rng), self.bits))
-        spoil_pixels(spoil, shots, BEFORE)
-        return shots if spoil.stream is None else spoil.stream(shots, BEFORE)
-
-    @staticmethod
-    def _deliveries(exposures: range) -> list[Delivery]:
-        return [
-            Delivery(camera, t_ns, 100_000 + k, t_ns, t_ns + _TRANSFER_NS)
-            for k in exposures
-            for camera in CAMERAS
-            for t_ns in (START_NS + k * PERIOD_NS,)
-        ]
 
     def frame(self, one: Delivery) -> Frame | None:
         """Frame as its driver delivers it; None if the driver assigns no time to it."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from altd.records import FloatArray
 from benchmarks.campaign.judge import SIGMAS
-from benchmarks.campaign.ways.times import PERIOD_NS
+from benchmarks.campaign.way import PERIOD_NS
 from benchmarks.faults.wires import Published
 
 WINDOW = 20

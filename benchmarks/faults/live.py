@@ -21,7 +21,7 @@ from altd.measuring.pairing import Pair
 from altd.ports import CameraError, CameraLostError, CameraNotFoundError, CameraTimeoutError, Stop
 from altd.records import CameraIdentity, Frame, Measurement, Origin
 from benchmarks.campaign.clips import SimulatedRig
-from benchmarks.campaign.timed import SteppedClock
+from benchmarks.campaign.episode import SteppedClock
 from benchmarks.campaign.way import CAMERAS
 from benchmarks.interfaces import Interfaces
 from benchmarks.material import make_config

@@ -9,12 +9,11 @@ import os
 import resource
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -23,11 +22,12 @@ import numpy as np
 from altd.calibration.file import save_calibration
 from altd.errors import BadInputError
 from altd.records import FloatArray
+from benchmarks.campaign.clips import place_of
 from benchmarks.campaign.units import calibrated
 from benchmarks.faults.judging import Judge, Result, exposures_ns
 from benchmarks.faults.wires import Published, TelegramLine, Wires
+from benchmarks.harness import Child, child, module_command
 from benchmarks.interfaces import Interfaces
-from benchmarks.live.parts import Running, running
 from hw_sim.gige.command import make_unit
 from hw_sim.ports import free_port
 
@@ -41,26 +41,21 @@ _SLICE_S, _SHARE = 0.1, 0.25
 """Period and share of a simulated control group with a quarter of a processor."""
 
 
-@dataclass(slots=True)
 class _Process:
     """The daemon's process, which can be restarted, and its folder, on a small disk if possible."""
 
-    command: list[str]
-    folder: Path
-    life: contextlib.ExitStack
-    running: Running
+    def __init__(self, command: list[str], folder: Path, life: contextlib.ExitStack) -> None:
+        self.folder = folder
+        self._command, self._life = command, life
+        self._start()
 
-    @classmethod
-    def started(cls, command: list[str], folder: Path, life: contextlib.ExitStack) -> _Process:
-        return cls(command, folder, life, life.enter_context(running(command, folder.with_suffix(".log"))))
-
-    @property
-    def is_alive(self) -> bool:
-        return self.running.process.poll() is None
+    def _start(self) -> None:
+        log = self.folder.with_suffix(".log")
+        self.running: Child = self._life.enter_context(child(self._command, log))
 
     def start_again(self) -> None:
         self.running.process.wait()
-        self.running = _Process.started(self.command, self.folder, self.life).running
+        self._start()
 
 
 @contextlib.contextmanager
@@ -87,7 +82,7 @@ def memory(unit: _Process) -> Iterator[None]:
     unlimited = resource.prlimit(pid, resource.RLIMIT_AS)
     resource.prlimit(pid, resource.RLIMIT_AS, (pages * resource.getpagesize(), unlimited[1]))
     yield
-    if unit.is_alive:
+    if unit.running.process.poll() is None:
         resource.prlimit(pid, resource.RLIMIT_AS, unlimited)
     else:
         unit.start_again()
@@ -119,9 +114,11 @@ def cpu_quarter(unit: _Process) -> Iterator[None]:
 
     thread = threading.Thread(target=limit)
     thread.start()
-    yield
-    over.set()
-    thread.join()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 FAULTS = {fault.__name__: fault for fault in (kill_9, stopped, memory, disk_full, cpu_quarter)}
@@ -139,10 +136,10 @@ def run_real(name: str) -> Result:
             subprocess.run(mount, check=True)  # noqa: S603
             parts.callback(subprocess.run, ["umount", "-l", str(disk)], check=True)
         http, modbus = free_port(), free_port()
-        command = [sys.executable, "-m", "hw_sim", "demo", "--seed", str(_SEED), "--keep", str(disk)]
-        command += ["--calibration", str(folder / "calibration.json")]
-        command += ["--http-port", str(http), "--modbus-port", str(modbus)]
-        unit = _Process.started(command, disk, parts)
+        ports = ("--http-port", http, "--modbus-port", modbus)
+        files = ("--keep", disk, "--calibration", folder / "calibration.json")
+        demo = module_command("hw_sim", "demo", "--seed", _SEED, *files, *ports)
+        unit = _Process(demo, disk, parts)
         line = parts.enter_context(contextlib.closing(TelegramLine(folder / "unused")))
         wires = Wires(Interfaces({}, modbus, http, 0, 0, -1, ()), line, disk / "altd.sock", _ANSWER_S)
         return asyncio.run(_watched(unit, wires, name))
@@ -155,8 +152,7 @@ async def _watched(unit: _Process, wires: Wires, name: str) -> Result:
     def error_of(one: Published, t_ns: float, _now_ns: int) -> FloatArray:
         assert one.values is not None  # noqa: S101  checked by the judge
         poses = [truth.truth(round(at_ns)) for at_ns in exposures_ns(t_ns, one.frames)]
-        places = [(pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg) for pose in poses]
-        return np.asarray(np.abs(np.mean(places, axis=0) - one.values))
+        return np.asarray(np.abs(np.mean([place_of(pose) for pose in poses], axis=0) - one.values))
 
     async def read(judge: Judge, seconds: float, until_back: bool = False) -> None:
         end_s = time.monotonic() + seconds

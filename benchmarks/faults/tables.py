@@ -7,19 +7,19 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 
-from altd.errors import BadInputError
 from benchmarks.campaign.judge import SIGMAS
+from benchmarks.campaign.way import summary_of
 from benchmarks.faults import real
-from benchmarks.faults.catalogue import FAULTS, summary_of
+from benchmarks.faults.catalogue import FAULTS
 from benchmarks.faults.judging import LIMITS, MAX_BACK_S, MAX_REASON_S, Result
+from benchmarks.harness import aligned, markdown_table
 from tools.markdown import wrapped
 
 PAIRS = "two at once"
 HEAD = ("fault", "runs", "shown", "> 5 sigma", "wrong", "mm", "°", "sigmas", "reason s", "back s")
 _GROUPS = {
-    **{name: (fault.group, fault.summary) for name, fault in FAULTS.items()},
+    **{name: (fault.kind, fault.summary) for name, fault in FAULTS.items()},
     **{name: ("system", summary_of(fault)) for name, fault in real.FAULTS.items()},
     PAIRS: ("pairs", "Two faults, drawn together."),
 }
@@ -126,10 +126,7 @@ def totals(runs: Sequence[Run]) -> Iterator[str]:
 def text(runs: Sequence[Run]) -> Iterator[str]:
     """Table with aligned columns, the totals, and each failed run."""
     table = [HEAD, *_rows([run for run in runs if not run.undetectable]).values()]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for name, *others in table:
-        cells = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
-        yield "  ".join((name.ljust(widths[0]), *cells))
+    yield from aligned(table)
     yield from totals(runs)
     yield from _failed(runs)
 
@@ -190,8 +187,8 @@ In `tests/system/`, most of them against real parts:
 """
 
 
-def write_page(path: Path, runs: Sequence[Run], command: str) -> None:
-    """Write the page; raises BadInputError if the file cannot be written."""
+def page(runs: Sequence[Run], command: str) -> str:
+    """Page as Markdown."""
     told = [run for run in runs if not run.undetectable]
     units = ", ".join(sorted({run.unit for run in runs if run.number >= 0}))
     listed = "\n".join(f"- {line}" for line in totals(runs))
@@ -208,14 +205,9 @@ def write_page(path: Path, runs: Sequence[Run], command: str) -> None:
             "## Undetectable\n\nRuns that the drawn unit cannot detect, for the reasons in the "
             "[campaign](campaign.md#undetectable):\n\n" + _table(hidden) + "\n"
         )
-    try:
-        path.write_text(wrapped("\n".join([*sections, _ELSEWHERE])))
-    except OSError as error:
-        raise BadInputError(path, f"cannot be written: {error.strerror or error}") from error
+    return wrapped("\n".join([*sections, _ELSEWHERE]))
 
 
 def _table(rows: dict[str, tuple[str, ...]]) -> str:
-    head = (HEAD[0], "what happens", *HEAD[1:])
-    lines = [head, ("---", "---", *["---:"] * (len(HEAD) - 1))]
-    lines += [(name, _GROUPS[name][1].rstrip("."), *cells[1:]) for name, cells in rows.items()]
-    return "\n".join("|" + "|".join(line) + "|" for line in lines)
+    cells = [(name, _GROUPS[name][1].rstrip("."), *row[1:]) for name, row in rows.items()]
+    return markdown_table((HEAD[0], "what happens", *HEAD[1:]), cells, text_columns=2)

@@ -139,6 +139,10 @@ class TelegramLine:
         if self.line >= 0:
             self.unplug()
 
+    def stop(self) -> None:
+        """Stop reading."""
+        self.is_read = False
+
     def restart(self) -> None:
         """Restart reading, with an empty buffer as ``docs/telegram.md`` requires."""
         with contextlib.suppress(BlockingIOError):

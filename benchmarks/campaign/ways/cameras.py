@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import cv2
@@ -11,59 +11,51 @@ import numpy as np
 
 from altd.records import PixelArray
 from benchmarks.campaign.detectability import on_a_plate
-from benchmarks.campaign.way import Draw, Registry, Shot, Spoil, grey, showing
+from benchmarks.campaign.way import CAMERAS, Draw, OnStream, Registry, Shot, Spoil, drawn, grey, showing
 
 WAYS = Registry("cameras")
+_MIDDLE = 375.5, 239.5
+"""Centre of a picture, u and v in px."""
 
 
 @WAYS.add()
 def exchanged(draw: Draw) -> Spoil:
     """Front and rear camera exchanged."""
     other = {"front": "rear", "rear": "front"}
-
-    def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        return showing(shots, onset, lambda shot: (other[shot.camera], shot.k))
-
-    return Spoil("front and rear", stream=stream)
+    return Spoil("front and rear", stream=_showing_cameras(other))
 
 
 @WAYS.add()
 def one_for_both(draw: Draw) -> Spoil:
     """One camera delivers the frames of both."""
     (only,) = draw.one()
-
-    def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        return showing(shots, onset, lambda shot: (only, shot.k))
-
-    return Spoil(f"{only} only", stream=stream)
+    return Spoil(f"{only} only", stream=_showing_cameras(dict.fromkeys(CAMERAS, only)))
 
 
-def _turned_over(draw: Draw, axis: int, words: str) -> Spoil:
-    return Spoil(
-        words,
-        pixels=lambda pixels, before, bits: np.ascontiguousarray(
-            pixels[::-1, ::-1] if axis < 0 else np.flip(pixels, axis)
-        ),
-        cameras=draw.targets(),
-    )
+def _showing_cameras(source: Mapping[str, str]) -> OnStream:
+    """A stream in which each camera shows the pictures of another one."""
+    return lambda shots, onset: showing(shots, onset, lambda shot: (source[shot.camera], shot.k))
 
 
-@WAYS.add()
-def mirrored(draw: Draw) -> Spoil:
+@WAYS.on_pixels("left for right")
+@drawn()
+def mirrored(pixels: PixelArray, bits: int) -> PixelArray:
     """Left and right exchanged."""
-    return _turned_over(draw, 1, "left for right")
+    return pixels[:, ::-1]
 
 
-@WAYS.add()
-def flipped(draw: Draw) -> Spoil:
+@WAYS.on_pixels("top for bottom")
+@drawn()
+def flipped(pixels: PixelArray, bits: int) -> PixelArray:
     """Top and bottom exchanged."""
-    return _turned_over(draw, 0, "top for bottom")
+    return pixels[::-1]
 
 
-@WAYS.add()
-def upside_down(draw: Draw) -> Spoil:
+@WAYS.on_pixels("half a turn")
+@drawn()
+def upside_down(pixels: PixelArray, bits: int) -> PixelArray:
     """Rotated by 180°."""
-    return _turned_over(draw, -1, "half a turn")
+    return pixels[::-1, ::-1]
 
 
 def _mapped(pixels: PixelArray, matrix: np.ndarray, bits: int) -> PixelArray:
@@ -103,54 +95,33 @@ def _moving(draw: Draw, note: str, matrix_of: Callable[[int], np.ndarray]) -> Sp
 
 def _shifted(draw: Draw, by_px: int) -> Spoil:
     """Shift by whole pixels, as when another region of the sensor is read."""
-    right, down = ((by_px, 0), (0, by_px), (-by_px, 0), (0, -by_px), (by_px, by_px), (-by_px, by_px))[
-        draw.whole(0, 5)
-    ]
-
-    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        return np.roll(pixels, (down, right), (0, 1))
-
-    return Spoil(f"{right}, {down} px", pixels=change, cameras=draw.targets())
-
-
-@WAYS.add()
-def shifted_1_px(draw: Draw) -> Spoil:
-    """Picture shifted by 1 px."""
-    return _shifted(draw, 1)
+    directions = ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1))
+    right, down = (by_px * one for one in directions[draw.whole(0, 5)])
+    return Spoil(
+        f"{right}, {down} px",
+        pixels=lambda pixels, before, bits: np.roll(pixels, (down, right), (0, 1)),
+        cameras=draw.targets(),
+    )
 
 
-@WAYS.add()
-def shifted_2_px(draw: Draw) -> Spoil:
-    """Picture shifted by 2 px."""
-    return _shifted(draw, 2)
-
-
-@WAYS.add()
-def shifted_4_px(draw: Draw) -> Spoil:
-    """Picture shifted by 4 px."""
-    return _shifted(draw, 4)
-
-
-@WAYS.add()
-def shifted_far(draw: Draw) -> Spoil:
-    """Picture shifted by 8 to 64 px."""
-    return _shifted(draw, round(draw.log(8, 64)))
+WAYS.row("shifted_1_px", "Picture shifted by 1 px.", lambda draw: _shifted(draw, 1))
+WAYS.row("shifted_2_px", "Picture shifted by 2 px.", lambda draw: _shifted(draw, 2))
+WAYS.row("shifted_4_px", "Picture shifted by 4 px.", lambda draw: _shifted(draw, 4))
+WAYS.row("shifted_far", "Picture shifted by 8 to 64 px.", lambda draw: _shifted(draw, round(draw.log(8, 64))))
 
 
 @WAYS.add()
 def turned(draw: Draw) -> Spoil:
     """Camera rotated about its axis."""
     degrees = draw.sign() * draw.log(0.1, 1.0)
-    matrix = cv2.getRotationMatrix2D((375.5, 239.5), degrees, 1.0)
-    return _moved(draw, f"{degrees:+.2f}°", matrix)
+    return _moved(draw, f"{degrees:+.2f}°", cv2.getRotationMatrix2D(_MIDDLE, degrees, 1.0))
 
 
 @WAYS.add()
 def scaled(draw: Draw) -> Spoil:
     """Picture slightly larger or smaller."""
     scale = 1.0 + draw.sign() * draw.log(0.001, 0.01)
-    matrix = cv2.getRotationMatrix2D((375.5, 239.5), 0.0, scale)
-    return _moved(draw, f"{scale - 1:+.2%}", matrix)
+    return _moved(draw, f"{scale - 1:+.2%}", cv2.getRotationMatrix2D(_MIDDLE, 0.0, scale))
 
 
 @WAYS.add()
@@ -190,7 +161,7 @@ def thermal_growth(draw: Draw) -> Spoil:
     return _moving(
         draw,
         f"{20 * rate:+.2%} a second",
-        lambda n: cv2.getRotationMatrix2D((375.5, 239.5), 0.0, 1.0 + rate * n),
+        lambda n: cv2.getRotationMatrix2D(_MIDDLE, 0.0, 1.0 + rate * n),
     )
 
 

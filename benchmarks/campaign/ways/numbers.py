@@ -15,30 +15,28 @@ from altd.calibration.file import load_calibration, save_calibration
 from altd.config import Installation, Measuring, load_config
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
-from benchmarks.campaign.way import Draw, Way
+from benchmarks.campaign.way import Draw, Registry
 from benchmarks.unit_toml import unit_toml
 
+WAYS = Registry("numbers")
 _ABSURD = ("nan", "inf", "-inf", "1e200", "-1e200", "1e15", "-1e9", "1e308")
-
 _CONFIG_KEYS = (
-    *(("measuring", key) for key in ("max_skew_ms", "max_lag_ms", "max_sigma_mm", "max_sigma_mm_per_m")),
-    *(("measuring", key) for key in ("silent_after_s", "stale_after_s")),
-    *(("installation", key) for key in ("reference_plane_mm", "offset_x_mm", "offset_y_mm")),
-    *(("installation", key) for key in ("offset_yaw_deg", "offset_pitch_deg")),
+    *("measuring.max_skew_ms", "measuring.max_lag_ms", "measuring.max_sigma_mm"),
+    *("measuring.max_sigma_mm_per_m", "measuring.silent_after_s", "measuring.stale_after_s"),
+    *("installation.reference_plane_mm", "installation.offset_x_mm", "installation.offset_y_mm"),
+    *("installation.offset_yaw_deg", "installation.offset_pitch_deg"),
 )
-
 _RECORDED = 'driver = "recording"\npath = "recording"'
 
 
 @dataclass(frozen=True, slots=True)
 class Misnumbered:
-    """An absurd number at a key of the config, or at a place of the calibration drawn by ``seed``."""
+    """An absurd number at a key of the config; no key: at a place of the calibration drawn by ``seed``."""
 
     note: str
-    file: str
-    key: tuple[str, str]
+    key: str
     value: str
-    seed: float
+    seed: float = 0.0
 
     @property
     def is_none(self) -> bool:
@@ -47,21 +45,21 @@ class Misnumbered:
 
 
 def _number_in_config(draw: Draw) -> Misnumbered:
-    """NaN, infinity or an absurd number in the config."""
-    key, value = _CONFIG_KEYS[draw.whole(0, len(_CONFIG_KEYS) - 1)], draw.of(*_ABSURD)
-    return Misnumbered(f"{'.'.join(key)} = {value}", "config", key, value, 0.0)
+    key, value = draw.of(*_CONFIG_KEYS), draw.of(*_ABSURD)
+    return Misnumbered(f"{key} = {value}", key, value)
 
 
 def _number_in_calibration(draw: Draw) -> Misnumbered:
-    """The same in the calibration file, with a right checksum."""
     value, seed = draw.of(*_ABSURD), draw.uniform(0, 1)
-    return Misnumbered(f"{value} at {seed:.4f}", "calibration", ("", ""), value, seed)
+    return Misnumbered(f"{value} at {seed:.4f}", "", value, seed)
 
 
-WAYS = [
-    Way("number_in_config", "numbers", _number_in_config),
-    Way("number_in_calibration", "numbers", _number_in_calibration),
-]
+WAYS.row("number_in_config", "NaN, infinity or an absurd number in the config.", _number_in_config)
+WAYS.row(
+    "number_in_calibration",
+    "The same in the calibration file, with a right checksum.",
+    _number_in_calibration,
+)
 
 
 def accepted(
@@ -70,9 +68,9 @@ def accepted(
     """Calibration and settings from the files if these are accepted; None if refused, as required."""
     with tempfile.TemporaryDirectory() as folder:
         try:
-            if way.file == "config":
+            if way.key:
                 file = Path(folder) / "altd.toml"
-                table, key = way.key
+                table, _, key = way.key.partition(".")
                 config_text = unit_toml("X", "calibration.json", _RECORDED, _RECORDED)
                 file.write_text(f"{config_text}\n[{table}]\n{key} = {way.value}\n")
                 config = load_config(file)

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from benchmarks.campaign.way import CAMERAS, Draw, Way
+from benchmarks.campaign.way import CAMERAS, MS, PERIOD_NS, START_NS, Draw, Registry, S, names_of, summary_of
 
-MS, S = 1_000_000, 1_000_000_000
-PERIOD_NS = 50 * MS
+TRANSFER_NS = 5 * MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +20,16 @@ class Delivery:
     sequence: int
     t_ns: int
     arrives_ns: int
+
+
+def undisturbed(exposures: range) -> list[Delivery]:
+    """Frames of both cameras that arrive as they should."""
+    return [
+        Delivery(camera, t_ns, 100_000 + k, t_ns, t_ns + TRANSFER_NS)
+        for k in exposures
+        for camera in CAMERAS
+        for t_ns in (START_NS + k * PERIOD_NS,)
+    ]
 
 
 Change = Callable[[list[Delivery], int], list[Delivery]]
@@ -44,10 +53,8 @@ class Mistimed:
     own_clock: bool = False
 
 
-WAYS: list[Way] = []
-
-_One = Callable[[Delivery], Delivery]
-
+WAYS = Registry("times")
+_Make = Callable[[Draw], Mistimed]
 
 _STEADY_DELAY = (
     "one camera that lags steadily by up to a second and stamps on arrival differs from a yaw only by the "
@@ -55,28 +62,33 @@ _STEADY_DELAY = (
 )
 
 
-def _entered(
-    own_clock: Callable[[Draw], bool], invisible: str = ""
-) -> Callable[[Callable[[Draw], Mistimed]], Callable[[Draw], Mistimed]]:
-    """Decorator that registers a way of times or numbers; ``own_clock``: whether a camera's clock stamps."""
+def _row(name: str, summary: str, make: _Make, own_clock: bool | None = None, invisible: str = "") -> None:
+    """Register a way; ``own_clock``: whether a camera's clock stamps, None: in half of the cases.
 
-    def enter(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
-        def of_camera(draw: Draw) -> Mistimed:
-            return replace(make(draw), own_clock=own_clock(draw))
+    A V4L2 camera is stamped by the kernel of the host, so its clock has no faults of its own.
+    """
 
-        of_camera.__doc__ = make.__doc__
-        WAYS.append(Way(make.__name__, "times", of_camera, invisible=invisible))
+    def of_camera(draw: Draw) -> Mistimed:
+        mistimed = make(draw)
+        is_own = bool(draw.rng.random() < 0.5) if own_clock is None else own_clock
+        return replace(mistimed, own_clock=is_own)
+
+    WAYS.row(name, summary, of_camera, invisible=invisible)
+
+
+def _enter(own_clock: bool | None = None, invisible: str = "") -> Callable[[_Make], _Make]:
+    """Return a decorator that registers a function under its own name and docstring."""
+
+    def enter(make: _Make) -> _Make:
+        _row(make.__name__, summary_of(make), make, own_clock, invisible)
         return make
 
     return enter
 
 
-_enter = _entered(lambda draw: bool(draw.rng.random() < 0.5))
-_of_a_clock = _entered(lambda draw: True)
-"""Registers faults of a clock in the camera only: a V4L2 camera is stamped by the kernel of the host."""
-
-
-def _each(change: _One, cameras: frozenset[str], length_ns: int | None) -> Change:
+def _each(
+    change: Callable[[Delivery], Delivery], cameras: frozenset[str], length_ns: int | None = None
+) -> Change:
     """Change the frames of some cameras from the onset on, for this duration."""
 
     def changed(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
@@ -90,48 +102,41 @@ def _each(change: _One, cameras: frozenset[str], length_ns: int | None) -> Chang
     return changed
 
 
-def _pairing(draw: Draw) -> Literal["sequence", "time"]:
-    return "time" if draw.rng.random() < 0.75 else "sequence"
-
-
-def _names(cameras: frozenset[str]) -> str:
-    return " and ".join(sorted(cameras))
+def _mistimed(draw: Draw, note: str, change: Change, end_ns: int | None = None, held_ns: int = 0) -> Mistimed:
+    """Disturb the times of frames that are paired by time in three of four cases."""
+    return Mistimed(note, change, "time" if draw.rng.random() < 0.75 else "sequence", end_ns, held_ns)
 
 
 def _far_ns(draw: Draw) -> int:
     return round(draw.log(0.02, 7200.0) * S)
 
 
-@_enter
+@_enter()
 def clean_times(draw: Draw) -> Mistimed:
     """No disturbance."""
-    return Mistimed("nothing disturbed", lambda deliveries, onset_ns: deliveries, _pairing(draw), 0)
+    return _mistimed(draw, "nothing disturbed", lambda deliveries, onset_ns: deliveries, 0)
 
 
 def _one_stamp(draw: Draw, sign: int) -> Mistimed:
     far_ns, cameras = _far_ns(draw), draw.targets()
     change = _each(lambda one: replace(one, t_ns=one.t_ns + sign * far_ns), cameras, PERIOD_NS)
-    return Mistimed(f"by {far_ns / S:.2f} s, {_names(cameras)}", change, _pairing(draw), PERIOD_NS)
+    return _mistimed(draw, f"by {far_ns / S:.2f} s, {names_of(cameras)}", change, PERIOD_NS)
 
 
-@_enter
-def stamp_ahead(draw: Draw) -> Mistimed:
-    """One frame, of one camera or both, has a later time stamp."""
-    return _one_stamp(draw, 1)
+_row(
+    "stamp_ahead",
+    "One frame, of one camera or both, has a later time stamp.",
+    lambda draw: _one_stamp(draw, 1),
+)
+_row("stamp_back", "One frame has an earlier time stamp.", lambda draw: _one_stamp(draw, -1))
 
 
-@_enter
-def stamp_back(draw: Draw) -> Mistimed:
-    """One frame has an earlier time stamp."""
-    return _one_stamp(draw, -1)
-
-
-@_of_a_clock
+@_enter(own_clock=True)
 def clock_steps(draw: Draw) -> Mistimed:
     """The clock of one camera or both jumps."""
     far_ns, cameras = draw.sign() * _far_ns(draw), draw.targets()
-    change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras, None)
-    return Mistimed(f"by {far_ns / S:+.2f} s, {_names(cameras)}", change, _pairing(draw))
+    change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras)
+    return _mistimed(draw, f"by {far_ns / S:+.2f} s, {names_of(cameras)}", change)
 
 
 def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mistimed:
@@ -142,33 +147,30 @@ def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mi
         first = next(one for one in deliveries if one.true_ns >= onset_ns)
         return _each(lambda one: as_first(one, first), cameras, length_ns)(deliveries, onset_ns)
 
-    return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)
+    return _mistimed(draw, f"for {length_ns / S:.2f} s", change, length_ns)
 
 
-@_enter
-def stamps_stuck(draw: Draw) -> Mistimed:
-    """The time stamps of a camera repeat for a while."""
-    return _stuck(draw, lambda one, first: replace(one, t_ns=first.t_ns))
+_row(
+    "stamps_stuck",
+    "The time stamps of a camera repeat for a while.",
+    lambda draw: _stuck(draw, lambda one, first: replace(one, t_ns=first.t_ns)),
+)
 
 
-@_enter
+@_enter()
 def stamps_zero(draw: Draw) -> Mistimed:
     """The time stamps of a camera are 0."""
     length_ns, cameras = draw.whole(1, 20) * PERIOD_NS, draw.targets()
-    return Mistimed(
-        f"for {length_ns / S:.2f} s",
-        _each(lambda one: replace(one, t_ns=0), cameras, length_ns),
-        _pairing(draw),
-        length_ns,
-    )
+    change = _each(lambda one: replace(one, t_ns=0), cameras, length_ns)
+    return _mistimed(draw, f"for {length_ns / S:.2f} s", change, length_ns)
 
 
-@_enter
+@_enter()
 def stamps_jitter(draw: Draw) -> Mistimed:
     """The time stamps of a camera jitter."""
     sigma_ns, cameras, rng = draw.log(1, 60) * MS, draw.targets(), draw.rng
-    change = _each(lambda one: replace(one, t_ns=one.t_ns + round(rng.normal(0, sigma_ns))), cameras, None)
-    return Mistimed(f"by {sigma_ns / MS:.0f} ms", change, _pairing(draw))
+    change = _each(lambda one: replace(one, t_ns=one.t_ns + round(rng.normal(0, sigma_ns))), cameras)
+    return _mistimed(draw, f"by {sigma_ns / MS:.0f} ms", change)
 
 
 def _rated(draw: Draw, rate: float, words: str) -> Mistimed:
@@ -178,19 +180,19 @@ def _rated(draw: Draw, rate: float, words: str) -> Mistimed:
         def faster(one: Delivery) -> Delivery:
             return replace(one, t_ns=one.t_ns + round(rate * (one.true_ns - onset_ns)))
 
-        return _each(faster, cameras, None)(deliveries, onset_ns)
+        return _each(faster, cameras)(deliveries, onset_ns)
 
-    return Mistimed(f"{words}, {_names(cameras)}", change, _pairing(draw))
+    return _mistimed(draw, f"{words}, {names_of(cameras)}", change)
 
 
-@_of_a_clock
+@_enter(own_clock=True)
 def stamps_doubled(draw: Draw) -> Mistimed:
     """Time stamps in a wrong unit: twice or half the rate."""
     rate = 1.0 if draw.sign() > 0 else -0.5
     return _rated(draw, rate, f"{1 + rate:g} times as fast")
 
 
-@_of_a_clock
+@_enter(own_clock=True)
 def clock_drifts(draw: Draw) -> Mistimed:
     """A camera's clock drifts by 0.01 to 20 %."""
     rate = draw.sign() * draw.log(1e-4, 0.2)
@@ -200,28 +202,27 @@ def clock_drifts(draw: Draw) -> Mistimed:
 def _renumbered(draw: Draw, by: int, length_ns: int | None) -> Mistimed:
     cameras = draw.targets()
     change = _each(lambda one: replace(one, sequence=max(one.sequence + by, 0)), cameras, length_ns)
-    return Mistimed(f"by {by:+d}, {_names(cameras)}", change, _pairing(draw), length_ns)
+    return _mistimed(draw, f"by {by:+d}, {names_of(cameras)}", change, length_ns)
 
 
-@_enter
-def numbers_jump(draw: Draw) -> Mistimed:
-    """The frame numbers jump and continue from there."""
-    return _renumbered(draw, draw.sign() * round(draw.log(1, 5000)), None)
+_row(
+    "numbers_jump",
+    "The frame numbers jump and continue from there.",
+    lambda draw: _renumbered(draw, draw.sign() * round(draw.log(1, 5000)), None),
+)
+_row(
+    "number_once",
+    "One frame has a wrong number.",
+    lambda draw: _renumbered(draw, draw.sign() * round(draw.log(1, 1e9)), PERIOD_NS),
+)
+_row(
+    "numbers_stuck",
+    "The frame numbers repeat for a while.",
+    lambda draw: _stuck(draw, lambda one, first: replace(one, sequence=first.sequence)),
+)
 
 
-@_enter
-def number_once(draw: Draw) -> Mistimed:
-    """One frame has a wrong number."""
-    return _renumbered(draw, draw.sign() * round(draw.log(1, 1e9)), PERIOD_NS)
-
-
-@_enter
-def numbers_stuck(draw: Draw) -> Mistimed:
-    """The frame numbers repeat for a while."""
-    return _stuck(draw, lambda one, first: replace(one, sequence=first.sequence))
-
-
-@_enter
+@_enter()
 def process_held(draw: Draw) -> Mistimed:
     """The process is stopped and continued; frames buffered by the drivers arrive first."""
     held_ns, kept = round(draw.log(0.2, 12.0) * S), draw.whole(0, 8)
@@ -234,43 +235,38 @@ def process_held(draw: Draw) -> Mistimed:
             arrived += [replace(one, arrives_ns=onset_ns + held_ns) for one in waiting[:kept]]
         return arrived
 
-    return Mistimed(f"{held_ns / S:.1f} s, {kept} frames kept", change, _pairing(draw), held_ns, held_ns)
+    return _mistimed(draw, f"{held_ns / S:.1f} s, {kept} frames kept", change, held_ns, held_ns)
 
 
-@_enter
+@_enter()
 def frames_delayed(draw: Draw) -> Mistimed:
     """Frames of one camera or both arrive late with true time stamps."""
     late_ns, cameras = round(draw.log(0.05, 4.0) * S), draw.targets()
     length_ns = draw.whole(1, 40) * PERIOD_NS
     change = _each(lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns), cameras, length_ns)
-    return Mistimed(
-        f"by {late_ns / S:.2f} s for {length_ns / S:.2f} s", change, _pairing(draw), length_ns + late_ns
-    )
+    return _mistimed(draw, f"by {late_ns / S:.2f} s for {length_ns / S:.2f} s", change, length_ns + late_ns)
 
 
-@_entered(lambda draw: False, _STEADY_DELAY)
+@_enter(own_clock=False, invisible=_STEADY_DELAY)
 def delayed_and_stamped_on_arrival(draw: Draw) -> Mistimed:
     """Frames arrive up to a second late and are stamped on arrival."""
     late_ns, cameras = round(draw.log(0.05, 1.0) * S), draw.one()
     change = _each(
-        lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns, t_ns=one.t_ns + late_ns), cameras, None
+        lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns, t_ns=one.t_ns + late_ns), cameras
     )
-    return Mistimed(f"by {late_ns / S:.2f} s, {' and '.join(cameras)}", change, "time")
+    return Mistimed(f"by {late_ns / S:.2f} s, {names_of(cameras)}", change, "time")
 
 
-@_enter
+@_enter()
 def bursts(draw: Draw) -> Mistimed:
     """Frames arrive in groups."""
     size, cameras = draw.whole(2, 12), draw.targets()
-
-    def together(one: Delivery) -> Delivery:
-        step = size * PERIOD_NS
-        return replace(one, arrives_ns=-(-one.arrives_ns // step) * step)
-
-    return Mistimed(f"of {size}", _each(together, cameras, None), _pairing(draw))
+    step_ns = size * PERIOD_NS
+    change = _each(lambda one: replace(one, arrives_ns=-(-one.arrives_ns // step_ns) * step_ns), cameras)
+    return _mistimed(draw, f"of {size}", change)
 
 
-@_enter
+@_enter()
 def out_of_order(draw: Draw) -> Mistimed:
     """Neighbouring frames of a camera arrive in exchanged order."""
     cameras = draw.targets()
@@ -278,31 +274,27 @@ def out_of_order(draw: Draw) -> Mistimed:
     def later(one: Delivery) -> Delivery:
         return replace(one, arrives_ns=one.arrives_ns + (3 * PERIOD_NS // 2 if one.sequence % 2 else 0))
 
-    return Mistimed(_names(cameras), _each(later, cameras, None), _pairing(draw))
+    return _mistimed(draw, names_of(cameras), _each(later, cameras))
 
 
 def _without(is_lost: Callable[[Delivery, int], bool]) -> Change:
     """Omit the frames selected by ``is_lost``, which gets the time of exposure since the onset, ns."""
-
-    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
-        return [one for one in deliveries if not is_lost(one, one.true_ns - onset_ns)]
-
-    return change
+    return lambda deliveries, onset_ns: [
+        one for one in deliveries if not is_lost(one, one.true_ns - onset_ns)
+    ]
 
 
-@_enter
+@_enter()
 def frames_lost(draw: Draw) -> Mistimed:
     """Some frames never arrive."""
     share, cameras, rng = draw.uniform(0.02, 0.9), draw.targets(), draw.rng
-
     change = _without(lambda one, since_ns: since_ns >= 0 and one.camera in cameras and rng.random() < share)
-    return Mistimed(f"{share:.0%}, {_names(cameras)}", change, _pairing(draw))
+    return _mistimed(draw, f"{share:.0%}, {names_of(cameras)}", change)
 
 
-@_enter
+@_enter()
 def camera_silent(draw: Draw) -> Mistimed:
     """One camera or both deliver nothing for a while."""
     length_ns, cameras = round(draw.log(0.1, 4.0) * S), draw.targets()
-
     change = _without(lambda one, since_ns: one.camera in cameras and 0 <= since_ns < length_ns)
-    return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)
+    return _mistimed(draw, f"for {length_ns / S:.2f} s", change, length_ns)

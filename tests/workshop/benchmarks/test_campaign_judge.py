@@ -118,21 +118,7 @@ def test_the_table_says_what_was_counted() -> None:
     tally = Tally()
     tally.add(Outcome((REFUSED,), (RIGHT, wrong(8.0), REFUSED)), "a")
     lines = list(tally_table.text({"reflection": tally}))
-    assert lines[1].split() == [
-        "reflection",
-        "spots",
-        "1",
-        "3",
-        "1",
-        "1",
-        "1",
-        "0.8",
-        "0.08",
-        "8",
-        "3",
-        "/",
-        "3",
-    ]
+    assert " ".join(lines[1].split()) == "reflection spots 1 3 1 1 1 0.8 0.08 8 3 / 3"
     assert "good ones rejected: distorted 1" in lines
     assert "wrong ones marked valid: 1" in lines
 

@@ -14,7 +14,6 @@ from support.places import ROOT
 
 from altd.errors import BadInputError
 from benchmarks.campaign import __main__ as campaign
-from benchmarks.campaign import catalogue
 from benchmarks.campaign.good import Count
 from benchmarks.campaign.runner import Plan
 from benchmarks.campaign.units import RECORDINGS, SIMULATED
@@ -36,16 +35,8 @@ def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.skipif(not RECORDINGS.exists(), reason="../shared/data/unit-a is not here")
 def test_a_run_on_the_recorded_unit_is_the_same_twice_and_writes_its_page(tmp_path: Path) -> None:
     """A calibration of unit-a and forty of its measurements: some twenty seconds."""
-    arguments = [
-        "--units",
-        "unit-a",
-        "--ways",
-        "clean,clean_times,deflected_laser",
-        "--measurements",
-        "8",
-        "--processes",
-        "1",
-    ]
+    ways = "clean,clean_times,deflected_laser"
+    arguments = ["--units", "unit-a", "--ways", ways, "--measurements", "8", "--processes", "1"]
     first = run(tmp_path, *arguments, "--page", str(tmp_path / "page.md"))
     again = run(tmp_path, *arguments)
     assert first.returncode == 0, first.stderr
@@ -74,7 +65,6 @@ def test_what_needs_photographs_and_recordings_says_so_where_there_are_none(
     nowhere = Path("/nowhere")
     monkeypatch.setattr(campaign, "RECORDINGS", nowhere)
     monkeypatch.setattr(campaign, "BEAMS", nowhere)
-    monkeypatch.setattr(catalogue, "WAYS", {"clean": catalogue.WAYS["clean"]})
     with pytest.raises(BadInputError, match="--ways: photographed_beam needs the photographs in "):
         campaign.main(["--ways", "photographed_beam"])
     with pytest.raises(BadInputError, match="--units: unit-a needs the recordings in /nowhere"):

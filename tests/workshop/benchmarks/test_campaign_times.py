@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.campaign.way import CAMERAS, Draw, Way
-from benchmarks.campaign.ways import (
-    numbers,
-    times,
-)
+from benchmarks.campaign.ways import numbers, times
 from benchmarks.campaign.ways.numbers import Misnumbered
 from benchmarks.campaign.ways.times import MS, Delivery, Mistimed
 
@@ -25,7 +22,7 @@ DELIVERIES = [
 ]
 
 
-@pytest.mark.parametrize("way", times.WAYS, ids=lambda way: way.name)
+@pytest.mark.parametrize("way", times.WAYS.ways, ids=lambda way: way.name)
 def test_a_way_of_times_touches_nothing_before_its_onset(way: Way) -> None:
     changed = way.name == "clean_times"
     for seed in range(6):
@@ -49,6 +46,6 @@ def test_a_held_process_gets_what_the_drivers_kept_and_then_new_frames() -> None
 
 
 def test_numbers_that_are_none_are_drawn_for_config_and_calibration() -> None:
-    drawn = [way.make(draw(seed)) for way in numbers.WAYS for seed in range(20)]
+    drawn = [way.make(draw(seed)) for way in numbers.WAYS.ways for seed in range(20)]
     assert all(isinstance(one, Misnumbered) for one in drawn)
     assert {one.is_none for one in drawn if isinstance(one, Misnumbered)} == {True, False}
