@@ -6,88 +6,26 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.harness import ROOT, Child, child, module_command
 from benchmarks.live.watch import Ports, Watch
 from benchmarks.unit_toml import unit_toml
 from hw_sim.unit import EXPOSURES_MS
 
-ROOT = Path(__file__).resolve().parents[2]
 SEED = 1
 FRONT, REAR = "127.0.0.1", "127.0.0.2"
 LINKED, NEAR = "10.77.0.2", "10.77.0.1"
 """Addresses of the far and the near end of a link."""
 _READY = "Ctrl-C ends it"
-_START_TIMEOUT_S = 20.0
 _DAEMON_CORE = min(os.sched_getaffinity(0))
-
-
-@dataclass(frozen=True, slots=True)
-class Running:
-    """A process of the unit, with its output in a file."""
-
-    process: subprocess.Popen[bytes]
-    log: Path
-
-    @property
-    def output(self) -> str:
-        """Complete output so far."""
-        return self.log.read_text()
-
-    def await_text(self, word: str, timeout_s: float = _START_TIMEOUT_S) -> None:
-        """Wait until the output contains ``word``; raises RuntimeError with the actual output."""
-        deadline_s = time.monotonic() + timeout_s
-        while word not in self.output:
-            if self.process.poll() is not None or time.monotonic() > deadline_s:
-                raise RuntimeError(f"{self.process.args!r} did not say {word!r} but {self.output!r}")
-            time.sleep(0.01)
-
-    def send(self, number: signal.Signals) -> None:
-        """Send a signal to the process."""
-        self.process.send_signal(number)
-
-    def cpu_s(self) -> float:
-        """Processor seconds of all its threads so far (proc(5), /proc/PID/stat)."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(") ")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def end(self) -> None:
-        """Request the process to end; kill it if it does not."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGCONT)
-            self.process.terminate()
-            try:
-                self.process.wait(10)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-
-
-@contextlib.contextmanager
-def running(command: Sequence[str | Path], log: Path) -> Iterator[Running]:
-    """Run a process within the block."""
-    with log.open("ab") as output:
-        process = subprocess.Popen(  # noqa: S603  our own programs
-            [str(part) for part in command],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            cwd=ROOT,
-        )
-    part = Running(process, log)
-    try:
-        yield part
-    finally:
-        part.end()
 
 
 def cameras_command(seed: int, *more: str) -> list[str]:
     """Command that serves the unit of ``seed`` as GigE Vision cameras."""
-    return [sys.executable, "-m", "hw_sim", "gige", "--seed", str(seed), *more]
+    return module_command("hw_sim", "gige", "--seed", seed, *more)
 
 
 def daemon_command(config: Path) -> list[str]:
@@ -95,8 +33,8 @@ def daemon_command(config: Path) -> list[str]:
 
     A real camera takes no time of the unit's processor, nor does a controller.
     """
-    python = ["taskset", "-c", str(_DAEMON_CORE), sys.executable]
-    return [*python, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
+    run = module_command("altd.cli", "run", "--rehearsal", "--config", config)
+    return ["taskset", "-c", str(_DAEMON_CORE), *run]
 
 
 @contextlib.contextmanager
@@ -118,9 +56,8 @@ def calibrate(seed: int, folder: Path) -> Path:
         ("hw_sim", "flat", "--seed", str(seed), "-o", flat),
         ("altd.cli", "calibrate", scan, "--flat", flat, "-o", calibration),
     ):
-        subprocess.run(  # noqa: S603  our own programs
-            [sys.executable, "-m", *map(str, arguments)], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
-        )
+        command = module_command(*arguments)
+        subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)  # noqa: S603  our own
     return calibration
 
 
@@ -155,14 +92,13 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
     def start(self) -> float:
         """Start serving; return when the camera was available, monotonic s."""
         self._log.write_bytes(b"")
-        self._running = self._life.enter_context(running(self._command, self._log))
+        self._running = self._life.enter_context(child(self._command, self._log))
         self._running.await_text(_READY)
         return time.monotonic()
 
     def kill(self) -> None:
         """Kill the process without notice."""
-        self._running.process.kill()
-        self._running.process.wait()
+        self._running.kill()
 
     def stop(self) -> None:
         """Suspend the process: nothing is answered."""
@@ -175,19 +111,19 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
 
 
 @contextlib.contextmanager
-def both_cameras(folder: Path, *more: str) -> Iterator[Running]:
+def both_cameras(folder: Path, *more: str) -> Iterator[Child]:
     """Serve both cameras in one process; yield when they are available."""
-    with running(cameras_command(SEED, *more), folder / "cameras.log") as cameras:
+    with child(cameras_command(SEED, *more), folder / "cameras.log") as cameras:
         cameras.await_text(_READY)
         yield cameras
 
 
 @contextlib.contextmanager
-def behind_link(command: Sequence[str], log: Path) -> Iterator[Running]:
+def behind_link(command: Sequence[str], log: Path) -> Iterator[Child]:
     """Run a command in its own namespace, at the far end of a pair of virtual Ethernet cards."""
     setup = f"ip link set lo up; until ip address add {LINKED}/24 dev far 2>/dev/null; do sleep 0.05; done"
     shell = f'{setup}; ip link set far up; exec "$@"'
-    with running(["unshare", "-n", "sh", "-c", shell, "sh", *command], log) as process:
+    with child(["unshare", "-n", "sh", "-c", shell, "sh", *command], log) as process:
         time.sleep(0.3)  # until unshare has made the namespace
         ip("link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(process.process.pid))
         ip("address", "add", f"{NEAR}/24", "dev", "near")
@@ -196,7 +132,7 @@ def behind_link(command: Sequence[str], log: Path) -> Iterator[Running]:
 
 
 @contextlib.contextmanager
-def camera_behind_link(folder: Path) -> Iterator[Running]:
+def camera_behind_link(folder: Path) -> Iterator[Child]:
     """Serve the front camera behind a link."""
     serve = cameras_command(SEED, "--only", "front", "--front", LINKED)
     with behind_link(serve, folder / "linked.log") as camera:
@@ -213,13 +149,13 @@ def set_link(state: str) -> float:
 @contextlib.contextmanager
 def measuring_daemon(
     folder: Path, calibration: Path, addresses: tuple[str, str], more: str = ""
-) -> Iterator[tuple[Running, Watch]]:
+) -> Iterator[tuple[Child, Watch]]:
     """Run the daemon on the cameras at these addresses, with ``more`` tables, and a client that reads it."""
     ports = Ports.free()
     config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, ports, more)
     log = folder / "altd.log"
     log.write_bytes(b"")
-    with running(daemon_command(config), log) as daemon:
+    with child(daemon_command(config), log) as daemon:
         daemon.await_text("measuring")
         with Watch(ports) as watch:
             yield daemon, watch

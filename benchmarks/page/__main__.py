@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import os
-import sys
 import tempfile
 import time
 from dataclasses import astuple, dataclass
@@ -15,9 +13,9 @@ import numpy as np
 from playwright.async_api import Browser, Page
 
 from altd.app.keeping import FILE_NAME
-from altd.process.endings import run_to_end
 from benchmarks.chromium import chromium
 from benchmarks.daemon import served_unit
+from benchmarks.harness import Columns, Parser, end
 from benchmarks.history import make_history
 from benchmarks.material import Material, make_config, make_material
 from benchmarks.page.memory import QUANTITIES, Sample, samples, slopes
@@ -90,6 +88,8 @@ _PAIRS = 200
 _CLICKS = 20
 _EVERY = 6
 """One of this number of samples is printed."""
+_COURSE = Columns(*(f"{name}:>13.6g" for name in ("t_s", *QUANTITIES)))
+_SLOPES = Columns(":>13", "median:>10.2f", "highest:>10.2f", "an hour:>+10.2f", "sigma:>9.2f", ":")
 
 
 async def show_a_year(material: Material) -> None:
@@ -108,21 +108,19 @@ async def show_a_year(material: Material) -> None:
 
 async def keep_open(material: Material, seconds: float, is_spoilt: bool) -> bool:
     """Print the course of the page's memory; return whether any quantity grew."""
-    print("".join(f"{name:>13}" for name in ("t_s", *QUANTITIES)), flush=True)
+    print(_COURSE.head, flush=True)
     taken: list[Sample] = []
     with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
         async with served_unit(material, Path(folder)) as unit:
             async for sample in samples(unit.interfaces.http_port, seconds, is_spoilt):
                 if len(taken) % _EVERY == 0:
-                    print("".join(f"{value:13.6g}" for value in astuple(sample)), flush=True)
+                    print(_COURSE.row(*astuple(sample)), flush=True)
                 taken.append(sample)
     found = slopes(taken, seconds)
-    print(f"{'':13}{'median':>10}{'highest':>10}{'an hour':>10}{'sigma':>9}")
+    print(_SLOPES.head)
     for name, slope in found.items():
-        print(
-            f"{name:>13}{slope.median:10.2f}{slope.highest:10.2f}{slope.per_h:+10.2f}{slope.sigma_per_h:9.2f}"
-            f"  {'grows' if slope.grows else 'flat'}"
-        )
+        word = "  grows" if slope.grows else "  flat"
+        print(_SLOPES.row(name, slope.median, slope.highest, slope.per_h, slope.sigma_per_h, word))
     return any(slope.grows for slope in found.values())
 
 
@@ -133,8 +131,8 @@ def _spread(values: list[float]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure; return 1 if the page's memory grew."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=3600.0, help="for which the page is kept open")
+    parser = Parser("benchmarks.page", __doc__)
+    parser.number("--seconds", 3600.0, "for which the page is kept open")
     parser.add_argument(
         "--spoilt", action="store_true", help="with a page that frees no memory: it must be detected"
     )
@@ -146,4 +144,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.page"))
+    end(main, "benchmarks.page")

@@ -21,6 +21,7 @@ import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
 
 from benchmarks.chromium import PICTURES, processes, program
+from benchmarks.harness import child
 
 _BLOCKS = 10
 _SIGMAS = 3.0
@@ -76,18 +77,18 @@ class DevTools:
 
     async def open(self, url: str, before: str = "") -> None:
         """Open the page for all later requests; ``before`` is a program that runs first in it."""
-        target = await self.send("Target.createTarget", {"url": "about:blank"})
-        attached = await self.send("Target.attachToTarget", {"targetId": target["targetId"], "flatten": True})
+        target = await self.send("Target.createTarget", url="about:blank")
+        attached = await self.send("Target.attachToTarget", targetId=target["targetId"], flatten=True)
         self._page = attached["sessionId"]
         await self.send_to_page("Page.enable")
         await self.send_to_page("Performance.enable")
         if before:
-            await self.send_to_page("Page.addScriptToEvaluateOnNewDocument", {"source": before})
-        await self.send_to_page("Page.navigate", {"url": url})
+            await self.send_to_page("Page.addScriptToEvaluateOnNewDocument", source=before)
+        await self.send_to_page("Page.navigate", url=url)
 
     async def evaluate(self, expression: str) -> Any:
         """Value of an expression in the page; raises RuntimeError if it fails there."""
-        told = await self.send_to_page("Runtime.evaluate", {"expression": expression, "returnByValue": True})
+        told = await self.send_to_page("Runtime.evaluate", expression=expression, returnByValue=True)
         if "exceptionDetails" in told:
             raise RuntimeError(f"{expression}: {told['exceptionDetails']}")
         return told["result"].get("value")
@@ -98,13 +99,13 @@ class DevTools:
             while not await self.evaluate(condition):  # noqa: ASYNC110  there is no event
                 await asyncio.sleep(0.1)
 
-    async def send(self, method: str, params: dict[str, Any] | None = None) -> Any:
+    async def send(self, method: str, **params: object) -> Any:
         """Send a request to the browser and return its response; raises RuntimeError with its error."""
-        return await self._ask({"method": method, "params": params or {}})
+        return await self._ask({"method": method, "params": params})
 
-    async def send_to_page(self, method: str, params: dict[str, Any] | None = None) -> Any:
+    async def send_to_page(self, method: str, **params: object) -> Any:
         """Send a request to the page and return its response; raises RuntimeError with its error."""
-        return await self._ask({"method": method, "params": params or {}, "sessionId": self._page})
+        return await self._ask({"method": method, "params": params, "sessionId": self._page})
 
     async def _ask(self, question: dict[str, Any]) -> Any:
         self._number += 1
@@ -125,14 +126,9 @@ async def devtools(width: int, height: int) -> AsyncIterator[DevTools]:
     with tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True) as profile:
         words = ["--headless=new", "--no-sandbox", "--no-first-run", "--remote-debugging-port=0"]
         words += [f"--user-data-dir={profile}", f"--window-size={width},{height}"]
-        nothing = asyncio.subprocess.DEVNULL
-        process = await asyncio.create_subprocess_exec(program(), *words, stdout=nothing, stderr=nothing)
-        try:
+        with child([program(), *words]):
             async with connect(await _address(Path(profile)), max_size=_MAX_MESSAGE_BYTES) as socket:
                 yield DevTools(socket)
-        finally:
-            process.terminate()
-            await process.wait()
 
 
 async def _address(profile: Path) -> str:

@@ -20,6 +20,7 @@ from support.held import hold
 from support.own_network import inside
 
 from altd.config import load_config
+from benchmarks.harness import child
 from benchmarks.live.parts import (
     FRONT,
     LINKED,
@@ -30,7 +31,6 @@ from benchmarks.live.parts import (
     camera_behind_link,
     daemon_command,
     measuring_daemon,
-    running,
     set_link,
     write_config,
 )
@@ -119,7 +119,7 @@ def test_the_frame_leds_hang_on_the_cameras_outputs(calibration: Path, tmp_path:
             LAMPS,
         )
         command = [sys.executable, "-m", "altd.cli", "lamps", "on", "--config", str(config)]
-        with running(command, tmp_path / "lamps.log") as lamps:
+        with child(command, tmp_path / "lamps.log") as lamps:
             await_outputs([1, 1])
             lamps.send(signal.SIGINT)
             assert lamps.process.wait(20) == 130
@@ -215,7 +215,7 @@ def test_a_daemon_that_was_held_for_ten_seconds_never_calls_an_old_value_valid(
     with (
         Camera(tmp_path, "front", FRONT),
         Camera(tmp_path, "rear", REAR),
-        running(daemon_command(config), log) as daemon,
+        child(daemon_command(config), log) as daemon,
     ):
         daemon.await_text("measuring")
         answers = hold(daemon.process.pid, ports.modbus, ports.http, hold_s=10.0, polls_s=6.0)

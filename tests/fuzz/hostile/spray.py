@@ -18,8 +18,9 @@ from pathlib import Path
 
 from fuzz.hostile.datagrams import FOREIGN, PHASES
 
-from benchmarks.live.parts import FRONT, REAR, SEED, both_cameras, calibrate, ip, measuring_daemon, running
-from benchmarks.live.steady import QUANTITIES
+from benchmarks.harness import child
+from benchmarks.live.measure import QUANTITIES
+from benchmarks.live.parts import FRONT, REAR, SEED, both_cameras, calibrate, ip, measuring_daemon
 from benchmarks.live.watch import Received
 from benchmarks.process_memory import resident_mb
 from hw_sim.gige.command import make_unit
@@ -87,7 +88,7 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
         how = [str(value) for value in (seconds, phase_s, rate, seed)]
         program = ["env", f"PYTHONPATH={TESTS}", sys.executable, "-m", "fuzz.hostile.datagrams"]
         first, rss_mb = len(watch.seen), []
-        with running([*program, *pids, *how], folder / "attacker.log") as attack:
+        with child([*program, *pids, *how], folder / "attacker.log") as attack:
             until_s = time.monotonic() + seconds + _VALID_TIMEOUT_S
             while {attack.process.poll(), daemon.process.poll()} == {None} and time.monotonic() < until_s:
                 with suppress(StopIteration):  # it is ending
