@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
-from altd.errors import BadInputError
-from altd.process.endings import run_to_end
-from benchmarks.progress import show
+from benchmarks.harness import Columns, Parser, end, markdown_table, show, write_page
 from benchmarks.wire_errors.errors import ERRORS, HOLD_S, LIMIT_S
 from benchmarks.wire_errors.runner import WIRES, Tally, run
 from benchmarks.wire_errors.served import RATE_HZ
 
+_TABLE = Columns("error:<15", "wire:<13", "injected:>9", "found:>7", "passed:>7", "  by:")
+
 
 def text(tallies: Sequence[Tally]) -> Iterable[str]:
     """Lines for a terminal."""
-    yield f"{'error':<15}{'wire':<13}{'injected':>9}{'found':>7}{'passed':>7}  by"
+    yield _TABLE.head
     for tally in tallies:
-        found = sum(tally.found.values())
-        yield (
-            f"{tally.error:<15}{tally.wire:<13}{tally.injected:>9}{found:>7}{tally.passed:>7}"
-            f"  {_by(tally.found)}; good {tally.good}, refused {_by(tally.good_refused) or 0}"
-        )
+        by = f"  {_by(tally.found)}; good {tally.good}, refused {_by(tally.good_refused) or 0}"
+        yield _TABLE.row(tally.error, tally.wire, tally.injected, tally.found.total(), tally.passed, by)
 
 
 def passed(tallies: Iterable[Tally]) -> int:
@@ -32,24 +26,16 @@ def passed(tallies: Iterable[Tally]) -> int:
     return sum(tally.passed for tally in tallies)
 
 
-def write_page(path: Path, tallies: Sequence[Tally], command: str) -> None:
-    """Write the page; raises BadInputError if it cannot be written."""
-    try:
-        path.write_text(page(tallies, command), encoding="utf-8")
-    except OSError as error:
-        raise BadInputError(path, f"cannot be written: {error.strerror or error}") from error
-
-
 def page(tallies: Sequence[Tally], command: str) -> str:
     """Page as Markdown; its third line is the headline."""
     injected, missed = sum(tally.injected for tally in tallies), passed(tallies)
     good = sum(tally.good for tally in tallies)
-    refused = sum(sum(tally.good_refused.values()) for tally in tallies)
-    of = {(tally.error, tally.wire): tally for tally in tallies}
-    rows = "".join(
-        f"|{error}|" + "|".join(_cell(of[error, wire]) for wire in WIRES) + "|\n" for error in ERRORS
+    refused = sum((tally.good_refused for tally in tallies), Counter[str]())
+    of = {(tally.error, tally.wire): _cell(tally) for tally in tallies}
+    cells = markdown_table(
+        ("error", *WIRES), [(error, *(of[error, wire] for wire in WIRES)) for error in ERRORS], 5
     )
-    rejected = _by(_sum_of_refused(tallies)) or "none"
+    rejected = _by(refused) or "none"
     headline = f"[check of a message](../proof.md) found {injected - missed:,}; {missed:,} passed."
     return f"""# Wire errors: what a reader of the unit finds
 
@@ -63,9 +49,8 @@ The reader is the Python code on the page [proof](../proof.md), without altd. It
 and it accepts nothing older than {LIMIT_S:g} s. The proxy corrects the checks of the wires themselves
 (CRC-16 of Modbus RTU, checksums of NMEA 0183 and TCP, transaction numbers), so that these find nothing.
 
-|error|{"|".join(WIRES)}|
-|---|---|---|---|---|
-{rows}
+{cells}
+
 A cell: errors found of errors injected, and by which check.
 
 - *corruption*: 1 to 100 inverted bits. *repetition*: the last message again. *insertion*: one of the last 50.
@@ -78,7 +63,7 @@ A cell: errors found of errors injected, and by which check.
 
 Delay is counted from the reader's first message, which must not be delayed.
 
-Of {good:,} good messages between the errors {refused:,} were rejected: {rejected}.
+Of {good:,} good messages between the errors {refused.total():,} were rejected: {rejected}.
 A good message that is rejected as *late* or by time-out was late because the machine had other work. An error
 directly after a time-out is not counted.
 """
@@ -86,11 +71,7 @@ directly after a time-out is not counted.
 
 def _cell(tally: Tally) -> str:
     by = _by(tally.found, numbered=len(tally.found) > 1)
-    return f"{sum(tally.found.values()):,}/{tally.injected:,}: {by}"
-
-
-def _sum_of_refused(tallies: Iterable[Tally]) -> Counter[str]:
-    return sum((tally.good_refused for tally in tallies), Counter[str]())
+    return f"{tally.found.total():,}/{tally.injected:,}: {by}"
 
 
 def _by(counts: Counter[str], numbered: bool = True) -> str:
@@ -99,19 +80,19 @@ def _by(counts: Counter[str], numbered: bool = True) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run and print the table; return 1 if an error was accepted as a good message."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.wire_errors", description=__doc__)
-    parser.add_argument("--count", type=int, default=1000, help="of each error on each wire")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")
+    parser = Parser("benchmarks.wire_errors", __doc__)
+    parser.count("--count", 1000, "of each error on each wire")
+    parser.seed()
+    parser.page()
     options = parser.parse_args(arguments)
     tallies = run(options.count, options.seed, show)
     show("")
     print("\n".join(text(tallies)))
     if options.page is not None:
         command = f"python -m benchmarks.wire_errors --count {options.count} --seed {options.seed}"
-        write_page(options.page, tallies, command)
+        write_page(options.page, page(tallies, command))
     return 1 if passed(tallies) else 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_to_end(main, lambda: "benchmarks.wire_errors"))
+    end(main, "benchmarks.wire_errors")

@@ -123,33 +123,29 @@ Error = Callable[[Line], Iterator[Delivery]]
 """Endless deliveries, alternately good and corrupted."""
 
 
-def corruption(line: Line) -> Iterator[Delivery]:
-    """Bits inverted; the wire's own checksum is corrected."""
-    while True:
-        yield Delivery(line.unit())
-        yield Delivery(line.payload.spoil(line.unit(), line.chance), True)
+def _each_second(spoilt: Callable[[Line], Delivery]) -> Error:
+    def deliveries(line: Line) -> Iterator[Delivery]:
+        while True:
+            yield Delivery(line.unit())
+            yield spoilt(line)
+
+    return deliveries
 
 
-def repetition(line: Line) -> Iterator[Delivery]:
-    """The previous message, once more."""
+def _repetition(line: Line) -> Iterator[Delivery]:
     while True:
         message = line.unit()
         yield Delivery(message)
         yield Delivery(message, True)
 
 
-def loss(line: Line) -> Iterator[Delivery]:
-    """No answer; on a wire without requests the message after it has to reveal the loss."""
-    while True:
-        yield Delivery(line.unit())
-        lost = line.unit()
-        yield Delivery(None if line.is_polled and lost else line.unit(), True)
+def _lost(line: Line) -> Delivery:
+    lost = line.unit()
+    return Delivery(None if line.is_polled and lost else line.unit(), True)
 
 
-def insertion(line: Line) -> Iterator[Delivery]:
-    """An earlier message of this session, with a matching CRC."""
-    said: deque[bytes] = deque(maxlen=_KEPT)
-    said.append(line.unit())
+def _insertion(line: Line) -> Iterator[Delivery]:
+    said = deque([line.unit()], maxlen=_KEPT)
     while True:
         message = line.unit()
         yield Delivery(message)
@@ -157,42 +153,28 @@ def insertion(line: Line) -> Iterator[Delivery]:
         said.append(message)
 
 
-def wrong_order(line: Line) -> Iterator[Delivery]:
-    """Two messages, the later one first."""
+def _wrong_order(line: Line) -> Iterator[Delivery]:
     while True:
         first, second = line.unit(), line.unit()
         yield Delivery(second)
         yield Delivery(first, True)
 
 
-def delay(line: Line) -> Iterator[Delivery]:
-    """A message that is held in transfer."""
-    while True:
-        yield Delivery(line.unit())
-        yield Delivery(line.unit(), True, HOLD_S)
-
-
-def masquerade(line: Line) -> Iterator[Delivery]:
-    """A sender that imitates the unit without a new CRC-32."""
-    while True:
-        yield Delivery(line.unit())
-        yield Delivery(line.payload.imitate(line.unit(), line.chance), True)
-
-
-def wrong_address(line: Line) -> Iterator[Delivery]:
-    """A good message of another unit of the same kind."""
-    while True:
-        yield Delivery(line.unit())
-        yield Delivery(line.other(), True)
-
-
 ERRORS: dict[str, Error] = {
-    "corruption": corruption,
-    "repetition": repetition,
-    "loss": loss,
-    "insertion": insertion,
-    "wrong order": wrong_order,
-    "delay": delay,
-    "masquerade": masquerade,
-    "wrong address": wrong_address,
+    # bits inverted; the wire's own checksum is corrected
+    "corruption": _each_second(lambda line: Delivery(line.payload.spoil(line.unit(), line.chance), True)),
+    # the previous message, once more
+    "repetition": _repetition,
+    # no answer; on a wire without requests the message after it has to reveal the loss
+    "loss": _each_second(_lost),
+    # an earlier message of this session, with a matching CRC
+    "insertion": _insertion,
+    # two messages, the later one first
+    "wrong order": _wrong_order,
+    # a message that is held in transfer
+    "delay": _each_second(lambda line: Delivery(line.unit(), True, HOLD_S)),
+    # a sender that imitates the unit without a new CRC-32
+    "masquerade": _each_second(lambda line: Delivery(line.payload.imitate(line.unit(), line.chance), True)),
+    # a good message of another unit of the same kind
+    "wrong address": _each_second(lambda line: Delivery(line.other(), True)),
 }

@@ -5,19 +5,18 @@ from __future__ import annotations
 import json
 import os
 import queue
-import subprocess
-import sys
 import threading
 import time
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from random import Random
 from types import SimpleNamespace
 from typing import Any
 
+from benchmarks.harness import ROOT, reporter
 from benchmarks.wire_errors.errors import BLOCK, ERRORS, JSON, LIMIT_S, TELEGRAM, Line, Payload
 from benchmarks.wire_errors.polled import (
     Client,
@@ -36,7 +35,7 @@ from benchmarks.wire_errors.polled import (
 )
 from benchmarks.wire_errors.served import SERIALS
 
-PROOF_CODE = Path(__file__).parents[2] / "docs" / "proof" / "check.py"
+PROOF_CODE = ROOT / "docs/proof/check.py"
 
 
 def reader() -> Any:
@@ -73,81 +72,75 @@ class Tally:
         """Add the reader's verdict on one delivery; ``lost``: number of messages lost before it."""
         if not is_spoilt:
             self.good += 1
-            if fault:
-                self.good_refused[fault] += 1
+            self.good_refused.update([fault] if fault else [])
             return
         self.injected += 1
-        if self.error == "loss" and not fault and lost:
-            fault = "lost"
-        if fault:
-            self.found[fault] += 1
-        else:
-            self.passed += 1
+        if self.error == "loss" and lost:
+            fault = fault or "lost"
+        self.found.update([fault] if fault else [])
+        self.passed += not fault
 
 
 Judge = Callable[[bytes | None], tuple[str, int]]
 
 
-class Unit:
-    """The process with both units, and the far ends of their wires."""
+class Units:
+    """Far ends of the wires of both units. A terminal is for one error, those of the second unit for all."""
 
-    def __init__(self) -> None:
-        self._terminals = {
-            (unit, kind): [raw_terminal() for _ in (ERRORS if unit == 0 else [""])]
-            for unit in (0, 1)
-            for kind in ("telegram", "rtu")
-        }
-        devices = [
-            {
-                kind: [os.ttyname(end) for _, end in self._terminals[unit, kind]]
-                for kind in ("telegram", "rtu")
-            }
-            for unit in (0, 1)
-        ]
-        command = [sys.executable, "-m", "benchmarks.wire_errors.served", json.dumps(devices)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603
-        assert self._process.stdout is not None  # noqa: S101  it is a pipe
-        self._ports = json.loads(self._process.stdout.readline())
+    def __init__(
+        self, terminals: list[dict[str, list[tuple[int, int]]]], ports: list[dict[str, int]]
+    ) -> None:
+        self._terminals, self._ports = terminals, ports
 
     def client(self, wire: str, unit: int, place: int) -> Client:
         """Modbus client of a unit."""
         if wire == "Modbus TCP":
             return TcpClient(self._ports[unit]["tcp"])
-        return RtuClient(self._terminals[unit, "rtu"][place][0])
+        return RtuClient(self._terminals[unit]["rtu"][place][0])
 
     def messages(self, wire: str, unit: int, place: int) -> Iterator[bytes]:
         """Unsolicited messages of a unit."""
         if wire == "telegram":
-            return telegrams(self._terminals[unit, "telegram"][place][0])
+            return telegrams(self._terminals[unit]["telegram"][place][0])
         return stream(self._ports[unit]["http"])
 
-    def end(self) -> None:
-        """End the process."""
-        self._process.communicate(timeout=30)
+
+@contextmanager
+def _served() -> Iterator[Units]:
+    """Run both units in a process of their own within the block."""
+    terminals = [
+        {kind: [raw_terminal() for _ in range(count)] for kind in ("telegram", "rtu")}
+        for count in (len(ERRORS), 1)
+    ]
+    devices = [
+        {kind: [os.ttyname(end) for _, end in ends] for kind, ends in of_unit.items()}
+        for of_unit in terminals
+    ]
+    with reporter("benchmarks.wire_errors.served", json.dumps(devices)) as process:
+        process.await_text("\n")
+        yield Units(terminals, json.loads(process.output))
 
 
 def run(count: int, seed: int, show: Callable[[str], None]) -> list[Tally]:
     """Run every error ``count`` times on every wire, all at the same time."""
-    unit = Unit()
     tallies = [Tally(wire, error) for wire in WIRES for error in ERRORS]
     failed: list[BaseException] = []
+    with _served() as units:
 
-    def work(tally: Tally) -> None:
-        try:
-            (_polled if tally.wire.startswith("Modbus") else _pushed)(unit, tally, count, seed)
-        except BaseException as error:
-            failed.append(error)
-            raise
+        def work(tally: Tally) -> None:
+            try:
+                (_polled if tally.wire.startswith("Modbus") else _pushed)(units, tally, count, seed)
+            except BaseException as error:
+                failed.append(error)
 
-    threads = [threading.Thread(target=work, args=(tally,), daemon=True) for tally in tallies]
-    for thread in threads:
-        thread.start()
-    while any(thread.is_alive() for thread in threads) and not failed:
-        time.sleep(0.2)
-        show(f"{sum(tally.injected for tally in tallies)} of {count * len(tallies)}")
-    unit.end()
-    if failed:
-        raise failed[0]
+        threads = [threading.Thread(target=work, args=(tally,), daemon=True) for tally in tallies]
+        for thread in threads:
+            thread.start()
+        while any(thread.is_alive() for thread in threads) and not failed:
+            time.sleep(0.2)
+            show(f"{sum(tally.injected for tally in tallies)} of {count * len(tallies)}")
+        if failed:
+            raise failed[0]
     return tallies
 
 
@@ -159,9 +152,9 @@ def _chance(tally: Tally, seed: int) -> Random:
     return Random(f"{seed} {tally.wire} {tally.error}")
 
 
-def _polled(unit: Unit, tally: Tally, count: int, seed: int) -> None:
-    client = fetch(unit.client(tally.wire, 0, _place(tally.error)))
-    other = fetch(unit.client(tally.wire, 1, 0)) if tally.error == "wrong address" else client
+def _polled(units: Units, tally: Tally, count: int, seed: int) -> None:
+    client = fetch(units.client(tally.wire, 0, _place(tally.error)))
+    other = fetch(units.client(tally.wire, 1, 0)) if tally.error == "wrong address" else client
     deliveries = ERRORS[tally.error](Line(client, other, BLOCK, _chance(tally, seed), is_polled=True))
     truth: queue.Queue[bool] = queue.Queue()
     asking: Client
@@ -181,10 +174,10 @@ def _polled(unit: Unit, tally: Tally, count: int, seed: int) -> None:
     asking.close()
 
 
-def _pushed(unit: Unit, tally: Tally, count: int, seed: int) -> None:
-    source = Newest(unit.messages(tally.wire, 0, _place(tally.error)))
+def _pushed(units: Units, tally: Tally, count: int, seed: int) -> None:
+    source = Newest(units.messages(tally.wire, 0, _place(tally.error)))
     is_foreign = tally.error == "wrong address"
-    other = Newest(unit.messages(tally.wire, 1, 0)) if is_foreign else source
+    other = Newest(units.messages(tally.wire, 1, 0)) if is_foreign else source
     payload, wire, read = _OF_PUSHED[tally.wire]
     time.sleep(_SETTLE_S)
     source.drop()  # drop messages from before the reader: it begins on an empty line

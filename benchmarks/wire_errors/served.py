@@ -10,8 +10,8 @@ import asyncio
 import json
 import signal
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -41,45 +41,25 @@ class _Unit:
 
     def __init__(self, serial: str, ports: dict[str, list[str]]) -> None:
         self.clock = SystemClock()
-        self.board = Board(self.clock, 1.0, QUANTITIES, Identity.drawn(serial))
+        self.board = board = Board(self.clock, 1.0, QUANTITIES, Identity.drawn(serial))
         health = Health(self.clock)
         component = health.component(serial)
-        self.http = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), self.board, health, component)
-        self.tcp = ModbusTcpPublisher(
-            ModbusTcpSettings(host="127.0.0.1", port=0), self.board, component, health
-        )
-        self.serial: list[Publisher] = [
-            TelegramPublisher(
-                TelegramPortSettings(
-                    device=Path(device), speaks="telegram", baud=_BAUD, interval_s=0.05, checked=True
-                ),
-                self.board,
-                component,
-                self.clock,
-                Nameplate(unit=unit_number(serial), serial=serial, firmware="", calibrated=None),
+        self.http = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), board, health, component)
+        self.tcp = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=0), board, component, health)
+        plate = Nameplate(unit=unit_number(serial), serial=serial, firmware="", calibrated=None)
+        self.faces: list[Publisher] = [self.http, self.tcp]
+        for device in ports["telegram"]:
+            line = TelegramPortSettings(
+                device=Path(device), speaks="telegram", baud=_BAUD, interval_s=0.05, checked=True
             )
-            for device in ports["telegram"]
-        ]
-        self.serial += [
-            ModbusRtuPublisher(
-                ModbusRtuPortSettings(device=Path(device), speaks="modbus_rtu", baud=_BAUD),
-                self.board,
-                component,
-                health,
-            )
-            for device in ports["rtu"]
-        ]
-
-    def faces(self) -> Iterator[Publisher]:
-        yield self.http
-        yield self.tcp
-        yield from self.serial
+            self.faces.append(TelegramPublisher(line, board, component, self.clock, plate))
+        for device in ports["rtu"]:
+            rtu = ModbusRtuPortSettings(device=Path(device), speaks="modbus_rtu", baud=_BAUD)
+            self.faces.append(ModbusRtuPublisher(rtu, board, component, health))
 
     async def measure(self) -> None:
         """Publish differing measurements without end."""
-        sequence = 0
-        while True:
-            sequence += 1
+        for sequence in count(1):
             self.board.publish(self._measurement(sequence))
             await asyncio.sleep(1 / RATE_HZ)
 
@@ -102,7 +82,7 @@ async def _serve(ports: list[dict[str, list[str]]]) -> None:
         served = []
         for unit in units:
             served.append(tasks.create_task(unit.measure()))
-            for face in unit.faces():
+            for face in unit.faces:
                 ready = asyncio.Event()
                 served.append(tasks.create_task(_run(face, ready)))
                 await ready.wait()
