@@ -62,18 +62,20 @@ class Locator:
 
 
 class Bench:
-    """The thread between frames and loop."""
+    """The thread between frames and loop, of one camera or of two."""
 
-    def __init__(self, locator: Locator) -> None:
+    def __init__(self, locator: Locator, rear: Locator | None = None) -> None:
         self.locator = locator
-        locating = Locating({"front": locator}, {})  # type: ignore[dict-item]
-        pairer: Pairer[Frame] = Pairer(("front",), "sequence", 10_000_000, 30_000_000)
+        self.locators = {"front": locator} | ({} if rear is None else {"rear": rear})
+        locating = Locating(self.locators, {})  # type: ignore[arg-type]
+        pairer: Pairer[Frame] = Pairer(tuple(self.locators), "sequence", 10_000_000, 30_000_000)
         self.pairs = FramePairs(pairer, locating.arrived, FakeClock())
         self.located = LocatedPairs(self.pairs)
         self.task = asyncio.create_task(locating.run(self.located))
 
-    def put(self, number: int) -> None:
-        self.pairs.put(shot(number), wait=False)
+    def put(self, number: int, pixels: PixelArray = PIXELS) -> None:
+        for camera in self.locators:
+            self.pairs.put(replace(shot(number), camera=camera, pixels=pixels), wait=False)
 
     async def take(self) -> list[int]:
         return [pair.sequence for pair in await self.located.take()]
@@ -205,51 +207,31 @@ LARGE = np.zeros((1024, 1024), np.uint8)
 async def test_the_large_frames_of_a_set_are_located_side_by_side() -> None:
     """Each waits until the other is being located, too."""
     both = threading.Barrier(2)
-    locators = {camera: Locator(lambda frame: both.wait(LONG_S)) for camera in ("front", "rear")}
-    locating = Locating(locators, {})  # type: ignore[arg-type]
-    pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
-    pairs = FramePairs(pairer, locating.arrived, FakeClock())
-    waiting = LocatedPairs(pairs)
-    task = asyncio.create_task(locating.run(waiting))
+    bench = Bench(*(Locator(lambda frame: both.wait(LONG_S)) for _ in range(2)))
     for number in range(3):
-        for camera in ("front", "rear"):
-            pairs.put(replace(shot(number), camera=camera, pixels=LARGE), wait=False)
-        (pair,) = await waiting.take()
+        bench.put(number, LARGE)
+        (pair,) = await bench.located.take()
         assert pair.sequence == number
         assert set(pair.items) == {"front", "rear"}
-    await stop(task)
+    await stop(bench.task)
 
 
 async def test_small_frames_are_located_one_after_the_other() -> None:
     threads: list[str] = []
-    locators = {
-        camera: Locator(lambda frame: threads.append(threading.current_thread().name))
-        for camera in ("front", "rear")
-    }
-    locating = Locating(locators, {})  # type: ignore[arg-type]
-    pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
-    pairs = FramePairs(pairer, locating.arrived, FakeClock())
-    waiting = LocatedPairs(pairs)
-    task = asyncio.create_task(locating.run(waiting))
-    for camera in ("front", "rear"):
-        pairs.put(replace(shot(1), camera=camera), wait=False)
-    (pair,) = await waiting.take()
+    bench = Bench(*(Locator(lambda frame: threads.append(threading.current_thread().name)) for _ in range(2)))
+    bench.put(1)
+    (pair,) = await bench.located.take()
     assert set(pair.items) == {"front", "rear"}
     assert threads == ["locate", "locate"]
-    await stop(task)
+    await stop(bench.task)
 
 
 @pytest.mark.parametrize("pixels", [PIXELS, LARGE])
 async def test_a_defect_beside_is_raised_too(pixels: PixelArray) -> None:
-    locators = {"front": Locator(), "rear": Locator(lambda frame: 1 / 0)}
-    locating = Locating(locators, {})  # type: ignore[arg-type]
-    pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
-    pairs = FramePairs(pairer, locating.arrived, FakeClock())
-    task = asyncio.create_task(locating.run(LocatedPairs(pairs)))
-    for camera in ("front", "rear"):
-        pairs.put(replace(shot(1), camera=camera, pixels=pixels), wait=False)
+    bench = Bench(Locator(), Locator(lambda frame: 1 / 0))
+    bench.put(1, pixels)
     with pytest.raises(ZeroDivisionError):
-        await task
+        await bench.task
 
 
 async def test_the_way_of_each_frame_is_logged_where_that_is_asked_for(

@@ -26,6 +26,16 @@ from altd.records import Frame, NoSpot, Spot
 LIMITS = ExposureRange(0.02, 20.0, 0.0, 12.0)
 WINDOW = 20
 HERE = Setting(2.0, 0.0)
+OVEREXPOSED = BrightnessSample(Content.OVEREXPOSED, 1.0)
+BRIGHTEST = setting_for(1000.0, LIMITS)
+
+
+def spot(level: float) -> BrightnessSample:
+    return BrightnessSample(Content.SPOT, level)
+
+
+def nothing(level: float) -> BrightnessSample:
+    return BrightnessSample(Content.NOTHING, level)
 
 
 def rule(limits: ExposureRange = LIMITS) -> ExposureRule:
@@ -34,7 +44,7 @@ def rule(limits: ExposureRange = LIMITS) -> ExposureRule:
 
 def settled(present: Setting = HERE) -> ExposureRule:
     one = rule()
-    assert one.next(BrightnessSample(Content.SPOT, TARGET), present) is None
+    assert one.next(spot(TARGET), present) is None
     return one
 
 
@@ -76,18 +86,18 @@ def test_the_limits_are_those_of_config_camera_and_frame_rate_together() -> None
 @pytest.mark.parametrize("level", [LOW, 0.5, HIGH])
 def test_in_the_band_nothing_is_asked_for(level: float) -> None:
     one = settled()
-    assert all(one.next(BrightnessSample(Content.SPOT, level), HERE) is None for _ in range(500))
+    assert all(one.next(spot(level), HERE) is None for _ in range(500))
 
 
 @pytest.mark.parametrize("level", [0.05, 0.2, 0.34, 0.81, 0.95])
 def test_out_of_the_band_for_a_whole_window_it_goes_to_the_middle(level: float) -> None:
-    count, setting = asked(settled(), BrightnessSample(Content.SPOT, level))
+    count, setting = asked(settled(), spot(level))
     assert count == WINDOW
     assert setting.light * level / HERE.light == pytest.approx(TARGET)
 
 
 def test_a_clipped_spot_comes_into_the_band_whatever_was_clipped() -> None:
-    _, setting = asked(settled(), BrightnessSample(Content.SPOT, 1.0))
+    _, setting = asked(settled(), spot(1.0))
     for overexposed in (1.0, 2.0):
         assert LOW <= overexposed * setting.light / HERE.light <= HIGH
 
@@ -95,9 +105,7 @@ def test_a_clipped_spot_comes_into_the_band_whatever_was_clipped() -> None:
 def test_one_exposure_back_in_the_band_begins_the_count_anew() -> None:
     one = settled()
     for _ in range(20):
-        for sample in [BrightnessSample(Content.SPOT, 0.9)] * (WINDOW - 1) + [
-            BrightnessSample(Content.SPOT, 0.79)
-        ]:
+        for sample in [spot(0.9)] * (WINDOW - 1) + [spot(0.79)]:
             assert one.next(sample, HERE) is None
 
 
@@ -105,55 +113,42 @@ def test_a_spot_that_is_now_too_bright_and_now_too_dark_is_left_alone() -> None:
     one = settled()
     for _ in range(10):
         for level in (0.9, 0.2):
-            assert all(
-                one.next(BrightnessSample(Content.SPOT, level), HERE) is None for _ in range(WINDOW - 1)
-            )
+            assert all(one.next(spot(level), HERE) is None for _ in range(WINDOW - 1))
 
 
-@pytest.mark.parametrize(
-    "sample",
-    [
-        BrightnessSample(Content.SPOT, 0.1),
-        BrightnessSample(Content.SPOT, 1.0),
-        BrightnessSample(Content.OVEREXPOSED, 1.0),
-    ],
-)
+@pytest.mark.parametrize("sample", [spot(0.1), spot(1.0), OVEREXPOSED])
 def test_until_the_level_was_in_the_band_three_exposures_do(sample: BrightnessSample) -> None:
     assert asked(rule(), sample)[0] == 3
 
 
 def test_a_spot_that_saturates_is_not_waited_for() -> None:
-    count, setting = asked(settled(), BrightnessSample(Content.OVEREXPOSED, 1.0))
+    count, setting = asked(settled(), OVEREXPOSED)
     assert count == 3
     assert setting.light == pytest.approx(HERE.light / 4)
 
 
 def test_a_flash_changes_nothing() -> None:
     one = settled()
-    for sample in [BrightnessSample(Content.OVEREXPOSED, 1.0)] * 2 + [
-        BrightnessSample(Content.SPOT, TARGET)
-    ] * 5:
+    for sample in [OVEREXPOSED] * 2 + [spot(TARGET)] * 5:
         assert one.next(sample, HERE) is None
 
 
 def test_a_spot_that_went_out_is_waited_for_and_then_looked_for_upwards_to_the_end() -> None:
     one, present, steps = settled(), HERE, []
     for _ in range(400):
-        if (setting := one.next(BrightnessSample(Content.NOTHING, 0.02), present)) is not None:
+        if (setting := one.next(nothing(0.02), present)) is not None:
             steps.append(setting)
             present = setting
-    assert asked(settled(), BrightnessSample(Content.NOTHING, 0.02))[0] == 2 * WINDOW
-    assert [step.light for step in steps] == pytest.approx([8.0, 32.0, setting_for(1000.0, LIMITS).light])
-    assert steps[-1] == setting_for(1000.0, LIMITS)
+    assert asked(settled(), nothing(0.02))[0] == 2 * WINDOW
+    assert [step.light for step in steps] == pytest.approx([8.0, 32.0, BRIGHTEST.light])
+    assert steps[-1] == BRIGHTEST
 
 
 def test_a_search_ends_where_the_spot_was_good() -> None:
     one, present = settled(), HERE
-    while (setting := one.next(BrightnessSample(Content.NOTHING, 0.02), present)) != setting_for(
-        1000.0, LIMITS
-    ):
+    while (setting := one.next(nothing(0.02), present)) != setting_for(1000.0, LIMITS):
         present = setting or present
-    count, setting = asked(one, BrightnessSample(Content.OVEREXPOSED, 1.0), setting_for(1000.0, LIMITS))
+    count, setting = asked(one, OVEREXPOSED, BRIGHTEST)
     assert count == 3
     assert setting == HERE
 
@@ -164,7 +159,7 @@ def test_a_search_floods_no_frame() -> None:
     for _ in range(300):
         level = 0.03 * present.light / HERE.light
         assert level <= 0.5 + 1e-9
-        present = one.next(BrightnessSample(Content.NOTHING, level), present) or present
+        present = one.next(nothing(level), present) or present
     assert 0.03 * present.light / HERE.light > 0.45
 
 
@@ -176,10 +171,10 @@ def test_what_exposure_does_not_mend_moves_nothing() -> None:
 @pytest.mark.parametrize(
     ("sample", "end"),
     [
-        (BrightnessSample(Content.OVEREXPOSED, 1.0), 0.0),
-        (BrightnessSample(Content.SPOT, 1.0), 0.0),
-        (BrightnessSample(Content.NOTHING, 0.0), 1e9),
-        (BrightnessSample(Content.SPOT, 0.05), 1e9),
+        (OVEREXPOSED, 0.0),
+        (spot(1.0), 0.0),
+        (nothing(0.0), 1e9),
+        (spot(0.05), 1e9),
     ],
 )
 def test_at_the_end_of_its_range_it_rests(sample: BrightnessSample, end: float) -> None:

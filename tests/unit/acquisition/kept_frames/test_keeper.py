@@ -153,81 +153,80 @@ async def running(unit: Unit) -> AsyncIterator[Unit]:
         await stop(task)
 
 
+@pytest.fixture
+async def unit(tmp_path: Path) -> AsyncIterator[Unit]:
+    async with running(Unit(tmp_path)) as unit:
+        yield unit
+
+
 def times_s(unit: Unit, kept: KeptRecording) -> list[float]:
     return [row.t_s for row in open_recording(unit.store.folder_of(kept.name)).rows if row.camera == "front"]
 
 
-async def test_after_a_fault_the_seconds_before_and_after_it_are_written(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(100)
-        unit.causes.append(FAULT)
-        await unit.expose(40)
-        kept = await unit.written(1)
-        assert kept.why == "spot_missing front"
-        assert kept.name == "20261120T080143Z-spot_missing-front"  # 2 s before 105 s
-        assert kept.start.startswith("2026-11-20T08:01:43.")
-        at_s = times_s(unit, kept)
-        assert at_s[-1] - at_s[0] == pytest.approx(2.5, abs=0.06)
-        assert kept.exposures == len(at_s) == round(kept.seconds * 20)
-        recording = open_recording(unit.store.folder_of(kept.name))
-        assert recording.header.kind == "measurement"
-        assert recording.header.unit.serial == "ALT-7"
-        assert recording.header.note == "altd run, simulated"
-        assert recording.header.cameras["front"].origin is Origin.SIMULATED
-        assert (recording.frame(next(iter(recording.rows))).pixels == PIXELS).all()
+async def test_after_a_fault_the_seconds_before_and_after_it_are_written(unit: Unit) -> None:
+    await unit.expose(100)
+    unit.causes.append(FAULT)
+    await unit.expose(40)
+    kept = await unit.written(1)
+    assert kept.why == "spot_missing front"
+    assert kept.name == "20261120T080143Z-spot_missing-front"  # 2 s before 105 s
+    assert kept.start.startswith("2026-11-20T08:01:43.")
+    at_s = times_s(unit, kept)
+    assert at_s[-1] - at_s[0] == pytest.approx(2.5, abs=0.06)
+    assert kept.exposures == len(at_s) == round(kept.seconds * 20)
+    recording = open_recording(unit.store.folder_of(kept.name))
+    assert recording.header.kind == "measurement"
+    assert recording.header.unit.serial == "ALT-7"
+    assert recording.header.note == "altd run, simulated"
+    assert recording.header.cameras["front"].origin is Origin.SIMULATED
+    assert (recording.frame(next(iter(recording.rows))).pixels == PIXELS).all()
 
 
-async def test_a_fault_that_stays_is_written_once_and_again_when_it_comes_back_much_later(
-    tmp_path: Path,
-) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(60)
-        unit.causes.append(FAULT)
-        await unit.expose(20)
-        await unit.written(1)
-        await unit.nothing_more(1)
-        unit.causes.clear()
-        await unit.expose(20)
-        unit.causes.append(FAULT)
-        await unit.nothing_more(1)
-        unit.causes.clear()
-        await unit.expose(round(20 * SETTINGS.again_after_s))
-        unit.causes.append(FAULT)
-        await unit.expose(20)
-        assert (await unit.written(2)).why == "spot_missing front"
+async def test_a_fault_that_stays_is_written_once_and_again_when_it_comes_back_much_later(unit: Unit) -> None:
+    await unit.expose(60)
+    unit.causes.append(FAULT)
+    await unit.expose(20)
+    await unit.written(1)
+    await unit.nothing_more(1)
+    unit.causes.clear()
+    await unit.expose(20)
+    unit.causes.append(FAULT)
+    await unit.nothing_more(1)
+    unit.causes.clear()
+    await unit.expose(round(20 * SETTINGS.again_after_s))
+    unit.causes.append(FAULT)
+    await unit.expose(20)
+    assert (await unit.written(2)).why == "spot_missing front"
 
 
-async def test_another_fault_is_written_too(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(60)
-        unit.causes.append(FAULT)
-        await unit.expose(20)
-        await unit.written(1)
-        unit.causes.append(Cause(Reason.CAMERA_SILENT, "rear"))
-        await unit.expose(20)
-        assert (await unit.written(2)).why == "camera_silent rear"
+async def test_another_fault_is_written_too(unit: Unit) -> None:
+    await unit.expose(60)
+    unit.causes.append(FAULT)
+    await unit.expose(20)
+    await unit.written(1)
+    unit.causes.append(Cause(Reason.CAMERA_SILENT, "rear"))
+    await unit.expose(20)
+    assert (await unit.written(2)).why == "camera_silent rear"
 
 
 @pytest.mark.parametrize(
     "kind",
     [Condition.STARTING, Condition.CALIBRATION_DUE, Reason.SIMULATED, Reason.PLAYBACK, Reason.NOT_LIVE],
 )
-async def test_what_is_no_fault_is_not_written(tmp_path: Path, kind: Kind) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(60)
-        unit.causes.append(Cause(kind))
-        await unit.nothing_more(0)
+async def test_what_is_no_fault_is_not_written(unit: Unit, kind: Kind) -> None:
+    await unit.expose(60)
+    unit.causes.append(Cause(kind))
+    await unit.nothing_more(0)
 
 
-async def test_a_fault_of_a_simulated_unit_is_written_too(tmp_path: Path) -> None:
+async def test_a_fault_of_a_simulated_unit_is_written_too(unit: Unit) -> None:
     """*Check function* from the start is the worse signal; the fault beside it counts alone."""
-    async with running(Unit(tmp_path)) as unit:
-        unit.causes.append(Cause(Reason.SIMULATED))
-        await unit.expose(60)
-        await unit.nothing_more(0)
-        unit.causes.append(FAULT)
-        await unit.expose(20)
-        assert (await unit.written(1)).why == "spot_missing front"
+    unit.causes.append(Cause(Reason.SIMULATED))
+    await unit.expose(60)
+    await unit.nothing_more(0)
+    unit.causes.append(FAULT)
+    await unit.expose(20)
+    assert (await unit.written(1)).why == "spot_missing front"
 
 
 async def test_by_its_settings_it_writes_only_when_asked(tmp_path: Path) -> None:
@@ -244,45 +243,41 @@ async def test_by_its_settings_it_writes_only_when_asked(tmp_path: Path) -> None
         assert unit.component.message == "1 recording, 0 of 2000 MB"
 
 
-async def test_exposures_of_a_change_are_left_out_and_lit_ones_say_so(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(10)
-        await unit.expose(5, changing=True)
-        await unit.expose(3, leds_on=True)
-        kept = await unit.keeper.keep("asked")
-        rows = open_recording(unit.store.folder_of(kept.name)).rows
-        assert [row.leds_on for row in rows if row.camera == "rear"] == [False] * 10 + [True] * 3
+async def test_exposures_of_a_change_are_left_out_and_lit_ones_say_so(unit: Unit) -> None:
+    await unit.expose(10)
+    await unit.expose(5, changing=True)
+    await unit.expose(3, leds_on=True)
+    kept = await unit.keeper.keep("asked")
+    rows = open_recording(unit.store.folder_of(kept.name)).rows
+    assert [row.leds_on for row in rows if row.camera == "rear"] == [False] * 10 + [True] * 3
 
 
-async def test_without_a_frame_there_is_nothing_to_keep_and_it_is_said(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        with pytest.raises(NotKeptError, match="no frames in the last seconds"):
-            await unit.keeper.keep("asked")
-        assert unit.component.counters == {"not_kept": 1}
-        assert unit.component.state is State.OK, "the cameras fail, and say so: this does what it should"
-        await unit.expose(3)
+async def test_without_a_frame_there_is_nothing_to_keep_and_it_is_said(unit: Unit) -> None:
+    with pytest.raises(NotKeptError, match="no frames in the last seconds"):
         await unit.keeper.keep("asked")
-        assert (unit.component.state, unit.component.counters) == (State.OK, {"not_kept": 1, "kept": 1})
+    assert unit.component.counters == {"not_kept": 1}
+    assert unit.component.state is State.OK, "the cameras fail, and say so: this does what it should"
+    await unit.expose(3)
+    await unit.keeper.keep("asked")
+    assert (unit.component.state, unit.component.counters) == (State.OK, {"not_kept": 1, "kept": 1})
 
 
-async def test_one_camera_alone_makes_no_exposure(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        for number in range(10):
-            unit.ring.keep(Frame("front", number, unit.clock.now_ns - number, PIXELS))
-        with pytest.raises(NotKeptError, match="no exposure of all cameras"):
-            await unit.keeper.keep("asked")
+async def test_one_camera_alone_makes_no_exposure(unit: Unit) -> None:
+    for number in range(10):
+        unit.ring.keep(Frame("front", number, unit.clock.now_ns - number, PIXELS))
+    with pytest.raises(NotKeptError, match="no exposure of all cameras"):
+        await unit.keeper.keep("asked")
 
 
-async def test_a_flood_of_requests_is_refused(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(40)
-        answers = await asyncio.gather(
-            *(unit.keeper.keep(f"asked {n}") for n in range(50)), return_exceptions=True
-        )
-        refused = [answer for answer in answers if isinstance(answer, NotKeptError)]
-        assert len(refused) == 46
-        assert str(refused[0]) == "4 recordings are being written already"
-        assert len(unit.keeper.recordings) == 4
+async def test_a_flood_of_requests_is_refused(unit: Unit) -> None:
+    await unit.expose(40)
+    answers = await asyncio.gather(
+        *(unit.keeper.keep(f"asked {n}") for n in range(50)), return_exceptions=True
+    )
+    refused = [answer for answer in answers if isinstance(answer, NotKeptError)]
+    assert len(refused) == 46
+    assert str(refused[0]) == "4 recordings are being written already"
+    assert len(unit.keeper.recordings) == 4
 
 
 async def test_a_folder_that_cannot_be_had_is_told_and_nothing_else_happens(tmp_path: Path) -> None:
@@ -300,23 +295,22 @@ async def test_a_folder_that_cannot_be_had_is_told_and_nothing_else_happens(tmp_
 
 
 async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unit: Unit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hangs = threading.Event()
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(40)
-        kept = await unit.keeper.keep("asked")
-        assert (await unit.keeper.files(kept.name))[-1] == "recording.json"
-        monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
-        monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(60))
-        try:
-            with pytest.raises(NotKeptError, match="does not answer"):
-                await unit.keeper.content(kept.name, "recording.json")
-            (held,) = [each for each in threading.enumerate() if each.name == "kept-frames read"]
-            assert held.daemon, "the end of the process would wait for it"
-        finally:
-            hangs.set()
-            held.join()
+    await unit.expose(40)
+    kept = await unit.keeper.keep("asked")
+    assert (await unit.keeper.files(kept.name))[-1] == "recording.json"
+    monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(60))
+    try:
+        with pytest.raises(NotKeptError, match="does not answer"):
+            await unit.keeper.content(kept.name, "recording.json")
+        (held,) = [each for each in threading.enumerate() if each.name == "kept-frames read"]
+        assert held.daemon, "the end of the process would wait for it"
+    finally:
+        hangs.set()
+        held.join()
 
 
 @pytest.mark.parametrize(
@@ -324,74 +318,70 @@ async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
     [(MemoryError("no room"), "a defect: MemoryError: no room"), (OSError(5, "Input/output error"), "Input")],
 )
 async def test_whatever_fails_is_said_and_the_next_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+    unit: Unit, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
 ) -> None:
     def fail(*_: object) -> None:
         raise error
 
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(40)
-        with monkeypatch.context() as broken:
-            broken.setattr(unit.store, "add", fail)
-            with pytest.raises(NotKeptError, match=said):
-                await unit.keeper.keep("asked")
-        assert (unit.component.state, unit.component.counters) == (State.DEGRADED, {"not_kept": 1})
-        assert (await unit.keeper.keep("asked")).exposures > 0
+    await unit.expose(40)
+    with monkeypatch.context() as broken:
+        broken.setattr(unit.store, "add", fail)
+        with pytest.raises(NotKeptError, match=said):
+            await unit.keeper.keep("asked")
+    assert (unit.component.state, unit.component.counters) == (State.DEGRADED, {"not_kept": 1})
+    assert (await unit.keeper.keep("asked")).exposures > 0
 
 
 @pytest.mark.parametrize("how", ["refused", "failed", "timed out", "cancelled", "kept"])
 async def test_frames_are_let_go_without_the_garbage_collector_however_a_recording_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+    unit: Unit, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     disk = Disk(monkeypatch, is_full=how == "failed")
-    async with running(Unit(tmp_path)) as unit:
-        if how == "refused":
-            monkeypatch.setattr(unit.store, "_max_bytes", 1)
-        if how == "timed out":
-            monkeypatch.setattr(keeper_module, "_DISK_TIMEOUT_S", 0.05)
-        if how in ("refused", "failed", "kept"):
-            disk.goes_on.set()
-        with no_garbage_collector():
-            frames = await unit.expose_watched(20)
-            asked = asyncio.create_task(unit.keeper.keep("asked"))
-            if how == "cancelled":
-                assert await asyncio.to_thread(disk.is_written.wait, 60)
-                asked.cancel()
-            (end,) = await asyncio.gather(asked, return_exceptions=True)
-            assert isinstance(end, ENDS[how]), end
-            del end, asked
-            disk.goes_on.set()
-            await unit.is_idle()
-            await unit.expose(100)
-            assert not [each for each in frames if each() is not None]
+    if how == "refused":
+        monkeypatch.setattr(unit.store, "_max_bytes", 1)
+    if how == "timed out":
+        monkeypatch.setattr(keeper_module, "_DISK_TIMEOUT_S", 0.05)
+    if how in ("refused", "failed", "kept"):
+        disk.goes_on.set()
+    with no_garbage_collector():
+        frames = await unit.expose_watched(20)
+        asked = asyncio.create_task(unit.keeper.keep("asked"))
+        if how == "cancelled":
+            assert await asyncio.to_thread(disk.is_written.wait, 60)
+            asked.cancel()
+        (end,) = await asyncio.gather(asked, return_exceptions=True)
+        assert isinstance(end, ENDS[how]), end
+        del end, asked
+        disk.goes_on.set()
+        await unit.is_idle()
+        await unit.expose(100)
+        assert not [each for each in frames if each() is not None]
 
 
 async def test_recordings_that_wait_for_one_another_hold_no_frames(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unit: Unit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = Disk(monkeypatch)
-    async with running(Unit(tmp_path)) as unit:
-        with no_garbage_collector():
-            await unit.expose(20)
-            first = asyncio.create_task(unit.keeper.keep("first"))
-            assert await asyncio.to_thread(disk.is_written.wait, 60)
-            frames = await unit.expose_watched(20)
-            second = asyncio.create_task(unit.keeper.keep("second"))
-            await unit.expose(60)
-            third = asyncio.create_task(unit.keeper.keep("third"))
-            await unit.expose(60)
-            assert not [each for each in frames if each() is not None]
-        disk.goes_on.set()
-        assert (await first).exposures == 20
-        with pytest.raises(NotKeptError, match="the frames are gone from memory"):
-            await second
-        assert (await third).exposures == 21, "the second that the memory still holds of its two"
+    with no_garbage_collector():
+        await unit.expose(20)
+        first = asyncio.create_task(unit.keeper.keep("first"))
+        assert await asyncio.to_thread(disk.is_written.wait, 60)
+        frames = await unit.expose_watched(20)
+        second = asyncio.create_task(unit.keeper.keep("second"))
+        await unit.expose(60)
+        third = asyncio.create_task(unit.keeper.keep("third"))
+        await unit.expose(60)
+        assert not [each for each in frames if each() is not None]
+    disk.goes_on.set()
+    assert (await first).exposures == 20
+    with pytest.raises(NotKeptError, match="the frames are gone from memory"):
+        await second
+    assert (await third).exposures == 21, "the second that the memory still holds of its two"
 
 
-async def test_the_frames_are_let_go_once_they_are_written(tmp_path: Path) -> None:
-    async with running(Unit(tmp_path)) as unit:
-        await unit.expose(40)
-        frames = unit.ring.between(0, unit.clock.now_ns)
-        assert len(frames) == 80
-        assert len(list(unit.keeper._pairs(frames))) == 40  # noqa: SLF001
-        assert not frames
+async def test_the_frames_are_let_go_once_they_are_written(unit: Unit) -> None:
+    await unit.expose(40)
+    frames = unit.ring.between(0, unit.clock.now_ns)
+    assert len(frames) == 80
+    assert len(list(unit.keeper._pairs(frames))) == 40  # noqa: SLF001
+    assert not frames

@@ -81,12 +81,16 @@ class Bench:
         return self.geometry.applied_to(told[-1])
 
 
+@pytest.fixture
+def bench(calibration: Calibration) -> Bench:
+    return Bench(calibration)
+
+
 def codes(measurement: Measurement) -> set[str]:
     return {str(fault) for fault in measurement.status}
 
 
-def test_what_is_corrected_is_measured_as_it_was_before(calibration: Calibration) -> None:
-    bench = Bench(calibration)
+def test_what_is_corrected_is_measured_as_it_was_before(bench: Bench) -> None:
     bench.check(Motion())
     as_calibrated = bench.measured(Motion())
     assert codes(as_calibrated) == set()
@@ -103,10 +107,7 @@ def test_what_is_corrected_is_measured_as_it_was_before(calibration: Calibration
 
 
 @pytest.mark.parametrize("beside", [(0.7, 0.0), (0.0, -0.7), (-0.6, 0.3)])
-def test_a_shift_after_the_check_is_another_view(
-    calibration: Calibration, beside: tuple[float, float]
-) -> None:
-    bench = Bench(calibration)
+def test_a_shift_after_the_check_is_another_view(bench: Bench, beside: tuple[float, float]) -> None:
     bench.check(DRIFT)
     farther = replace(DRIFT, u_px=DRIFT.u_px + beside[0], v_px=DRIFT.v_px + beside[1])
     knocked = bench.measured(farther)
@@ -116,9 +117,8 @@ def test_a_shift_after_the_check_is_another_view(
     assert codes(bench.measured(farther)) == {"compensated"}
 
 
-def test_a_small_shift_after_the_check_adds_to_sigma(calibration: Calibration) -> None:
+def test_a_small_shift_after_the_check_adds_to_sigma(bench: Bench) -> None:
     """0.3 px are 0.075 mm of the straight map."""
-    bench = Bench(calibration)
     bench.check(DRIFT)
     steady = beam_of(bench.measured(DRIFT))
     farther = beam_of(bench.measured(replace(DRIFT, u_px=DRIFT.u_px + 0.3)))
@@ -130,26 +130,23 @@ def test_a_small_shift_after_the_check_adds_to_sigma(calibration: Calibration) -
     assert steady.sigma_x_mm < 0.5 * farther.sigma_x_mm
 
 
-def test_leds_that_moved_without_the_print_correct_nothing_unseen(calibration: Calibration) -> None:
+def test_leds_that_moved_without_the_print_correct_nothing_unseen(bench: Bench) -> None:
     """A frame that came loose: the print lies where it lay, aside of where it is looked for."""
-    bench = Bench(calibration)
     bench.check(Motion(0.8))
     assert "front_wrong_camera" in codes(bench.measured(Motion()))
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_another_print_is_not_measured_where_the_picture_is_corrected(
-    calibration: Calibration, seed: int
-) -> None:
-    bench = Bench(calibration)
+def test_another_print_is_not_measured_where_the_picture_is_corrected(bench: Bench, seed: int) -> None:
     bench.check(DRIFT)
     foreign = bench.measured(DRIFT, DottedPrint(seed))
     assert not foreign.valid
     assert codes(foreign) & {"front_wrong_camera", "front_distorted"}
 
 
-def test_after_the_correction_the_view_is_that_of_the_calibration(calibration: Calibration) -> None:
-    bench = Bench(calibration)
+def test_after_the_correction_the_view_is_that_of_the_calibration(
+    bench: Bench, calibration: Calibration
+) -> None:
     bench.check(DRIFT)
     assert codes(bench.measured(DRIFT)) == {"compensated"}
     assert bench.check(Motion()).verdict == "good"
@@ -160,8 +157,9 @@ def test_after_the_correction_the_view_is_that_of_the_calibration(calibration: C
     assert (appearance.flat, appearance.fingerprint) == (front.flat, front.fingerprint)
 
 
-def test_what_is_too_far_to_correct_leaves_the_view_where_it_was(calibration: Calibration) -> None:
-    bench = Bench(calibration)
+def test_what_is_too_far_to_correct_leaves_the_view_where_it_was(
+    bench: Bench, calibration: Calibration
+) -> None:
     bench.check(DRIFT)
     bench.check(Motion(3.0))
     knocked = bench.measured(Motion(3.0))
@@ -169,9 +167,8 @@ def test_what_is_too_far_to_correct_leaves_the_view_where_it_was(calibration: Ca
     assert bench.chain.locators["left"].appearance.fingerprint is calibration.targets[0].fingerprint
 
 
-def test_the_fingerprint_follows_every_check_and_the_flat_only_what_matters(calibration: Calibration) -> None:
+def test_the_fingerprint_follows_every_check_and_the_flat_only_what_matters(bench: Bench) -> None:
     """Another flat costs a window; a view that is looked for 0.05 px aside would cost sigma."""
-    bench = Bench(calibration)
     bench.check(DRIFT)
     first = bench.chain.locators["left"].appearance
     found = bench.check(replace(DRIFT, u_px=DRIFT.u_px + 0.05), seed=2)

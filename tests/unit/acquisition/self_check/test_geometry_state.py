@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from support.measurements import measured, measurement
 
 from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.config import SelfCheckSettings
-from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import MeanSpots, Measurement
 from altd.selfcheck.records import Limits, SelfCheck, Similarity, TargetDrift, Verdict
@@ -36,21 +36,17 @@ def check(verdict: Verdict, *reasons: str, shift_px: float = 0.0, significance: 
     return SelfCheck(verdict, targets, {}, reasons)
 
 
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    return evidence.calibration()
-
-
 UNKNOWN = SelfCheck(Verdict.UNKNOWN, {}, {}, ("all LEDs dark",))
 GOOD, SUSPECT, BAD = (check(Verdict(word), word) for word in ("good", "suspect", "bad"))
 SUSPECT_IN_PART, BAD_IN_PART = (replace(one, is_whole=False) for one in (SUSPECT, BAD))
 
 
-def state_of(calibration: Calibration, clock: FakeClock | None = None, **settings: object) -> GeometryState:
-    limits = Limits()
-    return GeometryState(
-        SelfCheckSettings.model_validate(settings), limits, calibration, clock or FakeClock()
-    )
+calibration = cache(evidence.calibration)
+
+
+def state_of(clock: FakeClock | None = None, **settings: object) -> GeometryState:
+    checked = SelfCheckSettings.model_validate(settings)
+    return GeometryState(checked, Limits(), calibration(), clock or FakeClock())
 
 
 def codes(state: GeometryState, of: Measurement | None = None) -> tuple[bool, list[str]]:
@@ -59,9 +55,9 @@ def codes(state: GeometryState, of: Measurement | None = None) -> tuple[bool, li
     return passed.valid, [str(fault) for fault in passed.status]
 
 
-def test_before_the_first_check_nothing_is_valid(calibration: Calibration) -> None:
-    assert codes(state_of(calibration)) == (False, ["self_checking"])
-    assert codes(state_of(calibration, enabled=False)) == (True, [])
+def test_before_the_first_check_nothing_is_valid() -> None:
+    assert codes(state_of()) == (False, ["self_checking"])
+    assert codes(state_of(enabled=False)) == (True, [])
 
 
 @pytest.mark.parametrize(
@@ -88,22 +84,16 @@ def test_before_the_first_check_nothing_is_valid(calibration: Calibration) -> No
     ],
 )
 def test_what_follows_from_verdicts(
-    calibration: Calibration,
-    settings: dict[str, object],
-    checks: list[SelfCheck],
-    valid: bool,
-    says: list[str],
+    settings: dict[str, object], checks: list[SelfCheck], valid: bool, says: list[str]
 ) -> None:
-    of_unit = state_of(calibration, **settings)
+    of_unit = state_of(**settings)
     for one in checks:
         of_unit.take(one)
     assert codes(of_unit) == (valid, says)
 
 
-def test_what_was_bad_before_the_start_stays_so_until_a_check_has_a_verdict(
-    calibration: Calibration,
-) -> None:
-    of_unit = state_of(calibration)
+def test_what_was_bad_before_the_start_stays_so_until_a_check_has_a_verdict() -> None:
+    of_unit = state_of()
     of_unit.recall_bad()
     assert codes(of_unit) == (False, ["self_checking"])
     assert of_unit.verdict is Verdict.BAD
@@ -112,21 +102,21 @@ def test_what_was_bad_before_the_start_stays_so_until_a_check_has_a_verdict(
     of_unit.take(SUSPECT)
     of_unit.recall_bad()
     assert codes(of_unit) == (True, ["geometry_suspect"])
-    asked_only = state_of(calibration, enabled=False)
+    asked_only = state_of(enabled=False)
     asked_only.recall_bad()
     assert codes(asked_only) == (False, ["geometry_drift"])
 
 
-def test_the_reason_is_told_and_those_of_the_measurement_stay(calibration: Calibration) -> None:
-    of_unit = state_of(calibration)
+def test_the_reason_is_told_and_those_of_the_measurement_stay() -> None:
+    of_unit = state_of()
     of_unit.take(check(Verdict.BAD, "rear: moved by 0.3 mm", "yaw is off"))
     passed = of_unit.applied_to(measurement(1, 0, Reason.CAMERA_SILENT))
     assert [str(fault) for fault in passed.status] == ["camera_silent", "geometry_drift"]
     assert passed.status[-1].detail == "rear: moved by 0.3 mm; yaw is off"
 
 
-def test_a_slow_drift_is_a_warning_while_all_is_good(calibration: Calibration) -> None:
-    of_unit = state_of(calibration)
+def test_a_slow_drift_is_a_warning_while_all_is_good() -> None:
+    of_unit = state_of()
     of_unit.take(GOOD, "rear drifts by 0.020 px a day")
     assert codes(of_unit) == (True, ["geometry_suspect"])
     assert of_unit.faults[0].detail == "rear drifts by 0.020 px a day"
@@ -143,9 +133,9 @@ def test_a_slow_drift_is_a_warning_while_all_is_good(calibration: Calibration) -
     ],
 )
 def test_after_a_shock_nobody_knows_until_a_check_has_ended(
-    calibration: Calibration, settings: dict[str, object], before: SelfCheck, valid: bool, says: list[str]
+    settings: dict[str, object], before: SelfCheck, valid: bool, says: list[str]
 ) -> None:
-    of_unit = state_of(calibration, **settings)
+    of_unit = state_of(**settings)
     of_unit.take(before)
     of_unit.note_shock()
     assert codes(of_unit) == (valid, says)
@@ -156,14 +146,14 @@ def test_after_a_shock_nobody_knows_until_a_check_has_ended(
 class TestCompensation:
     PROVEN = check(Verdict.BAD, "bad", shift_px=0.5, significance=50.0)
 
-    def test_is_off_unless_asked_for(self, calibration: Calibration) -> None:
-        of_unit = state_of(calibration)
+    def test_is_off_unless_asked_for(self) -> None:
+        of_unit = state_of()
         of_unit.take(self.PROVEN)
         assert of_unit.correct is None
         assert codes(of_unit) == (False, ["geometry_drift"])
 
-    def test_takes_out_what_is_proven_and_says_so(self, calibration: Calibration) -> None:
-        of_unit = state_of(calibration, compensate=True)
+    def test_takes_out_what_is_proven_and_says_so(self) -> None:
+        of_unit = state_of(compensate=True)
         of_unit.take(self.PROVEN)
         assert codes(of_unit) == (True, ["compensated"])
         px = np.array([[300.0, 200.0], [400.0, 250.0]])
@@ -174,14 +164,14 @@ class TestCompensation:
         assert corrected.px == pytest.approx(px - [[0.5, 0.0]] * 2)
         assert all(corrected.covariance_px2.diagonal() > 1.9e-4)  # the check's own 1e-4 px² is added
 
-    def test_leaves_alone_what_chance_may_be(self, calibration: Calibration) -> None:
-        of_unit = state_of(calibration, compensate=True)
+    def test_leaves_alone_what_chance_may_be(self) -> None:
+        of_unit = state_of(compensate=True)
         of_unit.take(check(Verdict.SUSPECT, "suspect", shift_px=0.05, significance=3.0))
         assert of_unit.correct is None
         assert codes(of_unit) == (True, ["geometry_suspect"])
 
-    def test_never_goes_beyond_its_limit(self, calibration: Calibration) -> None:
-        of_unit = state_of(calibration, compensate=True)
+    def test_never_goes_beyond_its_limit(self) -> None:
+        of_unit = state_of(compensate=True)
         of_unit.take(check(Verdict.BAD, "bad", shift_px=math.inf, significance=50.0))
         assert codes(of_unit) == (False, ["geometry_drift"])
         of_unit.take(check(Verdict.BAD, "bad", shift_px=20.0, significance=5000.0))
@@ -189,10 +179,8 @@ class TestCompensation:
         assert codes(of_unit) == (False, ["geometry_drift"])
         assert "not corrected: front" in of_unit.faults[0].detail
 
-    def test_holds_through_a_check_without_a_verdict_and_ends_with_a_good_one(
-        self, calibration: Calibration
-    ) -> None:
-        of_unit = state_of(calibration, compensate=True)
+    def test_holds_through_a_check_without_a_verdict_and_ends_with_a_good_one(self) -> None:
+        of_unit = state_of(compensate=True)
         of_unit.take(self.PROVEN)
         of_unit.take(UNKNOWN)
         assert of_unit.correct is not None
@@ -201,10 +189,8 @@ class TestCompensation:
         assert of_unit.correct is None
         assert codes(of_unit) == (True, [])
 
-    def test_holds_through_a_check_that_saw_but_a_part_unless_that_is_bad(
-        self, calibration: Calibration
-    ) -> None:
-        of_unit = state_of(calibration, compensate=True)
+    def test_holds_through_a_check_that_saw_but_a_part_unless_that_is_bad(self) -> None:
+        of_unit = state_of(compensate=True)
         of_unit.take(check(Verdict.SUSPECT, "suspect", shift_px=0.2, significance=50.0))
         before = of_unit.transforms
         rear_only = {"front": TargetDrift("front", 6, 0, ()), "rear": SUSPECT.targets["rear"]}
@@ -233,15 +219,10 @@ class TestCompensation:
         ],
     )
     def test_lapses_when_no_check_confirms_it_for_three_intervals(
-        self,
-        calibration: Calibration,
-        settings: dict[str, object],
-        proven: SelfCheck,
-        valid: bool,
-        says: list[str],
+        self, settings: dict[str, object], proven: SelfCheck, valid: bool, says: list[str]
     ) -> None:
         clock = FakeClock()
-        of_unit = state_of(calibration, clock, compensate=True, interval_s=60.0, **settings)
+        of_unit = state_of(clock, compensate=True, interval_s=60.0, **settings)
         of_unit.take(proven)
         for _ in range(18):
             clock.now_ns += 10_000_000_000
@@ -259,18 +240,18 @@ class TestCompensation:
         of_unit.take(proven)
         assert codes(of_unit) == (True, ["compensated"])
 
-    def test_lapses_where_nobody_asks_for_another_check(self, calibration: Calibration) -> None:
+    def test_lapses_where_nobody_asks_for_another_check(self) -> None:
         clock = FakeClock()
-        of_unit = state_of(calibration, clock, compensate=True, enabled=False)
+        of_unit = state_of(clock, compensate=True, enabled=False)
         of_unit.take(self.PROVEN)
         clock.now_ns += 1_801_000_000_000
         assert of_unit.lapse()
         assert codes(of_unit) == (False, ["geometry_drift"])
         assert of_unit.faults[0].detail == ("bad; no longer corrected: no check has confirmed it for 1801 s")
 
-    def test_a_check_that_confirms_it_begins_the_time_anew(self, calibration: Calibration) -> None:
+    def test_a_check_that_confirms_it_begins_the_time_anew(self) -> None:
         clock = FakeClock()
-        of_unit = state_of(calibration, clock, compensate=True)
+        of_unit = state_of(clock, compensate=True)
         for _ in range(5):
             of_unit.take(self.PROVEN)
             clock.now_ns += 1_700_000_000_000
