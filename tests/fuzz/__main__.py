@@ -11,9 +11,8 @@ from fuzz.target import load, names
 
 def main() -> int:
     """Run the targets one after the other and say what was tried and found."""
-    parser = argparse.ArgumentParser(
-        prog="fuzz", description="tries inputs on every target of tests/fuzz/targets"
-    )
+    about = "tries inputs on every target of tests/fuzz/targets"
+    parser = argparse.ArgumentParser(prog="fuzz", description=about)
     parser.add_argument("--seconds", type=float, default=600.0, help="time for each target, default 600")
     parser.add_argument("--target", choices=names(), help="this one only")
     parser.add_argument("--seed", type=int, help="first seed, to repeat a run; default another one each time")

@@ -9,9 +9,7 @@ from fuzz.spoil import EXTREME_NUMBERS, spoilt_bytes
 from hypothesis import strategies as st
 from support.pngs import SIGNATURE, chunk
 
-SIZES = tuple(
-    sorted({number for number in EXTREME_NUMBERS if isinstance(number, int) and 0 <= number < 2**32})
-)
+SIZES = tuple(sorted({each for each in EXTREME_NUMBERS if isinstance(each, int) and 0 <= each < 2**32}))
 
 
 def _chunks(png: bytes) -> list[tuple[bytes, bytes]]:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from hypothesis import strategies as st
+
+from altd.files.documents import checksum_of
 
 EXTREME_NUMBERS: tuple[Any, ...] = (
     *(0, -0.0, -1, 0.5, 1, 2, 255, 256, 65535, 65536, 2**31 - 1, 2**31, 2**32, 2**53 + 1, 2**63 - 1, 2**63),
@@ -123,6 +126,17 @@ def spoilt_document(draw: st.DrawFn, valid: st.SearchStrategy[Any]) -> Any:
         else:
             holder[key] = _replaced(draw, holder[key])
     return document
+
+
+def spoilt_and_sealed(valid: Callable[[], dict[str, Any]]) -> st.SearchStrategy[bytes]:
+    """Corrupted documents with a checksum that fits, and files of the valid one that are corrupted."""
+
+    def sealed(document: dict[str, Any]) -> bytes:
+        return json.dumps({**document, "checksum": checksum_of(document)}).encode()
+
+    return st.deferred(
+        lambda: spoilt_document(st.just(valid())).map(sealed) | spoilt_bytes(st.just(sealed(valid())))
+    )
 
 
 def _key(draw: st.DrawFn, holder: Any) -> Any:

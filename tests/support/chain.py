@@ -90,9 +90,8 @@ class Monitoring:
         self.spoil(folder / "rounds")
         recording = open_recording(folder / "rounds")
         names = self.config.names
-        replay = ChainReplay(
-            recording, calibrated(self.config.seed), self.settings, dict(zip(names, names, strict=True))
-        )
+        cameras = dict(zip(names, names, strict=True))
+        replay = ChainReplay(recording, calibrated(self.config.seed), self.settings, cameras)
         lines = [json.loads(json.dumps(replay.as_object(each))) for each in replay.measurements()]
         return Monitored(lines, truth)
 

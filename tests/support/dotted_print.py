@@ -31,9 +31,8 @@ class DottedPrint:
     def __init__(self, seed: int = 1, contrast: float = 2.2) -> None:
         rng = np.random.default_rng([2, seed])
         row, column = np.mgrid[-4 : HEIGHT / (0.866 * PITCH_PX) + 4, -4 : WIDTH / PITCH_PX + 4]
-        grid = np.column_stack(
-            [((column + 0.5 * (row % 2)) * PITCH_PX).ravel(), (row * 0.866 * PITCH_PX).ravel()]
-        )
+        u_px, v_px = (column + 0.5 * (row % 2)) * PITCH_PX, row * 0.866 * PITCH_PX
+        grid = np.column_stack([u_px.ravel(), v_px.ravel()])
         self._places_px = grid + rng.normal(0, 0.6, grid.shape)
         self._levels = contrast * rng.uniform(0.7, 1.3, len(grid))
 

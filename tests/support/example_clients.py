@@ -82,8 +82,6 @@ def _words(block: bytes) -> list[int]:
 
 def by_python(polls: Polls, serial: str, limit_ms: float, rehearsal: bool) -> list[Verdict]:
     spec = importlib.util.spec_from_file_location("read_modbus", PYTHON)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     target = module.Target(zlib.crc32(serial.encode()), limit_ms, rehearsal)
@@ -99,10 +97,8 @@ def by_python(polls: Polls, serial: str, limit_ms: float, rehearsal: bool) -> li
 def compiled(source: Path | str, folder: Path) -> Path:
     """The C example, or C around it, without a warning."""
     compiler = need_program("cc", "gcc")
-    need(
-        Path("/usr/include/modbus/modbus.h").exists(),
-        "libmodbus is not installed (Debian package libmodbus-dev)",
-    )
+    header = Path("/usr/include/modbus/modbus.h")
+    need(header.exists(), "libmodbus is not installed (Debian package libmodbus-dev)")
     if isinstance(source, str):
         (folder / "around.c").write_text(source)
         source = folder / "around.c"
@@ -138,13 +134,8 @@ def by_structured_text(polls: Polls, serial: str, limit_ms: float, rehearsal: bo
     for now_ms, answer in polls:
         is_pressed = answer == ACKNOWLEDGE
         given = {"r": _words(answer)} if answer and not is_pressed else {}
-        block(
-            **given,
-            answered=bool(given),
-            failed=answer is None,
-            now_ms=round(now_ms) % 2**32,
-            acknowledge=is_pressed,
-        )
+        now = {"now_ms": round(now_ms) % 2**32, "acknowledge": is_pressed}
+        block(**given, answered=bool(given), failed=answer is None, **now)
         if is_pressed:
             continue
         told = block.v

@@ -65,8 +65,7 @@ port = 8080
 
 def write_config(path: Path, seed: int, calibration: Path, fps: float, more: str = "") -> Path:
     """A unit with two Video4Linux cameras, on the network of its own machine alone; ``more`` are tables."""
-    front, rear = (
-        f'driver = "v4l2"\ndevice = "/dev/v4l/by-path/{name}"\nfps = {fps}' for name in ("front", "rear")
-    )
+    camera = 'driver = "v4l2"\ndevice = "/dev/v4l/by-path/{}"\nfps = {}'
+    front, rear = (camera.format(name, fps) for name in ("front", "rear"))
     path.write_text(unit_toml(f"SIM-{seed}", calibration, front, rear, _MORE + more))
     return path

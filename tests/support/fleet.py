@@ -76,7 +76,6 @@ class FleetUnit:
         ).outbox
 
     def waiting(self) -> int:
-        assert self.outbox.mark is not None
         return self.outbox.mark.waiting
 
     def close(self) -> None:

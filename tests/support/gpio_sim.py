@@ -105,7 +105,6 @@ class SimulatedChip:
         """Another program holds these lines."""
         command = [sys.executable, "-c", _HOLD, str(self.path), consumer, *lines]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
-            assert holder.stdout is not None
             assert holder.stdout.readline() == "held\n"
             try:
                 yield holder

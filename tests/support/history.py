@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from altd.history.columns import columns_of
+from altd.history.reader import Reader
 from altd.history.records import About, Batch, Item, Sample, StateSample
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
@@ -83,11 +86,35 @@ def write_seconds(into: Store, first_s: int, xs_mm: Iterable[float | None], rate
     """One batch a second: ``rate`` measurements with the same x in each, None: invalid."""
     for number, x_mm in enumerate(xs_mm):
         t_s = first_s + number
-        items: list[Item] = [
-            state(t_s, 0 if x_mm is not None else 2, "" if x_mm is not None else "spot_missing")
-        ]
+        severity, cause = (0, "") if x_mm is not None else (2, "spot_missing")
+        items: list[Item] = [state(t_s, severity, cause)]
         items += [sample(t_s + n / rate, x_mm, number * rate + n) for n in range(rate)]
         into.write(batch(t_s + 1.6, items))
+
+
+def record_seconds(folder: Path, first_s: int, xs_mm: Iterable[float | None], rate: int = 20) -> None:
+    """A history of these seconds by a daemon that ended as by a kill."""
+    writing = store(folder)
+    write_seconds(writing, first_s, xs_mm, rate)
+    writing.end(None)
+
+
+@contextmanager
+def recorded(folder: Path, *batches: Batch, about: About = ABOUT) -> Iterator[Reader]:
+    """The same of these batches, read."""
+    writing = store(folder, about)
+    for each in batches:
+        writing.write(each)
+    writing.end(None)
+    with Reader(folder / "history.db") as reader:
+        yield reader
+
+
+def forge(path: Path, *statements: str) -> None:
+    """What another program does to a file."""
+    with closing(sqlite3.connect(path)) as foreign, foreign:
+        for statement in statements:
+            foreign.execute(statement)
 
 
 def renamed(about: About, **facts: str) -> About:

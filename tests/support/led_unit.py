@@ -62,9 +62,8 @@ class TimedLeds:
     def lit_s(self) -> list[float]:
         """For how long each time."""
         edges = self.line[1:]
-        return [
-            (off_ns - on_ns) * 1e-9 for (on_ns, _), (off_ns, _) in zip(edges[::2], edges[1::2], strict=True)
-        ]
+        on_and_off = zip(edges[::2], edges[1::2], strict=True)
+        return [(off_ns - on_ns) * 1e-9 for (on_ns, _), (off_ns, _) in on_and_off]
 
 
 class _LitUnit:
@@ -189,9 +188,7 @@ async def _let_pass(clock: FakeClock) -> None:
 
 @contextlib.asynccontextmanager
 async def driven_led_unit(
-    calibration: Calibration,
-    settings: Config,
-    prepare: Callable[[LedUnit], None] = lambda running: None,
+    calibration: Calibration, settings: Config, prepare: Callable[[LedUnit], None] = lambda running: None
 ) -> AsyncIterator[LedUnit]:
     """The unit with seed 3, whose calibration it is; ``prepare`` is called before its daemon starts.
 
@@ -201,9 +198,8 @@ async def driven_led_unit(
     seen, clock = _LitUnit(unit, leds), FakeClock.of_loop(threads=len(CAMERAS))
     leds.now_ns = clock.monotonic_ns
     cameras = {name: _ClockedCamera(seen, name, clock) for name in CAMERAS}
-    running = LedUnit(
-        Daemon(settings, calibration, cameras, clock, lamps=leds, rehearsal=True), unit, leds, seen
-    )
+    daemon = Daemon(settings, calibration, cameras, clock, lamps=leds, rehearsal=True)
+    running = LedUnit(daemon, unit, leds, seen)
     with pytest.MonkeyPatch.context() as patch:
         clock.watch_devices(patch)
         async with _running(running, prepare):
@@ -217,9 +213,7 @@ async def driven_led_unit(
 
 @contextlib.asynccontextmanager
 async def led_unit(
-    calibration: Calibration,
-    settings: Config,
-    prepare: Callable[[LedUnit], None] = lambda running: None,
+    calibration: Calibration, settings: Config, prepare: Callable[[LedUnit], None] = lambda running: None
 ) -> AsyncIterator[LedUnit]:
     """The same in real time, for browsers and clients."""
     unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()

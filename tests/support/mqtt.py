@@ -83,7 +83,6 @@ class ChosenBroker:
 
     def tell(self, data: bytes) -> None:
         """Send bytes over the newest connection."""
-        assert self._writer is not None
         self._writer.write(data)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -252,7 +251,6 @@ class Subscriber:
                 self._queued.append(line)  # of a session that the broker keeps
 
     async def _line(self) -> str:
-        assert self._process.stdout is not None
         return (await self._process.stdout.readline()).decode()
 
     async def all(self) -> list[tuple[str, int, bool, str]]:
@@ -269,9 +267,8 @@ async def subscribed(port: int, *arguments: str, topic: str = "altd/#") -> Async
     """mosquitto_sub at a broker; further ``arguments`` as it takes them."""
     program = need_program("mosquitto_sub", "mosquitto-clients")
     line = ["-d", "-V", "5", "-p", str(port), "-q", "1", "-t", topic, "-F", "%t %q %r %p", *arguments]
-    process = await asyncio.create_subprocess_exec(
-        "stdbuf", "-oL", program, *line, stdout=asyncio.subprocess.PIPE
-    )
+    command = "stdbuf", "-oL", program, *line
+    process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     try:
         subscriber = Subscriber(process)
         await subscriber.subscription()

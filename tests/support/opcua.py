@@ -59,9 +59,8 @@ class OpcUaUnit:
 
     def __post_init__(self) -> None:
         identity = Identity.drawn(SERIAL)
-        self.board = Board(
-            self.clock, self.stale_after_s, self.quantities, identity, rehearsal=self.rehearsal
-        )
+        rehearsal = self.rehearsal
+        self.board = Board(self.clock, self.stale_after_s, self.quantities, identity, rehearsal=rehearsal)
         self.health = Health(self.clock)
         self.health.facts |= {"serial": SERIAL, "version": "0.1.0"}
         self.health.targets = self.areas
@@ -89,7 +88,6 @@ class OpcUaUnit:
 
     def state_line(self) -> bytes:
         report = self.health.state()
-        assert report is not None
         return with_proof(report.as_object(), self.board, self.stamps.next()).encode() + b"\n"
 
     @contextlib.asynccontextmanager

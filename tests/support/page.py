@@ -137,9 +137,8 @@ async def watched_unit(
 async def _threads_started(running: LedUnit) -> None:
     """Parts that the unit starts at the first request are the unit's, not those of the test that asks."""
     with contextlib.suppress(urllib.error.HTTPError):  # there may be no such file
-        await asyncio.to_thread(
-            lambda: urlopen(f"http://127.0.0.1:{port_of(running)}/api/v1/calibration/file").close()
-        )
+        url = f"http://127.0.0.1:{port_of(running)}/api/v1/calibration/file"
+        await asyncio.to_thread(lambda: urlopen(url).close())
 
 
 @contextlib.asynccontextmanager

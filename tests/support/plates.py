@@ -97,9 +97,8 @@ def plate_light(
     for row in range(ROWS):
         for column in range(COLUMNS):
             if (column, row) not in dark:
-                add_disc(
-                    image, view, places[row, column], disc_mm, peak * (1 - 0.04 * ((3 * column + row) % 5))
-                )
+                shade = 1 - 0.04 * ((3 * column + row) % 5)
+                add_disc(image, view, places[row, column], disc_mm, peak * shade)
     return cv2.GaussianBlur(image, (0, 0), 0.7)
 
 

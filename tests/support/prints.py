@@ -52,9 +52,8 @@ class Dots:
 def steps(pitch_mm: float, angle_deg: float, turn_deg: float, ratio: float = 1.0) -> np.ndarray:
     """Two steps of ``pitch_mm`` (the second ``ratio`` times as long) with an angle between them."""
     first, second = np.radians([turn_deg, turn_deg + angle_deg])
-    return pitch_mm * np.array(
-        [[np.cos(first), np.sin(first)], [ratio * np.cos(second), ratio * np.sin(second)]]
-    )
+    along = [np.cos(first), np.sin(first)]
+    return pitch_mm * np.array([along, [ratio * np.cos(second), ratio * np.sin(second)]])
 
 
 class Scene:

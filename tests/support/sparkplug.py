@@ -44,13 +44,7 @@ def _run(encode: Sequence[dict[str, Any]], decode: Sequence[bytes]) -> dict[str,
     given = json.dumps({"encode": encode, "decode": [payload.hex() for payload in decode]})
     node, folder = need_program("node", "nodejs"), need_npm("sparkplug-payload")
     done = subprocess.run(
-        [node, "-e", _CODEC],
-        input=given,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
+        [node, "-e", _CODEC], input=given, cwd=folder, capture_output=True, text=True, check=True, timeout=60
     )
     answer: dict[str, Any] = json.loads(done.stdout)
     return answer

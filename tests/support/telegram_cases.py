@@ -166,9 +166,8 @@ class ReaderInC:
         sources = (Path(__file__).with_name("telegram_driver.c"), C / "altd_telegram.c")
         sanitizers = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
         compile_c(*sanitizers, *sources, "-o", folder / "driver")
-        self._process = subprocess.Popen(
-            [folder / "driver"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = subprocess.Popen([folder / "driver"], **pipes, text=True)
 
     def end(self) -> None:
         self._process.communicate(timeout=60)

@@ -70,9 +70,8 @@ class Wire:
 def socat_line(folder: Path) -> Iterator[tuple[Path, Path, subprocess.Popen[bytes]]]:
     """A serial line between two devices, for a client that opens one itself; socat's end cuts it."""
     near, far = folder / "near", folder / "far"
-    with subprocess.Popen(
-        [need_program("socat"), *(f"pty,raw,echo=0,link={end}" for end in (near, far))]
-    ) as socat:
+    ends = (f"pty,raw,echo=0,link={end}" for end in (near, far))
+    with subprocess.Popen([need_program("socat"), *ends]) as socat:
         try:
             while not (near.exists() and far.exists()):
                 assert socat.poll() is None, "socat ended before it made both devices"

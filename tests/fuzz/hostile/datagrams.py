@@ -207,9 +207,8 @@ def _targets(sources: Ends, goals: Ends) -> Iterator[Target]:
                 of = parts.pop(source)
                 image = b"".join(of[n] for n in range(1, number))
                 wanted.discard(source)
-                yield Target(
-                    source, goal, CapturedFrame(time.monotonic(), block_id, of[0], image, len(of[1]))
-                )
+                frame = CapturedFrame(time.monotonic(), block_id, of[0], image, len(of[1]))
+                yield Target(source, goal, frame)
 
 
 def udp_ports(process: int) -> Iterator[tuple[str, int]]:
@@ -232,10 +231,8 @@ def _packet(source: tuple[str, int], goal: tuple[str, int], data: bytes) -> byte
     """IPv4 and UDP without a checksum, which UDP allows; the kernel fills in that of IP."""
     addresses = socket.inet_aton(source[0]), socket.inet_aton(goal[0])
     udp_bytes = 8 + len(data)
-    return (
-        _IP_UDP.pack(0x45, 0, 20 + udp_bytes, 0, 0, 64, 17, 0, *addresses, source[1], goal[1], udp_bytes, 0)
-        + data
-    )
+    ports = source[1], goal[1], udp_bytes, 0
+    return _IP_UDP.pack(0x45, 0, 20 + udp_bytes, 0, 0, 64, 17, 0, *addresses, *ports) + data
 
 
 if __name__ == "__main__":

@@ -62,9 +62,8 @@ def _opcode(chance: random.Random) -> bytes:
 
 
 def _reserved_bits(chance: random.Random) -> bytes:
-    return frame(
-        chance.choice((_TEXT, _PING)), b"next", first_bits=chance.choice((0xC0, 0xA0, 0x90, 0x40, 0xF0))
-    )
+    bits = chance.choice((0xC0, 0xA0, 0x90, 0x40, 0xF0))
+    return frame(chance.choice((_TEXT, _PING)), b"next", first_bits=bits)
 
 
 def _unmasked(chance: random.Random) -> bytes:
@@ -90,9 +89,8 @@ def _endless(chance: random.Random) -> bytes:
 
 def _out_of_order(chance: random.Random) -> bytes:
     begun = frame(_TEXT, b"ne", first_bits=0)
-    return chance.choice(
-        (frame(_CONTINUATION, b"xt"), begun + frame(_TEXT, b"next"), begun + frame(_PING, b"") + begun)
-    )
+    follow = frame(_CONTINUATION, b"xt"), begun + frame(_TEXT, b"next"), begun + frame(_PING, b"") + begun
+    return chance.choice(follow)
 
 
 def _no_text(chance: random.Random) -> bytes:
@@ -118,9 +116,8 @@ def _pong(chance: random.Random) -> bytes:
 
 
 def _close(chance: random.Random) -> bytes:
-    code = chance.choice(
-        (0, 999, 1000, 1001, 1003, 1004, 1005, 1006, 1012, 1015, 2999, 3000, 4999, 5000, 65535)
-    )
+    codes = 0, 999, 1000, 1001, 1003, 1004, 1005, 1006, 1012, 1015, 2999, 3000, 4999, 5000, 65535
+    code = chance.choice(codes)
     payload = chance.choice((b"", b"\x03", code.to_bytes(2, "big"), code.to_bytes(2, "big") + b"\xff\xfe"))
     return frame(_CLOSE, payload) * chance.choice((1, 1, 3))
 

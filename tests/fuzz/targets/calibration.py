@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from functools import cache
 from typing import Any
 
 import numpy as np
 from fuzz.folder import folder, one_line
-from fuzz.spoil import spoilt_bytes, spoilt_document
-from hypothesis import strategies as st
+from fuzz.spoil import spoilt_and_sealed
 from support import evidence
 
 from altd.calibration.file import load_calibration, save_calibration
@@ -44,19 +42,7 @@ def _valid() -> dict[str, Any]:
     return document
 
 
-def _with_checksum(document: dict[str, Any]) -> bytes:
-    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"))
-    return json.dumps(
-        {**document, "checksum": "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()}
-    ).encode()
-
-
-EXAMPLES = st.deferred(
-    lambda: (
-        spoilt_document(st.just(_valid())).map(_with_checksum)
-        | spoilt_bytes(st.just(_with_checksum(_valid())))
-    )
-)
+EXAMPLES = spoilt_and_sealed(_valid)
 
 
 def check(example: bytes) -> None:

@@ -86,10 +86,7 @@ def check(example: bytes) -> None:
         node = nodes.pop()
         assert not isinstance(node, float) or math.isfinite(node)
         assert "\0" not in str(node) or isinstance(node, dict | list | tuple)
-        nodes += (
-            list(node.values())
-            if isinstance(node, dict)
-            else list(node)
-            if isinstance(node, list | tuple)
-            else []
-        )
+        if isinstance(node, dict):
+            nodes += node.values()
+        elif isinstance(node, list | tuple):
+            nodes += node

@@ -62,9 +62,8 @@ class _Line:
         os.set_blocking(self.far, False)
         tty.setraw(near)
         settings = ConsolePortSettings.model_validate({"device": os.ttyname(near), "speaks": "console"})
-        self._console = ConsolePublisher(
-            settings, faces.board, faces.health, faces.component(NAME), faces.clock
-        )
+        component = faces.component(NAME)
+        self._console = ConsolePublisher(settings, faces.board, faces.health, component, faces.clock)
 
     async def run(self, ready: Any) -> None:
         await self._console.run(ready)

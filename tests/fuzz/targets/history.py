@@ -102,9 +102,8 @@ def _ask(path: Path) -> None:
             for points in (1, 100):
                 for point in reader.trend(START_S * US, (START_S + 60) * US, points).points:
                     for value in point.values.values():
-                        assert all(
-                            map(math.isfinite, (value.mean, value.low, value.high, value.sigma or 0.0))
-                        )
+                        numbers = value.mean, value.low, value.high, value.sigma or 0.0
+                        assert all(map(math.isfinite, numbers))
             for stored in reader.measurements_after(0, 100):
                 assert all(map(math.isfinite, (*stored.values.values(), *stored.sigmas.values())))
             reader.events(0, 2**62)

@@ -21,15 +21,8 @@ from altd.tables import TextFormat
 
 NAME = "map_lines"
 
-SCRAPS_OF_LINES = (
-    *SCRAPS,
-    b"1e308 -1e308\n",
-    b"1_0 1_0\n",
-    b"inf nan\n",
-    b"x" * 100_000,
-    "٣ ٣\n".encode(),
-    b"\x0b\x1c",
-)
+_NUMBERS = b"1e308 -1e308\n", b"1_0 1_0\n", b"inf nan\n", "٣ ٣\n".encode()
+SCRAPS_OF_LINES = (*SCRAPS, *_NUMBERS, b"x" * 100_000, b"\x0b\x1c")
 EXAMPLES = spoilt_bytes(st.just(b"375 240\n100.5 80.25\n\n-1e3 4000\n700.0\t470.0\r\n"), SCRAPS_OF_LINES)
 
 

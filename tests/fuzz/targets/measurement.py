@@ -81,9 +81,8 @@ def _check_json(measurement: Measurement) -> None:
     read: dict[str, Any] = json.loads(line, parse_constant=_refuse)
     assert "\n" not in line
     assert read["valid"] == measurement.valid
-    numbers = [
-        read[key] for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg", "yaw_mm_per_m", "pitch_mm_per_m")
-    ]
+    keys = "x_mm", "y_mm", "yaw_deg", "pitch_deg", "yaw_mm_per_m", "pitch_mm_per_m"
+    numbers = [read[key] for key in keys]
     numbers += list(read["sigma"].values())
     assert all((number is None) == (not measurement.valid) for number in numbers)
 

@@ -37,9 +37,8 @@ class Said:
 
 
 _OTHERS = st.integers(0, 247).filter(lambda unit: unit != UNIT)
-_LIKE_OURS = st.lists(
-    st.sampled_from((UNIT, 3, 4, 0, 1, 2, 8, 17, 43, 14)) | st.integers(0, 255), max_size=60
-)
+_USUAL = UNIT, 3, 4, 0, 1, 2, 8, 17, 43, 14
+_LIKE_OURS = st.lists(st.sampled_from(_USUAL) | st.integers(0, 255), max_size=60)
 
 
 @st.composite

@@ -80,9 +80,8 @@ class _Asked:
 
 def _publisher(faces: Faces) -> ModbusTcpPublisher:
     faces.health.self_check.open(_Asked.once_more)
-    settings = ModbusTcpSettings(
-        host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True, allow_zero=True
-    )
+    allowed = {"allow_self_check": True, "allow_zero": True}
+    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, **allowed)
     return ModbusTcpPublisher(settings, faces.board, faces.component(NAME), faces.health)
 
 

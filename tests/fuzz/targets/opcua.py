@@ -31,28 +31,21 @@ _UNIT = ua.NodeId("unit", 2)
 
 def _requests() -> list[Any]:
     """One of each service, with its fields filled."""
-    reading, writing, browsing, calling = (
-        ua.ReadRequest(),
-        ua.WriteRequest(),
-        ua.BrowseRequest(),
-        ua.CallRequest(),
-    )
+    reading, writing = ua.ReadRequest(), ua.WriteRequest()
+    browsing, calling = ua.BrowseRequest(), ua.CallRequest()
     reading.Parameters.NodesToRead = [ua.ReadValueId(_X, ua.AttributeIds.Value)] * 3
-    writing.Parameters.NodesToWrite = [
-        ua.WriteValue(_X, ua.AttributeIds.Value, Value=ua.DataValue(ua.Variant(99.0)))
-    ]
+    forged = ua.DataValue(ua.Variant(99.0))
+    writing.Parameters.NodesToWrite = [ua.WriteValue(_X, ua.AttributeIds.Value, Value=forged)]
     browsing.Parameters.NodesToBrowse = [ua.BrowseDescription(_UNIT, ResultMask=63)]
-    calling.Parameters.MethodsToCall = [
-        ua.CallMethodRequest(_UNIT, ua.NodeId("SelfCheck", 2), [ua.Variant(1)])
-    ]
+    method = ua.NodeId("SelfCheck", 2)
+    calling.Parameters.MethodsToCall = [ua.CallMethodRequest(_UNIT, method, [ua.Variant(1)])]
     history = ua.HistoryReadRequest()
     history.Parameters.HistoryReadDetails = ua.ReadRawModifiedDetails()
     history.Parameters.NodesToRead = [ua.HistoryReadValueId(_X)]
     subscribing, monitoring = ua.CreateSubscriptionRequest(), ua.CreateMonitoredItemsRequest()
     subscribing.Parameters = ua.CreateSubscriptionParameters(100.0, 100, 10, 0, True)
-    monitoring.Parameters = ua.CreateMonitoredItemsParameters(
-        78, ItemsToCreate=[ua.MonitoredItemCreateRequest()]
-    )
+    items = [ua.MonitoredItemCreateRequest()]
+    monitoring.Parameters = ua.CreateMonitoredItemsParameters(78, ItemsToCreate=items)
     adding, registering = ua.AddNodesRequest(), ua.RegisterServerRequest()
     adding.Parameters.NodesToAdd = [ua.AddNodesItem(ParentNodeId=_UNIT)]
     deleting = ua.DeleteSubscriptionsRequest()
@@ -72,9 +65,8 @@ def _requests() -> list[Any]:
 
 _BODIES = tuple(struct_to_binary(request) for request in _requests())
 _STREAMS = st.lists(st.sampled_from(_BODIES) | spoilt_bytes(st.sampled_from(_BODIES)), min_size=1, max_size=5)
-EXAMPLES = st.tuples(
-    _STREAMS, st.booleans(), spoilt_bytes(st.sampled_from((b"HELF", b"OPNF", b"MSGF", b"CLOF")))
-)
+_KINDS = b"HELF", b"OPNF", b"MSGF", b"CLOF"
+EXAMPLES = st.tuples(_STREAMS, st.booleans(), spoilt_bytes(st.sampled_from(_KINDS)))
 """Bodies of requests, whether in a session, and bytes behind them."""
 
 
@@ -94,9 +86,8 @@ class _Channel:
         self.send(struct_to_binary(request), kind)
         head = header_from_binary(Buffer(await self._reader.readexactly(12)))
         body = await self._reader.readexactly(head.packet_size - 12)
-        return struct_from_binary(
-            answer, self._secure.receive_from_header_and_body(head, Buffer(body)).body()
-        )
+        message = self._secure.receive_from_header_and_body(head, Buffer(body))
+        return struct_from_binary(answer, message.body())
 
     async def open(self, url: str) -> None:
         self._writer.write(packed(ua.MessageType.Hello, ua.Hello(0, 65535, 65535, 0, 0, url)))

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 from fuzz.folder import folder, one_line
-from fuzz.spoil import spoilt_bytes, spoilt_document
-from hypothesis import strategies as st
+from fuzz.spoil import spoilt_and_sealed
 from support import evidence
 
 from altd.acquisition.self_check.memory import HistoryFile
 from altd.errors import BadInputError
-from altd.files.documents import checksum_of
 from altd.selfcheck.history import DAY_S, History
 from altd.selfcheck.records import SelfCheck, Similarity, TargetDrift, Verdict
 
@@ -40,16 +38,7 @@ def _valid() -> dict[str, Any]:
     return document
 
 
-def _with_checksum(document: dict[str, Any]) -> bytes:
-    return json.dumps({**document, "checksum": checksum_of(document)}).encode()
-
-
-EXAMPLES = st.deferred(
-    lambda: (
-        spoilt_document(st.just(_valid())).map(_with_checksum)
-        | spoilt_bytes(st.just(_with_checksum(_valid())))
-    )
-)
+EXAMPLES = spoilt_and_sealed(_valid)
 
 
 def check(example: bytes) -> None:
