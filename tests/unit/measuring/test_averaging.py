@@ -172,9 +172,8 @@ def test_a_reason_of_the_whole_unit_carries_no_target() -> None:
 @pytest.mark.parametrize(("count", "jump"), [(4, 2), (20, 8), (20, 10), (20, 12), (7, 3)])
 def test_a_beam_that_jumps_within_the_window_is_unsteady(count: int, jump: int) -> None:
     rng = np.random.default_rng(3)
-    frame_sets = [
-        frame_set(n, front=tuple(rng.normal((300 if n < jump else 330, 200), 0.02))) for n in range(count)
-    ]
+    places = (rng.normal((300 if n < jump else 330, 200), 0.02) for n in range(count))
+    frame_sets = [frame_set(n, front=tuple(place)) for n, place in enumerate(places)]
     assert why_not(frame_sets) == ["unsteady"]
 
 
@@ -232,5 +231,4 @@ def test_exposures_that_all_cameras_lost_fill_places_of_the_window() -> None:
     thinned = [window.add(frame_set(n)) for n in range(12, 60, 5)]
     assert all(not isinstance(mean, MeanSpots) for mean in thinned[1:])
     again = [window.add(frame_set(n)) for n in range(60, 68)]
-    assert isinstance(again[-1], MeanSpots)
     assert again[-1].t_ns == round(63.5 * PERIOD_NS)

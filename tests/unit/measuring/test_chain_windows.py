@@ -52,9 +52,7 @@ def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibrati
     assert all(abs(x_mm - 10.3) < 0.05 for x_mm in means), means
 
 
-def test_breaks_that_were_told_of_by_frames_which_got_lost_keep_the_window_apart(
-    calibration: Calibration,
-) -> None:
+def test_breaks_told_of_by_frames_that_got_lost_keep_the_window_apart(calibration: Calibration) -> None:
     """Dropped frames never reach the chain: the change itself, and the frames about it."""
     measured = chain(calibration)
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
@@ -77,9 +75,7 @@ def lit(frames: Sequence[Frame], *of: tuple[str, int]) -> list[Frame]:
     return [replace(f, leds_on=(f.camera, f.sequence) in of) for f in frames]
 
 
-def test_exposures_under_leds_end_no_window_and_no_camera_is_silent_for_them(
-    calibration: Calibration,
-) -> None:
+def test_exposures_under_leds_end_no_window_and_make_no_camera_silent(calibration: Calibration) -> None:
     """One camera alone sees the edges; two of six exposures are lost, and half a window of 4 is left."""
     under_leds = [("right", 4), ("left", 5), ("right", 5), ("left", 6)]
     measured = chain(calibration)
@@ -124,15 +120,12 @@ def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> 
     ]
     measurements = [m for frame in later for m in measured.push(frame)]
     assert [str(f) for f in measurements[0].status] == ["warming_up"]
-    assert beam_of(measurements[1]) is not None
     assert beam_of(measurements[1]).x_mm == pytest.approx(20.0, abs=0.05)
 
 
 @pytest.mark.parametrize("silent", ["left", "right"])
 @pytest.mark.parametrize("pair_by", ["sequence", "time"])
-def test_one_silent_camera_makes_it_invalid_within_0_4_s(
-    calibration: Calibration, silent: str, pair_by: str
-) -> None:
+def test_a_silent_camera_is_told_within_0_4_s(calibration: Calibration, silent: str, pair_by: str) -> None:
     measuring = Measuring.model_validate({"window": 20, "pair_by": pair_by})
     measured = MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring))
     frames = shots([(10.0, 5.0)] * 40)

@@ -13,13 +13,11 @@ SPOT = light(Blob(300.0, 200.0))
 PERIOD_NS = 50_000_000
 
 
-def live(
-    count: int, seed: int = 0, bits: int = 8, noise: float = 2.0, background: float = 8.0
-) -> list[Frame]:
+def live(count: int, seed: int = 0, bits: int = 8, noise: float = 2.0, dark: float = 8.0) -> list[Frame]:
     """Frames of a beam at rest, as a camera delivers them."""
     rng = np.random.default_rng(seed)
     image = SPOT * (1 << bits) / 256
-    return [frame(image, rng, noise, background, bits, sequence=n, t_ns=n * PERIOD_NS) for n in range(count)]
+    return [frame(image, rng, noise, dark, bits, sequence=n, t_ns=n * PERIOD_NS) for n in range(count)]
 
 
 def again(old: Frame, sequence: int, pixels: np.ndarray | None = None) -> Frame:
@@ -82,8 +80,7 @@ def spoilt(kind: str, old: np.ndarray, new: np.ndarray, rng: np.random.Generator
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["counter", "few pixels", "upper half", "left half", "odd rows", "even rows", "all but the spot"],
+    "kind", ["counter", "few pixels", "upper half", "left half", "odd rows", "even rows", "all but the spot"]
 )
 def test_a_picture_of_which_a_part_stands_still_is_seen(kind: str) -> None:
     rng = np.random.default_rng(3)

@@ -59,9 +59,7 @@ def test_a_camera_that_stops_is_silent_from_its_first_missing_frame_on() -> None
 @pytest.mark.parametrize("by", ["sequence", "time"])
 @pytest.mark.parametrize("pause", [range(2), range(7), range(20, 40)], ids=["2 late", "7 late", "returns"])
 @pytest.mark.parametrize("of", ["front", "rear"])
-def test_a_camera_that_begins_to_deliver_was_silent_before_not_out_of_step(
-    by: str, pause: range, of: str
-) -> None:
+def test_a_camera_that_begins_to_deliver_was_silent_not_out_of_step(by: str, pause: range, of: str) -> None:
     p = pairer(by)
     out = []
     for n in range(60):

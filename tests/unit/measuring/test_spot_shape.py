@@ -54,9 +54,8 @@ def doubts(
 
 
 def test_radius_and_stretch_are_those_of_the_ellipse() -> None:
-    assert shape_in_mm(gaussian(14, 10), MM_PER_PX) == pytest.approx(
-        [math.log(math.sqrt(35)), math.log(1.4) / 2, 0, 1]
-    )
+    log_radius = math.log(math.sqrt(35))
+    assert shape_in_mm(gaussian(14, 10), MM_PER_PX) == pytest.approx([log_radius, math.log(1.4) / 2, 0, 1])
     assert shape_in_mm(gaussian(14, 10, math.pi / 4), MM_PER_PX) == pytest.approx(
         [math.log(math.sqrt(35)), 0, math.log(1.4) / 2, 1], abs=1e-9
     )
