@@ -83,10 +83,7 @@ def half_white() -> np.ndarray:
     [
         ({"kind": "measurement"}, "is of kind 'measurement', not 'flat'"),
         ({"serial": "TEST-2"}, "is a flat of unit 'TEST-2', the scan is of unit 'TEST-1'"),
-        (
-            {"lit": np.full((480, 640), 90)},
-            "front: frames of 640 × 480, those of the scan are 752 × 480",
-        ),
+        ({"lit": np.full((480, 640), 90)}, "front: frames of 640 × 480, those of the scan are 752 × 480"),
         ({"lit": np.full((480, 752), 8)}, "front: too dark to be a flat: 8.0 counts of 255 on average"),
         ({"lit": half_white()}, "front: too bright to be a flat: 50% of the pixels are saturated"),
         ({"lit": spot_alone()}, "front: too uneven to be a flat: half the picture gets "),

@@ -36,7 +36,6 @@ def frames(response: np.ndarray | float, *, ghosts: bool = False) -> list[Frame]
 
 def both(pictures: list[Frame], flat: Flat | None = None) -> Agreement:
     found = localiser_agreement(pictures, SETTINGS, flat)
-    assert found is not None
     assert found.nodes == len(PLACES)
     return found
 
@@ -56,7 +55,6 @@ def test_through_the_right_flat_they_agree_through_another_ones_they_do_not() ->
     right = both(pictures, Flat.of(surface(2), "recording"))
     assert right.scatter_px < right.limit_px(0.0) / 2
     wrong = verdict("front", "profile", both(pictures, Flat.of(surface(3), "recording")), 0.0)
-    assert wrong.doubt is not None
     assert "\n" not in wrong.doubt
     assert "a flat that is not this target's" in wrong.doubt
 

@@ -38,16 +38,8 @@ def rear(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("target", "more", "complaint"),
     [
         (seen("front", 0.0, "a"), {"serial": "TEST-2"}, "is of unit 'TEST-2', {rear} of unit 'TEST-1'"),
-        (
-            seen("rear", 281.0, "a"),
-            {},
-            "target 'rear' is at z 281 mm, in {rear} at 280 mm",
-        ),
-        (
-            seen("front", 280.0, "a"),
-            {},
-            "target 'front' is at z 280 mm, where target 'rear' of {rear} is",
-        ),
+        (seen("rear", 281.0, "a"), {}, "target 'rear' is at z 281 mm, in {rear} at 280 mm"),
+        (seen("front", 280.0, "a"), {}, "target 'front' is at z 280 mm, where target 'rear' of {rear} is"),
         (
             seen("rear", 280.0, "cam"),
             {"of_cameras": {"serial": "8", "driver": "aravis"}},
@@ -76,9 +68,8 @@ def test_the_glass_of_a_target_is_that_of_the_scan_that_states_it(rear: Path, tm
 
 
 def test_pictures_of_another_size_are_refused(rear: Path, tmp_path: Path) -> None:
-    other = write_targets(
-        tmp_path / "other", "scan", [seen("rear", 280.0, "cam")], [({"rear": None}, (0.0, 0.0))]
-    )
+    targets = [seen("rear", 280.0, "cam")]
+    other = write_targets(tmp_path / "other", "scan", targets, [({"rear": None}, (0.0, 0.0))])
     cv2.imwrite(str(other / "cam0000.png"), np.zeros((480, 640), np.uint8))
     about = json.loads((other / "recording.json").read_text())
     about["cameras"]["cam"]["width"] = 640
@@ -100,9 +91,7 @@ def test_a_scan_and_a_plate_or_two_plates_of_one_target_are_refused(rear: Path, 
         for name in ("plate", "again")
     ]
     file = "recording.json: target 'rear'"
-    assert refused(rear, plates[0]) == (
-        f"{plates[0]}/{file} is shown by a plate here and by a scan in {rear}"
-    )
+    assert refused(rear, plates[0]) == f"{plates[0]}/{file} is shown by a plate here and by a scan in {rear}"
     assert refused(*plates) == f"{plates[1]}/{file} is shown by the plate in {plates[0]} already"
 
 

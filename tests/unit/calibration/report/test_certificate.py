@@ -124,9 +124,7 @@ def test_the_sections_state_the_same(tmp_path: Path) -> None:
         ("temperature_expanded_k = 0.8", "temperature_expanded_k = nan", "should be a finite number"),
     ],
 )
-def test_each_fault_of_the_facts_is_a_line_with_its_place(
-    old: str, new: str, line: str, tmp_path: Path
-) -> None:
+def test_each_fault_of_the_facts_is_a_line_and_a_place(old: str, new: str, line: str, tmp_path: Path) -> None:
     with pytest.raises(BadInputError) as refused:
         load_facts(written(tmp_path, FACTS.replace(old, new)))
     assert any(line in each for each in refused.value.lines), refused.value.lines

@@ -12,10 +12,12 @@ from altd.calibration.report.prediction import (
     common_area,
     difference_mm,
     node_covariance_px2,
+    noise_in_map_px,
     offsets_mm,
     predict,
     spectrum_covariance_px2,
 )
+from altd.calibration.result import Candidate
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import Limits
@@ -121,9 +123,8 @@ def test_the_covariance_of_the_nodes_is_that_of_the_thesis() -> None:
 def test_of_a_thousand_nodes_the_covariance_of_every_second_is_shown() -> None:
     x_mm, y_mm = np.meshgrid(np.linspace(-70, 70, 40), np.linspace(-55, 55, 25))
     places = np.column_stack([x_mm.ravel(), y_mm.ravel()])
-    fitted = fit_tensor_map(
-        nodes_mm(), straight_px("rear", nodes_mm()), convex_hull_mm(nodes_mm()), (3, 2)
-    ).map
+    nodes = nodes_mm()
+    fitted = fit_tensor_map(nodes, straight_px("rear", nodes), convex_hull_mm(nodes), (3, 2)).map
     noisy = replace(
         fitted,
         covariance_factor_px=np.random.default_rng(1).normal(0, 0.01, fitted.covariance_factor_px.shape),
@@ -137,3 +138,28 @@ def test_of_a_thousand_nodes_the_covariance_of_every_second_is_shown() -> None:
 
 def test_a_map_without_errors_has_no_covariance() -> None:
     assert not node_covariance_px2(straight_map("front", shift_px=0.0), nodes_mm()).any()
+
+
+@pytest.mark.parametrize("degree", [(1, 1), (2, 3), (4, 3)])
+def test_the_noise_in_a_map_is_that_of_many_calibrations(degree: tuple[int, int]) -> None:
+    """Monte Carlo: scans of a straight target, each with its own noise; what all maps scatter by."""
+    places, noise_px = nodes_mm(), 0.05
+    hull = convex_hull_mm(places)
+    rng = np.random.default_rng(3)
+    fits = [
+        fit_tensor_map(
+            places, straight_px("rear", places) + rng.normal(0, noise_px, places.shape), hull, degree
+        )
+        for _ in range(200)
+    ]
+    dense_mm = fits[0].map.dense_mm()
+    scattered = np.array([fit.map.to_px(dense_mm) for fit in fits])
+    expected_px = float(np.sqrt(scattered.var(axis=0, ddof=1).mean()))
+    one = fits[0]
+    errors_px = one.gcv_px, one.leave_one_out_px, one.map.sigma_px
+    candidate = Candidate("tensor", degree, one.parameters, *errors_px)
+    assert noise_in_map_px(candidate, len(places), noise_px) == pytest.approx(expected_px, rel=0.05)
+
+
+def test_a_map_with_no_freedom_left_says_nothing_of_its_noise() -> None:
+    assert np.isnan(noise_in_map_px(Candidate("tensor", (5, 4), 60, 0.0, 0.0, 0.0), 30, 0.05))

@@ -1,3 +1,5 @@
+"""Files of a report, and the calibration that a report says that it is of."""
+
 from __future__ import annotations
 
 import errno
@@ -6,7 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from altd.calibration.report.write import check_report, report_names, write_together
+from altd.calibration.report.write import (
+    HEAD_BYTES,
+    check_report,
+    checksum_in,
+    meta_line,
+    page_path,
+    report_names,
+    write_together,
+)
 from altd.errors import BadInputError
 
 NAMES = ("calibration.html", "calibration.pdf", "calibration-budget.json")
@@ -99,3 +109,32 @@ def test_a_report_has_the_name_of_its_calibration_and_never_takes_its_place() ->
     for name in ("cal.html", "some/cal.pdf"):
         with pytest.raises(BadInputError, match="is reserved for its report"):
             report_names(Path(name))
+
+
+CHECKSUM = f"sha256:{'0123456789abcdef' * 4}"
+PAGE = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{meta_line(CHECKSUM)}\n'
+
+
+def test_a_page_names_its_calibration() -> None:
+    assert checksum_in(PAGE.encode()) == CHECKSUM
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "",
+        "<!DOCTYPE html><title>an older report</title>",
+        PAGE.replace("sha256:0", "sha256:g"),
+        PAGE.replace('abcdef">', 'abcde">'),
+        PAGE.replace('abcdef">', 'abcdef0">'),
+        PAGE.replace("altd-calibration", "another"),
+        " " * HEAD_BYTES + PAGE,
+    ],
+)
+def test_what_names_none_names_none(head: str) -> None:
+    assert checksum_in(head.encode()) is None
+
+
+def test_a_report_lies_beside_its_calibration_under_the_same_name() -> None:
+    assert page_path(Path("/etc/altd/unit-7.json")) == Path("/etc/altd/unit-7.html")
+    assert page_path(Path("calibration")) == Path("calibration.html")
