@@ -101,14 +101,10 @@ def test_the_console_writes_a_line_a_quantity(measurement: Measurement) -> None:
 def test_the_page_has_a_row_for_what_is_always_there() -> None:
     page = page_of(Board(FakeClock(), 1.0, QUANTITIES).quantities)
     facts = re.search(r'<script type="application/json" id="quantities">(.*)</script>', page)
-    assert facts is not None
     assert [
         (each["key"], each["label"], each["unit"], each["decimals"], each["is_shown"])
         for each in json.loads(facts[1])
-    ] == [
-        ("along_px", "along", "px", 1, True),
-        ("heat_deg", "heat", "°", 2, False),
-    ]
+    ] == [("along_px", "along", "px", 1, True), ("heat_deg", "heat", "°", 2, False)]
 
 
 def test_tables_have_its_columns() -> None:

@@ -1,12 +1,14 @@
-"""The degree of the tensor polynomial: cross-validation against the truth that it does not know."""
+"""The degree of the tensor polynomial against the truth that it does not know, its basis, and its grid."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.gram import equidistant_nodes
 from support.lenses import TABLE_3_2, LensKind, grid, make_lens, seen
 
-from altd.mapping.grid import convex_hull_mm
+from altd.mapping.grid import Axis, Block, Cell, convex_hull_mm
+from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 
 NODES = grid(7, 5)
@@ -26,7 +28,6 @@ def miss(fit: Fit, points: np.ndarray, truth: np.ndarray) -> float:
 def test_the_score_is_that_of_its_formula() -> None:
     px = polynomial(NODES) + np.random.default_rng(1).normal(0, 0.05, NODES.shape)
     for fit in fit_tensor_maps(NODES, px, HULL):
-        assert fit.degree is not None
         coefficients = (fit.degree[0] + 1) * (fit.degree[1] + 1)
         squares = np.square(px - fit.map.to_px(NODES)).sum()
         expected = np.sqrt(squares / 70) / (1 - coefficients / 35)
@@ -36,10 +37,8 @@ def test_the_score_is_that_of_its_formula() -> None:
 
 def test_the_degree_of_a_polynomial_is_found() -> None:
     rng = np.random.default_rng(2)
-    found = [
-        fit_tensor_map(NODES, polynomial(NODES) + rng.normal(0, 0.05, NODES.shape), HULL).degree
-        for _ in range(40)
-    ]
+    noisy = (polynomial(NODES) + rng.normal(0, 0.05, NODES.shape) for _ in range(40))
+    found = [fit_tensor_map(NODES, px, HULL).degree for px in noisy]
     assert all(degree is not None and degree[0] >= 4 and degree[1] >= 2 for degree in found)
     assert found.count((4, 2)) > 25
 
@@ -94,3 +93,85 @@ def test_what_a_node_misses_the_map_by_that_never_saw_it() -> None:
         without = fit_tensor_map(NODES[rest], px[rest], HULL, (4, 3)).map
         missed = px[node] - without.to_px(NODES[node : node + 1])[0]
         assert fit.leave_one_out_residuals_px[node] == pytest.approx(missed, abs=1e-8)
+
+
+GRID: list[Cell] = [(column, row) for row in range(5) for column in range(6)]
+
+
+def row(number: int) -> list[Cell]:
+    return [(column, number) for column in range(6)]
+
+
+def column(number: int) -> list[Cell]:
+    return [(number, row) for row in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("missing", "columns", "rows", "left"),
+    [
+        ([], 6, 5, 0),
+        (row(4), 6, 5, 6),  # a fifth of all may be missing wherever it is
+        ([*row(4), (2, 2)], 6, 4, 1),
+        ([*row(0), *column(5)], 6, 4, 4),  # the row goes, and the column is a sixth of what is left
+        ([*column(0), *column(5)], 5, 5, 5),
+        ([*column(0), *column(5), (2, 2)], 4, 5, 1),
+        (row(2), 6, 5, 6),
+    ],
+)
+def test_a_grid_without_outer_rows_that_are_missing_is_sufficient(
+    missing: list[Cell], columns: int, rows: int, left: int
+) -> None:
+    block = Block.within(GRID, missing)
+    assert (len(block.columns), len(block.rows), block.missing) == (columns, rows, left)
+    assert block.is_sufficient
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        [*row(0), *row(4)],  # three rows bear no map
+        [*column(0), *column(1), *column(5)],
+        [(column, row) for column, row in GRID if (column + row) % 3 == 0],  # a third of it, everywhere
+        GRID,
+    ],
+)
+def test_too_little_is_not_sufficient(missing: list[Cell]) -> None:
+    assert not Block.within(GRID, missing).is_sufficient
+
+
+def test_an_axis_goes_through_a_row_that_is_missing() -> None:
+    axis = Axis.through(np.array([-50.0, -25.0, 25.0, 50.0, 75.0]))
+    assert (axis.first_mm, axis.step_mm, axis.nodes) == (-50.0, 25.0, 6)
+    assert axis.numbers(np.array([25.3, -50.0])).tolist() == [3, 0]
+
+
+@pytest.mark.parametrize("nodes", [4, 5, 6, 7, 30])
+def test_the_basis_is_orthonormal_on_its_nodes(nodes: int) -> None:
+    basis = gram_basis(equidistant_nodes(nodes), nodes, nodes - 1)
+    assert basis.T @ basis == pytest.approx(np.eye(nodes), abs=1e-8)
+
+
+def test_the_basis_is_that_of_gram_schmidt_on_the_monomials() -> None:
+    nodes = equidistant_nodes(7)
+    q, r = np.linalg.qr(np.vander(nodes, 5, increasing=True))
+    basis = gram_basis(nodes, 7, 4)
+    assert basis == pytest.approx(q * np.sign(np.diag(r)), abs=1e-12)
+
+
+def test_between_the_nodes_values_are_those_of_the_interpolating_polynomial() -> None:
+    nodes, x = equidistant_nodes(6), np.linspace(-1.1, 1.1, 23)
+    on_nodes, value = gram_basis(nodes, 6, 4), gram_basis(x, 6, 4)
+    for degree in range(5):
+        polynomial = np.polynomial.Polynomial.fit(nodes, on_nodes[:, degree], degree)
+        assert value[:, degree] == pytest.approx(polynomial(x), abs=1e-9)
+
+
+def test_the_powers_are_the_same_polynomials() -> None:
+    x = np.linspace(-1, 1, 11)
+    expected = np.polynomial.polynomial.polyval(x, gram_powers(6, 4).T).T
+    assert gram_basis(x, 6, 4) == pytest.approx(expected, abs=1e-13)
+
+
+def test_a_degree_that_the_nodes_cannot_carry_is_refused() -> None:
+    with pytest.raises(ValueError, match="degree 5 needs at least 6 nodes"):
+        gram_basis(np.zeros(1), 5, 5)

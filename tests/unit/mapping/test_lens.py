@@ -76,9 +76,8 @@ def test_a_fisheye_is_found_from_either_side(mirrored: bool) -> None:
     lens = make_lens(TABLE_3_2[3], np.random.default_rng(6))
     side = np.array([-1.0 if mirrored else 1.0, 1.0])
     points = inside(100, np.random.default_rng(1))
-    fitted = fit_lens_map(
-        Nodes.ordinary(NODES, lens(NODES * side)), convex_hull_mm(NODES), SIZE, "fisheye"
-    ).map
+    nodes = Nodes.ordinary(NODES, lens(NODES * side))
+    fitted = fit_lens_map(nodes, convex_hull_mm(NODES), SIZE, "fisheye").map
     assert (fitted.model, fitted.folds) == ("fisheye", False)
     assert fitted.to_px(points) == pytest.approx(lens(points * side), abs=0.005)
 
@@ -151,9 +150,8 @@ def by_opencv(optics: Optics, p: np.ndarray, points_mm: np.ndarray) -> tuple[np.
         px, slopes = cv2.projectPoints(space, p[:3].copy(), move, matrix, p[9:].copy())
         turned, moved, focal, centre, bent = np.split(slopes[:, :14], [3, 6, 8, 10], axis=1)
     else:
-        px, slopes = cv2.fisheye.projectPoints(
-            space, p[:3].copy(), move, matrix, np.array([*p[9:], 0.0, 0.0])
-        )
+        distortion = np.array([*p[9:], 0.0, 0.0])
+        px, slopes = cv2.fisheye.projectPoints(space, p[:3].copy(), move, matrix, distortion)
         focal, centre, bent, turned, moved = np.split(slopes[:, :14], [2, 4, 8, 11], axis=1)
     away = move[2] * moved[:, 2:]
     nearer = focal_px * focal.sum(axis=1, keepdims=True) + away

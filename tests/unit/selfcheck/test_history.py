@@ -44,12 +44,9 @@ def days_until_told(
 @pytest.mark.parametrize(
     "direction", [(1, 0, 0, 0), (-1, 0, 0, 0), (0.7, -0.7, 0, 0), (0, 0, 1, 0), (0, 0, 0, -1)]
 )
-def test_a_drift_of_a_fiftieth_px_a_day_is_told_within_ten_days(
-    direction: tuple[float, ...], checks_a_day: int
-) -> None:
+def test_a_fiftieth_px_a_day_is_told_within_ten_days(direction: tuple[float, ...], checks_a_day: int) -> None:
     for seed in range(10):
         told = days_until_told(0.02 * np.array(direction), seed, checks_a_day=checks_a_day)
-        assert told is not None
         assert told <= 10
 
 

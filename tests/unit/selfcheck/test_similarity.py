@@ -53,9 +53,8 @@ def test_the_covariance_is_that_of_many_checks_with_noise_of_each_led() -> None:
     distances = np.einsum("ni,ij,nj->n", found, np.linalg.inv(example.covariance), found)
     assert np.mean(distances) == pytest.approx(4, rel=0.05)
     assert np.mean(chi2) == pytest.approx(2 * 5 - 4, rel=0.05)
-    assert np.cov(np.array(places).T) == pytest.approx(
-        example.covariance_at_px2(80.0, 300.0), rel=0.1, abs=5e-6
-    )
+    expected = example.covariance_at_px2(80.0, 300.0)
+    assert np.cov(np.array(places).T) == pytest.approx(expected, rel=0.1, abs=5e-6)
 
 
 @pytest.mark.parametrize("freedom", [2, 8, 20])

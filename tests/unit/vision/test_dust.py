@@ -1,4 +1,4 @@
-"""Specks under a spot, counted in pictures whose dust is known by their geometry."""
+"""Specks under a spot, counted in pictures whose dust is known by their geometry; an unseen smear."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import math
 import cv2
 import numpy as np
 import pytest
+from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
-from altd.records import Frame
+from altd.records import Frame, Spot
 from altd.vision.dust import DustCount, count_dust
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.image import Image
-from altd.vision.settings import SpotSettings
+from altd.vision.localise import locate
+from altd.vision.settings import SpotReference, SpotSettings
 from altd.vision.texture import Texture
 
 ROWS, COLUMNS = 240, 320
@@ -71,7 +73,6 @@ def texture_of(response: Image) -> Texture:
 
 
 def share(count: DustCount | None) -> float:
-    assert count is not None
     return count.covered / count.looked_at
 
 
@@ -95,7 +96,6 @@ def test_on_a_plate_the_area_of_specks_is_counted(diameter_px: float) -> None:
     places = [(0.0, 0.0), (10.5, 4.2), (-8.4, 6.3), (2.1, -11.3)]
     dusty = plate * specks(*((right, down, diameter_px) for right, down in places))
     count = seen(dusty, texture_of(plate))
-    assert count is not None
     area_px = len(places) * math.pi / 4 * diameter_px**2
     assert 0.6 * area_px < count.covered < 1.3 * area_px
 
@@ -136,3 +136,32 @@ def test_where_the_calibration_knows_nothing_a_plate_is_looked_at_and_a_print_is
 def test_without_a_spot_there_is_nothing_to_see() -> None:
     plate = grain(0.06)
     assert seen(plate, texture_of(plate), peak=0.0) is None
+
+
+DIAMETER_PX = 44.0
+CLEAN_PLATE = SpotReference(grain=0.005, misfit_ratio=1.0, pattern_px=0.005, noise_px=0.006, shape=None)
+
+
+@pytest.mark.parametrize("slope_per_px", [0.0005, -0.0015, 0.003])
+def test_a_spot_behind_an_even_slope_of_transmission_is_the_same_spot_elsewhere(slope_per_px: float) -> None:
+    """Undetectable: exp(−8 u²/d² − s·u) is the same Gaussian with its middle at −s·d²/16.
+
+    So no sigma can hold what grease does: nothing but the place differs. docs/reasons.md says how much.
+    """
+    middle_u = 371.3
+    clean = light(Blob(middle_u, 240.7, DIAMETER_PX))
+    passes = np.exp(-slope_per_px * (np.arange(WIDTH) - middle_u))
+    even = Flat.of(np.ones((HEIGHT, WIDTH)), "recording")
+    spots = []
+    for image in (clean, clean * passes):
+        found = locate(frame(image, np.random.default_rng(6), 0.5), flat=even, reference=CLEAN_PLATE)
+        assert isinstance(found, Spot)
+        spots.append(found)
+    before, behind = spots
+    assert behind.u_px - before.u_px == pytest.approx(-slope_per_px * DIAMETER_PX**2 / 16, abs=0.005)
+    assert behind.v_px == pytest.approx(before.v_px, abs=0.005)
+    assert behind.sigma_px == pytest.approx(before.sigma_px, rel=0.01)
+    assert behind.excess_px == pytest.approx(before.excess_px, abs=0.005)
+    assert (behind.shape.a, behind.shape.c, behind.shape.order) == pytest.approx(
+        (before.shape.a, before.shape.c, before.shape.order), rel=0.002
+    )

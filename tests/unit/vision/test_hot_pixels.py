@@ -128,9 +128,7 @@ def test_an_aged_sensor_with_as_many_new_ones_is_the_same(known: HotPixels) -> N
 
 
 @pytest.mark.parametrize("lost_px", [-300, -1, 3, 20])
-def test_a_picture_of_which_bytes_were_lost_on_the_way_is_not_as_it_was_read(
-    known: HotPixels, lost_px: int
-) -> None:
+def test_a_picture_of_which_bytes_were_lost_is_not_as_it_was_read(known: HotPixels, lost_px: int) -> None:
     """The rows after the loss are displaced, row by row; those before it are in their place."""
     pixels = picture(np.random.default_rng(8), PLACES)
     row = 210

@@ -52,9 +52,8 @@ def frames() -> Iterator[tuple[Frame, Flat | None]]:
     dusty = printed * spot
     dusty[76:83, 70:78] *= 0.3
     yield photographed(dusty, rng), flat
-    black = Flat.of(
-        np.where(np.hypot(*np.mgrid[-80 : SIZE - 80, -84 : SIZE - 84]) < 25, 0.0, 1.0), "recording"
-    )
+    radius_px = np.hypot(*np.mgrid[-80 : SIZE - 80, -84 : SIZE - 84])
+    black = Flat.of(np.where(radius_px < 25, 0.0, 1.0), "recording")
     yield photographed(spot, rng), black
 
 
@@ -119,9 +118,7 @@ def test_fits_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_spoilt_blocks_are_fitted_by_both_or_by_neither(
-    monkeypatch: pytest.MonkeyPatch,
-    rows: int | slice | list[int],
-    change: Callable[[FloatArray], FloatArray],
+    monkeypatch: pytest.MonkeyPatch, rows: int | slice | list[int], change: Callable[[FloatArray], FloatArray]
 ) -> None:
     for data, state, rise, order_free_iteration in calls(monkeypatch)[:12]:
         spoilt = data.rows.copy()
@@ -176,7 +173,6 @@ def test_arrays_of_another_layout_give_the_same_and_of_another_size_are_refused(
     """Compiled code reads doubles, row after row, and does not know where an array ends."""
     frame, flat = next(frames())
     fitted = fitted_profile(frame, SpotSettings(), flat)
-    assert fitted is not None
     residuals = fitted.residuals
     given, solution = residuals.blocks, residuals.solution
     turned = replace(
@@ -203,9 +199,8 @@ def test_spots_and_reasons_are_the_same() -> None:
                 known = locate(frame, flat=flat, reference=usual)
             if isinstance(found, Spot) and isinstance(known, Spot):
                 assert (found.u_px, found.v_px) == pytest.approx((known.u_px, known.v_px), abs=1e-9)
-                assert (found.sigma_px, found.excess_px) == pytest.approx(
-                    (known.sigma_px, known.excess_px), rel=1e-6
-                )
+                expected = known.sigma_px, known.excess_px
+                assert (found.sigma_px, found.excess_px) == pytest.approx(expected, rel=1e-6)
             else:
                 assert found == known
                 assert isinstance(found, NoSpot)
@@ -225,7 +220,6 @@ def test_without_the_library_it_says_so_and_measures(tmp_path: Path) -> None:
             "from altd.vision import kernel\n"
             "print(kernel.is_compiled(), kernel.description)\n"
         )
-        out = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, check=True
-        ).stdout
+        command = [sys.executable, "-c", program]
+        out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         assert out.startswith(f"False {said}"), out

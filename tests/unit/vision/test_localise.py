@@ -12,6 +12,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 from altd.vision.localise import locate
+from altd.vision.search import coarse_image, fit_background
 from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 
@@ -76,9 +77,8 @@ def test_noise_alone_is_no_spot(bits: int) -> None:
     scale = (1 << bits) / 256
     for noise in (0.5, 3, 30, 80):
         for _ in range(15):
-            empty = frame(
-                light(), rng, noise=noise * scale, background=rng.uniform(0, 150) * scale, bits=bits
-            )
+            grey = rng.uniform(0, 150) * scale
+            empty = frame(light(), rng, noise=noise * scale, background=grey, bits=bits)
             assert reason(locate(empty)) is Reason.SPOT_MISSING
 
 
@@ -129,9 +129,8 @@ def test_a_spot_at_the_edge_is_fitted_on_what_is_there(u: float, v: float) -> No
 
 def test_a_spot_at_the_edge_is_less_certain_than_a_whole_one() -> None:
     rng = np.random.default_rng(6)
-    whole, cut = (
-        found(locate(frame(light(Blob(u, 200)), rng), reference=UNKNOWN_SPOT)) for u in (200.0, 4.0)
-    )
+    frames = (frame(light(Blob(u, 200)), rng) for u in (200.0, 4.0))
+    whole, cut = (found(locate(each, reference=UNKNOWN_SPOT)) for each in frames)
     assert whole.excess_px == 0
     assert np.hypot(cut.sigma_px, cut.excess_px) > 2 * whole.sigma_px
 
@@ -177,3 +176,15 @@ def test_the_same_scene_in_8_10_and_16_bits_gives_the_same_place() -> None:
         spot = found(locate(frame(light(Blob(311.3, 207.9)) * scale, rng, 1.0 * scale, 8 * scale, bits)))
         positions.append((spot.u_px, spot.v_px))
     assert np.ptp(positions, axis=0).max() < 0.01
+
+
+def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    from_axis = np.hypot(u - WIDTH / 2 + 4, v - HEIGHT / 2 - 3) / 900.0  # in focal lengths
+    falling = 60 / (1 + from_axis**2) ** 2 * (1 + 0.3 * u / WIDTH - 0.2 * v / HEIGHT)
+    seen = frame(light() + falling, np.random.default_rng(1), noise=1.0, background=4.0)
+    background = fit_background(coarse_image(seen.pixels)).at((0.0, 0.0), (HEIGHT, WIDTH))
+    off = background - falling - 4.0
+    assert np.sqrt(np.mean(np.square(off))) < 0.15
+    assert np.abs(off).max() < 0.8  # in a corner
+    assert background[HEIGHT // 2, WIDTH // 2] - background[0, 0] > 10

@@ -34,10 +34,8 @@ def test_a_parabola_in_time_is_met_exactly_between_visits() -> None:
     visits = [place(t_s, *beam(t_s)) for t_s in (0.0, 10.0, 21.0, 30.0)]
     for t_s in (2.0, 12.5, 25.0):
         found = at_instant(visits, round(t_s * 1e9))
-        assert found is not None
         assert found.mm == pytest.approx(beam(t_s), abs=1e-9)
     exact = at_instant(visits, 21 * 10**9)
-    assert exact is not None
     assert exact.random_mm2[0, 0] == SIGMA_MM**2
 
 
@@ -50,7 +48,6 @@ def test_a_jump_between_two_visits_is_in_sigma() -> None:
         times = (0.0, 10.0, 20.0, 30.0)
         visits = [place(t, 0.5 * (t > jump_s) + rng.normal(0.0, SIGMA_MM)) for t in times]
         found = at_instant(visits, round(at_s * 1e9))
-        assert found is not None
         ratios.append((found.mm[0] - 0.5 * (at_s > jump_s)) / np.sqrt(found.random_mm2[0, 0]))
     assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.25
 
@@ -58,9 +55,8 @@ def test_a_jump_between_two_visits_is_in_sigma() -> None:
 def test_the_gain_is_that_of_a_weighted_line() -> None:
     """Of two targets at 0 and 60 m a place at 15 m has 3/4 and 1/4 of their movements; of one, its own."""
     same = [np.eye(2) * 1e-4] * 2
-    assert gain_at([0.0, 60e3], same, 15e3) == pytest.approx(
-        np.array([[0.75, 0.0, 0.25, 0.0], [0.0, 0.75, 0.0, 0.25]])
-    )
+    expected = np.array([[0.75, 0.0, 0.25, 0.0], [0.0, 0.75, 0.0, 0.25]])
+    assert gain_at([0.0, 60e3], same, 15e3) == pytest.approx(expected)
     assert np.array_equal(gain_at([20e3], same[:1], 55e3), np.eye(2))
     variances = [1e-4, 4e-4, 1e-4]
     z = np.array([0.0, 30e3, 60e3])
@@ -99,7 +95,6 @@ def test_the_rate_is_that_of_the_last_day_with_its_sigma() -> None:
         trend = Trend()
         for day in np.arange(0.0, 1.5, 0.002):
             rate = trend.add(displacement(day, 0.05 * day + rng.normal(0.0, SIGMA_MM)))
-        assert rate is not None
         errors.append((rate.mm_per_day[0] - 0.05) / rate.sigma[0])
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
     assert rate.sigma[0] < 0.002
@@ -150,7 +145,6 @@ def test_a_visits_last_exposures_count_and_unbelievable_light_is_not_known() -> 
     for observation in observations("aaaaaaabbb"):
         window.add(observation)
     visit = window.flush()
-    assert visit is not None
     assert [observation.sequence for observation in visit.visits["a"].own(4)] == [3, 4, 5, 6]
     assert visit.visits["a"].brightness("a", 4) == [150.0 * 35.0**2] * 4
     assert visit.visits["a"].brightness("b", 4) is None
@@ -158,7 +152,6 @@ def test_a_visits_last_exposures_count_and_unbelievable_light_is_not_known() -> 
         one = RoundWindow(("a",))
         one.add(Observation("a", "a", 0, 0, NoSpot(reason)))
         only = one.flush()
-        assert only is not None
         assert only.visits["a"].brightness("a", 4) == light
 
 

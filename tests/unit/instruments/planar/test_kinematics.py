@@ -9,11 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from altd.instruments.planar.geometry_fit import (
-    PARAMETERS,
-    NotIdentifiableError,
-    fit_geometry,
-)
+from altd.instruments.planar.geometry_fit import PARAMETERS, NotIdentifiableError, fit_geometry
 from altd.instruments.planar.kinematics import (
     Machine,
     double_triangle,
@@ -266,9 +262,8 @@ class TestSingularPoses:
 
     def test_clearance_of_a_path(self) -> None:
         found = clearance(machine(), [60.0, 100.0, 0.0], [60.0, 100.0, 40.0])
-        assert (found.turn_deg, found.leg, found.turn_at) == pytest.approx(
-            (APEX_ANGLE_DEG - 40.0, 1, 1.0), abs=1e-4
-        )
+        expected = APEX_ANGLE_DEG - 40.0, 1, 1.0
+        assert (found.turn_deg, found.leg, found.turn_at) == pytest.approx(expected, abs=1e-4)
         through = clearance(machine(), [60.0, 100.0, 45.0], [60.0, 100.0, 55.0])
         assert (through.turn_deg, through.leg) == (0.0, 1)
         assert through.turn_at == pytest.approx((APEX_ANGLE_DEG - 45.0) / 10.0, abs=1e-5)

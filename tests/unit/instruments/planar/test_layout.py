@@ -1,4 +1,4 @@
-"""Which lights are LEDs: by layout alone, and as a rigid plate."""
+"""Which lights are LEDs, by layout alone and as a rigid plate; the homography against OpenCV's."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from altd.instruments.planar.homography import (
+    apply_homography,
+    fit_homography,
+    fit_rims,
+    vanishing_line_homography,
+)
 from altd.instruments.planar.layout import (
     check_layout,
     placed_mm,
@@ -16,12 +22,12 @@ from altd.instruments.planar.layout import (
 )
 
 LEDS = np.array([(-41, -40), (-7, -39), (31, -32), (44, 16), (11, 3), (-38, 23), (2, 39)], dtype=float)
-PICTURE = np.array([[2.6, 0.2, 400.0], [0.1, -2.5, 380.0], [4e-4, -6e-4, 1.0]])
+TILTED = np.array([[2.6, 0.2, 400.0], [0.1, -2.5, 380.0], [4e-4, -6e-4, 1.0]])
 """A camera that is tilted by some 25°; v runs down."""
 
 
-def seen(points: np.ndarray) -> np.ndarray:
-    return np.asarray(cv2.perspectiveTransform(points[None], PICTURE)[0])
+def pictured(points: np.ndarray) -> np.ndarray:
+    return np.asarray(cv2.perspectiveTransform(points[None], TILTED)[0])
 
 
 def tolerances(count: int) -> np.ndarray:
@@ -82,16 +88,88 @@ def test_a_layout_without_symmetry_is_accepted() -> None:
 
 def test_the_layout_alone_tells_the_leds_in_a_tilted_picture() -> None:
     order = [4, 2, 6, 0, 1, 5]  # LED 3 is dark
-    lights = np.vstack([seen(placed_mm(LEDS, (5.0, -8.0, 70.0)))[order], (900.0, 40.0)])
+    lights = np.vstack([pictured(placed_mm(LEDS, (5.0, -8.0, 70.0)))[order], (900.0, 40.0)])
     assert projective_match(LEDS, lights) == tuple(sorted((led, at) for at, led in enumerate(order)))
 
 
 def test_a_mirrored_picture_of_the_layout_is_none() -> None:
     with pytest.raises(ValueError, match="no 6 fit the layout"):
-        projective_match(LEDS, seen(LEDS * (-1.0, 1.0)))
+        projective_match(LEDS, pictured(LEDS * (-1.0, 1.0)))
 
 
 def test_lights_at_random_are_no_layout() -> None:
     lights = np.random.default_rng(3).uniform(0, 1000, size=(7, 2))
     with pytest.raises(ValueError, match="7 lights are seen"):
         projective_match(LEDS, lights)
+
+
+TRUTH = np.array([[4.1, 0.2, 370.0], [-0.15, -3.9, 241.0], [4e-4, -7e-4, 1.0]])
+
+x, y = np.meshgrid((np.arange(7) - 3) * 25.0, (np.arange(5) - 2) * 25.0)
+NODES = np.column_stack([x.ravel(), y.ravel()])
+
+
+def seen(points: np.ndarray) -> np.ndarray:
+    return np.asarray(cv2.perspectiveTransform(points[None], TRUTH)[0])
+
+
+def test_exact_points_give_the_homography_by_the_vanishing_line_alone_and_refined() -> None:
+    direct = vanishing_line_homography(NODES, seen(NODES))
+    assert direct / direct[2, 2] == pytest.approx(TRUTH, rel=1e-6, abs=1e-9)
+    assert fit_homography(NODES, seen(NODES)) == pytest.approx(TRUTH, rel=1e-9, abs=1e-12)
+
+
+def test_four_points_are_enough() -> None:
+    corners = NODES[[0, 6, 28, 34]]
+    fitted = fit_homography(corners, seen(corners))
+    assert apply_homography(fitted, NODES) == pytest.approx(seen(NODES), abs=1e-6)
+
+
+def test_the_vanishing_line_is_what_is_mapped_to_infinity() -> None:
+    """Eq. 2.53: points with h7 x + h8 y + h9 = 0."""
+    line = vanishing_line_homography(NODES, seen(NODES))[2]
+    truth = TRUTH[2] / np.linalg.norm(TRUTH[2])
+    assert line * np.sign(line[2]) == pytest.approx(truth, abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.05, 1.0])
+def test_noisy_points_give_the_least_squares_of_opencv(noise: float) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        px = seen(NODES) + rng.normal(0, noise, NODES.shape)
+        theirs = cv2.findHomography(NODES, px, 0)[0]
+        ours = fit_homography(NODES, px)
+        assert apply_homography(ours, NODES) == pytest.approx(apply_homography(theirs, NODES), abs=1e-3)
+        squares = [np.square(apply_homography(h, NODES) - px).sum() for h in (ours, theirs)]
+        assert squares[0] <= squares[1] * (1 + 1e-9)
+
+
+def test_refining_takes_the_algebraic_bias_away() -> None:
+    rng = np.random.default_rng(2)
+    px = seen(NODES) + rng.normal(0, 2.0, NODES.shape)
+    direct, refined = vanishing_line_homography(NODES, px), fit_homography(NODES, px)
+    squares = [np.square(apply_homography(h, NODES) - px).sum() for h in (refined, direct)]
+    assert squares[0] < squares[1]
+
+
+def test_points_that_leave_it_undetermined_are_refused() -> None:
+    with pytest.raises(ValueError, match="3 points are too few"):
+        fit_homography(NODES[:3], seen(NODES[:3]))
+    with pytest.raises(ValueError, match="on a line"):
+        fit_homography(NODES[:7], seen(NODES[:7]))
+    three_on_a_line = NODES[[0, 1, 2, 30]]
+    with pytest.raises(ValueError, match="undetermined"):
+        fit_homography(three_on_a_line, seen(three_on_a_line))
+
+
+def test_rims_of_circles_give_the_homography_whatever_their_radius() -> None:
+    # of a circle the middle is not seen in the middle: its rim tells
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    circle = 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    rims = [seen(node + circle) for node in NODES]
+    middles = np.array([rim.mean(axis=0) for rim in rims])
+    back = np.linalg.inv(TRUTH)
+    by_middles = fit_homography(middles, NODES)
+    assert np.abs(apply_homography(by_middles, seen(NODES)) - NODES).max() > 1e-3
+    refined = fit_rims(by_middles, rims, NODES, 2.7)
+    assert refined == pytest.approx(back / back[2, 2], rel=1e-6, abs=1e-9)
