@@ -10,7 +10,18 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.history import ABOUT, START_S, batch, event, renamed, sample, store, write_seconds
+from support.history import (
+    ABOUT,
+    START_S,
+    batch,
+    event,
+    forge,
+    record_seconds,
+    renamed,
+    sample,
+    store,
+    write_seconds,
+)
 
 from altd.history import opening
 from altd.history import store as store_module
@@ -43,9 +54,9 @@ def test_a_damaged_file_is_moved_aside_and_a_new_one_begun(tmp_path: Path) -> No
 
 def test_pages_that_are_damaged_are_found_after_a_crash(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0] * 30)
-    writing.end(None)  # the pages are in the file, and it does not say that it was ended
+    record_seconds(
+        tmp_path, START_S, [10.0] * 30
+    )  # the pages are in the file, and it does not say that it was ended
     content = bytearray(path.read_bytes())
     for page in range(8, len(content) // 4096, 3):
         content[page * 4096 : page * 4096 + 64] = os.urandom(64)
@@ -84,9 +95,7 @@ def test_a_history_of_another_unit_is_kept_and_none_of_this_ones(tmp_path: Path)
     assert [aside.name in notice.text for notice in written.notices] == [True, False]
 
 
-def test_of_two_daemons_on_one_history_the_second_writes_nothing_until_the_first_has_ended(
-    tmp_path: Path,
-) -> None:
+def test_of_two_daemons_on_one_history_the_second_writes_once_the_first_has_ended(tmp_path: Path) -> None:
     first, second = store(tmp_path), store(tmp_path)
     first.write(batch(START_S + 1, [sample(START_S, sequence=1)]))
     with pytest.raises(UnusableFileError, match="another daemon writes it"):
@@ -105,9 +114,8 @@ def test_a_daemon_that_was_killed_holds_the_history_no_more(tmp_path: Path) -> N
         "import os, sys; from pathlib import Path; from altd.history.opening import WriteLock;"
         "WriteLock(Path(sys.argv[1])); print('held', flush=True); os.kill(os.getpid(), 9)"
     )
-    killed = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "history.db")], capture_output=True, check=False
-    )
+    command = [sys.executable, "-c", code, str(tmp_path / "history.db")]
+    killed = subprocess.run(command, capture_output=True, check=False)
     assert (killed.stdout, killed.returncode) == (b"held\n", -9)
     writing = store(tmp_path)
     writing.write(batch(START_S + 1, [sample(START_S)]))
@@ -116,16 +124,11 @@ def test_a_daemon_that_was_killed_holds_the_history_no_more(tmp_path: Path) -> N
 
 def test_a_newer_history_is_left_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0])
-    writing.end(None)
-    with sqlite3.connect(path) as foreign:
-        foreign.execute(f"PRAGMA user_version = {VERSION + 1}")
-    foreign.close()
+    record_seconds(tmp_path, START_S, [10.0])
+    forge(path, f"PRAGMA user_version = {VERSION + 1}")
     before = path.read_bytes()
-    with pytest.raises(
-        NewerFileError, match=f"is of version {VERSION + 1}, and this program knows {VERSION}"
-    ):
+    said = f"is of version {VERSION + 1}, and this program knows {VERSION}"
+    with pytest.raises(NewerFileError, match=said):
         store(tmp_path).write(batch(START_S + 9))
     assert path.read_bytes() == before
     with pytest.raises(NewerFileError):
@@ -134,9 +137,7 @@ def test_a_newer_history_is_left_as_it_is(tmp_path: Path) -> None:
 
 def test_a_database_of_something_else_is_left_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
-    with sqlite3.connect(path) as foreign:
-        foreign.execute("CREATE TABLE recipes (name TEXT)")
-    foreign.close()
+    forge(path, "CREATE TABLE recipes (name TEXT)")
     before = path.read_bytes()
     with pytest.raises(UnusableFileError, match="is a database, but no history"):
         store(tmp_path).write(batch(START_S))
@@ -156,9 +157,7 @@ def test_a_database_of_something_else_is_left_as_it_is(tmp_path: Path) -> None:
     ],
 )
 def test_a_file_with_other_tables_is_not_believed(tmp_path: Path, statement: str) -> None:
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0])
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [10.0])
     with sqlite3.connect(tmp_path / "history.db") as foreign:
         foreign.executescript(statement)
     foreign.close()
@@ -168,9 +167,7 @@ def test_a_file_with_other_tables_is_not_believed(tmp_path: Path, statement: str
 
 @pytest.mark.parametrize("value", ["'text'", "x'00ff'", "1e308"])
 def test_a_forged_number_is_an_error_and_no_number(tmp_path: Path, value: str) -> None:
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0])
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [10.0])
     with sqlite3.connect(tmp_path / "history.db") as foreign:
         foreign.execute(f"UPDATE measurements SET value_0 = {value}")
         foreign.execute(f"UPDATE seconds SET n = {value}")
@@ -366,9 +363,7 @@ def test_a_reader_that_does_not_end_stops_the_writing_before_the_log_fills_the_d
 
 
 def test_a_copy_in_a_folder_that_cannot_be_written_is_read(tmp_path: Path) -> None:
-    writing = store(tmp_path, ABOUT)
-    write_seconds(writing, START_S, [10.0])
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [10.0])
     copy = tmp_path / "copy"
     copy.mkdir()
     shutil.copy(tmp_path / "history.db", copy)

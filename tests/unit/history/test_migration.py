@@ -56,9 +56,7 @@ def test_it_has_the_tables_that_a_new_one_has(old: Path, tmp_path: Path) -> None
     for path in (old, tmp_path / "new" / "history.db"):
         with sqlite3.connect(path) as foreign:
             parts = foreign.execute("SELECT type, name, tbl_name, sql FROM sqlite_schema").fetchall()
-            found.append(
-                sorted((*about, sorted((sql or "").strip(")").split(", "))) for *about, sql in parts)
-            )
+            found.append(sorted((*of, sorted((sql or "").strip(")").split(", "))) for *of, sql in parts))
             assert foreign.execute("PRAGMA user_version").fetchone() == (VERSION,)
         foreign.close()
     assert found[0] == found[1]

@@ -180,9 +180,8 @@ class TestHistory:
 
     async def test_no_more_than_some_wait(self, path: Path) -> None:
         history, may_go = History(path), threading.Event()
-        waiting = [
-            asyncio.create_task(history.ask(lambda reader: may_go.wait(60))) for _ in range(MAX_WAITING)
-        ]
+        asked = (history.ask(lambda reader: may_go.wait(60)) for _ in range(MAX_WAITING))
+        waiting = [asyncio.create_task(each) for each in asked]
         await asyncio.sleep(0.05)
         with pytest.raises(NoHistoryError, match=f"{MAX_WAITING} ask the history already"):
             await history.ask(lambda reader: reader.events(0, 1))

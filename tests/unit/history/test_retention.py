@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.history import START_S, US, batch, event, sample, state, store, write_seconds
+from support.history import START_S, US, batch, event, record_seconds, sample, state, store, write_seconds
 
 from altd.history import retention
 from altd.history.reader import Reader
@@ -45,22 +45,16 @@ def test_measurements_of_before_a_restart_go_when_the_daemon_has_run_for_an_hour
         assert [one.sequence for one in reader.measurements_after(0, 99)] == [3]
 
 
-def test_measurements_are_bounded_by_their_number_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_measurements_are_bounded_by_number_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retention, "MAX_MEASUREMENTS", 50)
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0] * 10)
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [10.0] * 10)
     with read(tmp_path) as reader:
         assert len(reader.measurements_after(0, 999)) == 50
 
 
 def test_seconds_are_bounded_and_the_oldest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retention, "SECONDS", replace(SECONDS, max_rows=20))
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0] * 50, rate=1)
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [10.0] * 50, rate=1)
     with read(tmp_path) as reader:
         rows = [row.t_us // US - START_S for row in reader.summaries(SECONDS, 0, 2**62)]
         assert rows == list(range(30, 50))
@@ -101,9 +95,8 @@ def test_the_size_is_bounded_seconds_go_before_minutes_and_it_is_said(tmp_path: 
     for part in range(80):
         items = [state(START_S + part * 400 + n, 4, f"reason_{part}") for n in range(400)]
         items += [sample(START_S + part * 400 + n, 10.0 + n) for n in range(0, 400, 1)]
-        written = writing.write(
-            batch(START_S + part * 400 + 401, sorted(items, key=lambda item: item.wall_us))
-        )
+        ordered = sorted(items, key=lambda item: item.wall_us)
+        written = writing.write(batch(START_S + part * 400 + 401, ordered))
         notices += written.notices
         files = sum(file.stat().st_size for file in tmp_path.iterdir())
         assert files < limit
@@ -118,9 +111,7 @@ def test_the_size_is_bounded_seconds_go_before_minutes_and_it_is_said(tmp_path: 
     assert path.stat().st_size < limit
 
 
-def test_of_the_events_the_oldest_of_the_least_severe_go(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_oldest_of_the_least_severe_events_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retention, "MAX_EVENTS", 30)
     monkeypatch.setattr(retention, "_EVENTS_AT_ONCE", 10)
     writing = store(tmp_path)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from support.history import ABOUT, START_S, US, batch, state, store, write_seconds
+from support.history import ABOUT, START_S, US, batch, record_seconds, state, store, write_seconds
 
 from altd.history.reader import Reader
 from altd.history.records import ClockSet
@@ -24,9 +24,7 @@ VALID, LOST = 10.0, None
 
 def ran(folder: Path, first_s: int, seconds: int, x_mm: float | None = VALID) -> None:
     """A daemon that ran for so long, with four measurements a second."""
-    writing = store(folder)
-    write_seconds(writing, first_s, [x_mm] * seconds, rate=4)
-    writing.end(None)
+    record_seconds(folder, first_s, [x_mm] * seconds, rate=4)
 
 
 def before(folder: Path, start_s: float, back_s: float = HOUR_S) -> Before:
@@ -52,9 +50,7 @@ def test_what_ran_stood_still_and_was_lost_before_the_start_adds_up(tmp_path: Pa
 
 
 def test_a_minute_half_valid_counts_half(tmp_path: Path) -> None:
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [VALID] * 30 + [LOST] * 30, rate=4)
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [VALID] * 30 + [LOST] * 30, rate=4)
     shown = last_hour(tmp_path, START_S + 60)
     assert shown["valid_s"] == pytest.approx(30, abs=1)
     assert shown["lost_s"] == pytest.approx({"spot_missing": 30}, abs=2)
@@ -85,9 +81,8 @@ def test_what_was_more_than_a_day_ago_is_told_by_hours(tmp_path: Path) -> None:
 def test_no_more_than_the_span_is_told_and_nothing_before_the_first_record(tmp_path: Path) -> None:
     ran(tmp_path, START_S, 240)
     assert before(tmp_path, START_S + 240, back_s=90).known_s == 90
-    assert sum(span.length_s for span in before(tmp_path, START_S + 240, back_s=90).spans) == pytest.approx(
-        90, abs=1
-    )
+    spans = before(tmp_path, START_S + 240, back_s=90).spans
+    assert sum(span.length_s for span in spans) == pytest.approx(90, abs=1)
     assert before(tmp_path, START_S + 240).known_s == pytest.approx(240, abs=1)
 
 

@@ -7,7 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.history import ABOUT, START_S, US, at, batch, event, renamed, sample, state, store, write_seconds
+from support.history import (
+    ABOUT,
+    START_S,
+    US,
+    at,
+    batch,
+    event,
+    record_seconds,
+    recorded,
+    renamed,
+    sample,
+    state,
+    store,
+    write_seconds,
+)
 
 from altd.history.columns import columns_of
 from altd.history.reader import Reader
@@ -41,26 +55,17 @@ def test_a_measurement_comes_back_as_it_was_published(tmp_path: Path) -> None:
 
 
 def test_an_invalid_one_has_its_reasons_and_no_number(tmp_path: Path) -> None:
-    writing = store(tmp_path)
-    writing.write(batch(START_S + 2, [sample(START_S, None, 7, Reason.SATURATED)]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    with recorded(tmp_path, batch(START_S + 2, [sample(START_S, None, 7, Reason.SATURATED)])) as reader:
         (stored,) = reader.measurements_after(0, 10)
-    assert (stored.valid, stored.status, stored.values, stored.sigmas) == (
-        False,
-        ("front_saturated",),
-        {},
-        {},
-    )
+    assert (stored.valid, stored.status) == (False, ("front_saturated",))
+    assert (stored.values, stored.sigmas) == ({}, {})
 
 
 def test_a_summary_has_mean_and_extremes_of_the_valid_ones_alone(tmp_path: Path) -> None:
-    writing = store(tmp_path)
     items = [sample(START_S + 0.1, 10.0), sample(START_S + 0.2, None), sample(START_S + 0.3, 10.0009)]
     items.append(sample(START_S + 0.4, 9.9999, 1, Reason.SIMULATED))
-    writing.write(batch(START_S + 2, [state(START_S + 0.5, 2, "front_spot_missing"), *items]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    made = batch(START_S + 2, [state(START_S + 0.5, 2, "front_spot_missing"), *items])
+    with recorded(tmp_path, made) as reader:
         for table in (SECONDS, MINUTES, HOURS):
             (row,) = reader.summaries(table, 0, 2**62)
             assert (row.t_us, row.span_us) == (START_S * US, table.span_s * US)
@@ -72,39 +77,29 @@ def test_a_summary_has_mean_and_extremes_of_the_valid_ones_alone(tmp_path: Path)
 
 
 def test_a_second_without_a_valid_measurement_has_no_number(tmp_path: Path) -> None:
-    writing = store(tmp_path)
-    writing.write(batch(START_S + 2, [state(START_S, 4, "stale")]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    with recorded(tmp_path, batch(START_S + 2, [state(START_S, 4, "stale")])) as reader:
         (row,) = reader.summaries(SECONDS, 0, 2**62)
     assert (row.n, row.n_valid, row.values, row.worst, row.worst_code) == (0, 0, {}, 4, "stale")
 
 
 def test_a_second_that_comes_in_two_batches_is_one_row(tmp_path: Path) -> None:
-    writing = store(tmp_path)
-    writing.write(batch(START_S + 1.1, [sample(START_S + 0.1, 10.0)]))
-    writing.write(batch(START_S + 1.9, [sample(START_S + 0.8, 11.0)]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    one = batch(START_S + 1.1, [sample(START_S + 0.1, 10.0)])
+    two = batch(START_S + 1.9, [sample(START_S + 0.8, 11.0)])
+    with recorded(tmp_path, one, two) as reader:
         (row,) = reader.summaries(SECONDS, 0, 2**62)
     assert (row.n, row.values["x_mm"].mean) == (2, 10.5)
 
 
 def test_what_waited_for_a_slow_disk_is_written_whole(tmp_path: Path) -> None:
-    writing = store(tmp_path)
     items = [one for n in range(100) for one in (state(START_S + n), sample(START_S + n, 10.0 + n))]
-    writing.write(batch(START_S + 101, items))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    with recorded(tmp_path, batch(START_S + 101, items)) as reader:
         rows = list(reader.summaries(SECONDS, 0, 2**62))
         assert [row.values["x_mm"].mean for row in rows] == [10.0 + n for n in range(100)]
         assert sum(row.n for row in reader.summaries(MINUTES, 0, 2**62)) == 100
 
 
 def test_minutes_hold_what_their_seconds_hold(tmp_path: Path) -> None:
-    writing = store(tmp_path)
-    write_seconds(writing, START_S, [10.0 + number * 0.01 for number in range(70)], rate=2)
-    writing.end(None)
+    record_seconds(tmp_path, START_S, [10.0 + number * 0.01 for number in range(70)], rate=2)
     with read(tmp_path) as reader:
         first, second = reader.summaries(MINUTES, 0, 2**62)
         seconds = list(reader.summaries(SECONDS, 0, 2**62))
@@ -129,13 +124,11 @@ def test_after_a_restart_the_same_minute_has_a_second_row_and_the_first_stays(tm
 
 
 def test_a_clock_that_is_set_back_overwrites_nothing_and_keeps_the_order(tmp_path: Path) -> None:
-    writing = store(tmp_path)
     later, earlier = START_S + 100, 5  # 1970
-    writing.write(batch(later + 1, [sample(later, 10.0, 1)]))
-    writing.write(batch(later + 2, [ClockSet(earlier * US), sample(earlier, 11.0, 2)]))
-    writing.write(batch(later + 3, [ClockSet(later * US), sample(later, 12.0, 3)]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    one = batch(later + 1, [sample(later, 10.0, 1)])
+    two = batch(later + 2, [ClockSet(earlier * US), sample(earlier, 11.0, 2)])
+    three = batch(later + 3, [ClockSet(later * US), sample(later, 12.0, 3)])
+    with recorded(tmp_path, one, two, three) as reader:
         stored = reader.measurements_after(0, 9)
         assert [one.sequence for one in stored] == [1, 2, 3]
         assert [one.t_us // US for one in stored] == [later, earlier, later]
@@ -144,22 +137,15 @@ def test_a_clock_that_is_set_back_overwrites_nothing_and_keeps_the_order(tmp_pat
 
 
 def test_within_an_epoch_time_does_not_go_back(tmp_path: Path) -> None:
-    writing = store(tmp_path)
     late = Sample(round((START_S + 5.1) * US), at(START_S + 3))
-    writing.write(batch(START_S + 6, [sample(START_S + 4.5), late]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    with recorded(tmp_path, batch(START_S + 6, [sample(START_S + 4.5), late])) as reader:
         first, second = reader.measurements_after(0, 9)
     assert first.t_us == second.t_us
 
 
-def test_a_measurement_with_a_time_that_cannot_be_is_kept_at_the_time_it_was_published(
-    tmp_path: Path,
-) -> None:
-    writing = store(tmp_path)
-    writing.write(batch(START_S + 6, [Sample((START_S + 5) * US, at(START_S + 5 + 86_400))]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+def test_a_measurement_of_an_impossible_time_is_kept_at_the_time_it_was_published(tmp_path: Path) -> None:
+    made = batch(START_S + 6, [Sample((START_S + 5) * US, at(START_S + 5 + 86_400))])
+    with recorded(tmp_path, made) as reader:
         (stored,) = reader.measurements_after(0, 9)
     assert stored.t_us == (START_S + 5) * US
 
@@ -168,10 +154,7 @@ def test_roll_of_a_sensor_is_kept_while_the_beam_is_lost(tmp_path: Path) -> None
     about = About(columns_of(QUANTITIES.with_sensor("roll_deg"), ("front", "rear")))
     roll = {"roll_deg": SensorValue(Quality.GOOD, "", 1.25, 0.01, 0, 0.0, 2**62)}
     lost = replace(at(START_S, None), from_sensors=roll)
-    writing = store(tmp_path, about)
-    writing.write(batch(START_S + 2, [Sample((START_S + 1) * US, lost)]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    with recorded(tmp_path, batch(START_S + 2, [Sample((START_S + 1) * US, lost)]), about=about) as reader:
         (row,) = reader.summaries(SECONDS, 0, 2**62)
         (point,) = reader.trend(START_S * US, (START_S + 10) * US, 10).points
     assert (row.n_valid, row.values["roll_deg"].mean, row.values["roll_deg"].sigma) == (0, 1.25, 0.01)
@@ -182,9 +165,8 @@ def test_a_sensor_that_is_fitted_later_gets_its_columns_and_what_was_before_stay
     first = store(tmp_path)
     first.write(batch(START_S + 2, [sample(START_S, 10.0)]))
     first.end(None)
-    second = store(
-        tmp_path, About(columns_of(QUANTITIES.with_sensor("roll_deg"), ("front", "rear", "third")))
-    )
+    with_roll = QUANTITIES.with_sensor("roll_deg")
+    second = store(tmp_path, About(columns_of(with_roll, ("front", "rear", "third"))))
     second.write(batch(START_S + 9, [sample(START_S + 8, 11.0)]))
     second.end(None)
     with read(tmp_path) as reader:
@@ -196,12 +178,9 @@ def test_a_sensor_that_is_fitted_later_gets_its_columns_and_what_was_before_stay
 
 class TestEvents:
     def test_come_back_newest_first_by_kind_and_time(self, tmp_path: Path) -> None:
-        writing = store(tmp_path)
         kinds = (EventKind.STATE, EventKind.REQUEST, EventKind.STATE)
         events = [event(n, START_S + n, kind, 1, f"text {n}") for n, kind in enumerate(kinds)]
-        writing.write(batch(START_S + 4, [], events))
-        writing.end(None)
-        with read(tmp_path) as reader:
+        with recorded(tmp_path, batch(START_S + 4, [], events)) as reader:
             assert [one.text for one in reader.events(0, 2**62)][:3] == ["text 2", "text 1", "text 0"]
             assert [one.text for one in reader.events(0, 2**62, ["request"])] == ["text 1"]
             assert [one.text for one in reader.events(START_S * US, (START_S + 1) * US)] == ["text 0"]
@@ -209,21 +188,15 @@ class TestEvents:
             assert [one.text for one in reader.events(0, 2**62, before=newest.id)][:2] == ["text 1", "text 0"]
 
     def test_a_quotation_mark_is_a_letter(self, tmp_path: Path) -> None:
-        writing = store(tmp_path)
         text = "'); DROP TABLE events; --"
-        writing.write(batch(START_S + 4, [], [event(1, START_S, text=text)]))
-        writing.end(None)
-        with read(tmp_path) as reader:
+        with recorded(tmp_path, batch(START_S + 4, [], [event(1, START_S, text=text)])) as reader:
             assert reader.events(0, 2**62)[0].text == text
             assert reader.events(0, 2**62, [text]) == []
 
 
 def test_a_detail_that_is_no_json_costs_itself_and_nothing_else(tmp_path: Path) -> None:
-    writing = store(tmp_path)
     strange = replace(event(1, START_S, text="strange"), detail={"a": float("nan")})
-    writing.write(batch(START_S + 4, [sample(START_S)], [strange, event(2, START_S)]))
-    writing.end(None)
-    with read(tmp_path) as reader:
+    with recorded(tmp_path, batch(START_S + 4, [sample(START_S)], [strange, event(2, START_S)])) as reader:
         assert [(one.text, one.detail) for one in reader.events(0, 2**62)][:2] == [("t", {}), ("strange", {})]
         assert len(reader.measurements_after(0, 9)) == 1
 

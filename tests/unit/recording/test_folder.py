@@ -225,9 +225,8 @@ def add_opaque(path: Path, *names: str) -> None:
     """Give frames.csv a column ``opaque`` with these names, row by row."""
     lines = (path / "frames.csv").read_text().splitlines()
     cells = ("opaque", *names)
-    (path / "frames.csv").write_text(
-        "".join(f"{line},{cell}\n" for line, cell in zip(lines, cells, strict=True))
-    )
+    table = "".join(f"{line},{cell}\n" for line, cell in zip(lines, cells, strict=True))
+    (path / "frames.csv").write_text(table)
 
 
 def test_a_row_names_the_target_that_is_switched_to_show_the_spot(recording: Path) -> None:

@@ -1,4 +1,4 @@
-"""Distance of the truth from a mean of the past, by formulas of motion."""
+"""Distance of the truth from a mean of the past, by formulas of motion; numbers of things in sentences."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from altd.records import counted
 from altd.records.spots import Motion
 
 TIMES_S = (np.arange(20) - 9.5) / 20.0
@@ -47,3 +48,10 @@ def test_a_beam_that_left_goes_on_from_where_it_was_seen_last() -> None:
 @pytest.mark.parametrize(("probable_rate", "acceleration"), [(None, None), (0.1, None), (None, 0.1)])
 def test_what_was_not_seen_is_not_known(probable_rate: float | None, acceleration: float | None) -> None:
     assert Motion(0.1, 0.1, 0.1, 0.0, 0.4, 0.1, probable_rate, acceleration).variance_since(1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("number", "said"), [(0, "0 exposures"), (1, "1 exposure"), (2, "2 exposures"), (21, "21 exposures")]
+)
+def test_only_one_is_singular(number: int, said: str) -> None:
+    assert counted(number, "exposure") == said

@@ -9,14 +9,7 @@ from typing import Any, cast
 import pytest
 from support.clock import START
 
-from altd.status.availability import (
-    MAX_GAP_S,
-    NOT_RUNNING,
-    NOT_WATCHED,
-    Availability,
-    Before,
-    RunningSpan,
-)
+from altd.status.availability import MAX_GAP_S, NOT_RUNNING, NOT_WATCHED, Availability, Before, RunningSpan
 
 SECOND = 10**9
 

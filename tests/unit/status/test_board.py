@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -10,6 +12,7 @@ from support.measurements import measurement, points_of
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
 from altd.status.board import Board
+from altd.status.proof import Identity, Stamps, crc32, unit_number
 
 
 @pytest.fixture
@@ -34,7 +37,6 @@ async def test_a_value_that_nothing_follows_loses_its_numbers(board: Board, cloc
     assert board.read() is published
     await clock.advance(0.001)
     stale = board.read()
-    assert stale is not None
     assert not stale.valid
     assert points_of(stale) == {"front": None, "rear": None}
     assert [fault.reason for fault in stale.status] == [Reason.STALE]
@@ -68,12 +70,9 @@ async def test_readers_have_places_of_their_own(board: Board) -> None:
 async def test_what_waited_on_its_way_is_as_old_as_its_light(board: Board, clock: FakeClock) -> None:
     """As when the process was held for 10 s and then measures the frames that lay in its buffers."""
     await clock.advance(20.0)
-    waited = replace(
-        measurement(), t_ns=clock.now_ns - 10_500_000_000, last_exposure_ns=clock.now_ns - 10**10
-    )
+    waited = replace(measurement(), t_ns=clock.now_ns - 105 * 10**8, last_exposure_ns=clock.now_ns - 10**10)
     board.publish(waited)
     read = board.read()
-    assert read is not None
     assert (read.valid, [fault.reason for fault in read.status]) == (False, [Reason.STALE])
     board.publish(replace(waited, last_exposure_ns=clock.now_ns - 50_000_000))
     assert board.read() == replace(waited, last_exposure_ns=clock.now_ns - 50_000_000)
@@ -86,7 +85,6 @@ async def test_a_long_window_is_as_young_as_its_last_exposure(board: Board, cloc
     assert board.read() is mean
     await clock.advance(0.95)
     stale = board.read()
-    assert stale is not None
     assert not stale.valid
 
 
@@ -94,7 +92,6 @@ async def test_what_claims_to_be_of_the_future_ages_all_the_same(board: Board, c
     board.publish(replace(measurement(), t_ns=clock.now_ns + 3600 * 10**9))
     await clock.advance(1.001)
     read = board.read()
-    assert read is not None
     assert not read.valid
 
 
@@ -119,6 +116,45 @@ def test_in_a_rehearsal_it_keeps_its_numbers_and_every_measurement_says_so(clock
         assert [fault.reason for fault in published.status] == [*origin, Reason.REHEARSAL]
     board.publish(measurement(4, 0, Reason.SPOT_MISSING))
     lost = board.read()
-    assert lost is not None
     assert not lost.valid
     assert Reason.REHEARSAL in {fault.reason for fault in lost.status}
+
+
+def test_the_crc_is_that_of_ieee_802_3() -> None:
+    assert crc32(b"123456789") == 0xCBF43926
+
+
+def test_a_session_is_new_with_every_start() -> None:
+    sessions = {Identity.drawn("ALT-0007").session for _ in range(50)}
+    assert len(sessions) == 50
+    assert all(session is not None and 0 < session < 0xFFFF_FFFF for session in sessions)
+    assert {Identity.drawn("ALT-0007").unit for _ in range(3)} == {unit_number("ALT-0007")}
+
+
+def test_another_process_draws_another_session() -> None:
+    script = "from altd.status.proof import Identity; print(Identity.drawn('A').session)"
+    command = [sys.executable, "-c", script]
+    drawn = {subprocess.run(command, check=True, capture_output=True).stdout for _ in range(2)}
+    assert len(drawn) == 2
+
+
+def test_messages_and_the_clock_advance() -> None:
+    clock = FakeClock(3_000_000_000)
+    stamps = Stamps(Board(clock, 1.0, QUANTITIES, Identity(1, 2)))
+    first = stamps.next()
+    clock.now_ns += 1_999_999
+    second = stamps.next()
+    assert (first.message, first.clock_ms) == (1, 0)
+    assert (second.message, second.clock_ms) == (2, 1)
+    clock.now_ns = 3_000_000_000 + 0xFFFF_FFFF * 1_000_000
+    assert stamps.next().clock_ms == 0, "0xFFFFFFFF would read as not known"
+
+
+def test_the_counts_of_two_faces_are_their_own() -> None:
+    board = Board(FakeClock(), 1.0, QUANTITIES, Identity(1, 2))
+    ours, theirs = Stamps(board), Stamps(board)
+    assert [ours.next().message, ours.next().message, theirs.next().message] == [1, 2, 1]
+
+
+def test_units_are_told_apart_by_their_serial_numbers() -> None:
+    assert len({unit_number(f"ALT-{number:04}") for number in range(2000)}) == 2000

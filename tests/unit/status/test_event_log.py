@@ -136,9 +136,7 @@ class TestStateEvents:
             await clock.advance(0.5)
             board.publish(measurement(sequence, clock.now_ns))
         await stop(running)
-        told = [
-            (str(event.kind), event.detail.get("code", event.text), event.severity) for event in log.after(0)
-        ]
+        told = [(str(one.kind), one.detail.get("code", one.text), one.severity) for one in log.after(0)]
         came = told.index(("cause_came", "out_of_range", 2))
         went = told.index(("cause_went", "out_of_range", 2))
         assert came < went
@@ -172,7 +170,7 @@ class TestStateEvents:
         assert told.detail["shift_px"] == {"front": [0.12, -0.3], "rear": None}
 
 
-def test_a_fault_has_a_target_and_so_has_its_event(
+def test_an_event_has_the_target_of_its_fault(
     log: EventLog, board: Board, health: Health, clock: FakeClock
 ) -> None:
     observer = StateEvents(log, UnitState(board, health, clock).read, health.self_check, clock)

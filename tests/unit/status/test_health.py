@@ -21,11 +21,7 @@ def test_a_message_that_holds_a_time_counts() -> None:
     assert component.message == "no frame for 6 s"
     components = health.as_object()["components"]
     assert isinstance(components, dict)
-    assert components["camera front"] == {
-        "state": "degraded",
-        "message": "no frame for 6 s",
-        "for_s": 5.8,
-    }
+    assert components["camera front"] == {"state": "degraded", "message": "no frame for 6 s", "for_s": 5.8}
 
 
 def test_a_figure_that_is_too_old_is_not_known_and_keeps_its_key() -> None:

@@ -107,10 +107,8 @@ class Feed:
                 spot = Spot(0.0, 0.0, 0.01, 40.0, 100.0, light_per_ms=100.0)
                 if target == "front":
                     spot = replace(spot, excess_px=excess_px, light_per_ms=light)
-                of_front = replace(
-                    located(target, second, self.minute * BUCKET_NS + second * SECOND),
-                    spot=spot,
-                )
+                t_ns = self.minute * BUCKET_NS + second * SECOND
+                of_front = replace(located(target, second, t_ns), spot=spot)
                 if second % 5 == 0:
                     of_front = replace(of_front, dust=next(dust) if target == "front" else CLEAN)
                 self.trends.add(of_front)
@@ -157,9 +155,8 @@ class TestSpotTrends:
         feed = Feed()
         assert feed.run(12, 100.0, excess_px=0.1) == []
         assert feed.run(12, 100.0, excess_px=0.35) == []
-        assert feed.run(12, 100.0, excess_px=0.40) == [
-            "residuals_rising front: 67% of what makes it distorted"
-        ]
+        said = feed.run(12, 100.0, excess_px=0.40)
+        assert said == ["residuals_rising front: 67% of what makes it distorted"]
         assert len(feed.run(12, 100.0, excess_px=0.34)) == 1
         assert feed.run(12, 100.0, excess_px=0.30) == []
 
@@ -167,9 +164,8 @@ class TestSpotTrends:
         feed = Feed()
         assert feed.run(15, 100.0) == []
         assert feed.run(15, 100.0, covered=(0, 0, 0, 7)) == []  # 0.18 %
-        assert feed.run(15, 100.0, covered=(0, 0, 0, 9)) == [
-            "dusty front: 0.22% of the area under the spot are covered"
-        ]
+        said = feed.run(15, 100.0, covered=(0, 0, 0, 9))
+        assert said == ["dusty front: 0.22% of the area under the spot are covered"]
 
     def test_dust_is_not_told_by_less_than_five_minutes_nor_for_ever_after_cleaning(self) -> None:
         feed = Feed()

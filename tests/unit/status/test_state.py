@@ -48,9 +48,7 @@ def test_every_cause_is_listed_the_worst_first() -> None:
 
 
 @pytest.mark.parametrize("reason", Reason)
-def test_a_measurement_that_is_not_plainly_valid_is_never_good_not_even_for_an_instant(
-    reason: Reason,
-) -> None:
+def test_a_measurement_that_is_not_plainly_valid_is_never_good_even_for_an_instant(reason: Reason) -> None:
     unit = Unit()
     unit.measure(for_s=30)
     unit.publish(Fault(reason))
@@ -91,9 +89,8 @@ def test_a_watch_that_breaks_is_a_failure_and_hides_no_other_cause() -> None:
     def broken(now_ns: int) -> list[Cause]:
         raise ZeroDivisionError
 
-    state = UnitState(
-        unit.board, unit.health, unit.clock, [broken, lambda now_ns: [Cause(Condition.TOO_HOT)]]
-    )
+    watches = [broken, lambda now_ns: [Cause(Condition.TOO_HOT)]]
+    state = UnitState(unit.board, unit.health, unit.clock, watches)
     unit.clock.now_ns += round(60e9)
     unit.publish()
     report = state.read()

@@ -1,33 +1,77 @@
-"""A round as JSON: the contract of ``targets``, held against its model and against the history's rows."""
+"""A measurement and a round as JSON: what is true now, and the contract of ``targets``."""
 
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
 import pytest
 from pydantic import ValidationError
 from support.clock import FakeClock
 from support.measurements import measurement_of_row
 
+from altd.files.documents import line_of
 from altd.history.records import StoredMeasurement
 from altd.publish.http.metrics import Metrics
 from altd.publish.mqtt.messages import Topics, summary_of
 from altd.publish.mqtt.publisher import discovery_of
 from altd.reasons import Reason
-from altd.records import Fault
+from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.measurement_json import as_object, checked_line, targets_object
+from altd.status.measurement_json import as_object, as_object_now, checked_line, targets_object
 from altd.status.models import measurement_model
 from altd.status.proof import Stamps
+from tools.pages.example import AGE_S, MEASURED
+
+KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+
+
+def test_what_replay_writes_stays_as_it_is_and_nothing_of_now_is_in_it() -> None:
+    assert as_object_now(MEASURED, AGE_S).items() >= as_object(MEASURED).items()
+    assert "now" not in line_of(as_object(MEASURED))
+    assert "rates" not in line_of(as_object(MEASURED))
+
+
+def test_sigma_now_grows_with_age() -> None:
+    sigmas = [as_object_now(MEASURED, age_s)["sigma_now"]["x_mm"] for age_s in (0.0, 0.5, 1.0, 10.0)]
+    assert sigmas == sorted(sigmas)
+    assert sigmas[0] == pytest.approx(math.hypot(0.004, 0.0102), abs=1e-4)
+    # sigma, vibration and the way of 10 s at 0.0512 mm/s; half of 0.004 mm/s² over 10 s
+    assert sigmas[-1] == pytest.approx(math.hypot(0.004, 0.0102, 0.512, 0.2), abs=1e-3)
+
+
+def test_rates_are_per_second_with_their_sigma() -> None:
+    rates = as_object_now(MEASURED, AGE_S)["rates"]
+    assert rates["y_mm_per_s"] == -0.0214
+    assert rates["sigma"]["y_mm_per_s"] == 0.0031
+    assert [*rates] == [*(f"{key}_per_s" for key in KEYS), "sigma"]
+
+
+@pytest.mark.parametrize(
+    ("measurement", "age_s"),
+    [
+        (MEASURED.without_numbers(()), AGE_S),
+        (replace(MEASURED, motions={}), AGE_S),
+        (MEASURED, None),
+    ],
+)
+def test_what_is_not_known_is_null(measurement: Measurement, age_s: float | None) -> None:
+    document = json.loads(line_of(as_object_now(measurement, age_s)))
+    assert document["sigma_now"] == dict.fromkeys(KEYS)
+    if age_s is not None:
+        rates = dict.fromkeys(f"{key}_per_s" for key in KEYS)
+        assert document["rates"] == {**rates, "sigma": rates}
+
+
+def test_frames_ahead_of_the_clock_are_not_better_than_those_of_now() -> None:
+    assert as_object_now(MEASURED, -5.0)["sigma_now"] == as_object_now(MEASURED, 0.0)["sigma_now"]
+
 
 NAMES = ("t1", "t1_b", "t3")
 """The second begins with the name of the first."""
-STATUS = (
-    Fault(Reason.BEAM_ANGLE_UNKNOWN),
-    Fault(Reason.STUCK_CLEAR, "t1_b"),
-    Fault(Reason.ALARM_RATE, "t3"),
-)
+STATUS = (Fault(Reason.BEAM_ANGLE_UNKNOWN), Fault(Reason.STUCK_CLEAR, "t1_b"), Fault(Reason.ALARM_RATE, "t3"))
 ROUND = measurement_of_row(NAMES, {"t1": (0.0, 0.0), "t3": (0.32, -0.24)}, lost=("t1_b",), status=STATUS)
 
 
@@ -46,9 +90,8 @@ def test_each_target_has_its_own_status_values_and_sigmas() -> None:
         "x_mm": 0.01, "y_mm": 0.01, "dx_mm_per_day": None, "dy_mm_per_day": None, "dx_mm": 0.004,
         "dy_mm": 0.004,
     }  # fmt: skip
-    assert {value for key, value in targets["t1_b"].items() if key not in ("valid", "status", "sigma")} == {
-        None
-    }
+    others = targets["t1_b"].keys() - {"valid", "status", "sigma"}
+    assert {targets["t1_b"][key] for key in others} == {None}
     assert (document["t3_dx_mm"], document["sigma"]["t3_dx_mm"]) == (0.32, 0.004)
     assert (document["measured"], document["t1_b_dx_mm"]) == (2.0, None)
 
@@ -67,19 +110,16 @@ def test_what_is_sent_fits_its_model_and_a_key_too_many_does_not() -> None:
 
 def test_a_row_of_the_history_gives_the_same_targets() -> None:
     known = dict(ROUND.values)
-    known |= {
-        f"{name}.{key}": value for name, of in ROUND.targets.items() for key, value in (of or {}).items()
-    }
+    targets = ROUND.targets.items()
+    known |= {f"{name}.{key}": value for name, of in targets for key, value in (of or {}).items()}
     row = StoredMeasurement(
         1, 1, 0, 139, 7, 20, True, tuple(map(str, STATUS)),
         {key: value.value for key, value in known.items()},
         {key: value.sigma for key, value in known.items() if value.sigma is not None},
         {},
     )  # fmt: skip
-    assert (
-        targets_object(ROUND.quantities, NAMES, row.known, row.status)["targets"]
-        == as_object(ROUND)["targets"]
-    )
+    targets = targets_object(ROUND.quantities, NAMES, row.known, row.status)["targets"]
+    assert targets == as_object(ROUND)["targets"]
 
 
 def test_metrics_home_assistant_and_summary_have_each_place() -> None:
