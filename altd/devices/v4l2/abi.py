@@ -6,7 +6,7 @@ the BSD-3-Clause, whose text is in ``LICENSE.videodev2`` beside this file. The n
 explains their meaning (Linux Media Infrastructure userspace API, part I). Only the parts that altd uses are
 here: a field whose name begins with ``_`` replaces several that it does not use.
 
-Call numbers are those of <asm-generic/ioctl.h>, as on x86 and ARM. ``tests/unit/devices/v4l2/test_abi.py``
+Call numbers are those of <asm-generic/ioctl.h>, as on x86 and ARM. ``tests/unit/devices/test_v4l2.py``
 compares all of it with the headers, by a compiler.
 """
 

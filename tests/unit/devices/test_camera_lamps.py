@@ -56,9 +56,7 @@ def test_the_outputs_of_all_cameras_switch_together_dark_at_both_ends(cameras: d
     assert all(camera.is_open for camera in cameras.values())  # they are not ours to close
 
 
-def test_a_camera_that_is_not_there_is_named_and_the_other_is_switched_all_the_same(
-    cameras: dict[str, Camera],
-) -> None:
+def test_a_camera_that_is_not_there_is_named_and_the_other_is_switched(cameras: dict[str, Camera]) -> None:
     cameras["rear"].open()
     leds = lamps(cameras)
     with pytest.raises(LampsError, match=r"^Line1 of camera front: the camera is not open$"):
@@ -86,9 +84,7 @@ def test_alone_a_camera_that_is_not_there_is_named(cameras: dict[str, Camera]) -
     assert not cameras["rear"].is_open
 
 
-def test_the_glass_of_one_target_is_without_voltage_and_at_both_ends_all_are(
-    cameras: dict[str, Camera],
-) -> None:
+def test_one_targets_glass_is_without_voltage_at_both_ends_all_are(cameras: dict[str, Camera]) -> None:
     for camera in cameras.values():
         camera.open()
     switching = cast("dict[str, SwitchingCamera]", cameras)

@@ -120,9 +120,9 @@ def test_the_stage_goes_where_it_is_sent(table: GrblTable, stage: GrblStage) -> 
 
 @pytest.mark.parametrize("coordinates", ["work", "machine"])
 def test_signs_and_offsets_put_the_stage_into_the_unit_frame(table: GrblTable, coordinates: str) -> None:
-    offsets = (
-        {"offset_x_mm": -100.0, "offset_y_mm": -100.0} if coordinates == "machine" else {"offset_x_mm": 3.0}
-    )
+    offsets = {"offset_x_mm": 3.0}
+    if coordinates == "machine":
+        offsets = {"offset_x_mm": -100.0, "offset_y_mm": -100.0}
     stage = GrblStage(settings(table.device, coordinates=coordinates, sign_y=-1, **offsets))
     stage.open()
     stage.home()
@@ -142,9 +142,8 @@ def test_a_stage_without_switches_is_told_how(table: GrblTable) -> None:
     table.machine.settings |= {20: "0", 22: "0"}
     stage = GrblStage(settings(table.device))
     stage.open()
-    with pytest.raises(
-        StageRefusedError, match=r'switched off in the controller \(\$22=0\).*start = "unlock"'
-    ):
+    told = r'switched off in the controller \(\$22=0\).*start = "unlock"'
+    with pytest.raises(StageRefusedError, match=told):
         stage.home()
     stage.close()
 
@@ -311,9 +310,8 @@ def test_what_is_no_stage_is_named(
         == f"{tmp_path / 'none'}: there is no such port now: unplugged, or switched off?"
     )
     (tmp_path / "file").touch()
-    assert (
-        complaint(tmp_path / "file") == f"{tmp_path / 'file'}: is not a serial port or refuses its settings"
-    )
+    said = "is not a serial port or refuses its settings"
+    assert complaint(tmp_path / "file") == f"{tmp_path / 'file'}: {said}"
     assert complaint(table.device) == f"{table.device}: another program uses the port"
     monkeypatch.setattr(controller, "_WAKE_TIMEOUT_S", 0.02)
     terminal, line = os.openpty()
@@ -333,9 +331,8 @@ def grbl_itself(tmp_path: Path) -> Iterator[Path]:
     terminal, line = os.openpty()
     tty.setraw(line)
     command = ["stdbuf", "-i0", "-o0", GRBL_ITSELF, "-n", "-s", "/dev/null", "-b", "/dev/null"]
-    process = subprocess.Popen(
-        command, stdin=terminal, stdout=terminal, stderr=subprocess.DEVNULL, cwd=tmp_path
-    )
+    ends = {"stdin": terminal, "stdout": terminal, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, **ends, cwd=tmp_path)
     time.sleep(1.5)
     yield Path(os.ttyname(line))
     process.kill()

@@ -178,9 +178,7 @@ class TestBytes:
             (lambda good: frame(good[1:2] + b"\x08" + good[3:-2] + b"\0\0", 1), "another question"),
         ],
     )
-    def test_what_is_no_answer_is_not_taken_for_one(
-        self, spoilt: Callable[[bytes], bytes], complaint: str
-    ) -> None:
+    def test_what_is_none_is_taken_for_none(self, spoilt: Callable[[bytes], bytes], complaint: str) -> None:
         good = by_hand(BALLUFF_ANSWERS)
         raises = pytest.raises(InclinometerDisturbedError, match=complaint)
         with answering(lambda request: spoilt(good(request))) as wire, raises:

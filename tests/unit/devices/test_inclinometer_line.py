@@ -97,9 +97,7 @@ def test_a_line_that_does_not_take_a_request_is_reported_at_once(
         line.ask(4, 0, 1)
 
 
-def test_a_line_that_is_an_answer_behind_gives_no_roll_that_is_believed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_line_that_is_an_answer_behind_gives_no_believed_roll(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where each answer comes twice: then that of the question before is the first to be heard."""
     monkeypatch.setattr(
         driver, "_ANSWER_TIMEOUT_S", 30.0

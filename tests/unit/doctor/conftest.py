@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import grp
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,25 +57,14 @@ def terminal() -> Any:
         os.close(end)
 
 
-Configured = Callable[..., Config]
-
-
-@pytest.fixture
-def configured() -> Configured:
+def configured(**tables: Any) -> Config:
     """A config with these tables."""
-
-    def config(**tables: Any) -> Config:
-        targets = [
-            {"name": name, "z_mm": z_mm, "camera": name} for name, z_mm in (("front", 0), ("rear", 280))
-        ]
-        unit = {"serial": "ALT-0007", "calibration": "/nowhere/calibration.json"}
-        cameras = tables.pop("cameras", {})
-        measuring = {"pair_by": "time"} if cameras else {}
-        return Config.model_validate(
-            {"unit": unit, "targets": targets, "cameras": cameras, "measuring": measuring, **tables}
-        )
-
-    return config
+    targets = [{"name": name, "z_mm": z_mm, "camera": name} for name, z_mm in (("front", 0), ("rear", 280))]
+    unit = {"serial": "ALT-0007", "calibration": "/nowhere/calibration.json"}
+    cameras = tables.pop("cameras", {})
+    measuring = {"pair_by": "time"} if cameras else {}
+    given = {"unit": unit, "targets": targets, "cameras": cameras, "measuring": measuring}
+    return Config.model_validate(given | tables)
 
 
 def says(findings: list[Finding], verdict: Verdict, words: str) -> Finding:

@@ -13,7 +13,7 @@ from altd.doctor import devices
 from altd.doctor.finding import Verdict, in_lines
 from altd.doctor.machine import Account, group_name
 
-from .conftest import Configured, Tree, says
+from .conftest import Tree, configured, says
 
 BY_ID = "/dev/serial/by-id/usb-maker_adapter_1-if00"
 UNIT = "/etc/systemd/system/altd.service"
@@ -28,67 +28,65 @@ def port(tree: Tree, terminal: Path) -> Path:
     return terminal
 
 
-def found(tree: Tree, configured: Configured, device: str = BY_ID) -> list[devices.Finding]:
+def found(tree: Tree, device: str = BY_ID) -> list[devices.Finding]:
     config = configured(serial=[{"device": device, "speaks": "console"}])
     return list(devices.serial_ports(config, tree.machine))
 
 
-def test_a_port_that_may_be_opened_is_good(tree: Tree, configured: Configured, port: Path) -> None:
+def test_a_port_that_may_be_opened_is_good(tree: Tree, port: Path) -> None:
     port.chmod(0o666)
-    assert says(found(tree, configured), Verdict.GOOD, "somebody may open it")
+    assert says(found(tree), Verdict.GOOD, "somebody may open it")
 
 
-def test_a_port_of_a_group_that_the_user_is_not_in(tree: Tree, configured: Configured, port: Path) -> None:
+def test_a_port_of_a_group_that_the_user_is_not_in(tree: Tree, port: Path) -> None:
     port.chmod(0o660)
     group = port.stat().st_gid
-    finding = says(found(tree, configured), Verdict.ERROR, "somebody may not open it (crw-rw----")
+    finding = says(found(tree), Verdict.ERROR, "somebody may not open it (crw-rw----")
     assert finding.remedy.startswith(f"sudo usermod -aG {group_name(group)} somebody")
     tree.account = Account("somebody", 4242, frozenset({group}))
-    assert says(found(tree, configured), Verdict.GOOD, "somebody may open it")
+    assert says(found(tree), Verdict.GOOD, "somebody may open it")
 
 
-def test_a_port_that_no_group_may_open_needs_a_rule(tree: Tree, configured: Configured, port: Path) -> None:
+def test_a_port_that_no_group_may_open_needs_a_rule(tree: Tree, port: Path) -> None:
     port.chmod(0o600)
-    assert "udev" in says(found(tree, configured), Verdict.ERROR, "may not open it (crw-------").remedy
+    assert "udev" in says(found(tree), Verdict.ERROR, "may not open it (crw-------").remedy
 
 
 class TestTheService:
-    def test_it_is_in_no_group_that_may(self, tree: Tree, configured: Configured, port: Path) -> None:
+    def test_it_is_in_no_group_that_may(self, tree: Tree, port: Path) -> None:
         port.chmod(0o660)
         group = group_name(port.stat().st_gid)
         tree.account = Account("root", 0, frozenset())
         tree.write(UNIT, "[Service]\nSupplementaryGroups=nogroup")
-        finding = says(found(tree, configured), Verdict.ERROR, "the service may not open it")
+        finding = says(found(tree), Verdict.ERROR, "the service may not open it")
         assert finding.remedy == f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
         tree.write(f"{UNIT}.d/override.conf", f"[Service]\nSupplementaryGroups={group}")
-        assert says(found(tree, configured), Verdict.GOOD, "root and the service may open it")
+        assert says(found(tree), Verdict.GOOD, "root and the service may open it")
 
-    def test_its_unit_does_not_list_the_kind(self, tree: Tree, configured: Configured, port: Path) -> None:
+    def test_its_unit_does_not_list_the_kind(self, tree: Tree, port: Path) -> None:
         port.chmod(0o666)
         tree.write(UNIT, "[Service]\nDevicePolicy=closed\nDeviceAllow=char-ttyUSB rw")
-        finding = says(found(tree, configured), Verdict.ERROR, "does not list its kind, pts")
+        finding = says(found(tree), Verdict.ERROR, "does not list its kind, pts")
         assert "DeviceAllow=char-pts rw" in finding.remedy
         tree.write(f"{UNIT}.d/override.conf", "[Service]\nDeviceAllow=char-pts rw")
-        assert says(found(tree, configured), Verdict.GOOD, "may open it")
+        assert says(found(tree), Verdict.GOOD, "may open it")
         tree.write(f"{UNIT}.d/zz.conf", "[Service]\nDeviceAllow=\nDeviceAllow=/dev/null rw")  # takes all back
-        assert says(found(tree, configured), Verdict.ERROR, "does not list its kind")
+        assert says(found(tree), Verdict.ERROR, "does not list its kind")
 
 
-def test_a_missing_port_names_those_that_are_there(tree: Tree, configured: Configured, port: Path) -> None:
-    finding = says(
-        found(tree, configured, "/dev/ttyUSB7"), Verdict.ERROR, f"does not exist; existing: {BY_ID}"
-    )
+def test_a_missing_port_names_those_that_are_there(tree: Tree, port: Path) -> None:
+    finding = says(found(tree, "/dev/ttyUSB7"), Verdict.ERROR, f"does not exist; existing: {BY_ID}")
     assert "/dev/serial/by-id" in finding.remedy
 
 
-def test_a_name_that_leads_nowhere_is_a_missing_port(tree: Tree, configured: Configured) -> None:
+def test_a_name_that_leads_nowhere_is_a_missing_port(tree: Tree) -> None:
     tree.link(BY_ID, "../../ttyUSB0")
-    assert says(found(tree, configured), Verdict.ERROR, "does not exist")
+    assert says(found(tree), Verdict.ERROR, "does not exist")
 
 
-def test_a_file_is_no_port(tree: Tree, configured: Configured) -> None:
+def test_a_file_is_no_port(tree: Tree) -> None:
     tree.write("/dev/ttyS0", "")
-    assert says(found(tree, configured, "/dev/ttyS0"), Verdict.ERROR, "is not a device")
+    assert says(found(tree, "/dev/ttyS0"), Verdict.ERROR, "is not a device")
 
 
 @pytest.mark.parametrize(
@@ -101,14 +99,7 @@ def test_a_file_is_no_port(tree: Tree, configured: Configured) -> None:
     ],
 )
 def test_a_port_that_a_program_has_open(
-    tree: Tree,
-    configured: Configured,
-    port: Path,
-    tmp_path: Path,
-    name: str,
-    verdict: Verdict,
-    words: str,
-    mend: str,
+    tree: Tree, port: Path, tmp_path: Path, name: str, verdict: Verdict, words: str, mend: str
 ) -> None:
     port.chmod(0o666)
     tree.link("/proc/self", "/proc/self")
@@ -117,17 +108,15 @@ def test_a_port_that_a_program_has_open(
     with port.open("rb") as opened, subprocess.Popen([program, "60"], stdin=opened) as other:
         tree.link(f"/proc/{other.pid}", f"/proc/{other.pid}")
         try:
-            findings = found(tree, configured)
+            findings = found(tree)
         finally:
             other.kill()
     assert mend in says(findings, verdict, words).remedy
-    assert all(finding.verdict is Verdict.GOOD for finding in found(tree, configured))
+    assert all(finding.verdict is Verdict.GOOD for finding in found(tree))
 
 
 class TestUsbCameras:
-    def cameras(
-        self, tree: Tree, configured: Configured, speed_mbit_s: int, buses: tuple[int, int]
-    ) -> list[devices.Finding]:
+    def cameras(self, tree: Tree, speed_mbit_s: int, buses: tuple[int, int]) -> list[devices.Finding]:
         """Two cameras that need 58 Mbit/s each, on these buses."""
         cameras = {}
         for number, (name, bus) in enumerate(zip(("front", "rear"), buses, strict=True)):
@@ -143,32 +132,32 @@ class TestUsbCameras:
             cameras[name] = {"driver": "v4l2", "device": f"/dev/v4l/by-path/usb-{number}"}
         return list(devices.video_cameras(configured(cameras=cameras), tree.machine))
 
-    def test_a_bus_that_is_fast_enough(self, tree: Tree, configured: Configured) -> None:
-        findings = self.cameras(tree, configured, 480, (1, 1))
+    def test_a_bus_that_is_fast_enough(self, tree: Tree) -> None:
+        findings = self.cameras(tree, 480, (1, 1))
         assert says(findings, Verdict.GOOD, "its cameras need 116 Mbit/s of 480")
 
-    def test_a_bus_that_two_cameras_are_too_much_for(self, tree: Tree, configured: Configured) -> None:
-        findings = self.cameras(tree, configured, 150, (1, 1))
+    def test_a_bus_that_two_cameras_are_too_much_for(self, tree: Tree) -> None:
+        findings = self.cameras(tree, 150, (1, 1))
         assert says(findings, Verdict.ERROR, "its cameras need 116 Mbit/s of 150: too much")
 
-    def test_a_bus_for_each_would_do(self, tree: Tree, configured: Configured) -> None:
-        findings = self.cameras(tree, configured, 150, (1, 2))
+    def test_a_bus_for_each_would_do(self, tree: Tree) -> None:
+        findings = self.cameras(tree, 150, (1, 2))
         assert [f.verdict for f in findings if f.subject.startswith("USB")] == [Verdict.GOOD] * 2
 
-    def test_a_missing_camera_names_those_that_are_there(self, tree: Tree, configured: Configured) -> None:
+    def test_a_missing_camera_names_those_that_are_there(self, tree: Tree) -> None:
         tree.link("/dev/video0", "/dev/null")
         cameras = {name: {"driver": "v4l2", "device": f"/dev/v4l/{name}"} for name in ("front", "rear")}
         findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
         assert [f.text for f in findings] == ["does not exist; existing: /dev/video0"] * 2
 
 
-def test_a_gpio_chip_that_is_not_there(tree: Tree, configured: Configured) -> None:
+def test_a_gpio_chip_that_is_not_there(tree: Tree) -> None:
     lamps = {"driver": "gpiod", "chip": "lamp-board", "lines": ["LED1"]}
     findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
     assert says(findings, Verdict.ERROR, "no accessible chip has this name; no other exists")
 
 
-def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, configured: Configured, terminal: Path) -> None:
+def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, terminal: Path) -> None:
     terminal.chmod(0o600)
     tree.link("/dev/gpiochip0", terminal)
     lamps = {"driver": "gpiod", "chip": "gpiochip0", "lines": ["LED1"]}
@@ -201,7 +190,7 @@ def test_where_no_device_is_nothing_is_called_good(tree: Tree) -> None:
     assert in_lines(findings)[-1] == "0 errors, 0 warnings, 0 good, 3 skipped"
 
 
-def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: Path) -> None:
+def test_one_port_by_two_of_its_names(tree: Tree, port: Path) -> None:
     port.chmod(0o666)
     entries = [{"device": device, "speaks": "console"} for device in (BY_ID, "/dev/ttyUSB0")]
     findings = list(devices.serial_ports(configured(serial=entries), tree.machine))
@@ -211,10 +200,10 @@ def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: 
         more = {table: {"driver": driver, "device": "/dev/ttyUSB0"}}
         findings = list(devices.serial_ports(configured(serial=entries[:1], **more), tree.machine))
         assert says(findings, Verdict.ERROR, f"is the same device as {BY_ID}")
-    assert all("same device" not in finding.text for finding in found(tree, configured))
+    assert all("same device" not in finding.text for finding in found(tree))
 
 
-def test_one_camera_by_two_of_its_names(tree: Tree, configured: Configured, terminal: Path) -> None:
+def test_one_camera_by_two_of_its_names(tree: Tree, terminal: Path) -> None:
     tree.link("/dev/video0", terminal)
     tree.link("/dev/v4l/by-path/one", "../../video0")
     cameras = {
@@ -236,21 +225,19 @@ class TestGpioLines:
         monkeypatch.setattr(find_chips, "chip_paths", lambda: [chip.path])
         monkeypatch.setattr(find_chips, "read_chip", lambda _: chip)
 
-    def findings(self, configured: Configured, lines: list[str], ok: str, chip: str) -> list[devices.Finding]:
+    def findings(self, lines: list[str], ok: str, chip: str) -> list[devices.Finding]:
         lamps = {"driver": "gpiod", "chip": self.LABEL, "lines": lines}
         indicators = {"driver": "gpiod", "chip": chip, "ok": ok}
         return list(devices.gpio_lines(configured(lamps=lamps, indicators=indicators)))
 
-    def test_lines_that_are_there(self, configured: Configured) -> None:
-        assert self.findings(configured, ["LED1", "2"], "LED2", self.LABEL) == []
+    def test_lines_that_are_there(self) -> None:
+        assert self.findings(["LED1", "2"], "LED2", self.LABEL) == []
 
-    def test_a_line_that_is_not_there(self, configured: Configured) -> None:
-        finding = says(
-            self.findings(configured, ["LED1"], "LED7", self.LABEL), Verdict.ERROR, "no line 'LED7'"
-        )
+    def test_a_line_that_is_not_there(self) -> None:
+        finding = says(self.findings(["LED1"], "LED7", self.LABEL), Verdict.ERROR, "no line 'LED7'")
         assert "indicators.ok" in finding.text
 
     @pytest.mark.parametrize(("ok", "chip"), [("LED1", "/dev/gpiochip0"), ("0", LABEL), ("0", "gpiochip0")])
-    def test_one_line_by_two_of_its_names(self, configured: Configured, ok: str, chip: str) -> None:
-        findings = self.findings(configured, ["LED1"], ok, chip)
+    def test_one_line_by_two_of_its_names(self, ok: str, chip: str) -> None:
+        findings = self.findings(["LED1"], ok, chip)
         assert says(findings, Verdict.ERROR, "indicators.ok is the same line as lamps, 0 of GPIO chip")

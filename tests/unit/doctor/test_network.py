@@ -15,7 +15,7 @@ from altd.doctor import network
 from altd.doctor.finding import Finding, Verdict
 from altd.doctor.machine import Account, Machine
 
-from .conftest import Configured, Tree, says
+from .conftest import Tree, configured, says
 
 ROUTES = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
 
@@ -44,7 +44,7 @@ def interface(tree: Tree, name: str, speed: object = 1000, mtu: int = 9000, stat
         tree.write(f"/sys/class/net/{name}/{key}", value)
 
 
-def gige(configured: Configured, device: str = "192.168.77.20", **fields: object) -> Config:
+def gige(device: str = "192.168.77.20", **fields: object) -> Config:
     camera = {"driver": "aravis", "device": device, **fields}
     return configured(cameras={"front": camera, "rear": camera})
 
@@ -57,20 +57,15 @@ def found(config: Config, tree: Tree) -> list[Finding]:
     return list(dict.fromkeys(network.gige_cameras(config, tree.machine)))
 
 
-def test_a_good_network(computer: Tree, configured: Configured) -> None:
-    findings = network.gige_cameras(gige(configured), computer.machine)
+def test_a_good_network(computer: Tree) -> None:
+    findings = network.gige_cameras(gige(), computer.machine)
     assert {finding.verdict for finding in findings} == {Verdict.GOOD}
 
 
-def test_a_camera_that_is_off_is_wrong(
-    computer: Tree, configured: Configured, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_that_is_off_is_wrong(computer: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     elsewhere = f"127.98.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
-    config = configured(
-        cameras={name: {"driver": "aravis", "device": elsewhere} for name in ("front", "rear")}
-    )
-    findings = found(config, computer)
+    findings = found(gige(elsewhere), computer)
     wrong = [finding for finding in findings if finding.verdict is Verdict.ERROR]
     assert [(finding.subject, finding.text) for finding in wrong] == [
         (f"camera {name} {elsewhere}", "no GigE Vision camera answers") for name in ("front", "rear")
@@ -94,7 +89,6 @@ def test_a_camera_that_is_off_is_wrong(
 )
 def test_what_a_camera_itself_says(
     computer: Tree,
-    configured: Configured,
     monkeypatch: pytest.MonkeyPatch,
     device: str,
     there: list[DiscoveredCamera],
@@ -107,94 +101,75 @@ def test_what_a_camera_itself_says(
     monkeypatch.setattr(gvcp, "discover", lambda _: there)
     monkeypatch.setattr(gvcp, "control_privilege", lambda *_: privilege)
     computer.write("/proc/77/cmdline", process)
-    findings = [
-        one for one in found(gige(configured, device), computer) if one.subject.startswith("camera front")
-    ]
+    findings = [one for one in found(gige(device), computer) if one.subject.startswith("camera front")]
     assert says(findings[-1:], verdict, words)
 
 
-def test_a_slow_link(computer: Tree, configured: Configured) -> None:
+def test_a_slow_link(computer: Tree) -> None:
     interface(computer, "eth1", speed=100)
-    assert "ethtool" in says(found(gige(configured), computer), Verdict.ERROR, "runs at 100 Mbit/s").remedy
+    assert "ethtool" in says(found(gige(), computer), Verdict.ERROR, "runs at 100 Mbit/s").remedy
 
 
-def test_a_link_that_is_down(computer: Tree, configured: Configured) -> None:
+def test_a_link_that_is_down(computer: Tree) -> None:
     interface(computer, "eth1", state="down")
-    assert "ip link set eth1 up" in says(found(gige(configured), computer), Verdict.ERROR, "is down").remedy
+    assert "ip link set eth1 up" in says(found(gige(), computer), Verdict.ERROR, "is down").remedy
 
 
-def test_packets_that_do_not_fit(computer: Tree, configured: Configured) -> None:
+def test_packets_that_do_not_fit(computer: Tree) -> None:
     interface(computer, "eth1", mtu=1500)
-    assert "mtu 9000" in says(found(gige(configured), computer), Verdict.WARNING, "its MTU is 1500").remedy
-    findings = found(gige(configured, packet_bytes=8000), computer)
+    assert "mtu 9000" in says(found(gige(), computer), Verdict.WARNING, "its MTU is 1500").remedy
+    findings = found(gige(packet_bytes=8000), computer)
     assert says(findings, Verdict.ERROR, "its MTU is 1500 but packet_bytes 8000")
 
 
-def test_a_small_receive_buffer(computer: Tree, configured: Configured) -> None:
+def test_a_small_receive_buffer(computer: Tree) -> None:
     computer.write("/proc/sys/net/core/rmem_max", 212992)
-    finding = says(found(gige(configured), computer), Verdict.WARNING, "is 212992 bytes at most")
+    finding = says(found(gige(), computer), Verdict.WARNING, "is 212992 bytes at most")
     assert "sysctl" in finding.remedy
 
 
 @pytest.mark.parametrize(("of_all", "of_eth0", "is_well"), [(1, 0, True), (0, 0, False), (1, 2, False)])
-def test_a_camera_s_name_in_another_network(
-    computer: Tree, configured: Configured, of_all: int, of_eth0: int, is_well: bool
-) -> None:
+def test_a_camera_s_name_in_another_network(computer: Tree, of_all: int, of_eth0: int, is_well: bool) -> None:
     """The kernel takes the larger of the two settings; 2 is loose: any interface will do."""
     computer.write("/proc/sys/net/ipv4/conf/all/rp_filter", of_all)
     computer.write("/proc/sys/net/ipv4/conf/eth0/rp_filter", of_eth0)
     computer.write("/proc/sys/net/ipv4/conf/eth1/rp_filter", 1)
-    (finding,) = (one for one in found(gige(configured), computer) if one.subject == "network source check")
+    (finding,) = (one for one in found(gige(), computer) if one.subject == "network source check")
     assert finding.verdict is (Verdict.GOOD if is_well else Verdict.WARNING)
     assert ("net.ipv4.conf.eth0.rp_filter=1" in finding.remedy) != is_well
 
 
-def test_a_camera_in_a_network_of_nobodys(computer: Tree, configured: Configured) -> None:
-    finding = says(
-        found(gige(configured, "169.254.3.4"), computer)[:1], Verdict.ERROR, "to the gateway at eth0"
-    )
+def test_a_camera_in_a_network_of_nobodys(computer: Tree) -> None:
+    finding = says(found(gige("169.254.3.4"), computer)[:1], Verdict.ERROR, "to the gateway at eth0")
     assert "ip address add 169.254.3.1/24" in finding.remedy
     computer.write("/proc/net/route", ROUTES)
-    assert says(found(gige(configured), computer)[:1], Verdict.ERROR, "no route to it")
+    assert says(found(gige(), computer)[:1], Verdict.ERROR, "no route to it")
 
 
 @pytest.mark.parametrize(("rp_filter", "drops"), [(1, True), (2, False), (0, False)])
-def test_two_interfaces_with_the_same_network(
-    computer: Tree, configured: Configured, rp_filter: int, drops: bool
-) -> None:
+def test_two_interfaces_with_the_same_network(computer: Tree, rp_filter: int, drops: bool) -> None:
     interface(computer, "eth2")
     routes = computer.root / "proc/net/route"
     routes.write_text(routes.read_text() + "eth2 004DA8C0 00000000 0001 0 0 5 00FFFFFF 0 0 0\n")
     computer.write("/proc/sys/net/ipv4/conf/all/rp_filter", 0)
     computer.write("/proc/sys/net/ipv4/conf/eth2/rp_filter", rp_filter)
-    finding = says(
-        found(gige(configured), computer)[:1], Verdict.ERROR, "eth1 and eth2 have the same network"
-    )
+    finding = says(found(gige(), computer)[:1], Verdict.ERROR, "eth1 and eth2 have the same network")
     assert ("rp_filter" in finding.text) == drops
 
 
-def test_a_camera_by_its_serial_number_may_be_on_any_interface(
-    computer: Tree, configured: Configured
-) -> None:
+def test_a_camera_by_its_serial_number_may_be_on_any_interface(computer: Tree) -> None:
     interface(computer, "eth1", speed=100)
-    assert (
-        says(found(gige(configured, "Maker-1234"), computer), Verdict.ERROR, "runs at 100").subject
-        == "network eth1"
-    )
+    assert says(found(gige("Maker-1234"), computer), Verdict.ERROR, "runs at 100").subject == "network eth1"
     for name in ("eth0", "eth1"):
         interface(computer, name, state="down")
-    assert says(
-        found(gige(configured, "Maker-1234"), computer)[:1], Verdict.ERROR, "no network interface is up"
-    )
+    assert says(found(gige("Maker-1234"), computer)[:1], Verdict.ERROR, "no network interface is up")
 
 
 class TestListening:
-    def findings(
-        self, configured: Configured, port: int, machine: Machine, host: str = "127.0.0.1"
-    ) -> list[Finding]:
+    def findings(self, port: int, machine: Machine, host: str = "127.0.0.1") -> list[Finding]:
         return list(network.listening(configured(http={"host": host, "port": port}), machine))
 
-    def test_a_unit_that_is_open_is_advised_and_not_at_fault(self, configured: Configured) -> None:
+    def test_a_unit_that_is_open_is_advised_and_not_at_fault(self) -> None:
         def said(**http: object) -> list[Finding]:
             settings = {"host": "0.0.0.0", "port": 0, **http}
             return list(network.listening(configured(http=settings), Machine()))
@@ -210,79 +185,73 @@ class TestListening:
             assert said(host=own) == []
 
     @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::", "localhost"])
-    def test_an_address_that_another_program_listens_on(self, configured: Configured, host: str) -> None:
+    def test_an_address_that_another_program_listens_on(self, host: str) -> None:
         port = free_port()
         with socket.create_server(("127.0.0.1", port)):
-            finding = says(self.findings(configured, port, Machine(), host), Verdict.ERROR, "listens there")
+            finding = says(self.findings(port, Machine(), host), Verdict.ERROR, "listens there")
             assert f"(process {os.getpid()})" in finding.text
             assert f":{port}" in finding.remedy
-        assert says(self.findings(configured, port, Machine(), host), Verdict.GOOD, "is free")
+        assert says(self.findings(port, Machine(), host), Verdict.GOOD, "is free")
 
-    def test_the_address_of_opc_ua_is_looked_at(self, configured: Configured) -> None:
+    def test_the_address_of_opc_ua_is_looked_at(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as server:
             settings = {"host": "127.0.0.1", "port": server.getsockname()[1]}
             (finding,) = network.listening(configured(opcua=settings), Machine())
         assert says([finding], Verdict.ERROR, "listens there").subject.startswith("opcua")
 
-    def test_the_same_port_of_another_address_is_free(self, configured: Configured) -> None:
+    def test_the_same_port_of_another_address_is_free(self) -> None:
         port = free_port()
         with socket.create_server(("127.0.0.2", port)):
-            assert says(self.findings(configured, port, Machine()), Verdict.GOOD, "is free")
+            assert says(self.findings(port, Machine()), Verdict.GOOD, "is free")
 
-    def test_a_program_that_may_not_be_seen(self, tree: Tree, configured: Configured) -> None:
+    def test_a_program_that_may_not_be_seen(self, tree: Tree) -> None:
         tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
-        assert says(self.findings(configured, 8080, tree.machine), Verdict.WARNING, "altd itself?")
+        assert says(self.findings(8080, tree.machine), Verdict.WARNING, "altd itself?")
 
     @pytest.mark.parametrize("line", ["python\0/opt/altd/bin/altd\0run", "python\0-m\0altd.publish.opcua"])
-    def test_altd_itself_may_listen(self, tree: Tree, configured: Configured, line: str) -> None:
+    def test_altd_itself_may_listen(self, tree: Tree, line: str) -> None:
         tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
         tree.link("/proc/123/fd/5", "socket:[777]")
         tree.write("/proc/123/cmdline", line)
-        assert says(
-            self.findings(configured, 8080, tree.machine), Verdict.GOOD, "altd listens there (process 123)"
-        )
+        assert says(self.findings(8080, tree.machine), Verdict.GOOD, "altd listens there (process 123)")
 
-    def test_a_low_port_and_a_user_who_may_not(self, tree: Tree, configured: Configured) -> None:
+    def test_a_low_port_and_a_user_who_may_not(self, tree: Tree) -> None:
         tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 1024)
         words = "somebody may not listen on a port below 1024"
-        assert says(self.findings(configured, 502, tree.machine), Verdict.ERROR, words)
+        assert says(self.findings(502, tree.machine), Verdict.ERROR, words)
         tree.account = Account("root", 0, frozenset())
-        assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
+        assert says(self.findings(502, tree.machine), Verdict.GOOD, "is free")
         tree.write("/etc/systemd/system/altd.service", "[Service]\nUser=altd")
         words = "the service may not listen on a port below 1024"
-        found = says(self.findings(configured, 502, tree.machine), Verdict.ERROR, words)
+        found = says(self.findings(502, tree.machine), Verdict.ERROR, words)
         assert "ip_unprivileged_port_start=502" in found.remedy
         tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 502)
-        assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
+        assert says(self.findings(502, tree.machine), Verdict.GOOD, "is free")
         tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 1024)
         tree.write("/etc/systemd/system/altd.service", "[Service]\nAmbientCapabilities=CAP_NET_BIND_SERVICE")
-        assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
+        assert says(self.findings(502, tree.machine), Verdict.GOOD, "is free")
 
-    def test_an_address_that_no_interface_has(self, configured: Configured) -> None:
+    def test_an_address_that_no_interface_has(self) -> None:
         """192.0.2.1 is for books (RFC 5737) and 2001:db8::1 too (RFC 3849); this kernel says what it has."""
         for host in ("192.0.2.1", "2001:db8::1"):
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             with pytest.raises(OSError, match="assign"):
                 socket.create_server((host, 0), family=family)
-            finding = says(
-                self.findings(configured, 8080, Machine(), host), Verdict.ERROR, "no interface of this"
-            )
+            finding = says(self.findings(8080, Machine(), host), Verdict.ERROR, "no interface of this")
             assert finding.remedy.startswith("ip -brief address")
 
-    def test_addresses_that_it_has(self, tree: Tree, configured: Configured) -> None:
-        tree.write(
-            "/proc/net/fib_trie",
-            "Local:\n  |-- 10.0.0.0\n  /24 link UNICAST\n  |-- 10.0.0.7\n  /32 host LOCAL",
-        )
+    def test_addresses_that_it_has(self, tree: Tree) -> None:
+        trie = "Local:\n  |-- 10.0.0.0\n  /24 link UNICAST\n  |-- 10.0.0.7\n  /32 host LOCAL"
+        tree.write("/proc/net/fib_trie", trie)
         tree.write("/proc/net/if_inet6", "fe80000000000000020000fffe000001 02 40 20 80 eth0")
         for host in ("10.0.0.7", "fe80::200:ff:fe00:1%eth0", "127.0.0.5", "localhost", "0.0.0.0", "::"):
-            assert says(self.findings(configured, 8080, tree.machine, host), Verdict.GOOD, "is free")
+            assert says(self.findings(8080, tree.machine, host), Verdict.GOOD, "is free")
         for host in ("10.0.0.8", "10.0.0.0", "fe80::2%eth0"):
             words = "it has 10.0.0.7, fe80::200:ff:fe00:1"
-            assert says(self.findings(configured, 8080, tree.machine, host), Verdict.ERROR, words)
+            assert says(self.findings(8080, tree.machine, host), Verdict.ERROR, words)
 
 
-def test_a_broker_is_reached_or_not(configured: Configured) -> None:
+def test_a_broker_is_reached_or_not() -> None:
     assert list(network.broker(configured())) == []
     with socket.create_server(("127.0.0.1", 0)) as server:
         config = configured(mqtt={"host": "127.0.0.1", "port": server.getsockname()[1]})

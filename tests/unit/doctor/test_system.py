@@ -22,7 +22,7 @@ from altd.doctor.finding import Finding, Verdict, in_lines
 from altd.records import Origin
 from altd.vision import kernel
 
-from .conftest import Configured, Tree, says
+from .conftest import Tree, configured, says
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 
@@ -33,9 +33,7 @@ class TestLibraries:
         assert says(findings[1:2], Verdict.GOOD, "installed").subject == "library gpiod"
 
     @pytest.mark.parametrize("is_compiled", [True, False])
-    def test_whether_the_spot_fit_is_compiled(
-        self, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
-    ) -> None:
+    def test_whether_the_fit_is_compiled(self, is_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(kernel, "is_compiled", lambda: is_compiled)
         monkeypatch.setattr(kernel, "description", "numpy: altd was built without a C compiler")
         finding = next(system.libraries(None))
@@ -49,13 +47,10 @@ class TestLibraries:
         monkeypatch.setitem(sys.modules, "gpiod", None)
         assert says(list(system.libraries(None)), Verdict.ERROR, "gpiod").subject == "library gpiod"
 
-    def test_aravis_is_wrong_only_for_who_needs_it(
-        self, monkeypatch: pytest.MonkeyPatch, configured: Configured
-    ) -> None:
+    def test_aravis_is_wrong_only_for_who_needs_it(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "gi", None)
-        assert says(list(system.libraries(None)), Verdict.WARNING, "GigE Vision").remedy.startswith(
-            "sudo apt-get"
-        )
+        finding = says(list(system.libraries(None)), Verdict.WARNING, "GigE Vision")
+        assert finding.remedy.startswith("sudo apt-get")
         camera = {"driver": "aravis", "device": "192.168.77.20"}
         config = configured(cameras={"front": camera, "rear": camera})
         _, finding = system.libraries(config)
@@ -180,9 +175,8 @@ class TestCommand:
     ) -> None:
         from altd.cli.main import main
 
-        monkeypatch.setattr(
-            checks, "_checks", lambda *_: {"all": lambda: iter([Finding.good("all", "is well")])}
-        )
+        only = {"all": lambda: iter([Finding.good("all", "is well")])}
+        monkeypatch.setattr(checks, "_checks", lambda *_: only)
         assert main(["doctor"]) == 0
         assert capsys.readouterr().out == "good    all: is well\n0 errors, 0 warnings, 1 good\n"
 
@@ -203,8 +197,7 @@ class TestCommand:
 
         monkeypatch.setattr(system, "disk", breaks)
         findings = checks.examine(None, tree.machine)
-        finding = says(
-            findings, Verdict.WARNING, "could not be checked: ZeroDivisionError: a strange computer"
-        )
+        words = "could not be checked: ZeroDivisionError: a strange computer"
+        finding = says(findings, Verdict.WARNING, words)
         assert finding.subject == "disk"
         assert any(other.subject == "clock" for other in findings)

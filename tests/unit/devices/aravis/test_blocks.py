@@ -274,10 +274,7 @@ class TestHostilePackets:
         assert_only_the_camera_s(Rig(), [*packets[:at], *noise, *packets[at:]])
 
     @given(
-        st.lists(FORGED, max_size=30),
-        st.booleans(),
-        st.integers(0, 14),
-        st.sampled_from([PORT, OTHER_PORT]),
+        st.lists(FORGED, max_size=30), st.booleans(), st.integers(0, 14), st.sampled_from([PORT, OTHER_PORT])
     )
     @example([gvsp.packet(3, gvsp.PAYLOAD, 1, bytes(100))], False, 1, PORT)
     def test_of_the_stream_s_form_change_no_frame(

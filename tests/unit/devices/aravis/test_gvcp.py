@@ -102,7 +102,6 @@ class TestQuestions:
         hostile[0x48:0x68] = b"\xff\x1b[2J\n" * 5 + b"\xff\xff"
         with answering(lambda question: [ack(question, bytes(hostile))]):
             camera = gvcp.discover_at(ELSEWHERE, 1.0)
-        assert camera is not None
         assert camera.vendor.isprintable()
 
     @pytest.mark.parametrize(

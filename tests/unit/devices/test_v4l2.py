@@ -1,0 +1,227 @@
+"""Structures of V4L2 against the kernel's own headers, as a C compiler reads them; its exposures and images.
+
+With the kernel's test drivers: ``tests/system/devices/v4l2``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.foreign import need, need_program
+
+from altd.config import V4l2CameraSettings
+from altd.devices.v4l2 import abi
+from altd.devices.v4l2.camera import ExposureTime, V4l2Camera
+from altd.devices.v4l2.controls import Control
+from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
+from altd.ports import CameraLostError, CameraNotFoundError, CameraRefusedError, ExposureRange
+
+HEADER = Path("/usr/include/linux/videodev2.h")
+CONSTANTS = {name: value for name, value in vars(abi).items() if name.startswith(("V4L2_", "VIDIOC_"))}
+STRUCTURES = {
+    name: kind
+    for name, kind in vars(abi).items()
+    if isinstance(kind, type) and issubclass(kind, ctypes.Structure)
+}
+
+
+def fields(kind: Any, path: str = "", begin: int = 0) -> Iterator[tuple[str, int, Any]]:
+    """Path, begin and type of each field that has the kernel's name."""
+    for name, field_kind in kind._fields_:
+        offset = begin + getattr(kind, name).offset
+        compound = issubclass(field_kind, ctypes.Structure | ctypes.Union)
+        if name in getattr(kind, "_anonymous_", ()):
+            yield from fields(field_kind, path, offset)
+        elif not name.startswith("_"):
+            yield f"{path}{name}", offset, field_kind
+            if compound:
+                yield from fields(field_kind, f"{path}{name}.", offset)
+
+
+def ours() -> dict[str, int]:
+    """Each fact of ``abi``, by the C expression of it."""
+    facts = dict(CONSTANTS)
+    for name, kind in STRUCTURES.items():
+        facts[f"sizeof(struct {name})"] = ctypes.sizeof(kind)
+        for path, offset, field_kind in fields(kind):
+            field = f"((struct {name} *)0)->{path}"
+            facts[f"offsetof(struct {name}, {path})"] = offset
+            facts[f"sizeof({field})"] = ctypes.sizeof(field_kind)
+            if not issubclass(field_kind, ctypes.Structure | ctypes.Union | ctypes.Array):
+                facts[f"(__typeof__({field}))-1 < 0"] = int(field_kind(-1).value < 0)
+    for pixel_format in PIXEL_FORMATS.values():
+        facts[f"V4L2_PIX_FMT_{pixel_format.name}"] = abi.v4l2_fourcc(pixel_format.fourcc)
+    return facts
+
+
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
+    """The same facts by the headers."""
+    gcc = need_program("gcc")
+    need(HEADER.exists(), f"{HEADER} is not there (Debian package linux-libc-dev)")
+    program = tmp_path_factory.mktemp("abi") / "facts"
+    lines = [f'printf("%llu\\n", (unsigned long long)({expression}));' for expression in ours()]
+    headers = [f"#include <{name}.h>" for name in ("linux/videodev2", "stddef", "stdio")]
+    source = "\n".join([*headers, "int main(void) {", *lines, "return 0; }", ""])
+    compile_it = [gcc, "-x", "c", "-", "-o", program]
+    compiled = subprocess.run(compile_it, input=source, capture_output=True, text=True, check=False)
+    assert compiled.returncode == 0, compiled.stderr
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
+    return dict(zip(ours(), map(int, said), strict=True))
+
+
+def test_every_number_is_the_kernel_s(kernels: dict[str, int]) -> None:
+    assert ours() == kernels
+
+
+def test_what_is_compared_is_all_that_there_is() -> None:
+    """Else a name spelled in another way would be compared with nothing."""
+    compared = {*CONSTANTS, *STRUCTURES, "v4l2_fourcc"}
+    own = {name for name, value in vars(abi).items() if getattr(value, "__module__", "") == abi.__name__}
+    numbers = {name for name, value in vars(abi).items() if isinstance(value, int)}
+    assert {name for name in own | numbers if not name.startswith("_")} <= compared
+    assert {"V4L2_BUF_FLAG_ERROR", "VIDIOC_DQBUF"} <= CONSTANTS.keys()
+    facts = ours()
+    assert facts["offsetof(struct v4l2_buffer, timestamp.tv_usec)"]
+    assert facts["offsetof(struct v4l2_frmivalenum, stepwise.max.denominator)"]
+
+
+def test_a_text_of_the_kernel_s_ends_at_its_first_nul() -> None:
+    raw = b"vivid\0rubbish".ljust(16, b"x") + b"y" * 32 + bytes(32 + 6 * 4)
+    about = abi.v4l2_capability.from_buffer_copy(raw)
+    assert (about.driver, about.card) == (b"vivid", b"y" * 32)
+
+
+def camera(device: Path) -> V4l2Camera:
+    return V4l2Camera("front", V4l2CameraSettings(driver="v4l2", device=device))
+
+
+def test_a_camera_that_is_not_there_is_not_found(tmp_path: Path) -> None:
+    with pytest.raises(CameraNotFoundError, match="none: there is no such camera now"):
+        camera(tmp_path / "none").open()
+
+
+@pytest.mark.parametrize("device", ["/dev/null", "/dev", "a file"])
+def test_what_is_no_camera_is_refused(device: str, tmp_path: Path) -> None:
+    path = tmp_path / device  # "/dev/null" and "/dev" stay themselves
+    if device == "a file":
+        path.touch()
+    with pytest.raises(CameraRefusedError, match=f"^{path}: is not a Video4Linux device"):
+        camera(path).open()
+
+
+def test_a_camera_that_is_not_open_gives_no_frame_and_is_closed_without_harm() -> None:
+    closed = camera(Path("/dev/null"))
+    closed.close()
+    with pytest.raises(CameraLostError, match="not open"):
+        closed.next_frame(0.1)
+    assert closed.exposure_range is None
+
+
+V4L2_CID_EXPOSURE, V4L2_CID_GAIN = 0x0098_0911, 0x0098_0913  # of <linux/v4l2-controls.h>; altd uses neither
+
+
+def control(number: int, smallest: int, largest: int, step: int = 1, writes: bool = True) -> Control:
+    """A control as the kernel describes it; what a UVC camera's says is in the kernel's uvc_ctrl.c."""
+    return Control(number, "a control", "integer", smallest, largest, step, smallest, True, writes)
+
+
+UVC_TIME = control(abi.V4L2_CID_EXPOSURE_ABSOLUTE, 3, 2047)
+UVC_AUTO = control(abi.V4L2_CID_EXPOSURE_AUTO, 0, 3)
+
+
+def test_a_uvc_camera_exposes_in_units_of_100_us() -> None:
+    exposure = ExposureTime.of([UVC_AUTO, UVC_TIME])
+    assert exposure.range == ExposureRange(pytest.approx(0.3), pytest.approx(204.7), 0.0, 0.0)
+    assert exposure.units(2.04) == 20
+
+
+def test_a_camera_that_counts_lines_or_has_but_a_gain_has_no_exposure_that_altd_could_set() -> None:
+    lines, gain = control(V4L2_CID_EXPOSURE, 4, 1100), control(V4L2_CID_GAIN, 0, 255)
+    assert ExposureTime.of([lines, gain]) is None
+
+
+def test_an_exposure_that_can_only_be_read_is_none_to_set() -> None:
+    assert ExposureTime.of([control(abi.V4L2_CID_EXPOSURE_ABSOLUTE, 3, 2047, writes=False)]) is None
+
+
+def test_an_exposure_of_nothing_is_not_offered() -> None:
+    exposure = ExposureTime.of([control(abi.V4L2_CID_EXPOSURE_ABSOLUTE, 0, 100)])
+    assert exposure.range.shortest_ms == pytest.approx(0.1)
+    assert exposure.units(0.0) == 1
+
+
+@pytest.mark.parametrize(
+    ("exposure_ms", "units"), [(0.01, 5), (0.9, 10), (1.1, 10), (1.3, 15), (99.0, 95), (9.4, 95)]
+)
+def test_an_exposure_is_the_nearest_that_steps_and_range_allow(exposure_ms: float, units: int) -> None:
+    exposure = ExposureTime.of([control(abi.V4L2_CID_EXPOSURE_ABSOLUTE, 5, 98, step=5)])
+    assert exposure.units(exposure_ms) == units
+
+
+NOW_NS = 5_000_000_000_000
+
+
+def test_lines_are_read_without_their_padding() -> None:
+    layout = Layout(3, 2, 4, PIXEL_FORMATS["GREY"])
+    pixels = layout.pixels(bytes([1, 2, 3, 99, 4, 5, 6, 99]))
+    assert pixels.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert pixels.dtype == np.uint8
+
+
+@pytest.mark.parametrize("name", ["Y10", "Y12", "Y16"])
+def test_two_bytes_a_pixel_come_with_the_low_one_first(name: str) -> None:
+    layout = Layout(2, 1, 4, PIXEL_FORMATS[name])
+    pixels = layout.pixels(bytes([0x34, 0x02, 0xFF, 0x00]))
+    assert pixels.tolist() == [[0x234, 0xFF]]
+    assert pixels.dtype == np.uint16
+
+
+def test_a_frame_is_read_only_and_stays_when_its_buffer_is_filled_again() -> None:
+    buffer = bytearray(range(6))
+    pixels = Layout(3, 2, 3, PIXEL_FORMATS["GREY"]).pixels(memoryview(buffer))
+    buffer[:] = bytes(6)
+    assert pixels.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert not pixels.flags.writeable
+
+
+def test_the_last_line_may_come_without_its_padding() -> None:
+    layout = Layout(3, 2, 4, PIXEL_FORMATS["GREY"])
+    assert layout.frame_bytes == 7
+    assert layout.pixels(bytes([1, 2, 3, 99, 4, 5, 6])).tolist() == [[1, 2, 3], [4, 5, 6]]
+    with pytest.raises((TypeError, ValueError)):
+        layout.pixels(bytes(6))
+
+
+@pytest.mark.parametrize(
+    ("source", "exposure_ms", "middle_ns"),
+    [
+        (Stamp.START_OF_EXPOSURE, 4.0, NOW_NS + 2_000_000),
+        (Stamp.END_OF_FRAME, 4.0, NOW_NS - 2_000_000),
+        (Stamp.START_OF_EXPOSURE, None, NOW_NS),
+        (Stamp.END_OF_FRAME, None, NOW_NS),
+    ],
+)
+def test_half_lies_between_stamp_and_middle(source: Stamp, exposure_ms: float | None, middle_ns: int) -> None:
+    assert middle_of_exposure_ns(NOW_NS, "monotonic", source, exposure_ms, NOW_NS + 1) == middle_ns
+
+
+@pytest.mark.parametrize(
+    ("clock", "stamp_ns", "taken_ns"),
+    [
+        ("unknown", NOW_NS - 30_000_000, NOW_NS - 30_000_000),  # v4l2loopback: it is the monotonic clock
+        ("unknown", 0, NOW_NS),
+        ("unknown", 1_790_000_000_000_000_000, NOW_NS),  # the time of day
+        ("monotonic", NOW_NS - 3_000_000_000, NOW_NS - 3_000_000_000),  # waited long to be taken
+    ],
+)
+def test_a_stamp_of_an_unknown_clock_counts_only_when_it_can_be_the_monotonic_one(
+    clock: str, stamp_ns: int, taken_ns: int
+) -> None:
+    assert middle_of_exposure_ns(stamp_ns, clock, Stamp.END_OF_FRAME, None, NOW_NS) == taken_ns
