@@ -44,10 +44,8 @@ def test_it_imports_nothing_but_the_standard_library_and_runs_alone(tmp_path: Pa
         "new = {{name.split('.')[0] for name in set(sys.modules) - before}}; import json; "
         "print(json.dumps([sorted(new - sys.stdlib_module_names), [n for n in sys.modules if 'altd' in n]]))"
     )
-    for module, expected in (
-        ("altd.telegram", [["altd"], ["altd", "altd.telegram"]]),
-        ("copied", [["copied"], []]),
-    ):
+    loaded = ("altd.telegram", [["altd"], ["altd", "altd.telegram"]]), ("copied", [["copied"], []])
+    for module, expected in loaded:
         ran = subprocess.run(
             [sys.executable, "-c", code.format(module)],
             cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60,
@@ -69,9 +67,8 @@ def test_it_imports_nothing_but_the_standard_library_and_runs_alone(tmp_path: Pa
 def test_a_unit_that_identifies_itself_is_known_by_its_whole_serial_number(
     serial: str, read: str, is_whole: bool
 ) -> None:
-    nameplate = Nameplate(
-        unit=unit_number(serial), serial=serial, firmware="0.1.0+dev^1", calibrated=date(2026, 11, 2)
-    )
+    number, calibrated = unit_number(serial), date(2026, 11, 2)
+    nameplate = Nameplate(unit=number, serial=serial, firmware="0.1.0+dev^1", calibrated=calibrated)
     reader = Reader()
     assert reader.feed(identification(nameplate, measurement())) == []
     assert reader.damaged == 0
@@ -122,9 +119,7 @@ class _Port:
         return self.waiting.pop(0)
 
 
-def test_the_program_on_the_page_uses_what_is_valid_and_stops_for_all_else(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_program_on_the_page_uses_what_is_valid_and_else_stops(monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[tuple[object, ...]] = []
     ticks = itertools.count(0.0, 0.5)
     monkeypatch.setattr("serial.Serial", _Port)
@@ -132,9 +127,6 @@ def test_the_program_on_the_page_uses_what_is_valid_and_stops_for_all_else(
     names = {"use": lambda *values: done.append(values), "stop": lambda why: done.append((why,))}
     with pytest.raises(IndexError):  # the port has no more
         exec(PYTHON, names)
-    assert done[:3] == [
-        (10.012, 4.987, 1.1459, -1.7184),
-        ("front_spot_missing rear_spot_missing",),
-        ("restarted",),
-    ]
+    first = (10.012, 4.987, 1.1459, -1.7184)
+    assert done[:3] == [first, ("front_spot_missing rear_spot_missing",), ("restarted",)]
     assert {why for why, *_ in done[3:]} == {"no valid telegram"}

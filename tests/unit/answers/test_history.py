@@ -9,12 +9,8 @@ from altd.answers.history import MAX_BINS, Drawn, History
 
 def line(t_s: float, x_mm: float | None, *status: str, sigma_mm: float = 0.5) -> tuple[float, dict[str, Any]]:
     valid = x_mm is not None
-    return t_s, {
-        "valid": valid,
-        "status": list(status),
-        "x_mm": x_mm,
-        "sigma": {"x_mm": sigma_mm if valid else None},
-    }
+    sigma = {"x_mm": sigma_mm if valid else None}
+    return t_s, {"valid": valid, "status": list(status), "x_mm": x_mm, "sigma": sigma}
 
 
 def history(*lines: tuple[float, dict[str, Any]]) -> History:
@@ -35,9 +31,8 @@ def test_a_band_reaches_one_sigma_to_either_side() -> None:
 
 
 def test_what_is_invalid_is_a_gap_and_named() -> None:
-    of = history(
-        line(0, 1.0), line(1, 2.0), line(2, None, "rear_spot_missing", "simulated"), line(3, 4.0, "simulated")
-    )
+    lost = line(2, None, "rear_spot_missing", "simulated")
+    of = history(line(0, 1.0), line(1, 2.0), lost, line(3, 4.0, "simulated"))
     assert runs(of) == [[1.0, 2.0], [4.0]]
     assert of.codes() == ["rear_spot_missing", "simulated"]
     assert of.spans_s(None) == [(-0.5, 1.5), (2.5, 3.5)]
@@ -62,9 +57,8 @@ def test_however_many_there_are_none_is_lost_and_few_are_kept(count: int) -> Non
 
 def test_a_single_bad_one_among_many_still_shows() -> None:
     count = 8 * MAX_BINS
-    of = history(
-        *(line(t, None, "unsteady") if t == 5000 else line(t, 100.0 * (t == 9000)) for t in range(count))
-    )
+    lines = (line(t, None, "unsteady") if t == 5000 else line(t, 100.0 * (t == 9000)) for t in range(count))
+    of = history(*lines)
     ((start_s, end_s),) = of.spans_s("unsteady")
     assert start_s <= 5000 <= end_s
     assert end_s - start_s < 40

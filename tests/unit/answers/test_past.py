@@ -7,6 +7,9 @@ import io
 import json
 import shutil
 import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,6 +18,8 @@ import pytest
 from support.cli import altd_here, refusal
 from support.history import START_S, batch, event, sample, state, store, write_seconds
 
+from altd.answers.events import answer
+from altd.history.opening import DAMAGED, move_aside
 from altd.reasons import Reason
 from altd.status.event_log import EventKind
 
@@ -52,9 +57,8 @@ class TestExport:
 
     def test_measurements_into_a_file_as_parquet(self, history: Path, tmp_path: Path) -> None:
         to = tmp_path / "t.parquet"
-        said = altd_here(
-            "export", "--history", history, "--every", "measurement", "--format", "parquet", "-o", to
-        )
+        form = ("--every", "measurement", "--format", "parquet")
+        said = altd_here("export", "--history", history, *form, "-o", to)
         assert (said.status, said.out, said.err) == (0, "", "")
         read = pyarrow.parquet.read_table(to)
         rows = read.to_pylist()
@@ -178,3 +182,45 @@ class TestEvents:
     def test_a_kind_that_there_is_not_is_refused(self, history: Path) -> None:
         line = refusal(altd_here("events", "--history", history, "--kind", "requst"))
         assert line.endswith("did you mean `request`?")
+
+
+def write(folder: Path, number: int, text: str) -> None:
+    """As a daemon does that is started, notes an event and ends."""
+    writing = store(folder)
+    noted = event(number, START_S + number, EventKind.REQUEST, 1, text)
+    writing.write(batch(START_S + number + 1, (), [noted]))
+    writing.end(None)
+
+
+def begin(file: Path) -> None:
+    """As a daemon does before the first table is on its disk."""
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("PRAGMA journal_mode = WAL")
+
+
+def test_goes_on_with_the_file_that_the_daemon_begins_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    history = tmp_path / "history.db"
+    write(tmp_path, 1, "the first")
+
+    def pauses() -> Iterator[None]:
+        yield
+        write(tmp_path, 2, "the second")
+        yield
+        move_aside(history, DAMAGED)
+        begin(history)
+        yield  # it is seen that there is another file
+        yield
+        yield
+        write(tmp_path, 1, "in a new file")
+        yield
+        yield
+        raise KeyboardInterrupt
+
+    pause = pauses()
+    monkeypatch.setattr(time, "sleep", lambda seconds: next(pause))
+    with pytest.raises(KeyboardInterrupt):
+        answer(history, (0, 2**62), ("request",), "text", follow=True)
+    said = [line.split(" request ")[1].strip() for line in capsys.readouterr().out.splitlines()]
+    assert said == ["the first", "the second", "in a new file"]

@@ -12,6 +12,7 @@ import tarfile
 from collections.abc import Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.history import START_S, event, store, write_seconds
@@ -78,13 +79,7 @@ def test_a_lost_unit_is_as_it_was(settings: Path, archive: Path) -> None:
     shutil.rmtree(settings.parent.parent / "data")
     assert restore(archive, settings) == "TEST-1"
     after = state(settings)
-    assert {Path(name).name for name in after} == {
-        "altd.toml",
-        "cal.json",
-        "credentials",
-        CHECKS,
-        "history.db",
-    }
+    assert {Path(of).name for of in after} == {"altd.toml", "cal.json", "credentials", CHECKS, "history.db"}
     history = str(settings.parent.parent / "data" / "history.db")
     assert {name: after[name] for name in after if name != history} == {
         name: before[name] for name in before if name != history
@@ -176,10 +171,8 @@ def with_file(members: Members, name: str, content: bytes) -> Members:
     for member, new in changed:
         member.size = len(new)
 
-    def enter(index: dict[str, object]) -> None:
-        files = index["files"]
-        assert isinstance(files, dict)
-        files[name] |= {"size": len(content), "sha256": sha256(content).hexdigest()}
+    def enter(index: dict[str, Any]) -> None:
+        index["files"][name] |= {"size": len(content), "sha256": sha256(content).hexdigest()}
 
     return with_index(changed, enter)
 
@@ -199,9 +192,8 @@ def renamed(name: str) -> Callable[[Members], Members]:
     def edit(members: Members) -> Members:
         old, members[1][0].name = members[1][0].name, name
 
-        def enter(index: dict[str, object]) -> None:
+        def enter(index: dict[str, Any]) -> None:
             files = index["files"]
-            assert isinstance(files, dict)
             files[name] = files.pop(old)
 
         return with_index(members, enter)
@@ -272,10 +264,8 @@ def test_faulty_settings_of_the_same_unit_are_replaced(settings: Path, archive: 
 
 
 def test_no_file_gets_more_rights_than_a_unit_needs(settings: Path, archive: Path) -> None:
-    def enter(index: dict[str, object]) -> None:
-        files = index["files"]
-        assert isinstance(files, dict)
-        files["settings/cal.json"]["mode"] = 0o104777
+    def enter(index: dict[str, Any]) -> None:
+        index["files"]["settings/cal.json"]["mode"] = 0o104777
 
     restore(rewritten(archive, lambda members: with_index(members, enter)), settings)
     assert (settings.parent / "cal.json").stat().st_mode == 0o100664

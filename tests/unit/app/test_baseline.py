@@ -60,7 +60,6 @@ def test_a_stored_baseline_comes_back_whole(file: BaselineFile, simulated: bool)
     assert file.load() is None
     file.save(MEANS, MADE, simulated)
     means = file.load()
-    assert means is not None
     assert means.simulated is simulated
     assert list(means.own) == list(NAMES)
     back, stored = means.stable["t3"]["t5"], MEANS.stable["t3"]["t5"]
@@ -120,7 +119,6 @@ def test_without_a_place_to_keep_it_a_row_is_not_run(tmp_path: Path, monkeypatch
         with_baseline_kept(config, tmp_path / "altd.toml")
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     kept = with_baseline_kept(config, tmp_path / "altd.toml")
-    assert kept.chain is not None
     assert kept.chain.baseline == baseline_path(config, tmp_path)
 
 
@@ -151,9 +149,7 @@ async def test_the_first_rounds_baseline_is_written_and_that_of_a_played_recordi
     assert (file.path.exists() and json.loads(file.path.read_text())["origin"]) == (origin or False)
 
 
-async def test_a_full_disk_is_reported_and_tried_again(
-    file: BaselineFile, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_full_disk_is_told_and_retried(file: BaselineFile, monkeypatch: pytest.MonkeyPatch) -> None:
     clock, chain = FakeClock.of_loop(), _Chain()
     component = Health(clock).component("baseline")
     measured = measurement_of_row(NAMES)

@@ -52,9 +52,7 @@ async def told(settings: Config, celsius: float | Exception | None) -> tuple[Hea
         async with asyncio.timeout(60):
             while any(component.state == "starting" for component in health) or not list(health):  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
-        causes = [
-            f"{cause.kind} {cause.of} {cause.detail}" for watch in watches.watches for cause in watch(0)
-        ]
+        causes = [f"{one.kind} {one.of} {one.detail}" for watch in watches.watches for one in watch(0)]
         running.cancel()
     return health, [cause for cause in causes if cause.startswith("too_")]
 

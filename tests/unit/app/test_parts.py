@@ -7,6 +7,7 @@ from unittest.mock import Mock, call
 import pytest
 
 from altd.app.parts import exposure_controls_of, lamps_of
+from altd.app.reloading import RELOADED, changed_keys
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.ports import Camera, SwitchingCamera
@@ -14,11 +15,8 @@ from altd.ports import Camera, SwitchingCamera
 
 def test_a_recording_or_scan_sets_the_live_cameras_that_are_not_left_to_themselves() -> None:
     def live(control: str) -> dict[str, object]:
-        return {
-            "driver": "v4l2",
-            "device": "/dev/video0",
-            "exposure": {"control": control, "exposure_ms": 3.0},
-        }
+        exposure = {"control": control, "exposure_ms": 3.0}
+        return {"driver": "v4l2", "device": "/dev/video0", "exposure": exposure}
 
     names = ("auto", "fixed", "camera", "recording")
     config = Config.model_validate(
@@ -31,10 +29,7 @@ def test_a_recording_or_scan_sets_the_live_cameras_that_are_not_left_to_themselv
         }
     )
     controls = exposure_controls_of(config)
-    assert {name: control.setpoint.exposure_ms for name, control in controls.items()} == {
-        "auto": 3.0,
-        "fixed": 3.0,
-    }
+    assert {name: each.setpoint.exposure_ms for name, each in controls.items()} == {"auto": 3.0, "fixed": 3.0}
 
 
 class TestLampsOfCameras:
@@ -51,7 +46,6 @@ class TestLampsOfCameras:
     def test_hang_on_the_outputs_that_the_config_names(self) -> None:
         cameras: dict[str, Any] = {"front": Mock(spec=SwitchingCamera), "rear": Mock(spec=SwitchingCamera)}
         lamps = lamps_of(self.CONFIG, cameras, Path("altd.toml"))
-        assert lamps is not None
         lamps.switch(True)
         assert cameras["rear"].switch_output.call_args_list == [call("Line2", True)]
         assert not cameras["front"].switch_output.called
@@ -60,3 +54,14 @@ class TestLampsOfCameras:
         cameras: dict[str, Any] = {"front": Mock(spec=Camera), "rear": Mock(spec=Camera)}
         with pytest.raises(BadInputError, match=r"altd\.toml: lamps: camera 'rear' has no output to switch"):
             lamps_of(self.CONFIG, cameras, Path("altd.toml"))
+
+
+def test_each_key_that_differs_is_named() -> None:
+    old = {"unit": {"serial": "A", "k": 1}, "http": None, "targets": [{"name": "front"}], "chain": {"a": 1}}
+    new = {"unit": {"serial": "B", "k": 1}, "http": {"port": 1}, "targets": [], "chain": None}
+    assert list(changed_keys(old, new)) == ["unit.serial", "http", "targets", "chain"]
+    assert list(changed_keys(old, old)) == []
+
+
+def test_the_tables_that_may_change_are_tables() -> None:
+    assert set(RELOADED) < set(Config.model_fields)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
+from support.history import ABOUT, MAX_BYTES, WallClock, record_seconds
 
 from altd.app.keeping import CHECK_INTERVAL_S, DaemonHistory, PastAvailability
 from altd.history.history import History, NoHistoryError
@@ -39,9 +39,7 @@ class Restarted:
         return int(self.clock.utc(START_NS).timestamp())
 
     def ran_before(self, from_s: int, seconds: int) -> None:
-        writing = store(self.folder)
-        write_seconds(writing, from_s, [10.0] * seconds, rate=2)
-        writing.end(None)
+        record_seconds(self.folder, from_s, [10.0] * seconds, rate=2)
 
     def hour(self) -> dict[str, Any]:
         return cast("dict[str, Any]", self.availability.as_object()["last_hour"])

@@ -7,7 +7,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -119,52 +119,42 @@ def test_without_a_command_it_shows_what_there_is_and_what_to_try_first(module: 
     assert (asked.status, asked.out, asked.err) == (0, text, "")
 
 
+Told = Callable[[Path, Sequence[str]], str]
 CONFIGURED = ("run", "record -o {new} --seconds 1", "scan -o {new}", "lamps off", "check-config")
 
 
 class TestWithoutAConfig:
     """``DEFAULT_CONFIG`` is where the service has its own; here the constant is another."""
 
+    @pytest.fixture
+    def told(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Told:
+        """What is said of bad arguments where that is the service's own."""
+
+        def told(installed: Path, arguments: Sequence[str]) -> str:
+            monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)
+            assert cli.main(arguments) == 2
+            return capsys.readouterr().err
+
+        return told
+
     @pytest.mark.parametrize("command", [*CONFIGURED, "doctor"])
-    def test_the_service_s_own_is_taken_where_it_exists(
-        self,
-        command: str,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str],
-    ) -> None:
+    def test_the_service_s_own_is_taken_where_it_is(self, command: str, tmp_path: Path, told: Told) -> None:
         installed = tmp_path / "altd.toml"
         installed.write_text("[unit]\ncolour = 3\n")
-        monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)
-        assert cli.main(command.format(new=tmp_path / "new").split()) == 2
-        assert f"{installed}: line 2, column 1: unit.colour: there is no such key" in capsys.readouterr().err
+        line = f"{installed}: line 2, column 1: unit.colour: there is no such key"
+        assert line in told(installed, command.format(new=tmp_path / "new").split())
 
     @pytest.mark.parametrize("command", CONFIGURED)
-    def test_where_there_is_none_either_that_is_said(
-        self,
-        command: str,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str],
-    ) -> None:
-        monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "none.toml")
-        assert cli.main(command.format(new=tmp_path / "new").split()) == 2
-        name = command.split()[0]
+    def test_where_there_is_none_that_is_said(self, command: str, tmp_path: Path, told: Told) -> None:
+        name, *arguments = command.format(new=tmp_path / "new").split()
         said = f"altd {name}: missing: --config FILE, because there is no {tmp_path}/none.toml\n"
-        assert capsys.readouterr().err == said
+        assert told(tmp_path / "none.toml", [name, *arguments]) == said
 
     @pytest.mark.parametrize("option", [(), ("--config",)])
-    def test_one_that_is_named_counts(
-        self,
-        option: tuple[str, ...],
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str],
-    ) -> None:
+    def test_one_that_is_named_counts(self, option: tuple[str, ...], tmp_path: Path, told: Told) -> None:
         (tmp_path / "altd.toml").write_text("[unit]\n")
-        monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "altd.toml")
-        assert cli.main(["check-config", *option, str(tmp_path / "other.toml")]) == 2
-        assert "other.toml: No such file" in capsys.readouterr().err
+        arguments = ["check-config", *option, str(tmp_path / "other.toml")]
+        assert "other.toml: No such file" in told(tmp_path / "altd.toml", arguments)
 
 
 def test_the_shipped_config_passes_its_own_check() -> None:
@@ -237,9 +227,8 @@ def test_the_specification_has_the_ranges_rates_and_limits_of_the_code() -> None
     assert rows["a silent camera makes it invalid after"] == f"{measuring.silent_after_s:g} s"
     withdrawn = rows["value withdrawn when its last exposure is older than"]
     assert withdrawn == f"{measuring.stale_after_s:.1f} s"
-    coldest, warmest = (
-        HwmonThermometerSettings.model_fields[f"{end}_celsius"].default for end in ("min", "max")
-    )
+    fields = HwmonThermometerSettings.model_fields
+    coldest, warmest = (fields[f"{end}_celsius"].default for end in ("min", "max"))
     outside = rows["`too_cold`, `too_hot` of camera and thermometer"]
     assert outside == f"below −{-coldest:g} °C, above +{warmest:g} °C"
     readme = _rows("README.md")
@@ -251,11 +240,8 @@ def test_the_recommended_limits_of_age_are_those_of_the_readers() -> None:
     rows = _rows("docs/specification.md")
     limit_s = inspect.signature(Reader).parameters["max_age_s"].default
     assert rows["recommended limit of `age`"].startswith(f"{limit_s:.1f} s; ")
-    for page, limit in (
-        ("http", f"{limit_s:.1f}"),
-        ("modbus", f"{1000 * limit_s:g} ms"),
-        ("telegram", "1000"),
-    ):
+    limits = ("http", f"{limit_s:.1f}"), ("modbus", f"{1000 * limit_s:g} ms"), ("telegram", "1000")
+    for page, limit in limits:
         text = (ROOT / "docs" / f"{page}.md").read_text()
         assert f"use it up to {limit}\n([specification](specification.md#latency-and-age))" in text
     tab = json.loads((ROOT / "examples/node_red/flow.json").read_text())[0]

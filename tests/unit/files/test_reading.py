@@ -1,15 +1,22 @@
 from __future__ import annotations
 
+import contextlib
 import os
 import pwd
+import re
 import socket
 import threading
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from support.pngs import chunk, png
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_json, parse_toml
+from altd.files.picture import decode_png, read_picture
 from altd.files.reading import read_file, read_head
 
 
@@ -107,3 +114,123 @@ def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path: Path) -> None:
     finally:
         done.set()
         growing.join()
+
+
+PIXELS = np.random.default_rng(1).integers(0, 255, (48, 64)).astype(np.uint8)
+GOOD = cv2.imencode(".png", PIXELS)[1].tobytes()
+
+
+def png_complaint(data: bytes, width: int = 64, height: int = 48, bits: int = 8) -> str:
+    try:
+        decode_png(data, width, height, bits)
+    except ValueError as error:
+        return str(error)
+    pytest.fail("it was decoded")
+
+
+def test_a_png_is_decoded_whatever_else_is_in_it() -> None:
+    assert np.array_equal(decode_png(GOOD, 64, 48, 8), PIXELS)
+    comment = chunk(b"tEXt", b"Comment\0x") + chunk(b"gAMA", b"\0\0\0\0")
+    assert np.array_equal(decode_png(GOOD[:33] + comment + GOOD[33:], 64, 48, 8), PIXELS)
+
+
+def test_a_png_of_another_size_is_not_decoded() -> None:
+    assert png_complaint(png(40_000, 40_000)) == "is 40000 × 40000, expected 64 × 48"
+    assert "more than 268435456 pixels" in png_complaint(png(40_000, 40_000), 40_000, 40_000)
+
+
+def test_a_torn_or_damaged_png_is_refused_and_libpng_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    flipped = bytearray(GOOD)
+    flipped[len(GOOD) // 2] ^= 1
+    for damaged in (GOOD[:-12], GOOD[: len(GOOD) // 2], bytes(flipped), GOOD[:33] + GOOD[8:]):
+        assert png_complaint(damaged) == "cannot be decoded as a frame: it is torn or damaged"
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (png(40_000, 40_000), "it is 40000 × 40000, more than 268435456 pixels"),
+        (png(65_536, 16_385), "it is 65536 × 16385, more than"),  # beyond 2³⁰, where OpenCV raises
+        (png(2**31, 1), "more than"),
+        (png(0, 5), "its header is not that of a PNG"),
+        (png(64, 64, depth=9), "its header is not that of a PNG"),
+        (png(64, 64), "Not enough image data"),
+        (png(64, 64, data=b"\x09" * 65 * 64), "bad adaptive filter value"),
+        (GOOD[:100], "it is torn or damaged"),
+        (b"", "of up to"),
+        (b"P5\n60000 60000\n255\n" + bytes(100), "of up to"),
+        (cv2.imencode(".jpg", PIXELS)[1].tobytes()[:1500] + b"\xff\xd9", "Corrupt JPEG data"),
+        (cv2.imencode(".png", np.zeros((64, 64, 3), np.uint8))[1].tobytes(), "is not an 8- or 16-bit grey"),
+        (cv2.imencode(".png", np.zeros((16, 64), np.uint8))[1].tobytes(), "is only 64 × 16 pixels"),
+    ],
+)
+def test_a_picture_that_cannot_be_used_is_refused_in_one_line(
+    data: bytes, why: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "picture"
+    path.write_bytes(data)
+    with pytest.raises(BadInputError) as caught:
+        read_picture(path)
+    assert why in str(caught.value)
+    assert str(caught.value).isprintable()
+    assert "libpng" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"x = " + b"9" * 5000, "not TOML: a number with too many digits"),
+        (b"x = " + b"[" * 5000, "is nested too deeply"),
+        (b"x = " + b"{a=" * 5000, "is nested too deeply"),
+        (b"x = 0x" + b"f" * 20_000, "has more than 64 bits"),
+        (b'a.b = [{c = "x\\u0000y"}]', "has a NUL"),
+        (b"a = 1\na = 2", "not TOML: this key is defined twice"),
+        (b"x = 1\r\ny = \r\n", "not TOML: no value"),
+        (b"\xef\xbb\xbfx = 1", "begins with a byte order mark: save the file as UTF-8"),
+        (b"x = \xff", "is not UTF-8 text"),
+        (b"x = \0", "not TOML: no value"),
+        (b"# " + b"." * 99 + b"\n" + b"a." * 65 + b"a = 1", "more than 64 dots in a line"),
+        (b'x = """', "not TOML: "),
+    ],
+)
+def test_toml_that_is_none_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        parse_toml(content)
+
+
+def test_toml_is_read() -> None:
+    assert parse_toml(b"# " + b"." * 500 + b"\nx.y = [1, 0.5]\r\n") == {"x": {"y": [1, 0.5]}}
+
+
+def test_no_toml_of_a_config_s_size_takes_long() -> None:
+    """A key of 30,000 parts takes tomllib 9 s."""
+    line = b".".join([b"a"] * 60)
+    tables = b"\n".join(b"[%s.b%d]\n%s = 1" % (line, n, line) for n in range(250))
+    for content in (b".".join([b"a"] * 30_000) + b" = 1", tables, b"\n" * 60_000 + b"x = 1", b" " * 60_000):
+        began = time.process_time()
+        with contextlib.suppress(ValueError):
+            parse_toml(content)
+        assert time.process_time() - began < 5  # computing time, which a busy computer does not add to
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b'{"a": 1, "b": 2, "a": 1}', "is not JSON: the key 'a' occurs twice in one object"),
+        (b"[" * 100_000, "is nested too deeply"),
+        (b'{"a":' * 100_000, "is nested too deeply"),
+        (b"[" + b"9" * 5000 + b"]", "has 5000 digits"),
+        (b"[-" + b"9" * 40 + b"]", "has 41 digits"),
+        (b'{"a": 1', "is not JSON: Expecting"),
+        (b'["\xff"]', "is not JSON: 'utf-8' codec"),
+        (b"", "is not JSON: Expecting value"),
+    ],
+)
+def test_json_that_is_none_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        parse_json(content)
+
+
+def test_json_is_read() -> None:
+    assert parse_json(b'\xef\xbb\xbf{"a": [1, 0.5, {"b": null}]}') == {"a": [1, 0.5, {"b": None}]}

@@ -42,9 +42,7 @@ def test_bad_input_is_a_line_and_status_2(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr() == ("", "altd test: a.toml: line 3: no\n")
 
 
-def test_a_package_that_is_missing_is_a_line_that_names_the_interpreter(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_missing_package_is_a_line_that_names_the_interpreter(capsys: pytest.CaptureFixture[str]) -> None:
     def work() -> int:
         raise ModuleNotFoundError(name="cv2")
 
@@ -127,9 +125,7 @@ async def test_a_cancellation_is_no_signal() -> None:
         await task
 
 
-async def test_a_hang_up_without_a_terminal_is_a_request_from_the_first_moment(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_hang_up_without_a_terminal_is_a_request_at_any_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("altd.process.endings._has_terminal", lambda: False)
     hangup = hangups()
     assert hangup is not None

@@ -33,10 +33,14 @@ def words(link: socket.socket) -> list[str]:
             return out
 
 
+def managed(now_ns: int, stale_after_s: float = 1.0) -> tuple[FakeClock, Board, ServiceManager]:
+    clock = FakeClock(now_ns)
+    board = Board(clock, stale_after_s, QUANTITIES)
+    return clock, board, ServiceManager(board, clock, "unit A", ["http"])
+
+
 async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only(told: socket.socket) -> None:
-    clock = FakeClock(10**9)
-    board = Board(clock, 1.0, QUANTITIES)
-    manager = ServiceManager(board, clock, "unit A", ["http"])
+    clock, board, manager = managed(10**9)
     board.publish(measurement(1, 0, Reason.WARMING_UP))
     manager.progress()
     assert words(told) == ["READY=1\nSTATUS=not measuring: warming_up\nWATCHDOG=1"]
@@ -51,9 +55,7 @@ async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only
 
 
 async def test_ready_follows_a_reload(told: socket.socket) -> None:
-    clock = FakeClock(3 * 10**9)
-    board = Board(clock, 9.0, QUANTITIES)
-    manager = ServiceManager(board, clock, "unit A", ["http"])
+    clock, board, manager = managed(3 * 10**9, 9.0)
     board.publish(measurement(1))
     manager.progress()
     with manager.reloading():
@@ -76,9 +78,7 @@ def test_text_from_outside_adds_no_assignment(told: socket.socket) -> None:
 
 
 async def test_a_manager_that_does_not_read_or_is_gone_holds_nothing(told: socket.socket) -> None:
-    clock = FakeClock(10**9)
-    board = Board(clock, 1.0, QUANTITIES)
-    manager = ServiceManager(board, clock, "unit A", ["http"])
+    clock, board, manager = managed(10**9)
     board.publish(measurement(1))
     for _ in range(200):  # far more than a socket's queue holds
         manager.progress()
@@ -90,9 +90,7 @@ async def test_a_manager_that_does_not_read_or_is_gone_holds_nothing(told: socke
 
 async def test_ready_is_repeated_until_it_was_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "later"))
-    clock = FakeClock(10**9)
-    board = Board(clock, 10.0, QUANTITIES)
-    manager = ServiceManager(board, clock, "unit A", ["http"])
+    clock, board, manager = managed(10**9, 10.0)
     manager.progress()  # nothing on the board yet
     board.publish(measurement(1))
     await clock.advance(0.25)
@@ -103,19 +101,14 @@ async def test_ready_is_repeated_until_it_was_taken(tmp_path: Path, monkeypatch:
         for _ in range(3):
             await clock.advance(0.25)
             manager.progress()
-        assert [word.split("\n")[0] for word in words(link)] == [
-            "READY=1",
-            "STATUS=measuring",
-            "STATUS=measuring",
-        ]
+        first_lines = [word.split("\n")[0] for word in words(link)]
+        assert first_lines == ["READY=1", "STATUS=measuring", "STATUS=measuring"]
 
 
 async def test_the_journal_gets_a_line_when_something_changes_not_more_than_one_a_second(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    clock = FakeClock(10**9)
-    board = Board(clock, 1.0, QUANTITIES)
-    manager = ServiceManager(board, clock, "unit A", ["http"])
+    clock, board, manager = managed(10**9)
     with caplog.at_level(logging.INFO, "altd"):
         for number in range(200):
             board.publish(measurement(number, clock.now_ns, *([Reason.UNSTEADY] if number % 10 < 5 else [])))

@@ -4,14 +4,15 @@ import asyncio
 import errno
 import itertools
 import logging
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 import pytest
 from support.clock import FakeClock, settle, stop
 
 from altd.errors import BadInputError
 from altd.runtime.supervision import keep_running
-from altd.status.health import Health, State
+from altd.status.health import Component, Health, State
 
 
 class Flaky:
@@ -38,31 +39,37 @@ def clock() -> FakeClock:
     return FakeClock()
 
 
+@asynccontextmanager
+async def supervised(publisher: object, clock: FakeClock, **options: bool) -> AsyncIterator[Component]:
+    component = Health(clock).component("face")
+    task = asyncio.create_task(keep_running("face", publisher, component, clock, **options))
+    yield component
+    await stop(task)
+
+
 async def test_a_dead_publisher_is_started_again_more_and_more_rarely(
     clock: FakeClock, caplog: pytest.LogCaptureFixture
 ) -> None:
-    component = Health(clock).component("serial")
     publisher = Flaky(failures=8)
-    task = asyncio.create_task(keep_running("serial", publisher, component, clock))
-    starts_at = []
-    with caplog.at_level(logging.WARNING, "altd"):
-        for second in range(130):
-            await clock.advance(1.0)
-            if len(publisher.starts) > len(starts_at):
-                starts_at += [second] * (len(publisher.starts) - len(starts_at))
-    assert component.state is State.OK
-    assert component.counters["failures"] == 1  # one outage, however often it was tried
-    gaps = [later - earlier for earlier, later in itertools.pairwise(starts_at)]
-    assert gaps[-1] == 30
-    assert gaps == sorted(gaps)
-    assert len(caplog.records) == 1  # one line, not one a try
-    publisher.die.set()
-    await settle()
-    assert component.state is State.FAILED
-    assert "the port is gone" in component.message
-    await clock.advance(0.5)
-    assert component.state is State.OK
-    await stop(task)
+    async with supervised(publisher, clock) as component:
+        starts_at = []
+        with caplog.at_level(logging.WARNING, "altd"):
+            for second in range(130):
+                await clock.advance(1.0)
+                if len(publisher.starts) > len(starts_at):
+                    starts_at += [second] * (len(publisher.starts) - len(starts_at))
+        assert component.state is State.OK
+        assert component.counters["failures"] == 1  # one outage, however often it was tried
+        gaps = [later - earlier for earlier, later in itertools.pairwise(starts_at)]
+        assert gaps[-1] == 30
+        assert gaps == sorted(gaps)
+        assert len(caplog.records) == 1  # one line, not one a try
+        publisher.die.set()
+        await settle()
+        assert component.state is State.FAILED
+        assert "the port is gone" in component.message
+        await clock.advance(0.5)
+        assert component.state is State.OK
 
 
 async def test_an_address_in_use_at_the_start_is_a_mistake_in_the_config(clock: FakeClock) -> None:
@@ -71,84 +78,70 @@ async def test_an_address_in_use_at_the_start_is_a_mistake_in_the_config(clock: 
         await keep_running("http 127.0.0.1:80", Flaky(1, taken), Health(clock).component("http"), clock)
 
 
-async def test_an_address_that_was_served_before_is_waited_for(clock: FakeClock) -> None:
-    component = Health(clock).component("http")
-    taken = OSError(errno.EADDRINUSE, "Address already in use")
-    task = asyncio.create_task(keep_running("http", Flaky(2, taken), component, clock, is_new=False))
-    await settle()
-    assert component.state is State.FAILED
-    await clock.advance(5)
-    assert component.state is State.OK
-    await stop(task)
-
-
-async def test_an_address_that_the_computer_does_not_have_yet_is_waited_for(clock: FakeClock) -> None:
-    component = Health(clock).component("http")
-    absent = OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
-    task = asyncio.create_task(keep_running("http", Flaky(2, absent), component, clock))
-    await clock.advance(5)
-    assert component.state is State.OK
-    await stop(task)
+@pytest.mark.parametrize(
+    ("error", "is_new"),
+    [
+        pytest.param(
+            OSError(errno.EADDRINUSE, "Address already in use"), False, id="address that was served before"
+        ),
+        pytest.param(
+            OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address"),
+            True,
+            id="address that the computer does not have yet",
+        ),
+        # while the computer boots, a new device belongs to root until udev has given it to its group
+        pytest.param(
+            OSError(errno.EACCES, "Permission denied", "/dev/ttyUSB0"), True, id="device not handed over yet"
+        ),
+    ],
+)
+async def test_what_may_yet_come_is_waited_for(clock: FakeClock, error: OSError, is_new: bool) -> None:
+    async with supervised(Flaky(2, error), clock, is_new=is_new) as component:
+        await settle()
+        assert component.state is State.FAILED
+        await clock.advance(2)
+        assert component.state is State.OK
 
 
 async def test_an_address_that_is_taken_later_is_waited_for(clock: FakeClock) -> None:
-    component = Health(clock).component("http")
     publisher = Flaky()
-    task = asyncio.create_task(keep_running("http", publisher, component, clock))
-    await settle()
-    publisher.failures, publisher.error = 3, OSError(errno.EADDRINUSE, "Address already in use")
-    publisher.die.set()
-    await clock.advance(10)
-    assert component.state is State.OK
-    await stop(task)
-
-
-GONE = OSError(errno.ENOENT, "there is no such port now", "/dev/ttyUSB0")
+    async with supervised(publisher, clock) as component:
+        await settle()
+        publisher.failures, publisher.error = 3, OSError(errno.EADDRINUSE, "Address already in use")
+        publisher.die.set()
+        await clock.advance(10)
+        assert component.state is State.OK
 
 
 async def test_a_device_that_is_missing_is_looked_for_every_second(clock: FakeClock) -> None:
-    component = Health(clock).component("serial")
-    publisher = Flaky(1000, GONE)
-    task = asyncio.create_task(keep_running("serial", publisher, component, clock))
-    await clock.advance(600.0)
-    assert component.message == "there is no such port now; next try in 0.5 s"
-    publisher.failures = 0
-    await clock.advance(0.3)
-    assert component.message == "there is no such port now; next try in 0.2 s"
-    await clock.advance(0.2)
-    assert component.state is State.OK
-    await stop(task)
-
-
-async def test_a_device_that_is_not_handed_over_yet_is_waited_for(clock: FakeClock) -> None:
-    """While the computer boots, a new device belongs to root until udev has given it to its group."""
-    component = Health(clock).component("serial")
-    forbidden = OSError(errno.EACCES, "Permission denied", "/dev/ttyUSB0")
-    task = asyncio.create_task(keep_running("serial", Flaky(2, forbidden), component, clock))
-    await clock.advance(2)
-    assert component.state is State.OK
-    await stop(task)
+    publisher = Flaky(1000, OSError(errno.ENOENT, "there is no such port now", "/dev/ttyUSB0"))
+    async with supervised(publisher, clock) as component:
+        await clock.advance(600.0)
+        assert component.message == "there is no such port now; next try in 0.5 s"
+        publisher.failures = 0
+        await clock.advance(0.3)
+        assert component.message == "there is no such port now; next try in 0.2 s"
+        await clock.advance(0.2)
+        assert component.state is State.OK
 
 
 async def test_what_dies_again_and_again_does_not_fill_the_log(
     clock: FakeClock, caplog: pytest.LogCaptureFixture
 ) -> None:
-    component = Health(clock).component("serial")
     publisher = Flaky()
-    task = asyncio.create_task(keep_running("serial", publisher, component, clock))
-    await settle()
-    with caplog.at_level(logging.WARNING, "altd"):
-        for _ in range(100):
+    async with supervised(publisher, clock) as component:
+        await settle()
+        with caplog.at_level(logging.WARNING, "altd"):
+            for _ in range(100):
+                publisher.die.set()
+                await clock.advance(2.0)
+                assert component.state is State.OK
+            assert component.counters["failures"] == 100
+            assert len(caplog.records) == 1
+            await clock.advance(60.0)
             publisher.die.set()
-            await clock.advance(2.0)
-            assert component.state is State.OK
-        assert component.counters["failures"] == 100
-        assert len(caplog.records) == 1
-        await clock.advance(60.0)
-        publisher.die.set()
-        await clock.advance(0.1)
-        assert len(caplog.records) == 2  # it had served for long: that is news
-    await stop(task)
+            await clock.advance(0.1)
+            assert len(caplog.records) == 2  # it had served for long: that is news
 
 
 class Grouped:
@@ -181,14 +174,13 @@ async def test_a_failure_that_comes_with_the_end_does_not_prevent_it(clock: Fake
 
 async def test_a_failure_in_a_group_of_tasks_is_none_of_the_end(clock: FakeClock) -> None:
     """A TaskGroup of Python 3.11 that fails leaves its task as if it were cancelled."""
-    publisher, component = Grouped(), Health(clock).component("grouped")
-    task = asyncio.create_task(keep_running("grouped", publisher, component, clock))
-    for _ in range(3):
-        await settle()
-        assert component.state is State.OK
-        publisher.fails.set()
-        await settle()
-        assert component.state is State.FAILED
-        publisher.fails.clear()
-        await clock.advance(30.0)
-    await stop(task)
+    publisher = Grouped()
+    async with supervised(publisher, clock) as component:
+        for _ in range(3):
+            await settle()
+            assert component.state is State.OK
+            publisher.fails.set()
+            await settle()
+            assert component.state is State.FAILED
+            publisher.fails.clear()
+            await clock.advance(30.0)

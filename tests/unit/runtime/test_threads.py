@@ -1,17 +1,18 @@
-"""Calls in real threads. No limit decides a test: a call that is held comes back when the test lets it."""
+"""Calls in real threads: one that is held comes back when the test lets it; use of the interpreter."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import gc
+import sys
 import threading
 import weakref
 from functools import partial
 
 import pytest
 
-from altd.runtime.threads import DeviceThread, call_in_thread
+from altd.runtime.threads import DeviceThread, call_in_thread, real_time_interpreter
 
 LONG_S = 60.0  # only a hang takes that long
 
@@ -97,9 +98,7 @@ async def test_the_loop_goes_on_while_a_call_is_held_and_who_left_is_told_nothin
         await waiting
 
 
-def test_a_call_that_outlives_its_loop_ends_its_thread_without_a_word(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_call_that_outlives_its_loop_ends_its_thread_silently(capsys: pytest.CaptureFixture[str]) -> None:
     gate = Gate()
 
     async def leave() -> None:
@@ -200,3 +199,32 @@ def test_a_device_thread_whose_loop_is_gone_ends() -> None:
     gate.may_end.set()
     thread.join(LONG_S)
     assert not thread.is_alive()
+
+
+def test_within_threads_give_way_fifty_times_sooner_and_after_as_they_did() -> None:
+    interval_s = sys.getswitchinterval()
+    with real_time_interpreter():
+        assert sys.getswitchinterval() == pytest.approx(interval_s / 50)
+    assert sys.getswitchinterval() == interval_s
+
+
+def test_a_collection_goes_through_what_is_new_and_all_is_as_it_was_after() -> None:
+    frozen = gc.get_freeze_count()
+    gc.disable()  # as `altd run` starts
+    with real_time_interpreter():
+        assert gc.isenabled()
+        assert gc.get_freeze_count() > 10_000  # modules alone
+        assert len(gc.get_objects()) < 1_000
+        cycle: list[object] = []
+        cycle.append(cycle)
+        del cycle
+        assert gc.collect() >= 1
+    assert gc.get_freeze_count() == frozen
+    assert len(gc.get_objects()) > 10_000
+
+
+def test_a_failure_within_leaves_the_interpreter_as_it_was() -> None:
+    interval_s = sys.getswitchinterval()
+    with pytest.raises(ZeroDivisionError), real_time_interpreter():
+        _ = 1 / 0
+    assert (sys.getswitchinterval(), gc.get_freeze_count()) == (interval_s, 0)

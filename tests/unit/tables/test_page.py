@@ -16,7 +16,6 @@ def test_no_name_stands_twice_and_units_are_those_of_the_names() -> None:
         names = [column.name for column in columns]
         assert len(set(names)) == len(names)
         for column in columns:
-            ending = {"mm": "_mm", "°": "_deg", "mm/m": "_mm_per_m", "px": "_px", "s": "_s"}.get(
-                column.unit, ""
-            )
+            endings = {"mm": "_mm", "°": "_deg", "mm/m": "_mm_per_m", "px": "_px", "s": "_s"}
+            ending = endings.get(column.unit, "")
             assert column.name.endswith(ending)

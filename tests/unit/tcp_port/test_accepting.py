@@ -1,4 +1,4 @@
-"""Accepting where descriptors have run out, and where many come at once."""
+"""Accepting where descriptors have run out and where many come at once, and whose addresses count as one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from support.foreign import need
 
 from altd import tcp_port
 from altd.status.health import Component
-from altd.tcp_port import accept, is_among_last, listen, listen_with_reserved
+from altd.tcp_port import Networks, accept, address_of, group_of, is_among_last, listen, listen_with_reserved
 
 
 @pytest.fixture
@@ -96,9 +96,7 @@ async def test_without_descriptors_it_waits_says_so_and_goes_on(
     }
 
 
-async def test_the_loop_has_a_turn_between_two_connections(
-    admitted: list[socket.socket], component: Component
-) -> None:
+async def test_the_loop_has_a_turn_between_two(admitted: list[socket.socket], component: Component) -> None:
     async with accepting_into(admitted, component) as address:
         clients = [socket.create_connection(address) for _ in range(50)]
         counts = [0]
@@ -190,9 +188,7 @@ def test_where_the_process_or_the_right_is_not_known_the_answer_says_what_to_do(
         ("::1", [f"2001:db8::{n:x}" for n in range(63)] + ["::/1"], "::1", 1),
     ],
 )
-def test_reserved_clients_wait_in_a_queue_of_their_own(
-    host: str, reserved: list[str], client: str, queue: int
-) -> None:
+def test_reserved_clients_have_their_queue(host: str, reserved: list[str], client: str, queue: int) -> None:
     need(host == "127.0.0.1" or has_ipv6(), "this machine has no IPv6")
     with contextlib.ExitStack() as stack:
         listeners = listen_with_reserved(host, 0, reserved)
@@ -220,9 +216,8 @@ def test_without_reserved_clients_of_the_family_there_is_one_queue(reserved: lis
 
 def test_a_reserved_client_connects_while_the_queue_of_the_others_is_full() -> None:
     with contextlib.ExitStack() as stack:
-        listeners = [
-            stack.enter_context(each) for each in listen_with_reserved("127.0.0.1", 0, ["127.0.3.1"])
-        ]
+        listening = listen_with_reserved("127.0.0.1", 0, ["127.0.3.1"])
+        listeners = [stack.enter_context(each) for each in listening]
         address = listeners[0].getsockname()
         for _ in range(2 * tcp_port.BACKLOG):
             waiting = stack.enter_context(socket.socket())
@@ -240,3 +235,34 @@ def test_two_daemons_never_share_a_port(first: list[str], second: list[str]) -> 
         listeners = [stack.enter_context(each) for each in listen_with_reserved("127.0.0.1", 0, first)]
         with pytest.raises(OSError, match=f"Address already in use by .* \\(process {os.getpid()}\\)"):
             listen_with_reserved("127.0.0.1", listeners[0].getsockname()[1], second)
+
+
+@pytest.mark.parametrize(
+    ("host", "group"),
+    [
+        ("192.168.1.10", "192.168.1.10"),
+        ("::ffff:10.0.0.1", "10.0.0.1"),
+        ("2001:db8::1", "2001:db8::/64"),
+        ("2001:db8::ffff:1", "2001:db8::/64"),
+        ("2001:db8:0:1::1", "2001:db8:0:1::/64"),
+        ("fe80::1%eth0", "fe80::/64"),
+    ],
+)
+def test_a_host_with_a_network_of_its_own_counts_once(host: str, group: str) -> None:
+    address = address_of(host)
+    assert group_of(address) == group
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [
+        ("192.168.1.10", True),
+        ("::ffff:192.168.1.10", True),
+        ("192.168.1.11", False),
+        ("fd00::7", True),
+        ("127.0.0.1", False),
+        ("unit", False),
+    ],
+)
+def test_networks_hold_their_addresses_and_nothing_else(host: str, expected: bool) -> None:
+    assert (address_of(host) in Networks(["192.168.1.10", "fd00::/8"])) is expected

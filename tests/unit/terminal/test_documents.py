@@ -28,7 +28,6 @@ from altd.terminal.screen import PAGES, View, draw
 
 def test_a_measurement_is_read_by_the_units_own_quantities() -> None:
     reading = reading_of(measurement(), QUANTITIES)
-    assert reading is not None
     assert [(number.label, number.unit, number.value, number.sigma_now) for number in reading.numbers] == [
         ("x", "mm", 35.0123, 0.0288),
         ("y", "mm", -27.5, 0.0151),
@@ -41,7 +40,6 @@ def test_a_measurement_is_read_by_the_units_own_quantities() -> None:
 
 def test_an_invalid_one_has_targets_without_places() -> None:
     reading = reading_of(invalid("stale"), QUANTITIES)
-    assert reading is not None
     assert not reading.valid
     assert reading.spots == {"front": None, "rear": None}
     assert {number.value for number in reading.numbers} == {None}
@@ -77,9 +75,8 @@ def test_control_characters_do_not_reach_a_terminal() -> None:
     knowledge = Knowledge()
     knowledge.set_reading(reading, 0.0)
     knowledge.set_status(state, 0.0)
-    knowledge.set_documents(
-        check, TargetsDocument.checked(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]})
-    )
+    targets = TargetsDocument.checked(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]})
+    knowledge.set_documents(check, targets)
     shown = [status_text(reading, state, check, calibration)]
     for page in range(len(PAGES)):
         canvas = Canvas(24, 80, is_utf8=True)

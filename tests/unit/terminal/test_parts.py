@@ -188,9 +188,7 @@ judged from SIMULATED frames"""
     def test_no_line_is_wider_than_a_screen(self) -> None:
         parts = {"serial /dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K1XYZ-if00-port0": {"x" * 90: 1}}
         components = {name: {"state": "degraded" * 9, "message": "m" * 300, "for_s": 1e9} for name in parts}
-        check, calibration = (
-            SelfCheckDocument.checked({"verdict": "v" * 200}),
-            CalibrationDocument.checked(CALIBRATION),
-        )
+        check = SelfCheckDocument.checked({"verdict": "v" * 200})
+        calibration = CalibrationDocument.checked(CALIBRATION)
         text = status_text(reading(), StatusDocument.checked(status(**components)), check, calibration)
         assert max(map(len, text.split("\n"))) <= WIDTH < 80

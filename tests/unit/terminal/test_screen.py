@@ -23,7 +23,42 @@ from altd.terminal.knowledge import HOLD_S, Knowledge
 from altd.terminal.lines import status_text
 from altd.terminal.screen import PAGES, View, draw
 
-from .moments import LAST_S, after_a_minute, hear, screen
+LAST_S = 1059.0
+
+
+def hear(knowledge: Knowledge, document: dict[str, Any], now_s: float) -> None:
+    knowledge.set_reading(reading_of(document, QUANTITIES), now_s)
+
+
+def after_a_minute() -> Knowledge:
+    """At ``LAST_S`` the front spot is at x 35, y -27.5 mm; each second before, 3 mm to the left."""
+    knowledge = Knowledge()
+    knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+    for second in range(60):
+        back = second - 59
+        place = {"x_mm": 35.0123 + 3 * back, "y_mm": -27.5}
+        lost = 20 <= second < 30
+        seen = measurement(x_mm=35.0123 + 0.1 * back, front=place)
+        document = invalid("rear_spot_missing") if lost else seen
+        hear(knowledge, document, 1000.0 + second)
+    state = status(SPOT_MISSING, DUSTY, signal="out_of_specification")
+    knowledge.set_status(StatusDocument.checked(state), LAST_S)
+    return knowledge
+
+
+def screen(
+    knowledge: Knowledge,
+    now_s: float,
+    rows: int = 24,
+    columns: int = 80,
+    *,
+    utf8: bool = False,
+    page: int = 0,
+) -> str:
+    canvas = Canvas(rows, columns, is_utf8=utf8)
+    draw(knowledge, now_s, View(page), canvas)
+    return canvas.text()
+
 
 CHECKED = SelfCheckDocument.checked(CHECK)
 SCREENS = Path(__file__).with_name("screens")
@@ -32,9 +67,8 @@ SCREENS = Path(__file__).with_name("screens")
 
 def test_the_page_of_targets_is_this_one_to_the_character() -> None:
     assert screen(after_a_minute(), LAST_S + 0.2) + "\n" == (SCREENS / "targets-ascii.txt").read_text()
-    assert (
-        screen(after_a_minute(), LAST_S + 0.2, utf8=True) + "\n" == (SCREENS / "targets-utf8.txt").read_text()
-    )
+    shown = screen(after_a_minute(), LAST_S + 0.2, utf8=True) + "\n"
+    assert shown == (SCREENS / "targets-utf8.txt").read_text()
 
 
 def test_the_spot_stands_where_the_scale_puts_it() -> None:
@@ -92,9 +126,8 @@ def test_a_number_is_whole_or_absent_on_any_size(rows: int) -> None:
     knowledge = Knowledge()
     knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
     hear(knowledge, document, LAST_S)
-    knowledge.set_status(
-        StatusDocument.checked(status(SPOT_MISSING, DUSTY, signal="out_of_specification")), LAST_S
-    )
+    document = status(SPOT_MISSING, DUSTY, signal="out_of_specification")
+    knowledge.set_status(StatusDocument.checked(document), LAST_S)
     for page, columns in itertools.product(range(len(PAGES)), range(20, 101)):
         text = screen(knowledge, LAST_S, rows, columns, utf8=columns % 2 == 0, page=page)
         assert not numbers_on(text) - MEASURED - FURTHER, text

@@ -1,14 +1,20 @@
-"""``altd refraction`` against published figures, another formula, and a ray traced through layers of air."""
+"""``altd refraction`` against published figures and a traced ray; ``altd registers`` and ``altd devices``."""
 
 from __future__ import annotations
 
+import csv
+import json
 import math
+import re
 
 import numpy as np
 import pytest
 from support.cli import altd_here, refusal
 
+from altd.cli.main import main
 from altd.cli.refraction import bending, index_per_kelvin, refractivity
+from altd.publish.modbus.responder import TABLES
+from altd.reasons import Reason
 from altd.records import FloatArray
 
 
@@ -25,9 +31,8 @@ def edlen(wavelength_um: float, temperature_c: float, pressure_hpa: float) -> fl
     ("temperature_c", "pressure_hpa"), [(-10, 1013.25), (20, 1013.25), (45, 900), (20, 1100)]
 )
 def test_refractivity_and_its_slope_agree_with_edlen(temperature_c: float, pressure_hpa: float) -> None:
-    assert refractivity(temperature_c, pressure_hpa) == pytest.approx(
-        edlen(0.65, temperature_c, pressure_hpa), rel=1e-3
-    )
+    known = edlen(0.65, temperature_c, pressure_hpa)
+    assert refractivity(temperature_c, pressure_hpa) == pytest.approx(known, rel=1e-3)
     slope = (edlen(0.65, temperature_c + 1, pressure_hpa) - edlen(0.65, temperature_c - 1, pressure_hpa)) / 2
     assert index_per_kelvin(temperature_c, pressure_hpa) == pytest.approx(slope, rel=0.01)
 
@@ -74,3 +79,47 @@ def test_the_table_has_a_line_for_each_distance_and_what_it_is_not_for() -> None
 def test_a_wrong_argument_is_one_line(wrong: tuple[str, str]) -> None:
     said = refusal(altd_here("refraction", *wrong))
     assert said.startswith(f"altd refraction: {wrong[0]}: '{wrong[1]}' is not a number from ")
+
+
+ROWS = [row for table in TABLES for row in table.rows]
+
+
+def test_json_has_every_register_and_code() -> None:
+    table = json.loads(altd_here("registers").out)
+    assert [(row["address"], row["name"], row["type"]) for row in table["registers"]] == [
+        (row.address, row.name, row.type) for row in ROWS
+    ]
+    x = next(row for row in table["registers"] if row["address"] == 60)
+    assert (x["block"], x["name"], x["scale"], x["unit"], x["registers"]) == ("scaled", "x", 0.0001, "mm", 2)
+    assert table["reasons"]["29"] == "not_live"
+    assert table["status_bits"]["0"] == "valid"
+    assert table["commands"] == {"1000": "self_check", "1001": "zero"}
+    assert [row["name"] for row in table["discrete_inputs"]][:2] == ["valid", "failure"]
+
+
+def test_csv_has_the_same() -> None:
+    rows = list(csv.DictReader(altd_here("registers", "--format", "csv").out.splitlines()))
+    assert [(int(row["address"]), row["name"]) for row in rows] == [(row.address, row.name) for row in ROWS]
+    assert next(row for row in rows if row["name"] == "yaw")["unit"] == "°"
+
+
+def test_structured_text_has_a_constant_for_each_and_no_name_twice() -> None:
+    first, *lines, last = altd_here("registers", "--format", "st").out.splitlines()
+    assert (first, last) == ("VAR_GLOBAL CONSTANT", "END_VAR")
+    constant = re.compile(r"    (ALT_[A-Z0-9_]+) : UINT := (\d+);( \(\* [^*]+ \*\))?")
+    found = [constant.fullmatch(line) for line in lines]
+    assert all(found)
+    names = [match[1] for match in found if match]
+    assert len(set(names)) == len(names)
+    assert "    ALT_CHECKED_STATUS : UINT := 220; (* UINT, status word as at address 0 *)" in lines
+    assert f"    ALT_REASONS_STALE : UINT := {Reason.STALE.modbus_code};" in lines
+
+
+def test_what_is_not_there_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("altd.devices.gpio.find_chips.chip_paths", list)
+    assert main(["devices"]) == 0
+    sections = [part.splitlines() for part in capsys.readouterr().out.split("\n\n")]
+    assert ["GPIO chips: [lamps], [indicators]", "  none"] in sections
+    assert len(sections) == 4

@@ -1,24 +1,55 @@
-"""No target takes the place of something else in what is published."""
+"""The areas of the targets are what the maps take, and no target's name is that of something else."""
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.cli import altd_here
 from support.played_unit import PlayedUnit
 from support.recordings import seen, write_targets
 from support.unit_toml import played_toml
 
+from altd.app.calibration_summary import target_areas_of
 from altd.app.replay import open_replay
 from altd.app.settings import load_settings
-from altd.calibration.file import save_calibration
+from altd.calibration.file import load_calibration, save_calibration
 from altd.errors import BadInputError
 from altd.records.sensors import Quality, SensorValue
 from altd.status.measurement_json import as_scan_object, checked_line
+from altd.status.target_area import as_object
 from tools.pages.example import MEASURED, STAMP, board
+
+
+def inside(corners: tuple[tuple[float, float], ...], place: tuple[float, float]) -> bool:
+    """By the winding of a convex, counter-clockwise outline."""
+    ends = [*corners[1:], *corners[:1]]
+    return all(
+        (x1 - x0) * (place[1] - y0) - (y1 - y0) * (place[0] - x0) >= 0
+        for (x0, y0), (x1, y1) in zip(corners, ends, strict=True)
+    )
+
+
+def test_a_spot_is_valid_inside_and_nowhere_outside(played_unit: PlayedUnit) -> None:
+    calibration = load_calibration(played_unit.calibration, "TEST-1")
+    areas = target_areas_of(load_settings(played_unit.config), calibration)
+    assert [area.name for area in areas] == ["front", "rear"]
+    for area, known in zip(areas, calibration.targets, strict=True):
+        for turn in np.linspace(0.0, 2 * math.pi, 60):
+            for radius in np.arange(5.0, 130.0, 2.5):
+                place = (float(radius * math.cos(turn)), float(radius * math.sin(turn)))
+                outside_mm = float(known.inverse.outside_mm(*place))
+                if outside_mm <= known.map.margin_mm - 0.02:
+                    assert inside(area.valid_mm, place), place
+                if outside_mm > known.map.margin_mm + 0.02:
+                    assert not inside(area.valid_mm, place), place
+    document = as_object(areas)
+    assert document["area_mm"] == [140.0, 110.0]
+
 
 WITH_ROLL = replace(MEASURED, from_sensors={"roll_deg": SensorValue(Quality.FROZEN)})
 SENT = json.loads(checked_line(board(), WITH_ROLL, STAMP))
@@ -71,9 +102,8 @@ def test_a_calibration_with_such_a_name_is_not_replayed(played_unit: PlayedUnit,
 
 def test_a_recording_with_such_a_name_is_not_calibrated_from(tmp_path: Path) -> None:
     targets = [seen("front", 0.0, "a"), seen("sigma", 280.0, "b")]
-    recorded = write_targets(
-        tmp_path / "rec", "scan", targets, [({"front": None, "sigma": None}, (0.0, 0.0))]
-    )
+    shot = ({"front": None, "sigma": None}, (0.0, 0.0))
+    recorded = write_targets(tmp_path / "rec", "scan", targets, [shot])
     said = altd_here("calibrate", recorded, "-o", tmp_path / "cal.json")
     assert (said.status, said.out) == (2, "")
     assert said.err == (
