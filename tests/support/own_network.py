@@ -20,7 +20,7 @@ import pytest
 from support.foreign import need, need_namespaces, need_program, need_receive_buffer
 
 MARKER = "own_network"
-FILE_TIMEOUT_S = 400.0
+FILE_TIMEOUT_S = 900.0
 """All marked tests of one file; each has a time-out of its own inside."""
 _NOTES = "ALTD_OWN_NETWORK_NOTES"
 _UP = 'ip link set lo up && ip address add 127.0.0.2/32 dev lo && exec "$@"'
