@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import socket
@@ -73,14 +74,8 @@ class Cameras:
 
     def start_with(self, features: str, folder: Path, address: str = HOME) -> None:
         """One whose own description (GenICam) has further features, in its spare registers."""
-        self.start(address)
-        told = subprocess.run(
-            ["arv-tool-0.8", "-a", address, "genicam"], capture_output=True, text=True, check=True
-        )
-        self.kill(address)
-        description = told.stdout[told.stdout.index("<?xml") :]
         path = folder / "camera.xml"
-        path.write_text(_described(description, features))
+        path.write_text(_described(_own_description(), features))
         self.start(address, "T1", "-g", str(path))
 
     def kill(self, address: str = HOME) -> None:
@@ -100,6 +95,15 @@ class Cameras:
     def __exit__(self, *_: object) -> None:
         for address in list(self._processes):
             self.kill(address)
+
+
+@functools.cache
+def _own_description() -> str:
+    with Cameras() as cameras:
+        cameras.start()
+        tool = ["arv-tool-0.8", "-a", HOME, "genicam"]
+        told = subprocess.run(tool, capture_output=True, text=True, check=True).stdout
+    return told[told.index("<?xml") :]
 
 
 def _described(description: str, features: str) -> str:
