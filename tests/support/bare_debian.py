@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import os
+import shutil
 import subprocess
 import time
+import urllib.request
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -76,10 +80,28 @@ class BareDebian:
 
 
 def install_debian(root: Path, suite: str) -> None:
-    """Install Debian of this code name into the empty folder ``root``."""
+    """Install Debian of this code name into the empty folder ``root``.
+
+    The result is kept in the folder of ``.ci/kernel`` until Debian changes the release, some times a year.
+    """
     install = [need_program("debootstrap"), "--variant=minbase", f"--include={_PACKAGES}", suite]
+    with urllib.request.urlopen(f"{MIRROR}/dists/{suite}/InRelease", timeout=60) as release:
+        digest = hashlib.sha256(" ".join(install).encode() + release.read()).hexdigest()[:16]
+    caches = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
+    cache = Path(os.environ.get("ALTD_CACHE", Path(caches, "altd")))
+    kept = cache / f"debian-{suite}-{digest}.tar"
+    if kept.exists():
+        subprocess.run(["tar", "--numeric-owner", "-C", root, "-xpf", kept], check=True)
+        shutil.copy("/etc/resolv.conf", root / "etc")  # as debootstrap does
+        return
     done = subprocess.run([*install, root, MIRROR], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
+    cache.mkdir(parents=True, exist_ok=True)
+    for old in cache.glob(f"debian-{suite}-*.tar"):
+        old.unlink()
+    written = cache / f"{kept.name}.{os.getpid()}"
+    subprocess.run(["tar", "--numeric-owner", "-C", root, "-cf", written, "."], check=True)
+    written.replace(kept)
 
 
 @contextlib.contextmanager
