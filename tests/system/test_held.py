@@ -17,7 +17,7 @@ from support.ports import free_port
 from support.recordings import write_beams
 from support.unit_toml import write_config
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.waits
 
 STALE_AFTER_S = 1.0
 HALF_A_WINDOW_S = 0.1

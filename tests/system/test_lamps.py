@@ -57,7 +57,7 @@ def seen(unit: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]
     return found
 
 
-@pytest.mark.real_time
+@pytest.mark.waits
 class TestDaemon:
     def test_shows_that_it_runs_and_that_what_it_measures_is_no_live_value(
         self, seen: dict[str, Any]
@@ -106,7 +106,7 @@ class TestDaemon:
         assert first_two[-1]["LED_B"] == first_two[-1]["LED_A"] == 0
 
 
-@pytest.mark.real_time  # in one part of the tests with TestDaemon: one guest for both
+@pytest.mark.waits  # in one part of the tests with TestDaemon: one guest for both
 class TestCommand:
     def test_after_a_failure_leaves_error_lit_and_all_else_dark(self, seen: dict[str, Any]) -> None:
         assert seen["pins of the killed"]["OK"] == 1  # as it is wired here, killed it is lit

@@ -178,7 +178,7 @@ def config(folder: Path, tmp_path: Path) -> Path:
     return write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beam")
 
 
-@pytest.mark.real_time
+@pytest.mark.waits
 class TestDaemonToSystemd:
     def test_is_ready_with_the_first_word_on_the_board_and_then_alive(
         self, config: Path, tmp_path: Path

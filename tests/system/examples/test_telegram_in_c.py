@@ -72,7 +72,7 @@ def running(folder: Path, device: str | Path, serial: str) -> Iterator[Program]:
             process.kill()
 
 
-@pytest.mark.real_time
+@pytest.mark.waits
 def test_the_program_shows_values_and_stops_for_each_reason(tmp_path: Path) -> None:
     assert (C / "read_telegram.c").read_text().count("\n") < 80
     far, near = os.openpty()

@@ -121,7 +121,7 @@ def test_after_kill_9_the_next_daemon_takes_its_place(
         assert altd_here("status", "--config", again.config).out.startswith("unit ")
 
 
-@pytest.mark.real_time
+@pytest.mark.waits
 def test_a_daemon_that_hangs_is_said_so_in_time(unit: LocalDaemon) -> None:
     unit.daemon.process.send_signal(signal.SIGSTOP)
     begun = time.monotonic()

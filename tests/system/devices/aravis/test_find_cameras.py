@@ -10,7 +10,7 @@ import pytest
 from support.gige import HOME, Cameras, Grabbed, driver, register
 
 
-@pytest.mark.real_time
+@pytest.mark.waits
 @pytest.mark.own_network
 class TestFoundCameras:
     def test_are_named_as_the_config_wants_them(self, cameras: Cameras) -> None:

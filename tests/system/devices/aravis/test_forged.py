@@ -18,7 +18,7 @@ from support.gige import HOME, Cameras, Grabbed, driver, register
 
 from altd.records import Frame
 
-pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
+pytestmark = [pytest.mark.own_network, pytest.mark.waits]
 
 FOREIGN = "127.0.0.2"
 WIDTH, HEIGHT, PACKET_BYTES = 752, 480, 1400
