@@ -17,6 +17,8 @@ from support.clock import FakeClock
 from support.measurements import measurement_of_row
 
 from altd.app.baseline import BaselineFile, BaselineKeeper, baseline_path, with_baseline_kept
+from altd.app.stored_baseline import store_baseline
+from altd.calibration.file import save_calibration
 from altd.config import ChainSettings, Config, Unit
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of
@@ -147,6 +149,24 @@ async def test_the_first_rounds_baseline_is_written_and_that_of_a_played_recordi
     clock.end()
     assert component.state is State.OK
     assert (file.path.exists() and json.loads(file.path.read_text())["origin"]) == (origin or False)
+
+
+def test_a_baseline_is_renamed_before_the_daemon_makes_another(
+    calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    save_calibration(replace(calibration, file=None), tmp_path / "cal.json")
+    serial = calibration.unit_serial
+    unit = Unit(serial=serial, calibration=tmp_path / "cal.json", instrument="chain")
+    config = Config(unit=unit, chain=SETTINGS)
+    path = baseline_path(config, tmp_path)
+    path.write_text("of old")
+    with pytest.raises(BadInputError, match="--replace renames it"):
+        store_baseline(config, tmp_path / "altd.toml", None, replace=False)
+    renamed, then = store_baseline(config, tmp_path / "altd.toml", None, replace=True)
+    assert not path.exists()
+    assert Path(renamed.removeprefix("renamed: ")).read_text() == "of old"
+    assert then == f"restart altd: its first 5 rounds make the baseline, {path}"
 
 
 async def test_a_full_disk_is_told_and_retried(file: BaselineFile, monkeypatch: pytest.MonkeyPatch) -> None:

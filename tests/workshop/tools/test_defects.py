@@ -1,4 +1,4 @@
-"""Each defect of ``python -m tools.defects`` has its place in the code of now, and the runner reports it."""
+"""Each defect of ``python -m tools.defects`` has its place in the current code, and the runner reports it."""
 
 from __future__ import annotations
 

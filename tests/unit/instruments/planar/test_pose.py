@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from datetime import UTC, datetime
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from altd.config import Measuring
+from altd.instruments.planar.chain import PlanarChain, PlateFrame, PlateLocator
 from altd.instruments.planar.fitting import PlateView, fit_plane
 from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.mapping.grid import convex_hull_mm
+from altd.measuring.chain import Place, Provenance
+from altd.measuring.pairing import Pair
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Fault, Origin, Value
+from altd.records import CameraIdentity, Fault, Frame, Measurement, Origin, Value
 from altd.vision.led_discs import Disc
 
 LEDS = np.array([(-41, -40), (-7, -39), (31, -32), (44, 16), (11, 3), (-38, 23), (2, 39)], dtype=float)
@@ -24,6 +29,8 @@ NOISE_PX = 0.01
 TURN, SHIFT = np.array([math.pi + 0.15, 0.02, 0.1]), np.array([-20.0, 640.0, 500.0])
 MATRIX = np.array([[1300.0, 0, 520.0], [0, 1300.0, 380.0], [0, 0, 1]])
 BENT = np.array([-0.08, 0.01, 2e-4, -1e-4])
+REST, MOVED = (3.0, 702.0, 8.0), (3.4, 702.0, 8.0)
+PERIOD_NS = 50_000_000
 Pose = tuple[float, float, float]
 
 
@@ -191,3 +198,114 @@ def test_two_leds_are_followed_from_the_frame_before_to_any_turn(calibration: Pl
     values = instrument.solve(leds)
     assert isinstance(values, dict)
     assert values["phi_deg"].value == pytest.approx(95.2, abs=0.05)
+
+
+class Row:
+    """A chain that is given frame after frame: a pose, or why the lights of a frame cannot be measured."""
+
+    def __init__(self, calibration: PlanarCalibration, every: int = 1, **provenance: Any) -> None:
+        measuring = Measuring(window=4, every=every)
+        self.chain = PlanarChain("top", calibration, measuring, Provenance(**provenance))
+        self._rng = np.random.default_rng(3)
+
+    def add(self, sequence: int, seen: Pose | Reason = REST, late_ns: int = 0) -> Measurement | None:
+        t_ns = sequence * PERIOD_NS + late_ns
+        lights = Fault(seen) if isinstance(seen, Reason) else tuple(discs(placed(seen), self._rng))
+        items = {"top": PlateFrame("top", sequence, t_ns, lights)}
+        return self.chain.add(Pair(sequence, t_ns, 0, items, {}, {"top": 0}))
+
+    def frames(self, sequence: int, seen: Pose | Reason = REST, late_ns: int = 0) -> int:
+        measurement = self.add(sequence, seen, late_ns)
+        assert measurement is not None
+        return measurement.frames
+
+
+def test_a_window_is_the_mean_of_frames_at_rest(calibration: PlanarCalibration) -> None:
+    """The sigma of four frames is half that of one: their noise is ten times what lasts."""
+    row = Row(calibration)
+    found = [row.add(n) for n in range(12)]
+    measured = [each for each in found if each is not None]
+    assert [each.frames for each in measured] == [1, 2, 3, *[4] * 9]
+    assert [each.sequence for each in measured] == list(range(12))
+    assert [each.t_ns for each in measured[-2:]] == [round(n * PERIOD_NS) for n in (8.5, 9.5)]
+    assert measured[-1].last_exposure_ns == 11 * PERIOD_NS
+    moving = Row(calibration)
+    alone = [moving.add(n, (REST, MOVED)[n % 2]) for n in range(9)]
+    one, four = (
+        np.median([each.values["a_mm"].sigma for each in sigmas if each is not None])
+        for sigmas in (alone, measured[3:])
+    )
+    assert four / one == pytest.approx(0.5, rel=0.3)  # residuals with 11 degrees of freedom know it to 21 %
+    assert np.abs(off_by_sigma(dict(measured[-1].values), REST)).max() < 4.0
+    assert row.chain.figures() == {"leds": 7}
+
+
+def test_a_plate_that_moves_begins_a_window_and_one_at_rest_never_does(
+    calibration: PlanarCalibration,
+) -> None:
+    row = Row(calibration)
+    assert [row.frames(n) for n in range(30)][3:] == [4] * 27
+    moved = row.add(30, MOVED)
+    assert moved is not None
+    assert moved.frames == 1
+    assert np.abs(off_by_sigma(dict(moved.values), MOVED)).max() < 4.0
+    assert [row.frames(n, MOVED) for n in (31, 32)] == [2, 3]
+
+
+def test_gaps_and_other_places_begin_a_window(calibration: PlanarCalibration) -> None:
+    row = Row(calibration)
+    assert [row.frames(n) for n in (0, 1, 2, 5)] == [1, 2, 3, 2]  # of the last four numbers two are there
+    silent_ns = round(row.chain.silent_after_s * 1e9)
+    assert row.frames(6, late_ns=silent_ns - PERIOD_NS) == 2
+    assert row.frames(7, late_ns=2 * silent_ns) == 1
+    assert row.frames(3) == 1  # numbers that begin again
+    placed_ = Row(calibration, place=lambda sequence: Place(sequence // 3))
+    assert [placed_.frames(n) for n in range(7)] == [1, 2, 3, 1, 2, 3, 1]
+
+
+def test_lost_exposures_are_told_and_more_than_half_are_too_many(calibration: PlanarCalibration) -> None:
+    row, unknown = Row(calibration), Reason.EXPOSURE_CHANGING
+    found = [row.add(n, REST if n in (0, 1, 3, 7, 8) else unknown) for n in range(9)]
+    told = [(each.frames, [str(fault) for fault in each.status]) for each in found if each is not None]
+    lost, changing = ["exposures_lost"], ["exposure_changing"]
+    assert told == [
+        *((1, []), (2, []), (0, changing), (3, lost)),
+        *((0, changing), (0, changing), (0, changing)),
+        *((0, changing), (2, lost)),  # one of four, two of four
+    ]
+    assert found[3] is not None
+    assert found[3].t_ns == round(4 / 3 * PERIOD_NS)
+
+
+def test_a_silent_camera_is_told_and_what_comes_after_is_not_averaged_with_what_was_before(
+    calibration: PlanarCalibration,
+) -> None:
+    row = Row(calibration)
+    assert [row.frames(n) for n in range(3)] == [1, 2, 3]
+    silent = row.chain.silence(4 * PERIOD_NS)
+    assert (silent.valid, silent.sequence, [str(fault) for fault in silent.status]) == (
+        *(False, 2),
+        ["camera_silent"],
+    )
+    assert row.frames(5) == 1
+    thirds = Row(calibration, every=3)
+    assert [n for n in range(9) if thirds.add(n) is not None] == [2, 5, 8]
+
+
+def test_frames_that_repeat_change_or_come_from_another_camera_are_not_searched() -> None:
+    delivers = [CameraIdentity("A-1")]
+    locator = PlateLocator([CameraIdentity("A-1"), CameraIdentity()], lambda: delivers[0])
+    rng = np.random.default_rng(4)
+
+    def found(changing: bool = False, pixels: np.ndarray | None = None) -> object:
+        fresh = rng.normal(20.0, 2.0, (60, 80)).astype(np.uint8) if pixels is None else pixels
+        return locator.locate(Frame("top", 0, 0, fresh, changing=changing)).lights
+
+    again = rng.normal(20.0, 2.0, (60, 80)).astype(np.uint8)
+    assert found(pixels=again) == ()
+    told = [found(pixels=again), found(changing=True)]
+    delivers[0] = CameraIdentity("B-2")
+    told.append(found())
+    assert [fault.reason for fault in told if isinstance(fault, Fault)] == [
+        *(Reason.FRAME_REPEATED, Reason.EXPOSURE_CHANGING, Reason.WRONG_CAMERA),
+    ]
