@@ -208,3 +208,15 @@ def test_a_limit_of_the_measuring_is_above_zero(key: str) -> None:
         Measuring.model_validate({key: 0.0})
     assert caught.value.errors()[0]["type"] == "greater_than"
     assert getattr(Measuring.model_validate({key: 0.001}), key) == 0.001
+
+
+@pytest.mark.parametrize(
+    ("mqtt", "keeps"),
+    [("", False), ("[mqtt]\n", False), ("[mqtt]\nstore_and_forward = true\n", True)],
+)
+def test_seconds_are_kept_for_an_ingest_where_a_broker_shall_have_them(
+    tmp_path: Path, mqtt: str, keeps: bool
+) -> None:
+    text = mqtt.replace("[mqtt]", '[mqtt]\nhost = "broker"\ncredentials = "mqtt"')
+    (tmp_path / "mqtt").touch(0o600)
+    assert load_config(write(tmp_path, f"{GOOD}\n{text}")).has_outbox is keeps

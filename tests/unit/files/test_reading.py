@@ -184,6 +184,8 @@ def test_a_picture_that_cannot_be_used_is_refused_in_one_line(
         (b"x = " + b"[" * 5000, "is nested too deeply"),
         (b"x = " + b"{a=" * 5000, "is nested too deeply"),
         (b"x = 0x" + b"f" * 20_000, "has more than 64 bits"),
+        (b"x = 9223372036854775808", "has more than 64 bits"),
+        (b"x = -9223372036854775809", "has more than 64 bits"),
         (b'a.b = [{c = "x\\u0000y"}]', "has a NUL"),
         (b"a = 1\na = 2", "not TOML: this key is defined twice"),
         (b"x = 1\r\ny = \r\n", "not TOML: no value"),
@@ -201,6 +203,8 @@ def test_toml_that_is_none_is_refused(content: bytes, message: str) -> None:
 
 def test_toml_is_read() -> None:
     assert parse_toml(b"# " + b"." * 500 + b"\nx.y = [1, 0.5]\r\n") == {"x": {"y": [1, 0.5]}}
+    whole = {"least": -9223372036854775808, "most": 9223372036854775807}
+    assert parse_toml(b"least = -9223372036854775808\nmost = 9223372036854775807") == whole
 
 
 def test_no_toml_of_a_config_s_size_takes_long() -> None:

@@ -6,7 +6,7 @@ import json
 import sys
 from ctypes.util import find_library
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
 
 import pytest
@@ -21,21 +21,44 @@ from altd.fleet.settings import load_fleet_settings
 from altd.status.outbox import Batch
 from altd.status.proof import sealed
 
+if TYPE_CHECKING:
+    from altd.fleet.ingest import Ingest
 
-def test_messages_of_a_connection_that_ended_are_not_kept(tmp_path: Path) -> None:
-    """A broker that comes and goes while the database is away delivers the same thousand again and again."""
+
+@pytest.fixture
+def ingest(tmp_path: Path) -> Ingest:
     need(find_library("pq") is not None, "libpq is not installed (Debian package libpq5)")
     from altd.fleet.ingest import Ingest
 
     settings = tmp_path / "fleet.toml"
     settings.write_text('[broker]\nhost = "broker"\n[database]\nconnection = "dbname=altd"\n')
-    ingest, connected = Ingest(load_fleet_settings(tmp_path / "fleet.toml")), Mock(is_failure=False)
+    return Ingest(load_fleet_settings(tmp_path / "fleet.toml"))
+
+
+def test_messages_of_a_connection_that_ended_are_not_kept(ingest: Ingest) -> None:
+    """A broker that comes and goes while the database is away delivers the same thousand again and again."""
+    connected = Mock(is_failure=False)
     client, message = Mock(), Mock(payload=b"")
     for _ in range(100):
         ingest._on_connect(Mock(), None, None, connected, None)  # noqa: SLF001  as paho calls it
         for _ in range(1000):
             ingest._on_message(client, None, message)  # noqa: SLF001
     assert ingest._messages.qsize() == 1000  # noqa: SLF001
+
+
+def test_what_was_committed_is_reported_once_a_minute(
+    ingest: Ingest, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    begin_s = ingest._reported_s  # noqa: SLF001
+    told = []
+    for after_s in (1.0, 59.0, 61.0, 100.0, 120.0, 122.0):
+        ingest.rows += 7
+        ingest._report(begin_s + after_s)  # noqa: SLF001
+        told.append(caplog.messages[-1:])
+        caplog.clear()
+    lines = [[f"ingest: {rows} seconds committed since the start"] for rows in (21, 42)]
+    assert told == [[], [], lines[0], [], [], lines[1]]
 
 
 GOOD = """\

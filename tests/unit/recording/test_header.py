@@ -36,6 +36,8 @@ def test_without_the_key_front_and_rear_are_shown_where_their_cameras_are_there(
 
 
 def test_with_the_key_it_alone_decides_and_no_distance_is_needed() -> None:
+    near = [seen("entry", 100.0, "b"), seen("exit", 100.5, "a")]
+    assert shown(unit={"serial": "A"}, cameras=TWO_CAMERAS, targets=near)[1] == ("exit", 100.5, "a")
     targets = [seen("entry", -20.0, "b"), seen("exit", 900.0, "a")]
     for unit in ({"serial": "A"}, {"serial": "A", "target_distance_mm": 5.0}):
         assert shown(unit=unit, cameras=TWO_CAMERAS | {"front": SIZE}, targets=targets) == [
