@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 from tools.defects.defect import Defect
 
 DEFECTS = (
@@ -115,5 +118,6 @@ DEFECTS = (
     ),
 )
 
-EXPLAINED: dict[str, str] = {}
+_FILE = Path(__file__).with_name("explained.json")
+EXPLAINED: dict[str, str] = json.loads(_FILE.read_text(encoding="utf-8"))
 """Drawn defects that no unit test needs to catch, each with the reason."""

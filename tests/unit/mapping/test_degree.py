@@ -175,13 +175,3 @@ def test_the_powers_are_the_same_polynomials() -> None:
 def test_a_degree_that_the_nodes_cannot_carry_is_refused() -> None:
     with pytest.raises(ValueError, match="degree 5 needs at least 6 nodes"):
         gram_basis(np.zeros(1), 5, 5)
-
-
-@pytest.mark.parametrize(("off_mm", "is_axis"), [(0.9, True), (1.1, False), (-1.1, False)])
-def test_a_node_may_be_off_by_a_tenth_of_a_step(off_mm: float, is_axis: bool) -> None:
-    positions = np.array([0.0, 10.0, 20.0 + off_mm, 30.0, 40.0])
-    if is_axis:
-        assert Axis.through(positions).step_mm == 10.0
-    else:
-        with pytest.raises(ValueError, match="are not equal"):
-            Axis.through(positions)
