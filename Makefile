@@ -32,6 +32,7 @@ pytest := $(python) -m pytest
 
 # What `make check` runs side by side, all of it whatever fails.
 checks := $(addprefix check-,pages types style format layers licences markdown wording)
+.PHONY: $(checks)
 
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
@@ -158,6 +159,9 @@ soak: venv ## the daemon for a hundred hours of a clock that is set: memory, des
 
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m studies -o docs/studies
+
+studies-check: venv ## the same, compared with docs/studies to the last digit; TURN=3/4: the cheap ones, and one turn of four
+	@exec $(python) -m studies --check $(if $(TURN),--turn $(TURN))
 
 pages: venv ## write the generated pages and drawings of docs/ that changed: seconds
 	@exec $(python) -m tools.pages

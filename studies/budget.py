@@ -39,7 +39,10 @@ _AXES = ("x", "y", "yaw", "pitch")
 
 
 def run(progress: Progress) -> Result:
-    """Two units, each with the limits that are stated for an ordinary stage."""
+    """Two units, each with the limits that are stated for an ordinary stage.
+
+    Raises BadInputError without the scan of the second one.
+    """
     rows: list[Row] = []
     ratios, budgets = [], {}
     for name, result in _calibrated(progress):
@@ -89,10 +92,8 @@ def _calibrated(progress: Progress) -> list[tuple[str, CalibrationResult]]:
         unit, scan = Unit(UnitConfig(seed=SEED)), Path(folder) / "scan"
         record_scan(scan, unit, Stage(np.random.default_rng(SEED)), 2, lambda done, planned: None)
         made = [("simulated", calibrate([open_recording(scan)]))]
-    if UNIT_A.exists():
-        progress("scan of the rendered unit")
-        made.append(("rendered", calibrate([open_recording(UNIT_A)])))
-    return made
+    progress("scan of the rendered unit")
+    return [*made, ("rendered", calibrate([open_recording(UNIT_A)]))]
 
 
 def monte_carlo(calibration: Calibration, draws: int, rng: np.random.Generator) -> FloatArray:
@@ -148,6 +149,7 @@ def _figure(budgets: dict[str, Budget]) -> Figure:
         colours = [OURS] * len(budget.terms) + [THESIS]
         axis.barh(range(len(values))[::-1], values, color=colours)
         axis.set_yticks(range(len(values))[::-1], names)
+        axis.locator_params("x", nbins=4)
         axis.set_xlabel("yaw, °")
         axis.set_title(name)
     return figure

@@ -80,12 +80,20 @@ def plain_decades(axis: Axis) -> None:
 
 
 def as_svg(figure: Figure, salt: str) -> str:
-    """The figure as SVG without date and with ids that depend on ``salt`` alone."""
+    """The figure as SVG without date and with ids that depend on ``salt`` and their order alone.
+
+    matplotlib's own ids of clips and markers depend on the last bit of their coordinates.
+    """
     stream = io.StringIO()
     with style(), mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "path"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     slim = re.sub(r'(?<= [dxy]=")[^"]*|translate[^)]*', _in_hundredths, stream.getvalue())
+    ids = {old: f"{old[0]}{number}" for number, old in enumerate(dict.fromkeys(_ID.findall(slim)))}
+    slim = _ID.sub(lambda old: ids[old[0]], slim)
     return re.sub(r"^[ \t]+|[ \t]+$", "", slim, flags=re.MULTILINE)
+
+
+_ID = re.compile(r"(?<=[\"#])[a-z][0-9a-f]{10}\b")
 
 
 def _in_hundredths(path: re.Match[str]) -> str:

@@ -1,10 +1,11 @@
-"""Writes a study's page and plot, and the index over all pages."""
+"""A study's page and plot, and the index over all pages: made, written, compared with what is stored."""
 
 from __future__ import annotations
 
 import statistics
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
+from itertools import zip_longest
 from pathlib import Path
 
 from altd.errors import BadInputError
@@ -17,6 +18,7 @@ MAX_LINE = 120
 FURTHER = (
     ("peers.md", "altd compared with other libraries", "none today"),
     ("campaign.md", "Disturbed measurements, judged by truth", "`make campaign`"),
+    ("faults.md", "The whole daemon, disturbed and judged on its interfaces", "`make faults`"),
     ("wire-errors.md", "Errors on wires to a reader", "`make bench-wires`"),
     ("load.md", "Clients of all interfaces at once", "`make bench-load`"),
     ("page.md", "The page in Chromium", "`make bench-page`"),
@@ -32,7 +34,7 @@ This page lists the studies: experiments of the thesis on simulated parts, and m
 Each study of the table repeats an experiment with simulated parts (`hw_sim`) and altd's own commands, and
 compares its figures with those of the thesis. `make studies` runs all and writes these pages;
 `python -m studies NAME` runs one and prints its table. All seeds are fixed: the same code gives the same
-pages.
+pages, and `make studies-check` fails if a page differs from what the code prints.
 
 The parts are simulated, with lenses, print, speckle, noise and stage errors. Rows that end with *hard* are
 from the [harder simulator](../decisions/0005-simulator.md). Each page names what is worse than in the thesis,
@@ -41,14 +43,34 @@ and by how much figures are worse on the harder simulator.
 """
 
 
-def write_page(folder: Path, name: str, title: str, question: str, result: Result) -> None:
-    """Write ``name``.md and ``name``.svg; raises BadInputError when that fails."""
+def files_of(name: str, title: str, question: str, result: Result) -> dict[str, str]:
+    """The texts of ``name``.md and ``name``.svg, by these names."""
+    return {f"{name}.md": page(name, title, question, result), f"{name}.svg": as_svg(result.figure, name)}
+
+
+def write(folder: Path, files: Mapping[str, str]) -> None:
+    """Write files, by their names, into a folder; raises BadInputError when that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{name}.svg").write_text(as_svg(result.figure, name))
-        (folder / f"{name}.md").write_text(page(name, title, question, result))
+        for name, text in files.items():
+            (folder / name).write_text(text)
     except OSError as error:
         raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error
+
+
+def differences(folder: Path, files: Mapping[str, str]) -> list[str]:
+    """For each file that a folder does not hold as it was made, its first line that differs."""
+    found = []
+    for name, made in files.items():
+        path = folder / name
+        stored = path.read_text() if path.is_file() else ""
+        lines = zip_longest(stored.split("\n"), made.split("\n"))
+        for number, (before, now) in enumerate(lines, 1):
+            if before != now:
+                shown = (f"{'no line' if line is None else line[:MAX_LINE]}" for line in (before, now))
+                found.append("{}:{} differs\n    stored: {}\n    made:   {}".format(path, number, *shown))
+                break
+    return found
 
 
 def page(name: str, title: str, question: str, result: Result) -> str:
@@ -91,8 +113,8 @@ def verdict(result: Result) -> str:
     return "\n\n".join(said)
 
 
-def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
-    """Write README.md over the pages (name, title) that are there, each with its headline."""
+def index(folder: Path, studies: Iterable[tuple[str, str]]) -> str:
+    """README.md over the pages (name, title) that are in the folder, each with its headline."""
     lines = ["| study | in short |", "|---|---|"]
     for name, title in studies:
         path = folder / f"{name}.md"
@@ -104,7 +126,4 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
     ]
     if further:
         lines += ["", "| further study | command |", "|---|---|", *further]
-    try:
-        (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
-    except OSError as error:
-        raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error
+    return INDEX + "\n".join(lines) + "\n"

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from altd.errors import BadInputError
+from altd.instruments.beam import solver
 from studies import command
 from studies.__main__ import main
 from studies.bench import pooled_std
 from studies.plot import as_svg, panels, round_below
 from studies.result import HARDER, Column, Progress, Result, Row
 from studies.result_table import table
-from studies.study_page import page, verdict, write_index, write_page
+from studies.study_page import files_of, index, page, verdict, write
 from studies.sweep import Point, rows
 
 
@@ -63,30 +64,25 @@ def test_a_verdict_needs_something_to_compare() -> None:
     assert verdict(result(Row("a", (0.1, 3), (0.2, 2)))) == "Worse than the thesis: nothing."
 
 
-def test_pages_and_plots_are_the_same_every_time(tmp_path: Path) -> None:
-    for folder in ("a", "b"):
-        write_page(tmp_path / folder, "one", "One", "Is it?", result(Row("a", (0.1, 3), (0.2, 2))))
-        write_index(tmp_path / folder, [("one", "One"), ("two", "Two")])
-    files = {path.name for path in (tmp_path / "a").iterdir()}
-    assert files == {"one.md", "one.svg", "README.md"}
-    for name in files:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+def test_pages_and_plots_are_the_same_every_time() -> None:
+    first, second = (files_of("one", "One", "Is it?", result(Row("a", (0.1, 3), (0.2, 2)))) for _ in range(2))
+    assert first == second
+    assert set(first) == {"one.md", "one.svg"}
 
 
 def test_the_index_repeats_the_headlines_of_the_pages_that_are_there(tmp_path: Path) -> None:
-    write_page(tmp_path, "one", "One", "Is it?", result(Row("a", (0.1, 3))))
-    write_index(tmp_path, [("one", "One"), ("two", "Two")])
-    index = (tmp_path / "README.md").read_text()
-    assert "| [One](one.md) | It is so. |" in index
-    assert "two.md" not in index
+    write(tmp_path, files_of("one", "One", "Is it?", result(Row("a", (0.1, 3)))))
+    text = index(tmp_path, [("one", "One"), ("two", "Two")])
+    assert "| [One](one.md) | It is so. |" in text
+    assert "two.md" not in text
 
 
 def test_no_line_of_a_page_is_too_long_and_the_index_has_a_long_headline_in_one(tmp_path: Path) -> None:
     headline = "It is so, " + "and so, " * 20 + "and no other way."
-    write_page(tmp_path, "one", "One", "Is it?", replace(result(Row("a", (0.1, 3))), headline=headline))
-    write_index(tmp_path, [("one", "One")])
+    shown = replace(result(Row("a", (0.1, 3))), headline=headline)
+    write(tmp_path, files_of("one", "One", "Is it?", shown))
     assert max(map(len, (tmp_path / "one.md").read_text().splitlines())) <= 120
-    assert f"| [One](one.md) | {headline} |" in (tmp_path / "README.md").read_text()
+    assert f"| [One](one.md) | {headline} |" in index(tmp_path, [("one", "One")])
 
 
 def test_a_page_holds_table_plot_and_text() -> None:
@@ -138,9 +134,9 @@ def test_the_command_prints_the_table_and_writes_the_pages(
     def run(_progress: Progress) -> Result:
         return result(Row("a", (0.3, 3), (0.2, 2)))
 
-    monkeypatch.setattr(command, "STUDIES", {"one": "one"})
+    monkeypatch.setattr(command, "STUDIES", {"one": 1})
     monkeypatch.setattr(
-        command, "_module", lambda _name: SimpleNamespace(TITLE="One", QUESTION="Is it?", run=run)
+        command, "module_of", lambda _name: SimpleNamespace(TITLE="One", QUESTION="Is it?", run=run)
     )
     assert main(["one", "-o", str(tmp_path / "pages")]) == 0
     printed = capsys.readouterr()
@@ -169,9 +165,63 @@ def test_an_output_that_is_a_file_is_refused_before_the_work(
 def test_without_matplotlib_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(BadInputError, match=r"altd\[report\]"):
-        command.run(argparse.Namespace(names=["fig-3.5"], output=None))
+        command.run(argparse.Namespace(names=["fig-3.5"], output=None, check=False))
 
 
-def test_every_study_is_known_by_its_file() -> None:
-    there = {path.stem for path in Path(command.__file__).parent.glob("*.py")}
-    assert set(command.STUDIES.values()) <= there
+def test_every_study_has_its_module() -> None:
+    for name in command.STUDIES:
+        assert command.module_of(name).TITLE
+
+
+def test_four_turns_make_each_dear_study_once_and_the_cheap_ones_each_time() -> None:
+    cheap = {name for name, cpu_s in command.STUDIES.items() if cpu_s <= command.MAX_CHEAP_CPU_S}
+    turns = [command.in_turn(number, 4) for number in range(3, 7)]
+    dear = sorted(name for turn in turns for name in turn if name not in cheap)
+    assert dear == sorted(set(command.STUDIES) - cheap)
+    assert all(cheap <= set(turn) for turn in turns)
+    costs = [sum(command.STUDIES[name] for name in turn) for turn in turns]
+    assert max(costs) - min(costs) <= max(command.STUDIES.values())
+    assert command.in_turn(0, 1) == list(command.STUDIES)
+    assert main(["--check", "--turn", "3/0"]) == 2
+
+
+def test_the_check_names_all_pages_that_differ_with_their_first_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def module(name: str) -> SimpleNamespace:
+        def run(_progress: Progress) -> Result:
+            if name == "lost":
+                raise BadInputError(tmp_path / "data", "is not there")
+            return result(Row("a", (0.3, 3)))
+
+        return SimpleNamespace(TITLE=name, QUESTION="Is it?", run=run)
+
+    monkeypatch.setattr(command, "STUDIES", {"one": 1, "two": 1})
+    monkeypatch.setattr(command, "module_of", module)
+    assert main(["-o", str(tmp_path)]) == 0
+    assert main(["--check", "-o", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.endswith("one: as stored; 0 s of CPU\ntwo: as stored; 0 s of CPU\n")
+
+    monkeypatch.setattr(command, "STUDIES", {"one": 1, "lost": 1, "two": 1})
+    page = (tmp_path / "one.md").read_text().replace("0.300", "0.301")
+    (tmp_path / "one.md").write_text(page)
+    (tmp_path / "two.svg").unlink()
+    assert main(["--check", "-o", str(tmp_path)]) == 1
+    line = 1 + page.split("\n").index("|a   |    0.301|    3|")
+    assert capsys.readouterr().err.splitlines()[:4] == [
+        f"{tmp_path}/one.md:{line} differs",
+        "    stored: |a   |    0.301|    3|",
+        "    made:   |a   |    0.300|    3|",
+        f"lost cannot be made: {tmp_path}/data: is not there",
+    ]
+    assert (tmp_path / "one.md").read_text() == page
+
+
+def test_the_check_fails_for_a_sigma_that_is_two_per_cent_larger(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--check", "fig-3.5"]) == 0
+    gain = solver.line_gain
+    monkeypatch.setattr(solver, "line_gain", lambda *given: (gain(*given)[0], 1.02**2 * gain(*given)[1]))
+    assert main(["--check", "fig-3.5"]) == 1
+    assert "    made:   |sigma that altd states|ours  |     0.0295|" in capsys.readouterr().err
