@@ -111,7 +111,7 @@ def recorded(folder: Path, *batches: Batch, about: About = ABOUT) -> Iterator[Re
 
 
 def forge(path: Path, *statements: str) -> None:
-    """What another program does to a file."""
+    """Change a file as another program does."""
     with closing(sqlite3.connect(path)) as foreign, foreign:
         for statement in statements:
             foreign.execute(statement)

@@ -128,7 +128,7 @@ class TestWithoutAConfig:
 
     @pytest.fixture
     def told(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Told:
-        """What is said of bad arguments where that is the service's own."""
+        """The complaint about bad arguments where that is the service's own config."""
 
         def told(installed: Path, arguments: Sequence[str]) -> str:
             monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)

@@ -1,4 +1,4 @@
-"""What a recording's header says: its targets, limits, ``turned_deg``, and a plate of LEDs."""
+"""The header of a recording: its targets, limits, ``turned_deg``, and a plate of LEDs."""
 
 from __future__ import annotations
 
