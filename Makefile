@@ -32,10 +32,11 @@ pytest := $(python) -m pytest
 
 # What `make check` runs side by side, all of it whatever fails.
 checks := $(addprefix check-,pages types style format layers licences markdown wording)
-.PHONY: $(checks)
 
 help:
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^## / { printf "\n%s\n", substr($$0, 4) } /^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
+
+## Try
 
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it; MQTT=HOST[:PORT] publishes, too
 	@exec $(python) -m hw_sim demo $(if $(MQTT),--mqtt '$(MQTT)')
@@ -53,19 +54,7 @@ demo-fleet: venv ## twenty simulated units, a broker, PostgreSQL and the ingest;
 	@.ci/programs must mosquitto '/usr/lib/postgresql/*/bin/initdb=postgresql'
 	exec $(python) -m benchmarks.demo_fleet
 
-test: venv ## the tests that need Python alone: three to six minutes on two cores, set-up included
-	@$(pytest) $(side_by_side) -m 'not long' tests/unit
-	echo "make test-all adds: real kernel drivers, Aravis, Chromium, systemd, foreign clients, real time, and the longer tests."
-
-test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
-	@exec .ci/tests $(LANES)
-
-test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
-	@exec $(pytest) $(side_by_side) $(WORKSHOP)
-
-fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 for a minute each, TARGET=name for one
-	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
-	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
+## Check and test
 
 check: venv ## generated pages, style, types, layers, licences, width and wording of pages: all faults at once
 	@$(MAKE) --no-print-directory --keep-going --jobs=$(cores) --output-sync $(checks)
@@ -85,6 +74,44 @@ check-markdown:
 	@$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md
 check-wording:
 	@$(python) -m tools.plain README.md CONTRIBUTING.md SECURITY.md docs/*.md docs/decisions/*.md docs/studies/*.md altd hw_sim tools examples tests benchmarks studies
+
+test: venv ## the tests that need Python alone: three to six minutes on two cores, set-up included
+	@$(pytest) $(side_by_side) -m 'not long' tests/unit
+	echo "make test-all adds: real kernel drivers, Aravis, Chromium, systemd, foreign clients, real time, and the longer tests."
+
+test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
+	@exec .ci/tests $(LANES)
+
+test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
+	@exec $(pytest) $(side_by_side) $(WORKSHOP)
+
+fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 for a minute each, TARGET=name for one
+	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
+	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
+
+defects: venv ## a defect at a time in each room of altd: do the tests catch it? takes an hour
+	@exec $(python) -m tools.defects
+
+## Write the documentation
+
+pages: venv ## write the generated pages and drawings of docs/ that changed: seconds
+	@exec $(python) -m tools.pages
+
+pictures: venv ## take the pictures of docs/ again: minutes; those that show the same stay; PICTURE=page for one
+	@.ci/programs must tmux chromium pdftoppm=poppler-utils
+	exec $(python) -m tools.pictures $(PICTURE)
+
+studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
+	@exec $(python) -m studies -o docs/studies
+
+studies-check: venv ## the same, compared with docs/studies to the last digit; TURN=3/4: the cheap ones, and one turn of four
+	@exec $(python) -m studies --check $(if $(TURN),--turn $(TURN))
+
+site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
+	@mkdir -p build # --quiet would not count the warnings that a strict build fails for
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build 2>build/site.log || { grep -v ^INFO build/site.log >&2; exit 1; }
+
+## Measure
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
@@ -150,44 +177,28 @@ faults: venv ## faults into the whole daemon, all interfaces judged by truth; FA
 	@.ci/programs may mosquitto
 	exec $(python) -m benchmarks.faults --runs $(FAULT_RUNS) --real 1
 
-defects: venv ## a defect at a time in each room of altd: do the tests catch it? takes an hour
-	@exec $(python) -m tools.defects
-
 soak: venv ## the daemon for a hundred hours of a clock that is set: memory, descriptors, threads, exposures; SOAK_H=2
 	@.ci/programs may mosquitto
 	exec env OPENBLAS_NUM_THREADS=1 $(python) -m benchmarks.soak --hours $(SOAK_H)
 
-studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
-	@exec $(python) -m studies -o docs/studies
+## Release
 
-studies-check: venv ## the same, compared with docs/studies to the last digit; TURN=3/4: the cheap ones, and one turn of four
-	@exec $(python) -m studies --check $(if $(TURN),--turn $(TURN))
+lock: ## write the three locks with today's newest packages
+	@.ci/lock
 
-pages: venv ## write the generated pages and drawings of docs/ that changed: seconds
-	@exec $(python) -m tools.pages
-
-pictures: venv ## take the pictures of docs/ again: minutes; those that show the same stay; PICTURE=page for one
-	@.ci/programs must tmux chromium pdftoppm=poppler-utils
-	exec $(python) -m tools.pictures $(PICTURE)
-
-site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
-	@mkdir -p build # --quiet would not count the warnings that a strict build fails for
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build 2>build/site.log || { grep -v ^INFO build/site.log >&2; exit 1; }
+audit: venv ## the locks against the stored list of advisories, without a network
+	@$(python) -m tools.audit
 
 sbom: venv ## the parts of a unit's software with licences, CycloneDX: build/altd.cdx.json
 	@mkdir -p build
 	$(python) -m tools.sbom >build/altd.cdx.json.new
 	mv build/altd.cdx.json.new build/altd.cdx.json
 
-audit: venv ## the locks against the stored list of advisories, without a network
-	@$(python) -m tools.audit
-
 deb: venv ## the Debian package of a unit in dist/, for the Python of PYTHON; EXTRAS="opcua report" adds these
 	@.ci/programs must dpkg-deb=dpkg gcc strip=binutils
 	exec $(python) -m tools.deb $(EXTRAS)
 
-lock: ## write the three locks with today's newest packages
-	@.ci/lock
+## Remove
 
 clean: ## remove .venv and all that tools leave behind
 	@rm -rf .venv .venv-* build dist node_modules .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
