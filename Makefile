@@ -87,6 +87,7 @@ test-workshop: programs venv ## the tests of benchmarks, studies and tools, to b
 
 fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 for a minute each, TARGET=name for one
 	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
+	$(if $(TARGET),,ALTD_BENCH_MEASUREMENTS=5000 $(pytest) tests/system/publish/test_one_meaning.py)
 	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
 defects: venv ## a defect at a time in each room of altd: do the tests catch it? takes an hour

@@ -22,17 +22,21 @@ import pytest
 from support import own_network
 from support.foreign import need
 from support.longest_first import LongestFirst
-from support.made_once import made_once
+from support.made_once import loaded_once, made_once
 from support.places import SHARED_DATA
 from support.played_unit import PlayedUnit
+from support.recordings import quiet
 from support.simulated_unit import scan_and_calibrate
 from support.wire import Wire
 
 from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
+from altd.calibration.result import CalibrationResult
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.runtime.threads import DeviceThread
+from hw_sim.flat import record_flat
+from hw_sim.unit import Unit, UnitConfig
 
 # The same inputs in every run, and no limit of time for one: `make fuzz` is where new inputs are tried.
 hypothesis.settings.register_profile("suite", derandomize=True, database=None, deadline=None)
@@ -79,23 +83,22 @@ def wire() -> Iterator[Wire]:
 
 
 @pytest.fixture(scope="session")
-def simulated_unit(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+def simulated_unit() -> Callable[[int], Path]:
     """``scan`` and ``cal.json`` of the simulated unit with a seed, as a technician makes them."""
-    return lambda seed: made_once(
-        tmp_path_factory, f"unit-{seed}", functools.partial(scan_and_calibrate, seed)
-    )
+    return lambda seed: made_once(f"unit-{seed}", functools.partial(scan_and_calibrate, seed))
 
 
 @pytest.fixture(scope="session")
-def unit_a(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unit_a(shared_data: Path) -> Path:
     """``cal.json`` and ``result.pickle``, the calibration of the unit that this project did not make."""
+    scan = shared_data / "unit-a" / "scan"
 
     def make(folder: Path) -> None:
-        result = calibrate([open_recording(shared_data / "unit-a" / "scan")])
+        result = calibrate([open_recording(scan)])
         save_calibration(result.calibration, folder / "cal.json")
         (folder / "result.pickle").write_bytes(pickle.dumps(result))
 
-    return made_once(tmp_path_factory, "unit-a", make)
+    return made_once("unit-a", make, scan)
 
 
 @pytest.fixture(scope="session")
@@ -111,9 +114,31 @@ def calibration_of_unit_3(unit_3: Path) -> Calibration:
 
 
 @pytest.fixture(scope="session")
-def played_unit(tmp_path_factory: pytest.TempPathFactory) -> PlayedUnit:
+def flat_of_unit_3() -> Path:
+    """A recording of eight dark and eight even pictures of the simulated unit with seed 3."""
+
+    def make(folder: Path) -> None:
+        record_flat(folder / "flat", Unit(UnitConfig(seed=3)), 8, quiet)
+
+    return made_once("flat-3", make) / "flat"
+
+
+@pytest.fixture(scope="session")
+def unit_3_with_flat(unit_3: Path, flat_of_unit_3: Path) -> CalibrationResult:
+    """The calibration of the simulated unit with seed 3 by its scan and its flat."""
+    paths = unit_3 / "scan", flat_of_unit_3
+
+    def make() -> CalibrationResult:
+        scan, flat = map(open_recording, paths)
+        return calibrate([scan], flat)
+
+    return loaded_once("unit-3-with-flat", make)
+
+
+@pytest.fixture(scope="session")
+def played_unit() -> PlayedUnit:
     """A calibrated unit that plays a recording."""
-    return PlayedUnit(made_once(tmp_path_factory, "played-unit", PlayedUnit.made))
+    return PlayedUnit(made_once("played-unit", PlayedUnit.made))
 
 
 @pytest.fixture(autouse=True)

@@ -7,23 +7,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from altd.calibration.calibrating import calibrate
+from altd.calibration.result import CalibrationResult
 from altd.config import Maintenance, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
-from altd.recording.reader import open_recording
 from altd.records import Measurement
 from altd.status.maintenance import SpotTrends
 from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement
 from hw_sim.dust import Dust, make_dust
-from hw_sim.flat import record_flat
 from hw_sim.measure import HALF_AREA_MM
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
@@ -108,12 +105,6 @@ class LivedIn:
             period.errors_sigmas.append((number - true) / sigma)
 
 
-def calibration_with_flat(unit_3: Path, folder: Path) -> Calibration:
-    """The calibration of the simulated unit with seed 3 by its scan and a flat of both targets."""
-    record_flat(folder / "flat", Unit(UnitConfig(seed=3)), 8, lambda _done, _planned: None)
-    return calibrate([open_recording(unit_3 / "scan")], open_recording(folder / "flat")).calibration
-
-
 def covered(unit: Unit, layers: int) -> None:
     """Several times the heaviest dust on both targets, and the window's shadow on the rear one."""
     for number, camera in enumerate(CAMERAS):
@@ -151,7 +142,7 @@ def test_growing_dust_is_told_long_before_a_measurement_is_refused_or_wrong(
 
 
 def test_single_specks_on_a_target_with_a_flat_are_in_sigma(
-    unit_3: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unit_3_with_flat: CalibrationResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a flat sigma is smallest, 0.003 mm, and specks move an unguarded fit by 0.04 mm.
 
@@ -159,7 +150,7 @@ def test_single_specks_on_a_target_with_a_flat_are_in_sigma(
     one number in twenty was off by more than 4 sigma, the worst by 11.
     """
     monkeypatch.setattr("hw_sim.dust.SMEAR_LOSS", (0.0, 0.0))  # the specks alone
-    lived = LivedIn(calibration_with_flat(unit_3, tmp_path), UnitConfig(seed=3))
+    lived = LivedIn(unit_3_with_flat.calibration, UnitConfig(seed=3))
     for amount in (0.0, 0.02, 0.1, 0.3):
         lived.unit.set_dust(amount)
         period = lived.five_minutes()

@@ -9,38 +9,12 @@ import cv2
 import numpy as np
 import pytest
 from support.cli import altd_here, refusal
-from support.recordings import header, quiet, write_scan
+from support.recordings import header, write_scan
 
 from altd.calibration.recorded_flat import flats_of
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.recording.reader import Recording, open_recording
-from altd.vision.flat import Flat
-from hw_sim.flat import record_flat
-from hw_sim.scan import STAGE_STREAM, record_scan
-from hw_sim.stage import Stage
-from hw_sim.unit import Unit, UnitConfig
-
-SEED = 3
-
-
-@pytest.fixture(scope="module")
-def unit() -> Unit:
-    return Unit(UnitConfig(seed=SEED))
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, unit: Unit) -> Path:
-    """A scan with two exposures a node, and a flat."""
-    folder = tmp_path_factory.mktemp("flat")
-    record_flat(folder / "flat", unit, 8, quiet)
-    record_scan(folder / "scan", unit, Stage(np.random.default_rng([SEED, STAGE_STREAM])), 2, quiet)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def flats(folder: Path) -> dict[str, Flat]:
-    return flats_of(open_recording(folder / "flat"), target_frames([open_recording(folder / "scan")]))
 
 
 def painted(
