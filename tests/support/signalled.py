@@ -35,6 +35,9 @@ def main() -> int:
         return function(*args, **more)
 
     setattr(owner, last, signalled)
+    for user in list(sys.modules.values()):  # one that imported the function by name before
+        if vars(user).get(last) is function:
+            setattr(user, last, signalled)
     status: int = importlib.import_module(f"{module}.__main__").main(arguments)
     return status
 

@@ -6,12 +6,15 @@ import os
 import shlex
 import signal
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from support.places import ROOT
 from support.played_unit import PlayedUnit
 from support.ports import free_port
+from support.warm import Warm
 
 from altd.app.backup import back_up
 
@@ -185,29 +188,42 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     return shlex.split(line.format(**scans, **files))
 
 
-def _take_signals() -> None:
-    """None is ignored, as they may be where the tests run in the background or under nohup."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_DFL)
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONWARNINGS": "error",
+    "PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), str(ROOT)]),
+}
 
 
-def run(folder: Path, command: list[str]) -> Ended:
+def run(
+    folder: Path, command: list[str], warm: Warm, *, cold: bool = False, output: int | None = None
+) -> Ended:
+    """Run ``python -m`` with these words in a folder, forked by ``warm`` or ``cold``: by an own interpreter.
+
+    ``output`` is a descriptor that it has for standard output.
+    """
     temporary = folder.parent / "temporary"
-    done = subprocess.run(
-        command,
-        preexec_fn=_take_signals,
-        cwd=folder,
-        input="375 240\n380 240\n385 240\n",
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-        env={
-            **os.environ,
-            "TMPDIR": str(temporary),
-            "PYTHONWARNINGS": "error",
-            "PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), str(ROOT)]),
-        },
-    )
-    left, in_temporary = (frozenset(entry.name for entry in where.iterdir()) for where in (folder, temporary))
-    return Ended(done.returncode, done.stdout, done.stderr, left, in_temporary)
+    with TemporaryFile() as read, TemporaryFile() as out, TemporaryFile() as err:
+        read.write(b"375 240\n380 240\n385 240\n")
+        read.seek(0)
+        streams = read.fileno(), out.fileno() if output is None else output, err.fileno()
+        if cold:
+            stdin, stdout, stderr = streams
+            status = subprocess.run(
+                [sys.executable, "-m", *command],
+                cwd=folder,
+                stdin=stdin,
+                stdout=stdout,
+                stderr=stderr,
+                timeout=200,
+                check=False,
+                env={**ENVIRONMENT, "TMPDIR": str(temporary)},
+            ).returncode
+        else:
+            status = warm.run(command, folder, streams, TMPDIR=str(temporary))
+        for file in (out, err):
+            file.seek(0)
+        left, in_temporary = (
+            frozenset(entry.name for entry in warm.sees(where).iterdir()) for where in (folder, temporary)
+        )
+        return Ended(status, out.read().decode(), err.read().decode(), left, in_temporary)

@@ -7,20 +7,22 @@ simulator's cameras in ``hw_sim/gige/test_command.py``, a demo that calibrates i
 
 from __future__ import annotations
 
+import os
 import re
-import shlex
 import shutil
 import signal
-import sys
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.foreign import on_small_disk
+from support.foreign import need_namespaces, need_program
 from support.history import START_S, batch, event, store, write_seconds
 from support.played_unit import BEAMS, PlayedUnit
 from support.recordings import write_beams, write_scan
+from support.warm import Warm
 
-from .ended_commands import COMMANDS, HW_SIM, SIGNALS, Command, filled, run
+from .ended_commands import COMMANDS, ENVIRONMENT, HW_SIM, SIGNALS, Command, filled, run
 
 WITH_EVERY_SIGNAL = ("run", "replay")
 """One on a loop, one without. All commands share the two ways to take a signal, which
@@ -77,6 +79,9 @@ DONE = {
 }
 """The ends of commands without a signal: status, standard error, contents of the working folder."""
 
+COLD = {COMMANDS.get(name, Command(name, "")).line.split()[0]: name for name in reversed(DONE)}.values()
+"""Of each command one, which is run by an interpreter of its own: it imports what it needs."""
+
 FULL_DISK = {
     "calibrate": (16, "cal.json"),
     "calibrate's report": (900, "rep"),
@@ -126,6 +131,19 @@ def history(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "history.db"
 
 
+@pytest.fixture(scope="module")
+def warm() -> Iterator[Warm]:
+    with Warm(ENVIRONMENT) as warm:
+        yield warm
+
+
+@pytest.fixture(scope="module")
+def warm_with_disks() -> Iterator[Warm]:
+    """In a mount namespace of its own."""
+    with Warm(ENVIRONMENT, need_namespaces("--mount")) as warm:
+        yield warm
+
+
 @pytest.fixture
 def folder(tmp_path: Path, small_scan: Path, check: Path, unit_3: Path, history: Path) -> Path:
     """A working folder; recordings, a simulated unit's calibration and temporary files lie beside it."""
@@ -146,13 +164,16 @@ def folder(tmp_path: Path, small_scan: Path, check: Path, unit_3: Path, history:
         for number in (SIGNALS if name in WITH_EVERY_SIGNAL else [SIGNALS[place % len(SIGNALS)]])
     ],
 )
-def test_ended_by_a_signal(name: str, number: signal.Signals, played_unit: PlayedUnit, folder: Path) -> None:
+def test_ended_by_a_signal(
+    name: str, number: signal.Signals, played_unit: PlayedUnit, folder: Path, warm: Warm
+) -> None:
     if name == "run" and number is signal.SIGHUP:
         pytest.skip("ends it only where it has a terminal: tests/system/app/test_reload.py")
     command = COMMANDS[name]
     line = filled(command.line, played_unit, folder)
-    program = [sys.executable, "-m", "support.signalled", number.name, *command.at.split(), command.module]
-    ended = run(folder, [*program, *line])
+    program = ["support.signalled", number.name, *command.at.split(), command.module, *line]
+    cold = name == "run" or (name, number) == ("replay", signal.SIGINT)
+    ended = run(folder, program, warm, cold=cold)
     assert ended.status == (128 + number if command.ends_with is None else command.ends_with), ended
     assert re.fullmatch(command.says, ended.err), ended.err
     assert ended.left == command.leaves
@@ -160,17 +181,18 @@ def test_ended_by_a_signal(name: str, number: signal.Signals, played_unit: Playe
 
 
 @pytest.mark.parametrize("name", DONE)
-def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> None:
+def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path, warm: Warm) -> None:
     status, says, leaves = DONE[name]
     command = COMMANDS.get(name, Command(name, ""))
-    ended = run(folder, [sys.executable, "-m", command.module, *filled(command.line, played_unit, folder)])
+    line = filled(command.line, played_unit, folder)
+    ended = run(folder, [command.module, *line], warm, cold=name in COLD)
     may = (status, 1) if name == "doctor" else (status,)  # of a computer that lacks something
     assert ended.status in may, ended
     assert re.fullmatch(says, ended.err), ended.err
     assert (ended.left, ended.temporary) == (leaves, frozenset())
 
 
-@pytest.mark.parametrize("redirected", ["| true; exit ${PIPESTATUS[0]}", ">/dev/full"])
+@pytest.mark.parametrize("is_full", [False, True], ids=["gone", "full"])
 @pytest.mark.parametrize(
     "name",
     [
@@ -179,35 +201,41 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> No
         *("export on standard output", "events", "refraction"),
     ],
 )
-def test_ended_by_who_reads(name: str, redirected: str, played_unit: PlayedUnit, folder: Path) -> None:
-    line = shlex.join([sys.executable, "-m", "altd.cli", *filled(COMMANDS[name].line, played_unit, folder)])
-    ended = run(folder, ["/bin/bash", "-c", f"{line} {redirected}"])
-    if "full" in redirected:
-        assert ended.status == 1
-        command = COMMANDS[name].line.split()[0]
-        assert ended.err == f"altd {command}: standard output: No space left on device\n"
+def test_ended_by_who_reads(
+    name: str, is_full: bool, played_unit: PlayedUnit, folder: Path, warm: Warm
+) -> None:
+    if is_full:
+        output = os.open("/dev/full", os.O_WRONLY)
     else:
-        assert ended.status in (0, 1)  # 0: it was done before the reader was gone
-        assert ended.err == ""
+        reader, output = os.pipe()
+        os.close(reader)
+    line = filled(COMMANDS[name].line, played_unit, folder)
+    ended = run(folder, ["altd.cli", *line], warm, cold=name == "replay", output=output)
+    os.close(output)
+    command = COMMANDS[name].line.split()[0]
+    complaint = f"altd {command}: standard output: No space left on device\n" if is_full else ""
+    assert (ended.status, ended.err) == (1, complaint)
     assert ended.left <= {"cal.json"}
     assert ended.temporary == frozenset()
 
 
 @pytest.mark.parametrize("name", FULL_DISK)
-def test_ended_by_a_full_disk(name: str, played_unit: PlayedUnit, folder: Path) -> None:
+def test_ended_by_a_full_disk(
+    name: str, played_unit: PlayedUnit, folder: Path, warm_with_disks: Warm
+) -> None:
     """A real one, in a mount namespace of its own, where it is looked at too."""
     room_kb, place = FULL_DISK[name]
     command = COMMANDS[name]
-    line = shlex.join([sys.executable, "-m", command.module, *filled(command.line, played_unit, folder)])
-    disk = folder / "disk"
-    disk.mkdir()
-    shell = f"cd {disk} && {line} >/dev/null; echo $?; ls -A {disk}"
-    ended = run(folder, on_small_disk(disk, f"{room_kb}k", shell))
+    line = filled(command.line, played_unit, folder)
+    there = [need_program("nsenter", "util-linux"), "--user", "--mount"]
+    there.append(f"--target={warm_with_disks.process.pid}")
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={room_kb}k", "tmpfs", folder]
+    subprocess.run([*there, *mount], check=True)
+    ended = run(folder, [command.module, *line], warm_with_disks)
     prefix = "hw_sim" if command.module == HW_SIM else f"altd {command.line.split()[0]}"
     assert re.fullmatch(
         rf"{prefix}: [^\n]*{place}[^\n]*: (cannot be written: )?No space left on device\n", ended.err
     ), ended
-    status, *left = ended.out.split()
-    assert status == "2"
-    assert set(left) <= ({"cal.json"} if "report" in name else set())
+    assert ended.status == 2
+    assert ended.left <= ({"cal.json"} if "report" in name else set())
     assert ended.temporary == frozenset()
