@@ -30,7 +30,7 @@ from altd.process.endings import run_to_end
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder in which child processes start."""
-_START_TIMEOUT_S = 60.0
+_START_TIMEOUT_S = 120.0
 _END_TIMEOUT_S = 30.0
 _RESULT_TIMEOUT_S = 300.0
 _POLL_INTERVAL_S = 0.01
