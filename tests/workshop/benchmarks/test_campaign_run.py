@@ -1,4 +1,7 @@
-"""``make campaign`` runs, says what it promises, and its exit status is that of its table."""
+"""``make campaign`` runs, says what it promises, and its exit status is that of its table.
+
+The ways that disturb times and numbers are held against arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,24 @@ import math
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
+from multiprocessing import active_children
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.places import ROOT
 
 from altd.errors import BadInputError
 from benchmarks.campaign import __main__ as campaign
 from benchmarks.campaign.good import Count
-from benchmarks.campaign.runner import Plan
+from benchmarks.campaign.runner import Plan, workers
 from benchmarks.campaign.units import RECORDINGS, SIMULATED
+from benchmarks.campaign.way import CAMERAS, MS, Draw, Way
+from benchmarks.campaign.ways import numbers, times
+from benchmarks.campaign.ways.numbers import Misnumbered
+from benchmarks.campaign.ways.times import Delivery, Mistimed
 
 pytestmark = pytest.mark.timeout(1200)  # minutes of work where other programs keep the cores busy
 
@@ -97,3 +107,46 @@ def test_hours_of_good_measuring_add_up_and_survive_their_file() -> None:
     assert day.rms == pytest.approx([1.0, 0.5, 0.0, 2.0])
     assert day.largest_sigmas == 4.0
     assert all(math.isnan(value) for value in Count().rms)
+
+
+def test_workers_end_with_the_benchmark_although_they_have_work() -> None:
+    with workers(1) as pool:
+        pool.submit(time.sleep, 0.0).result()
+        pool.submit(time.sleep, 3600.0)
+    assert not active_children()
+
+
+DELIVERIES = [
+    Delivery(camera, k * 50 * MS, k, k * 50 * MS, k * 50 * MS + 5 * MS)
+    for k in range(40)
+    for camera in CAMERAS
+]
+
+
+@pytest.mark.parametrize("way", times.WAYS.ways, ids=lambda way: way.name)
+def test_a_way_of_times_touches_nothing_before_its_onset(way: Way) -> None:
+    changed = way.name == "clean_times"
+    for seed in range(6):
+        mistimed = way.make(Draw(np.random.default_rng(seed)))
+        assert isinstance(mistimed, Mistimed)
+        after = mistimed.change(DELIVERIES, 500 * MS)
+        assert [one for one in after if one.true_ns < 500 * MS] == DELIVERIES[
+            :20
+        ] or mistimed.note.startswith("of ")
+        changed |= sorted(after, key=str) != sorted(DELIVERIES, key=str)
+    assert changed
+
+
+def test_a_held_process_gets_what_the_drivers_kept_and_then_new_frames() -> None:
+    for seed in range(6):
+        mistimed = times.process_held(Draw(np.random.default_rng(seed)))
+        after = mistimed.change(DELIVERIES, 500 * MS)
+        during = [one for one in after if 0 <= one.true_ns - 500 * MS < mistimed.held_ns]
+        assert all(one.arrives_ns == 500 * MS + mistimed.held_ns for one in during)
+        assert len(during) <= 2 * int(mistimed.note.split()[2])
+
+
+def test_numbers_that_are_none_are_drawn_for_config_and_calibration() -> None:
+    drawn = [way.make(Draw(np.random.default_rng(seed))) for way in numbers.WAYS.ways for seed in range(20)]
+    assert all(isinstance(one, Misnumbered) for one in drawn)
+    assert {one.is_none for one in drawn if isinstance(one, Misnumbered)} == {True, False}
