@@ -21,7 +21,6 @@ import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
 
 from benchmarks.chromium import PICTURES, processes, program
-from benchmarks.harness import child
 
 _BLOCKS = 10
 _SIGMAS = 3.0
@@ -126,9 +125,14 @@ async def devtools(width: int, height: int) -> AsyncIterator[DevTools]:
     with tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True) as profile:
         words = ["--headless=new", "--no-sandbox", "--no-first-run", "--remote-debugging-port=0"]
         words += [f"--user-data-dir={profile}", f"--window-size={width},{height}"]
-        with child([program(), *words]):
+        nothing = asyncio.subprocess.DEVNULL
+        process = await asyncio.create_subprocess_exec(program(), *words, stdout=nothing, stderr=nothing)
+        try:
             async with connect(await _address(Path(profile)), max_size=_MAX_MESSAGE_BYTES) as socket:
                 yield DevTools(socket)
+        finally:  # while it ends, the unit must go on serving it
+            process.terminate()
+            await process.wait()
 
 
 async def _address(profile: Path) -> str:
