@@ -130,7 +130,7 @@ async def devtools(width: int, height: int) -> AsyncIterator[DevTools]:
         try:
             async with connect(await _address(Path(profile)), max_size=_MAX_MESSAGE_BYTES) as socket:
                 yield DevTools(socket)
-        finally:  # while it ends, the unit must go on serving it
+        finally:  # while it ends, the unit must continue to serve it
             process.terminate()
             await process.wait()
 
