@@ -14,17 +14,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 from support.clock import FakeClock
 from support.measurements import measured
 from support.picture_maker import Maker
 from support.serving import serving
 
 from altd.config import HttpSettings
-from altd.credentials import hashes
+from altd.credentials import file, hashes
 from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash, token_digest
 from altd.history.history import History
-from altd.instruments.beam.solver import Beam
+from altd.instruments.beam.instrument import QUANTITIES
+from altd.publish.http.openapi import document_of
+from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Measurement
 from altd.status.board import Board
@@ -128,6 +131,23 @@ class Events:
         return first.removeprefix("id: "), json.loads(second.removeprefix("data: "))
 
 
+DOCUMENT = document_of(PATHS, QUANTITIES, "0.1.0")
+NEED_MORE = (
+    *("/api/v1/trend", "/api/v1/events"),
+    *("/api/v1/calibration", "/api/v1/calibration/file", "/api/v1/calibration/report"),
+)
+"""Answers of a history or a calibration, which the unit of most tests has not."""
+
+
+def fits(document: dict[str, Any], path: str, answer: Answer, method: str = "get") -> Any:
+    """The answer's object, after jsonschema has held it against the document."""
+    response = document["paths"][path][method]["responses"][str(answer.status)]
+    schema = response["content"]["application/json"]["schema"]
+    whole = {**schema, "components": document["components"]}
+    Draft202012Validator(whole).validate(answer.json)
+    return answer.json
+
+
 NAMES = ("unit", "alt-0007.plant", "a")
 PASSWORD = "open sesame"
 TOKEN = "q3T0m-yK1_oT7vE8Jm5zq0c4yG2uWn9aXb6RkLhSdPf"
@@ -175,6 +195,7 @@ async def unit(served: Served) -> AsyncIterator[Unit]:
 def credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, value in (("SCRYPT_N", 2), ("SCRYPT_R", 1), ("SCRYPT_P", 1)):
         monkeypatch.setattr(hashes, name, value)
+    monkeypatch.setattr(file, "DUMMY_HASH", PasswordHash.of("of an unknown name"))
     path = tmp_path / "credentials"
     known = Credentials({"ana": PasswordHash.of(PASSWORD)}, {"press": token_digest(TOKEN)})
     save_credentials(path, known)
@@ -223,11 +244,4 @@ def maker(health: Health) -> Maker:
 
 @pytest.fixture(name="measured")
 def measured_fixture() -> Measurement:
-    return measured(
-        sequence=160,
-        t_ns=8_000_000_000,
-        time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC),
-        frames=20,
-        beam=Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011),
-        points_mm={"front": (10.012, 4.987), "rear": (15.613, -3.413)},
-    )
+    return measured(time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC))

@@ -1,4 +1,4 @@
-"""Answers of each path, over real sockets."""
+"""Answers of each path, over real sockets, and the page in docs that lists them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from support.clock import FakeClock
 from support.measurements import changed
+from support.places import DOCS
 
 from altd.publish.http import answers
 from altd.publish.http.answers import page_files
@@ -24,9 +25,10 @@ from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
 from altd.status.services import SelfCheckReport
+from altd.status.state import UnitState
+from tools.pages.http import page
 
-from .conftest import Unit
-from .documents import NEED_MORE
+from .conftest import NEED_MORE, Unit
 
 
 async def test_the_measurement_is_the_object_of_replay_with_its_proof_behind(
@@ -215,3 +217,33 @@ async def test_only_a_measurement_is_data(
     board.publish(measured)
     await unit.ask("/api/measurement")
     assert component.data_given == 1
+
+
+async def test_a_daemon_that_answers_is_alive_whatever_it_measures(unit: Unit) -> None:
+    answer = await unit.ask("/healthz")
+    assert (answer.status, answer.json) == (200, {"alive": True})
+
+
+async def test_a_unit_is_ready_once_it_measures_even_without_a_beam(
+    unit: Unit, board: Board, health: Health, clock: FakeClock, measured: Measurement
+) -> None:
+    health.state = UnitState(board, health, clock).read
+    starting = await unit.ask("/readyz")
+    board.publish(changed(measured, None, status=(Fault(Reason.SPOT_MISSING, "front"),)))
+    without_beam = await unit.ask("/readyz")
+    board.publish(measured)
+    measuring = await unit.ask("/readyz")
+    clock.now_ns += 5_000_000_000
+    stale = await unit.ask("/readyz")
+    assert (starting.status, stale.status) == (503, 503)
+    assert starting.json == {"error": "the unit starts"}
+    assert stale.json == {"error": "no new measurement"}
+    assert without_beam.json == measuring.json == {"ready": True}
+
+
+def test_the_page_is_generated_from_the_code() -> None:
+    assert (DOCS / "http.md").read_text() == page(), "run: make pages"
+
+
+def test_every_path_is_on_the_page() -> None:
+    assert all(f"| `{path.path}` |" in page() for path in PATHS)

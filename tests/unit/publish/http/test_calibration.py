@@ -15,8 +15,7 @@ from altd.publish.http.recordings import MAX_DOWNLOADS
 from altd.status.health import Health
 
 from .calibration_files import FILE, PAGE, Files
-from .conftest import Served, Unit
-from .documents import DOCUMENT, fits
+from .conftest import DOCUMENT, Served, Unit, fits
 
 PATHS = ("/api/v1/calibration/file", "/api/v1/calibration/report")
 

@@ -23,8 +23,7 @@ from altd.status.board import Board
 from altd.status.health import Health, State
 from altd.status.services import SelfCheckReport
 
-from .conftest import Unit
-from .documents import NEED_MORE
+from .conftest import NEED_MORE, Unit
 
 HEADERS = {"X-Altd-Request": "1"}
 

@@ -29,8 +29,7 @@ from altd.status.health import Health, State
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 
-from .conftest import Served, Unit, served_with
-from .documents import DOCUMENT, fits
+from .conftest import DOCUMENT, Served, Unit, fits, served_with
 
 
 def test_a_foreign_validator_takes_the_document() -> None:

@@ -17,8 +17,7 @@ from altd.publish.http import stream
 from altd.status.board import Board
 from altd.status.health import Health
 
-from .conftest import Unit, served_with
-from .documents import DOCUMENT, fits
+from .conftest import DOCUMENT, Unit, fits, served_with
 
 MONOTONIC_NS = 10**12
 """When ``START_S`` was, on the clock of ``support.history``."""

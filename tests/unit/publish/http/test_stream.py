@@ -53,11 +53,7 @@ async def test_silence_is_told_by_a_comment(
 
 
 async def test_a_measurement_that_goes_stale_is_told_once(
-    served: Served,
-    board: Board,
-    clock: FakeClock,
-    measured: Measurement,
-    monkeypatch: pytest.MonkeyPatch,
+    served: Served, board: Board, clock: FakeClock, measured: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.02)
     board.publish(measured)
@@ -105,11 +101,7 @@ async def test_a_client_that_goes_away_leaves_nothing(unit: Unit, measured: Meas
 
 
 async def test_a_stalled_client_is_cut_off(
-    served: Served,
-    board: Board,
-    component: Component,
-    measured: Measurement,
-    monkeypatch: pytest.MonkeyPatch,
+    served: Served, board: Board, component: Component, measured: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "SEND_TIMEOUT_S", 1)
     async with served() as unit:

@@ -38,26 +38,28 @@ def measured_fixture(clock: FakeClock) -> Measured:
 
     def measurement(**fields: Any) -> Measurement:
         ordinary: dict[str, Any] = {
-            "sequence": 160,
             "t_ns": clock.now_ns - 520_000_000,
             "time": datetime(2026, 11, 20, 8, 15, 30, 125_000, tzinfo=UTC),
-            "frames": 20,
             "beam": Beam(
                 10.012, 4.987, 1.1459, -1.7184, 0.004, 0.005, 0.0011, 0.0012, (0.003, 0.0045, 0.0009, 0.001)
             ),
-            "points_mm": {"front": (10.012, 4.987), "rear": (15.613, -3.413)},
         }
         return measured(**(ordinary | fields))
 
     return measurement
 
 
+def tcp_of(
+    board: Board, component: Component, health: Health | None = None, **more: Any
+) -> ModbusTcpPublisher:
+    """A Modbus TCP publisher on a free port of the loopback, with these settings."""
+    settings = ModbusTcpSettings(**{"host": "127.0.0.1", "port": 0, "unit_id": UNIT, **more})
+    return ModbusTcpPublisher(settings, board, component, health or Health(component.clock))
+
+
 @pytest.fixture
 async def tcp(board: Board, component: Component) -> AsyncIterator[ModbusTcpPublisher]:
-    """A Modbus TCP publisher on a free port of the loopback."""
-    publisher = ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component, Health(component.clock)
-    )
+    publisher = tcp_of(board, component)
     async with serving(publisher):
         yield publisher
 

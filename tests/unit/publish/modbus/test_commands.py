@@ -18,16 +18,17 @@ from support.modbus_wire import ONE, ONE_ANSWER, UNIT, Client, Measured, connect
 from support.serving import serving
 from support.wire import Wire
 
-from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
+from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.responder import RELATIVE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
-from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.board import Board
 from altd.status.event_log import EventKind
 from altd.status.health import Component, Health
 from altd.status.zero import Zero
+
+from .conftest import tcp_of
 
 NOW = bytes.fromhex("06 03e8 0001")
 FIRST = 0x1234
@@ -52,10 +53,8 @@ def health(asked: list[bool], clock: FakeClock) -> Health:
 async def controller(
     request: pytest.FixtureRequest, board: Board, component: Component, health: Health
 ) -> AsyncIterator[Client]:
-    settings = ModbusTcpSettings(
-        host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=request.param, allow_zero=request.param
-    )
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    allowed = {"allow_self_check": request.param, "allow_zero": request.param}
+    publisher = tcp_of(board, component, health, **allowed)
     async with serving(publisher), connected(publisher) as client:
         yield client
 
@@ -162,8 +161,7 @@ async def test_the_ids_of_the_device_itself_are_its_own(
 async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
     board: Board, component: Component, health: Health, asked: list[bool]
 ) -> None:
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    publisher = tcp_of(board, component, health, allow_self_check=True)
     status = bytes.fromhex("04 0000 0001")
     async with serving(publisher), connected(publisher) as flooding, connected(publisher) as reading:
         for number in range(2000):
@@ -263,10 +261,9 @@ async def test_another_daemon_knows_no_zero_of_the_one_before(
 ) -> None:
     board.publish(measured())
     assert await controller.ask(SET_ZERO) == SET_ZERO
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_zero=True)
     restarted = Health(clock)
     restarted.zero = Zero(restarted.events, (FIRST + 7) % 0xFFFF)
-    publisher = ModbusTcpPublisher(settings, board, Component("again", clock), restarted)
+    publisher = tcp_of(board, Component("again", clock), restarted, allow_zero=True)
     async with serving(publisher), connected(publisher) as client:
         found = await relative(client)
         assert found["zeros"] == 0
@@ -279,9 +276,7 @@ async def test_each_command_has_its_own_setting(
 ) -> None:
     board.publish(measured())
     for allowed in itertools.product([False, True], repeat=2):
-        local = {"host": "127.0.0.1", "port": 0, "unit_id": UNIT}
-        settings = ModbusTcpSettings(**local, allow_self_check=allowed[0], allow_zero=allowed[1])
-        publisher = ModbusTcpPublisher(settings, board, component, health)
+        publisher = tcp_of(board, component, health, allow_self_check=allowed[0], allow_zero=allowed[1])
         refused = bytes.fromhex("86 02") if any(allowed) else bytes.fromhex("86 01")
         set_zero = struct.pack(">BHH", 6, 1001, health.zero.next_number)
         async with serving(publisher), connected(publisher) as client:

@@ -1,4 +1,4 @@
-"""The values as mbpoll reads them, a client that this project did not write."""
+"""The values as mbpoll reads them, a client that this project did not write, and the page that shows them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ import pytest
 from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Measured
+from support.places import ROOT
 from support.serving import serving
 from support.wire import socat_line
 
 from altd.config import ModbusRtuPortSettings
+from altd.publish.modbus.registers import REGISTERS
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.publish.modbus.values import REASON_CODES, STATUS_BITS
 from altd.status.board import Board
 from altd.status.health import Component, Health
 from tools.pages import modbus as page
@@ -96,3 +99,31 @@ async def test_mbpoll_is_told_why_a_write_is_refused(tcp: ModbusTcpPublisher) ->
     ]
     done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60)
     assert "Illegal function" in done.stdout + done.stderr
+
+
+COMMITTED = ROOT / "docs" / "modbus.md"
+
+
+def test_the_page_in_docs_is_the_generated_one() -> None:
+    assert COMMITTED.read_text() == page.page(), "run: make pages"
+
+
+def test_the_page_names_every_register_bit_and_code() -> None:
+    text = page.page()
+    for row in REGISTERS:
+        assert f"`{row.name}`" in text
+        assert re.search(rf"^\|.*\b{row.address}\b.*\|.*`{row.name}`", text, re.MULTILINE)
+    for bit in STATUS_BITS:
+        assert f"| {bit.bit} | {bit.name} |" in text
+    reasons = (ROOT / "docs" / "reasons.md").read_text()
+    for reason in REASON_CODES:
+        assert f"| `{reason}` | {reason.scope} | {reason.modbus_code} |" in reasons
+
+
+def test_the_page_says_which_bits_a_valid_measurement_may_have_and_which_warnings_have_none() -> None:
+    text = " ".join(page.page().split())
+    bit_15 = next(line for line in page.page().splitlines() if line.startswith("| 15 |"))
+    assert "with bit 0 at 1 a warning: `geometry_suspect`, `geometry_unknown`, `compensated` |" in bit_15
+    assert "Bits 7, 12, 13 and 15 may be set beside bit 0, as warnings" in text
+    assert "The warnings `rehearsal`, `roll_missing`, `pitch_diverges` have no bit." in text
+    assert "2 at once for a rehearsal, 4 after ten seconds for the inclinometer" in text

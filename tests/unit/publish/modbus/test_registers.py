@@ -13,14 +13,7 @@ from hypothesis import strategies as st
 from support.modbus_wire import Measured
 
 from altd.instruments.beam.solver import Beam
-from altd.publish.modbus.registers import (
-    FLOAT_BLOCK,
-    REGISTERS,
-    SCALED_BLOCK,
-    SIZE,
-    Type,
-    image,
-)
+from altd.publish.modbus.registers import FLOAT_BLOCK, REGISTERS, SCALED_BLOCK, SIZE, Type, image
 from altd.publish.modbus.values import REASON_CODES, STATUS_BITS, Snapshot
 from altd.reasons import Reason, StatusGroup
 from altd.records import Fault, Measurement

@@ -59,15 +59,16 @@ class Controller:
         return await self.hear(1, within_s=0.03) == b""
 
 
-def settings(device: str, **fields: Any) -> ModbusRtuPortSettings:
+def rtu_at(device: str, board: Board, component: Component, **fields: Any) -> ModbusRtuPublisher:
     ordinary: dict[str, Any] = {"speaks": "modbus_rtu", "baud": 115200, "unit_id": UNIT}
-    return ModbusRtuPortSettings(device=Path(device), **(ordinary | fields))
+    settings = ModbusRtuPortSettings(device=Path(device), **(ordinary | fields))
+    return ModbusRtuPublisher(settings, board, component, Health(component.clock))
 
 
 @pytest.fixture
 async def controller(pty: tuple[int, str], board: Board, component: Component) -> AsyncIterator[Controller]:
     descriptor, device = pty
-    async with serving(ModbusRtuPublisher(settings(device), board, component, Health(component.clock))):
+    async with serving(rtu_at(device, board, component)):
         yield Controller(descriptor)
 
 
@@ -222,9 +223,7 @@ async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller
 
 async def test_a_missing_device_is_an_os_error(board: Board, component: Component) -> None:
     with pytest.raises(FileNotFoundError, match="/dev/altd-is-not-here"):
-        async with serving(
-            ModbusRtuPublisher(settings("/dev/altd-is-not-here"), board, component, Health(component.clock))
-        ):
+        async with serving(rtu_at("/dev/altd-is-not-here", board, component)):
             pass
 
 
@@ -233,9 +232,7 @@ async def test_a_file_that_is_no_serial_port_is_an_os_error(
 ) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="file"):
-        async with serving(
-            ModbusRtuPublisher(settings(str(tmp_path / "file")), board, component, Health(component.clock))
-        ):
+        async with serving(rtu_at(str(tmp_path / "file"), board, component)):
             pass
 
 
@@ -243,7 +240,7 @@ async def test_a_port_in_use_is_an_os_error(
     controller: Controller, pty: tuple[int, str], board: Board, component: Component
 ) -> None:
     with pytest.raises(OSError, match=f"another program uses the port: '{pty[1]}'"):
-        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component, Health(component.clock))):
+        async with serving(rtu_at(pty[1], board, component)):
             pass
     assert await controller.is_answered()
 
@@ -254,9 +251,7 @@ async def test_a_port_that_goes_away_ends_the_publisher_with_an_os_error(
     controller, unit = os.openpty()
     device = os.ttyname(unit)
     ready = asyncio.Event()
-    task = asyncio.create_task(
-        ModbusRtuPublisher(settings(device), board, component, Health(component.clock)).run(ready.set)
-    )
+    task = asyncio.create_task(rtu_at(device, board, component).run(ready.set))
     await ready.wait()
     os.close(unit)
     os.close(controller)
@@ -284,7 +279,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
 ) -> None:
     before = asyncio.all_tasks()
     for _ in range(3):
-        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component, Health(component.clock))):
+        async with serving(rtu_at(pty[1], board, component)):
             assert await Controller(pty[0]).is_answered()
         assert asyncio.all_tasks() == before
 
@@ -293,8 +288,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
 async def test_every_setting_of_the_line_can_be_used(
     pty: tuple[int, str], board: Board, component: Component, parity: str, stop_bits: int
 ) -> None:
-    line = settings(pty[1], parity=parity, stop_bits=stop_bits, baud=1200)
-    async with serving(ModbusRtuPublisher(line, board, component, Health(component.clock))):
+    async with serving(rtu_at(pty[1], board, component, parity=parity, stop_bits=stop_bits, baud=1200)):
         assert await Controller(pty[0]).is_answered()
 
 

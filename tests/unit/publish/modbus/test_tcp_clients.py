@@ -26,11 +26,12 @@ from support.modbus_wire import (
 )
 from support.serving import serving
 
-from altd.config import ModbusTcpSettings
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import MAX_CLIENTS, ModbusTcpPublisher
 from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component
+
+from .conftest import tcp_of
 
 
 def timers_of_connections(port: int) -> list[str]:
@@ -131,8 +132,7 @@ async def test_a_reserved_controller_gets_in_where_others_have_asked_for_longer(
     board: Board, component: Component, reserved: tuple[str, ...]
 ) -> None:
     """And stays, as no other new connection does."""
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, reserved=reserved)
-    publisher = ModbusTcpPublisher(settings, board, component, Health(component.clock))
+    publisher = tcp_of(board, component, reserved=reserved)
     async with serving(publisher), contextlib.AsyncExitStack() as stack:
         for number in range(MAX_CLIENTS):
             early = await stack.enter_async_context(connected(publisher, f"127.0.1.{number + 1}"))
@@ -247,20 +247,15 @@ async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTc
 async def test_an_address_in_use_is_an_os_error(
     tcp: ModbusTcpPublisher, board: Board, component: Component
 ) -> None:
-    second = ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=tcp.port), board, component, Health(component.clock)
-    )
     with pytest.raises(OSError, match="Address already in use by"):
-        async with serving(second):
+        async with serving(tcp_of(board, component, port=tcp.port)):
             pass
 
 
 async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
     board: Board, component: Component
 ) -> None:
-    publisher = ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component, Health(component.clock)
-    )
+    publisher = tcp_of(board, component)
     before = asyncio.all_tasks()
     async with contextlib.AsyncExitStack() as stack:
         async with serving(publisher):
@@ -271,10 +266,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
         assert not component.counters.get("clients")
         for client in clients:
             assert await client.is_closed()
-    again = ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=publisher.port), board, component, Health(component.clock)
-    )
-    async with serving(again):
+    async with serving(tcp_of(board, component, port=publisher.port)):
         pass
 
 
@@ -283,8 +275,7 @@ async def test_a_client_that_connects_as_the_publisher_ends_is_closed(
     board: Board, component: Component, caplog: pytest.LogCaptureFixture, turns: int
 ) -> None:
     """In one of these turns of the loop the connection is accepted, in the next its streams are made."""
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT)
-    publisher = ModbusTcpPublisher(settings, board, component, Health(component.clock))
+    publisher = tcp_of(board, component)
     async with serving(publisher):
         client = socket.create_connection(("127.0.0.1", publisher.port), 10)
         for _ in range(turns):

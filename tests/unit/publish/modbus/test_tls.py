@@ -18,16 +18,7 @@ import pytest
 from pymodbus.client import AsyncModbusTlsClient
 from support.certificates import AUTHORITY, ROLE, Files, expired, made
 from support.foreign import need_program
-from support.modbus_wire import (
-    EVERYTHING,
-    ONE,
-    ONE_ANSWER,
-    UNIT,
-    Measured,
-    connected,
-    eventually,
-    frame,
-)
+from support.modbus_wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Measured, connected, eventually, frame
 from support.serving import serving
 
 from altd.config import ModbusTcpSettings

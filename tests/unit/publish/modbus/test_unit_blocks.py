@@ -19,12 +19,11 @@ from support.modbus_wire import UNIT, Client, Measured, connected
 from support.serving import serving
 from support.wire import socat_line
 
-from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
+from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.registers import MEASUREMENT, Type, WordOrder
 from altd.publish.modbus.responder import CONDITION, TABLES, LineCounters, serial_response
 from altd.publish.modbus.responder import UNIT as UNIT_TABLE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
-from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.reasons import Reason, Signal
 from altd.records import Fault
 from altd.records.sensors import Quality, SensorValue
@@ -35,9 +34,14 @@ from altd.status.health import Component, Health
 from altd.status.services import SelfCheckReport
 from altd.status.target_area import TargetArea
 
+from .conftest import tcp_of
+
 CREATED = "2026-11-02T09:30:00.000Z"
 CHECKSUM = "sha256:89abcdef" + 56 * "0"
 """As a calibration file has it."""
+
+
+ALWAYS_KNOWN = "block_version", "unit", "session", "uptime", "lost_frames", "late_frames"
 
 
 class NoFiles:
@@ -65,8 +69,7 @@ def health(clock: FakeClock) -> Health:
 
 @pytest.fixture
 async def client(board: Board, component: Component, health: Health) -> Any:
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT)
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    publisher = tcp_of(board, component, health)
     async with serving(publisher), connected(publisher) as client:
         yield client
 
@@ -139,22 +142,14 @@ async def test_a_serial_of_any_length_and_letters_is_text(client: Client, health
 async def test_what_a_bare_unit_does_not_know_is_not_known(
     board: Board, component: Component, clock: FakeClock
 ) -> None:
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT)
-    bare = ModbusTcpPublisher(settings, board, component, Health(clock))
+    bare = tcp_of(board, component, Health(clock))
     async with serving(bare), connected(bare) as client:
         for table in (UNIT_TABLE, CONDITION):
             content = await read(client, table.first, table.size)
             words = list(struct.unpack(f">{table.size}H", content))
             for row in table.rows:
                 place = row.address - table.first
-                if row.name not in (
-                    "block_version",
-                    "unit",
-                    "session",
-                    "uptime",
-                    "lost_frames",
-                    "late_frames",
-                ):
+                if row.name not in ALWAYS_KNOWN:
                     assert tuple(words[place : place + row.type.words]) == row.type.unknown, row.name
 
 
@@ -219,8 +214,7 @@ async def test_a_rehearsal_has_an_input_and_a_register(
 ) -> None:
     board = Board(clock, 1.0, measured().quantities, rehearsal=True)
     board.publish(measured(status=(Fault(Reason.SIMULATED),)))
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT)
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    publisher = tcp_of(board, component, health)
     async with serving(publisher), connected(publisher) as client:
         assert await client.ask(bytes.fromhex("02 0000 0007")) == bytes([2, 1, 0b1100001])
         assert await read(client, 301, 1) == b"\0\1"
@@ -240,8 +234,7 @@ async def test_every_32_bit_value_follows_the_word_order_and_nothing_else_does(
     board.publish(measured())
     found: dict[str, dict[int, bytes]] = {}
     for each in (WordOrder.ABCD, order):
-        settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, word_order=each.value)
-        publisher = ModbusTcpPublisher(settings, board, component, health)
+        publisher = tcp_of(board, component, health, word_order=each.value)
         async with serving(publisher), connected(publisher) as client:
             found[each] = {table.first: await read(client, table.first, table.size) for table in TABLES}
     assert found[order][0][200:208] == bytes(
@@ -263,8 +256,7 @@ async def test_the_crc_is_over_the_bytes_as_they_are_sent(
     board: Board, component: Component, health: Health, measured: Measured, order: WordOrder
 ) -> None:
     board.publish(measured())
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, word_order=order.value)
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    publisher = tcp_of(board, component, health, word_order=order.value)
     async with serving(publisher), connected(publisher) as client:
         block = await read(client, 200, 80)
     sent = bytes(block[-4:][place] for place in ORDERS[order])  # each order is its own inverse
@@ -275,8 +267,7 @@ async def test_the_crc_is_over_the_bytes_as_they_are_sent(
 async def test_mbpoll_reads_floats_in_the_order_that_is_set(
     board: Board, component: Component, health: Health, order: Any, arguments: tuple[str, ...]
 ) -> None:
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, word_order=order)
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    publisher = tcp_of(board, component, health, word_order=order)
     async with serving(publisher):
         command = [need_program("mbpoll"), "-1", "-0", *arguments, "-t", "3:float", "-r", "100"]
         command += ["-p", str(publisher.port), "-a", str(UNIT), "127.0.0.1"]
@@ -287,8 +278,7 @@ async def test_mbpoll_reads_floats_in_the_order_that_is_set(
 async def test_pymodbus_reads_the_identification_with_serial_and_calibration(
     board: Board, component: Component, health: Health
 ) -> None:
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT)
-    publisher = ModbusTcpPublisher(settings, board, component, health)
+    publisher = tcp_of(board, component, health)
     async with serving(publisher):
         client = AsyncModbusTcpClient("127.0.0.1", port=publisher.port)
         assert await client.connect()

@@ -31,6 +31,9 @@ SECURE = "Basic256Sha256,SignAndEncrypt"
 NUMBERS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg", "targets.front.x_mm", "targets.rear.y_mm")
 
 
+Served = tuple[OpcUaUnit, ServedUnit]
+
+
 @pytest.fixture(autouse=True)
 def quiet() -> Any:
     logging.disable()
@@ -39,7 +42,7 @@ def quiet() -> Any:
 
 
 @pytest.fixture
-async def served() -> AsyncIterator[tuple[OpcUaUnit, ServedUnit]]:
+async def served() -> AsyncIterator[Served]:
     unit = OpcUaUnit(FakeClock(10**12))
     async with unit.served() as server:
         unit.measure()
@@ -97,7 +100,7 @@ def _wanted(interval_ms: float) -> ua.CreateSubscriptionParameters:
     return wanted
 
 
-async def test_one_read_has_numbers_of_one_measurement(served: tuple[OpcUaUnit, ServedUnit]) -> None:
+async def test_one_read_has_numbers_of_one_measurement(served: Served) -> None:
     unit, there = served
 
     async def measuring() -> None:
@@ -115,9 +118,7 @@ async def test_one_read_has_numbers_of_one_measurement(served: tuple[OpcUaUnit, 
     task.cancel()
 
 
-async def test_a_value_that_becomes_bad_and_good_again_is_written_each_time(
-    served: tuple[OpcUaUnit, ServedUnit],
-) -> None:
+async def test_a_value_that_becomes_bad_and_good_again_is_written_each_time(served: Served) -> None:
     unit, there = served
     async with connected(unit.url) as client:
         for sequence in range(3):
@@ -131,7 +132,7 @@ async def test_a_value_that_becomes_bad_and_good_again_is_written_each_time(
             assert found["valid"].value is False
 
 
-async def test_nothing_can_be_written_added_or_registered(served: tuple[OpcUaUnit, ServedUnit]) -> None:
+async def test_nothing_can_be_written_added_or_registered(served: Served) -> None:
     unit, _ = served
     async with connected(unit.url) as client:
         nodes = ("ns=2;s=x_mm", "ns=2;s=valid", "ns=2;s=health", "i=2294")
@@ -144,9 +145,7 @@ async def test_nothing_can_be_written_added_or_registered(served: tuple[OpcUaUni
         assert await code_of(client.uaclient.register_server(wanted)) == "BadServiceUnsupported"
 
 
-async def test_a_session_cannot_be_taken_over_by_its_number(
-    secured: OpcUaSettings,
-) -> None:
+async def test_a_session_cannot_be_taken_over_by_its_number(secured: OpcUaSettings) -> None:
     """asyncua counts tokens up, and an activation that fails leaves the session to its client."""
     unit = OpcUaUnit(settings=secured)
     async with unit.served() as there:
@@ -221,7 +220,7 @@ async def test_a_client_that_takes_another_for_the_unit_gets_no_channel(secured:
             await client.connect()
 
 
-async def test_subscriptions_of_others_cannot_be_touched(served: tuple[OpcUaUnit, ServedUnit]) -> None:
+async def test_subscriptions_of_others_cannot_be_touched(served: Served) -> None:
     unit, _ = served
     async with connected(unit.url) as owner, connected(unit.url) as other:
         number, _ = await subscribe(owner, x_mm=None)
@@ -241,7 +240,7 @@ async def test_subscriptions_of_others_cannot_be_touched(served: tuple[OpcUaUnit
 
 
 async def test_a_deadband_is_refused_because_what_creeps_or_turns_bad_would_stay_unsaid(
-    served: tuple[OpcUaUnit, ServedUnit],
+    served: Served,
 ) -> None:
     unit, _ = served
     without = ua.DataChangeFilter(ua.DataChangeTrigger.StatusValueTimestamp)
@@ -261,7 +260,7 @@ async def test_a_deadband_is_refused_because_what_creeps_or_turns_bad_would_stay
         assert await code_of(changed) == refused
 
 
-async def test_a_subscription_has_bounds_whatever_it_asks_for(served: tuple[OpcUaUnit, ServedUnit]) -> None:
+async def test_a_subscription_has_bounds_whatever_it_asks_for(served: Served) -> None:
     unit, there = served
     async with connected(unit.url) as client:
         for interval_ms in (0.0, -1.0, 1e-9, math.nan, math.inf, 1e300):
@@ -283,9 +282,7 @@ async def test_a_subscription_has_bounds_whatever_it_asks_for(served: tuple[OpcU
         assert await code_of(subscribe(client)) == "BadTooManySubscriptions"
 
 
-async def test_a_session_leaves_nothing_behind_even_when_it_asks_to(
-    served: tuple[OpcUaUnit, ServedUnit],
-) -> None:
+async def test_a_session_leaves_nothing_behind_even_when_it_asks_to(served: Served) -> None:
     unit, there = served
     subscriptions = there.server.iserver.subscription_service.subscriptions
     client = Client(unit.url, timeout=20)
@@ -297,9 +294,7 @@ async def test_a_session_leaves_nothing_behind_even_when_it_asks_to(
     await client.disconnect()
 
 
-async def test_monitored_items_operations_and_connections_have_limits(
-    served: tuple[OpcUaUnit, ServedUnit],
-) -> None:
+async def test_monitored_items_operations_and_connections_have_limits(served: Served) -> None:
     unit, there = served
     async with connected(unit.url) as client:
         number, _ = await subscribe(client)
@@ -338,7 +333,7 @@ async def _flood(writer: asyncio.StreamWriter) -> None:
     [struct.pack("<4sI", b"MSGF", 2**31), struct.pack("<4sI", b"OPNF", 2**32 - 1), b"HELF" + b"\xff" * 4],
 )
 async def test_a_header_that_announces_gigabytes_ends_the_connection_early(
-    served: tuple[OpcUaUnit, ServedUnit], head: bytes
+    served: Served, head: bytes
 ) -> None:
     unit, _ = served
     reader, writer = await asyncio.open_connection("127.0.0.1", unit.publisher.port)
@@ -349,7 +344,7 @@ async def test_a_header_that_announces_gigabytes_ends_the_connection_early(
     writer.transport.abort()
 
 
-async def test_sessions_that_are_begun_and_left_are_bounded(served: tuple[OpcUaUnit, ServedUnit]) -> None:
+async def test_sessions_that_are_begun_and_left_are_bounded(served: Served) -> None:
     unit, there = served
     client = Client(unit.url, timeout=20)
     await client.connect_sessionless()
@@ -360,7 +355,7 @@ async def test_sessions_that_are_begun_and_left_are_bounded(served: tuple[OpcUaU
 
 
 async def test_a_client_that_comes_back_from_the_same_port_is_served(
-    served: tuple[OpcUaUnit, ServedUnit], monkeypatch: pytest.MonkeyPatch
+    served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A controller may have a fixed port; its old session with a subscription still waits for it."""
     unit, there = served

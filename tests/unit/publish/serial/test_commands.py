@@ -28,7 +28,7 @@ from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 from tools.pages.serial_examples import MEASURED, SPOT_LOST
 
-from .consoles import answer, console, well
+from .conftest import answer, console, well
 
 
 class TestQuestion:

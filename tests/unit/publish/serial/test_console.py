@@ -20,7 +20,7 @@ from altd.status.services import SelfCheckReport
 from tools.pages.example import AGE_S
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
-from .consoles import answer, console, well
+from .conftest import answer, console, well
 
 
 def test_the_greeting_names_the_unit_and_ends_with_the_prompt() -> None:

@@ -10,7 +10,7 @@ from altd.publish.serial.commands import COMMANDS
 from altd.publish.serial.console import Console
 from tools.pages.serial_examples import MEASURED
 
-from .consoles import well
+from .conftest import well
 
 SESSIONS = 20_000
 _STRANGE = tuple(

@@ -14,7 +14,7 @@ from altd.records import Fault
 from altd.status.health import MEASURING, State
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
-from .consoles import answer, well
+from .conftest import answer, well
 
 
 def test_status_says_what_is_wrong_and_what_to_do() -> None:

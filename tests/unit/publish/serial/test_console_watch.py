@@ -8,7 +8,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import PROMPT, Console
 from tools.pages.serial_examples import SPOT_LOST, health
 
-from .consoles import answer, console
+from .conftest import answer, console
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "soon", "nan", "inf", "1e9"])

@@ -22,7 +22,7 @@ from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Health
 from tools.pages.serial_examples import MEASURED
 
-from .consoles import answer, well
+from .conftest import answer, well
 
 NOW_S = START_S + 3600
 

@@ -12,24 +12,16 @@ from hypothesis import strategies as st
 from support.measurements import beam_of, changed, measured
 
 from altd.instruments.beam.solver import Beam
-from altd.publish.serial.telegram import (
-    MAX_SENTENCE_BYTES,
-    SENTENCES,
-    SIGMAS,
-    encode,
-)
+from altd.publish.serial.telegram import MAX_SENTENCE_BYTES, SENTENCES, SIGMAS, encode
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.telegram import Reader
 
 KEYS = (*SIGMAS, *(f"sigma_{key}" for key in SIGMAS))
 MEASURED = measured(
-    sequence=160,
-    t_ns=8_000_000_000,
-    time=datetime(2026, 11, 20, 8, 15, 30, 125_999, UTC),
-    frames=20,
-    beam=Beam(10.012, -4.987, 1.1459, -1.7184, 0.004, 0.0041, 0.0011, 0.0012),
+    Beam(10.012, -4.987, 1.1459, -1.7184, 0.004, 0.0041, 0.0011, 0.0012),
     points_mm={},
+    time=datetime(2026, 11, 20, 8, 15, 30, 125_999, UTC),
 )
 
 
@@ -117,9 +109,7 @@ def test_the_widest_values_keep_to_the_length_of_the_standard() -> None:
 def test_reasons_that_find_no_room_are_told_as_more() -> None:
     targets = [f"target_{place}" for place in range(10)]
     crowd = changed(
-        WIDEST,
-        None,
-        status=(*(Fault(Reason.SPOT_MISSING, name) for name in targets), Fault(Reason.STALE)),
+        WIDEST, None, status=(*(Fault(Reason.SPOT_MISSING, name) for name in targets), Fault(Reason.STALE))
     )
     [reading] = Reader().feed(encode(crowd))
     assert reading.reasons == ("stale", "target_0_spot_missing", "more")

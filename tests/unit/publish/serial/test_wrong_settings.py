@@ -10,7 +10,6 @@ from tools.pages.example import MEASURED
 from tools.pages.serial_examples import health
 
 WRONG = b"wrong baud rate or parity"
-SAMPLES = 16
 
 
 def line_of(data: bytes, baud: int, *, bits: int, parity: str) -> list[tuple[float, int]]:
