@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.history import START_S, US, batch, event, sample, state, store, write_seconds
+from support.history import START_S, US, batch, event, recorded, sample, state, store, write_seconds
 
 from altd.history import history as history_module
 from altd.history.history import MAX_WAITING, History, NoHistoryError
@@ -79,6 +79,13 @@ def test_it_holds_what_was_asked_for(written: tuple[Path, list[float | None]]) -
         (point,) = reader.trend(START_S * US, (START_S + 60) * US, 1, ["yaw_deg", "x_mm"]).points
         assert list(point.values) == ["yaw_deg", "x_mm"]
         assert reader.trend(0, 1000 * US, 10).points == ()
+
+
+def test_the_worst_of_a_point_is_the_most_severe_of_its_seconds(tmp_path: Path) -> None:
+    states = [state(START_S, 4, "stale"), state(START_S + 1, 2, "unsteady")]
+    with recorded(tmp_path, batch(START_S + 3, states)) as reader:
+        (point,) = reader.trend(START_S * US, (START_S + 2) * US, 1, ["x_mm"]).points
+    assert (point.worst, point.worst_code) == (4, "stale")
 
 
 @pytest.mark.parametrize(
