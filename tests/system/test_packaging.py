@@ -105,5 +105,5 @@ class TestInstalled:
 class TestMakefile:
     def test_alone_it_says_what_there_is(self) -> None:
         said = subprocess.run(["make", "-C", ROOT], capture_output=True, text=True, check=True).stdout
-        for target in ("demo", "test", "check", "bench", "docs"):
+        for target in ("demo", "test", "check", "bench", "pages", "pictures"):
             assert f"make {target} " in said
