@@ -87,13 +87,14 @@ the terms are added, not their size.
 
 
 def _calibrated(progress: Progress) -> list[tuple[str, CalibrationResult]]:
+    rendered = open_recording(UNIT_A)  # first, since it may not be there
     progress("scan of a simulated unit")
     with tempfile.TemporaryDirectory() as folder:
         unit, scan = Unit(UnitConfig(seed=SEED)), Path(folder) / "scan"
         record_scan(scan, unit, Stage(np.random.default_rng(SEED)), 2, lambda done, planned: None)
         made = [("simulated", calibrate([open_recording(scan)]))]
     progress("scan of the rendered unit")
-    return [*made, ("rendered", calibrate([open_recording(UNIT_A)]))]
+    return [*made, ("rendered", calibrate([rendered]))]
 
 
 def monte_carlo(calibration: Calibration, draws: int, rng: np.random.Generator) -> FloatArray:

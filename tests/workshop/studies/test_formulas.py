@@ -15,7 +15,7 @@ from altd.calibration.report.budget import budget_of
 from altd.errors import BadInputError
 from altd.records import Limits
 from hw_sim.beam import BeamPose
-from studies import chessboard
+from studies import budget, chessboard
 from studies.averaging import sliding_mean
 from studies.beam import grown, slanted_poses
 from studies.budget import monte_carlo
@@ -52,11 +52,11 @@ def test_the_share_within_is_that_of_a_normal_distribution() -> None:
 def test_the_linear_budget_agrees_with_a_simulation_of_all_its_inputs() -> None:
     """JCGM 101, 8: the simulation draws stage, beam, distance, maps, pattern and exposures."""
     limited = replace(calibration(), limits=Limits(0.0, 120.0, 0.2, 0.05, 0.5))
-    budget = budget_of(limited, (evidence("front"), evidence("rear", 2)))
+    linear = budget_of(limited, (evidence("front"), evidence("rear", 2)))
     errors = monte_carlo(limited, 4000, np.random.default_rng(5))
     assert len(errors) > 3900
     scatter = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert scatter == pytest.approx(np.array(budget.combined), rel=0.06)
+    assert scatter == pytest.approx(np.array(linear.combined), rel=0.06)
 
 
 def test_heat_falsifies_the_angle_as_a_longer_way_to_the_rear_target_does() -> None:
@@ -112,8 +112,9 @@ def test_a_sliding_mean_has_one_value_for_each_whole_window() -> None:
     assert means == pytest.approx(np.array([values[k : k + 4].mean(axis=0) for k in range(3)]))
 
 
-def test_the_photographs_are_looked_for_beside_the_checkout() -> None:
+def test_the_data_are_looked_for_beside_the_checkout() -> None:
     assert ROOT.parent / "shared" / "data" / "chessboard" == chessboard.PHOTOGRAPHS
+    assert ROOT.parent / "shared" / "data" / "unit-a" / "scan" == budget.UNIT_A
 
 
 def test_without_photographs_the_chessboard_is_refused_in_one_line(
@@ -122,3 +123,11 @@ def test_without_photographs_the_chessboard_is_refused_in_one_line(
     monkeypatch.setattr(chessboard, "PHOTOGRAPHS", tmp_path)
     with pytest.raises(BadInputError, match="holds no photographs"):
         chessboard.run(lambda _what: None)
+
+
+def test_without_the_rendered_scan_the_budget_is_refused_and_no_row_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "UNIT_A", tmp_path)
+    with pytest.raises(BadInputError, match=r"recording\.json: No such file"):
+        budget.run(lambda _what: None)
