@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.cli import altd_here
+from support.made_once import loaded_once
 
 from altd.app.daemon import Daemon
 from altd.app.record import scanner_of
@@ -45,7 +47,7 @@ TARGETS = (
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    return calibration_of(SEED, GLASS)
+    return loaded_once(f"switched-{SEED}", partial(calibration_of, SEED, GLASS))
 
 
 def codes(measurement: Measurement) -> set[str]:
@@ -56,7 +58,8 @@ def codes(measurement: Measurement) -> set[str]:
 def test_it_measures_nearly_as_well_as_a_unit_of_two_cameras(
     calibration: Calibration, vibration: Vibration | None, limit: float
 ) -> None:
-    of_two = errors_of(calibration_of(SEED, None), TWO, vibration, SEED, poses=6)
+    two = loaded_once(f"two-cameras-{SEED}", partial(calibration_of, SEED, None))
+    of_two = errors_of(two, TWO, vibration, SEED, poses=6)
     of_glass = errors_of(calibration, SWITCHED, vibration, SEED, poses=6)
     assert rms(of_glass.errors[:, :2]) < limit * rms(of_two.errors[:, :2])
     assert 0.3 < rms(of_glass.ratios[:, :2]) < 1.4  # of twelve values
