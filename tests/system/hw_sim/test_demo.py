@@ -25,8 +25,7 @@ from typing import Any
 import pytest
 from support.documented import commands_of
 from support.places import ROOT
-
-from hw_sim.ports import free_port
+from support.ports import free_port
 
 pytestmark = pytest.mark.alone
 
