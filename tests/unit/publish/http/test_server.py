@@ -214,10 +214,11 @@ async def test_a_header_that_never_ends_is_cut_off(unit: Unit, monkeypatch: pyte
 
 
 async def test_a_flood_of_connections_is_bounded_and_passes(
-    unit: Unit, monkeypatch: pytest.MonkeyPatch
+    unit: Unit, component: Component, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "MAX_CONNECTIONS", 10)
     flood = [await unit.connect() for _ in range(40)]
+    await unit.until(lambda: component.counters.get("connections_refused", 0) == 30)
     await unit.until(
         lambda: sum(reader.at_eof() or reader.exception() is not None for reader, _ in flood) >= 30
     )
