@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,15 +21,20 @@ from altd.recording.reader import open_recording
 from hw_sim.beam import BeamPose
 from hw_sim.chain.record import record_rounds, record_scans
 from hw_sim.chain.row import Row, RowConfig
+from support.made_once import loaded_once
 
 SETTINGS = ChainSettings(stable=("t1", "t5"), baseline_rounds=4)
 
 
 @cache
-def calibrated(seed: int) -> Calibration:
+def calibrated(seed: int, z_mm: tuple[float, ...] = RowConfig().z_mm) -> Calibration:
     """Of the row with that seed, by one scan a target."""
+    return loaded_once(f"row-{seed}-{len(z_mm)}", partial(_calibrated, RowConfig(seed=seed, z_mm=z_mm)))
+
+
+def _calibrated(config: RowConfig) -> Calibration:
     with TemporaryDirectory() as folder:
-        scans = record_scans(Path(folder), Row(RowConfig(seed=seed)))
+        scans = record_scans(Path(folder), Row(config))
         return calibrate([open_recording(path) for path in scans]).calibration
 
 

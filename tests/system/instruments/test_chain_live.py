@@ -14,12 +14,13 @@ from typing import Any
 
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
+from support.chain import calibrated
 from support.cli import altd_here, refusal
 from support.opcua import read_by_node
+from support.ports import free_port
 
 from altd.app.daemon import Daemon
 from altd.app.record import record_of
-from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import ChainSettings, Config, KeptFrames, LocalSettings, OpcUaSettings
 from altd.ports import LampsError
@@ -28,9 +29,8 @@ from altd.recording.reader import open_recording
 from altd.records import Measurement
 from hw_sim.chain.demo import config_of
 from hw_sim.chain.live import LiveRow
-from hw_sim.chain.record import record_rounds, record_scans
+from hw_sim.chain.record import record_rounds
 from hw_sim.chain.row import Row, RowConfig
-from hw_sim.ports import free_port
 
 NAMES = ("t1", "t2", "t3")
 ROW_CONFIG = RowConfig(seed=7, z_mm=(0.0, 15_000.0, 30_000.0))
@@ -41,10 +41,8 @@ OF_T2 = ("t2_dx_mm", "t2_dx_mm.sigma", "targets.t2.x_mm", "targets.t2.valid", "t
 
 @pytest.fixture(scope="module")
 def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("row")
-    scans = record_scans(folder, Row(ROW_CONFIG))
-    path = folder / "chain.json"
-    save_calibration(calibrate([open_recording(scan) for scan in scans]).calibration, path)
+    path = tmp_path_factory.mktemp("row") / "chain.json"
+    save_calibration(calibrated(ROW_CONFIG.seed, ROW_CONFIG.z_mm), path)
     return path
 
 
@@ -60,7 +58,7 @@ class Unit:
     async def run(self, during: Callable[[Unit], Awaitable[None]]) -> None:
         running = asyncio.create_task(self.daemon.run())
         try:
-            async with asyncio.timeout(90.0):
+            async with asyncio.timeout(200.0):  # no claim of how soon
                 await during(self)
         finally:
             running.cancel()
@@ -154,8 +152,9 @@ async def _second_run(unit: Unit) -> None:
     of_t2 = read.registers[10 + PER_PLACE :][:PER_PLACE]
     dx_mm, dy_mm, *_ = struct.unpack(">5f", struct.pack(">10H", *of_t2[2:]))
     assert of_t2[:2] == [0, 1]
-    assert (abs(dx_mm - STEP_MM[0]), abs(dy_mm - STEP_MM[1])) < (0.05, 0.05)
-    read = await unit.by_node("t2_dy_mm", *OF_T2)
+    assert max(abs(dx_mm - STEP_MM[0]), abs(dy_mm - STEP_MM[1])) < 0.05
+    while (read := await unit.by_node("t2_dy_mm", *OF_T2))["t2_dy_mm"]["value"] is None:
+        pass  # on a busy machine a round may be lost
     for key, truth in zip(("t2_dx_mm", "t2_dy_mm"), STEP_MM, strict=True):
         assert abs(read[key]["value"] - truth) < 0.05
         assert read[key]["status"] == "UncertainSimulatedValue"
