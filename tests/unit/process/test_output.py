@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -198,3 +199,12 @@ class TestRepeatLimit:
 
     def test_what_informs_is_not_held_back(self, limit: RepeatLimit) -> None:
         assert [self.note(limit, "measuring", level=logging.INFO) for _ in range(3)] == ["", "", ""]
+
+
+def test_a_file_never_gets_the_number_of_a_closed_standard_input() -> None:
+    code = (
+        "import os; from altd.process.standard_streams import prepare_streams; prepare_streams(); "
+        "print(os.fstat(0).st_rdev == os.stat(os.devnull).st_rdev, os.open('/', os.O_RDONLY) > 2)"
+    )
+    command = ["sh", "-c", 'exec "$0" -c "$1" <&-', sys.executable, code]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "True True\n"
