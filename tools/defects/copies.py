@@ -54,14 +54,17 @@ class Copies:
         """
         copy = self._idle.get()
         try:
-            done: list[str] = []
+            left_out: list[str] = []
             for tests in filter(None, _tests_of(copy, defect, suite)):
-                with _defective(copy / defect.file, defect):
-                    failed = self._failed(copy, [*tests, *(f"--ignore={path}" for path in done)])
-                if failed:
-                    is_sound = "::" not in failed or not self._failed(copy, [failed])
-                    return failed if is_sound else ""
-                done += tests
+                while True:
+                    with _defective(copy / defect.file, defect):
+                        failed = self._failed(copy, [*tests, *left_out])
+                    if not failed:
+                        break
+                    if "::" not in failed or not self._failed(copy, [failed]):
+                        return failed
+                    left_out.append(f"--deselect={failed}")
+                left_out += [f"--ignore={path}" for path in tests]
             return ""
         finally:
             self._idle.put(copy)
