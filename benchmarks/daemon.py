@@ -144,9 +144,7 @@ async def _load(
     dismiss: Callable[[], dict[str, int]],
 ) -> LoadFigures:
     source = Source(material, pairs_per_s)
-    async with running(source, config) as daemon:
-        waits_ns: list[int] = []
-        watching = asyncio.create_task(watch(daemon, source, waits_ns))
+    async with running(source, config) as daemon, watched(daemon, source) as waits_ns:
         cursor = daemon.board.cursor()
         while pairs_per_s and not (await cursor.next()).valid:
             pass  # interfaces start first, some of them in a second
@@ -155,7 +153,6 @@ async def _load(
         await asyncio.sleep(seconds)
         waits_ms = np.array(waits_ns[seen:]) * 1e-6
         cpu_s, wall_s = time.process_time() - cpu_s, time.monotonic() - wall_s
-        watching.cancel()
         answers = await asyncio.to_thread(dismiss)
         pairs_lost = lost(daemon) if pairs_per_s else 0
     latency = latency_of(waits_ms) if len(waits_ms) else None
@@ -169,14 +166,24 @@ def latency_of(waits_ms: FloatArray) -> Latency:
     return Latency(len(waits_ms), p50_ms, p99_ms, float(waits_ms.max()))
 
 
-async def watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
-    """Read as any client does; record the age of a valid value's frames at its arrival."""
-    cursor = daemon.board.cursor()
-    while True:
-        measurement = await cursor.next()
-        now_ns = time.monotonic_ns()
-        if measurement.valid:
-            waits_ns.append(now_ns - source.handed_ns[measurement.sequence])
+@contextlib.asynccontextmanager
+async def watched(daemon: Daemon, source: Source) -> AsyncIterator[list[int]]:
+    """Read as any client does within the block; yield the ages of valid values' frames at arrival, ns."""
+    waits_ns: list[int] = []
+
+    async def watch() -> None:
+        cursor = daemon.board.cursor()
+        while True:
+            measurement = await cursor.next()
+            now_ns = time.monotonic_ns()
+            if measurement.valid:
+                waits_ns.append(now_ns - source.handed_ns[measurement.sequence])
+
+    watching = asyncio.create_task(watch())
+    try:
+        yield waits_ns
+    finally:
+        watching.cancel()
 
 
 async def _holds(material: Material, pairs_per_s: float, seconds: float) -> int:

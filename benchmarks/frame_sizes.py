@@ -25,8 +25,9 @@ import numpy as np
 from altd.calibration.calibrating import calibrate
 from altd.recording.reader import open_recording
 from altd.records import PixelArray
-from benchmarks.daemon import SETTLE_S, Latency, latency_of, lost, running, watch
+from benchmarks.daemon import SETTLE_S, Latency, latency_of, lost, running, watched
 from benchmarks.harness import Columns, Parser, end, quiet, reporter
+from benchmarks.interfaces import HOST
 from benchmarks.material import CAMERAS, FPS, SEED, Material, Source, make_config, make_pairs
 from hw_sim import unit as simulated
 from hw_sim.flat import record_flat
@@ -107,9 +108,8 @@ def measure_size(material: Material, seconds: float) -> SizeFigures:
 
 async def _measured(material: Material, seconds: float) -> SizeFigures:
     source, port = Source(material, FPS), free_port()
-    async with running(source, make_config(modbus_tcp={"host": "127.0.0.1", "port": port})) as daemon:
-        waits_ns: list[int] = []
-        watching = asyncio.create_task(watch(daemon, source, waits_ns))
+    config = make_config(modbus_tcp={"host": HOST, "port": port})
+    async with running(source, config) as daemon, watched(daemon, source) as waits_ns:
         await asyncio.sleep(SETTLE_S)
         async with asyncio.timeout(_START_TIMEOUT_S):
             while not waits_ns:  # noqa: ASYNC110  preparing the calibration takes a second
@@ -121,7 +121,6 @@ async def _measured(material: Material, seconds: float) -> SizeFigures:
             printed = await asyncio.to_thread(poller.result)
         waits_ms = [1e3 * took_s for _, took_s, *_ in json.loads(printed)["polls"]]
         wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
-        watching.cancel()
         rows, columns = material.pairs[0][0].pixels.shape
         return SizeFigures(
             columns,

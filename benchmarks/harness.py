@@ -58,6 +58,17 @@ class Parser(OneLineParser):
         low, high = limits or (math.nan, math.inf)
         self._add_number(name, default, what, unit, _number_in(float, low, high))
 
+    def counts(self, name: str, default: Sequence[int], what: str) -> None:
+        """Add an option for whole numbers, separated by commas, or none."""
+        read = _number_in(int, 1, math.inf)
+        self.add_argument(
+            name,
+            type=lambda text: tuple(read(part) for part in text.split(",") if part),
+            default=tuple(default),
+            metavar="N,...",
+            help=f"{what} (default {','.join(map(str, default))})",
+        )
+
     def seed(self, default: int = 1) -> None:
         """Add ``--seed``."""
         self.count("--seed", default, "of the random numbers", least=0)

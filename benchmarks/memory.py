@@ -13,9 +13,10 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
+from altd.errors import BadInputError
 from benchmarks.harness import Columns, Parser, child, end, module_command, write_json
 from benchmarks.unit_toml import unit_toml
 
@@ -41,8 +42,8 @@ class Figure:
 def main(arguments: list[str] | None = None) -> int:
     """Make the inputs, run the commands, print a line for each."""
     parser = Parser("benchmarks.memory", "Peak memory and time of altd's commands.")
-    parser.add_argument("--nodes", type=_numbers, default=NODES, help="30,120,480,2000")
-    parser.add_argument("--frames", type=_numbers, default=FRAMES, help="10,1000,10000")
+    parser.counts("--nodes", NODES, "of the scans")
+    parser.counts("--frames", FRAMES, "of the recordings")
     parser.count("--exposures", EXPOSURES_A_NODE, "a node")
     parser.json()
     options = parser.parse_args(arguments)
@@ -60,42 +61,48 @@ def main(arguments: list[str] | None = None) -> int:
 def measure(folder: Path, nodes: Sequence[int], frames: Sequence[int], exposures: int) -> Iterator[Figure]:
     """Run all commands in ``folder``, the smallest input first."""
     flat, scan, calibration = folder / "flat", folder / "scan", folder / "calibration.json"
-    _run("hw_sim flat", 0, *_hw_sim("flat", flat))
-    output = "-o", str(calibration)
+    _hw_sim("flat", flat, 0)
     for count in sorted(nodes):
-        grid = "--grid", _grid(count), "--exposures", str(exposures)
-        yield _run("hw_sim scan", count, *_hw_sim("scan", scan), *grid)
-        with_flat = *_altd("calibrate", scan), "--flat", str(flat), *output
-        yield _run("altd calibrate --flat", count, *with_flat)
-        yield _run("altd calibrate", count, *_altd("calibrate", scan), *output)
+        yield _hw_sim("scan", scan, count, "--grid", _grid(count), "--exposures", exposures)
+        yield _altd("calibrate --flat", count, flat, scan, "-o", calibration)
+        yield _altd("calibrate", count, scan, "-o", calibration)
         shutil.rmtree(scan)
     if not nodes:
-        _run("hw_sim scan", 0, *_hw_sim("scan", scan))
-        _run("altd calibrate", 0, *_altd("calibrate", scan), *output)
+        _hw_sim("scan", scan, 0)
+        _altd("calibrate", 0, scan, "-o", calibration)
     for count in sorted(frames):
         yield from _of_frames(folder, count, calibration)
 
 
 def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]:
     """Run the commands that make, measure and copy a recording of ``frames`` of two cameras."""
-    played, copied = folder / "played", folder / "copied"
+    played, copied, truth = folder / "played", folder / "copied", folder / "truth.json"
     poses = max(frames // 2 // EXPOSURES_A_POSE, 1)
-    few = "--poses", str(poses), "--exposures", str(EXPOSURES_A_POSE), "--truth", str(folder / "truth.json")
-    yield _run("hw_sim measure", frames, *_hw_sim("measure", played), *few)
-    window = str(EXPOSURES_A_POSE)
-    ways = "--calibration", str(calibration), "--window", window, "--every", window
-    yield _run("altd replay", frames, *_altd("replay", played), *ways)
+    few = "--poses", poses, "--exposures", EXPOSURES_A_POSE, "--truth", truth
+    yield _hw_sim("measure", played, frames, *few)
+    window = "--window", EXPOSURES_A_POSE, "--every", EXPOSURES_A_POSE
+    yield _altd("replay", frames, played, "--calibration", calibration, *window)
     config = folder / "altd.toml"
     camera = f'driver = "recording"\npath = "{played}"\npace = "fast"'
     config.write_text(unit_toml("SIM-1", "none.json", camera, camera))
-    seconds = str(math.ceil(frames / FPS) + 1)  # more frames than it plays
-    record = *_altd("record"), "--config", str(config), "-o", str(copied), "--seconds", seconds
-    yield _run("altd record, played at full speed", frames, *record)
+    seconds = math.ceil(frames / FPS) + 1  # more frames than it plays
+    record = "--config", config, "-o", copied, "--seconds", seconds
+    yield replace(_altd("record", frames, *record), command="altd record, played at full speed")
     shutil.rmtree(played)
     shutil.rmtree(copied)
 
 
-def _run(name: str, size: int, *command: str) -> Figure:
+def _altd(command: str, size: int, *arguments: object) -> Figure:
+    """Run a command of altd; ``command`` may end with its first option."""
+    return _run(f"altd {command}", size, module_command("altd.cli", *command.split(), *arguments))
+
+
+def _hw_sim(command: str, output: Path, size: int, *arguments: object) -> Figure:
+    words = module_command("hw_sim", command, "-o", output, "--seed", SEED, *arguments)
+    return _run(f"hw_sim {command}", size, words)
+
+
+def _run(name: str, size: int, command: Sequence[str]) -> Figure:
     """Run a command to its end; raises RuntimeError with its output if it fails."""
     begun_s = time.monotonic()
     with child(command, stdout=subprocess.DEVNULL) as running:
@@ -106,14 +113,6 @@ def _run(name: str, size: int, *command: str) -> Figure:
     return Figure(name, size, usage.ru_maxrss / 1024, seconds, usage.ru_utime + usage.ru_stime)
 
 
-def _altd(command: str, *paths: Path) -> list[str]:
-    return module_command("altd.cli", command, *paths)
-
-
-def _hw_sim(command: str, output: Path) -> list[str]:
-    return module_command("hw_sim", command, "-o", output, "--seed", SEED)
-
-
 def _grid(nodes: int) -> str:
     """Columns and rows for about this number of nodes, nearest to 5 : 4 as the area."""
     rows = min(
@@ -122,12 +121,8 @@ def _grid(nodes: int) -> str:
         default=0,
     )
     if not rows:
-        raise SystemExit(f"benchmarks.memory: {nodes} nodes make no grid")
+        raise BadInputError("--nodes", f"{nodes} nodes make no grid")
     return f"{nodes // rows},{rows}"
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in text.split(",") if part)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from altd.reasons import Reason
 from altd.records import Frame
 from benchmarks.daemon import SETTLE_S, running
 from benchmarks.harness import Columns, Parser, child, end, reporter
-from benchmarks.material import CAMERAS, FPS, SEED, Material, Source, make_config
+from benchmarks.material import FPS, SEED, Material, Source, exposed, make_config, stamped
 from benchmarks.selfcheck_units import calibrated
 from hw_sim import unit as simulated
 from hw_sim.beam import BeamPose
@@ -78,11 +78,8 @@ class LedMaterial(Material):
         Each repetition is a separate playthrough, because its pictures repeat intentionally.
         """
         turn, number = divmod(sequence, len(self.pairs))
-        front, rear = (self.lit_pairs if self.line.level_at(t_ns) else self.pairs)[number]
-        return (
-            replace(front, sequence=sequence, t_ns=t_ns, playthrough=turn),
-            replace(rear, sequence=sequence, t_ns=t_ns, playthrough=turn),
-        )
+        pairs = self.lit_pairs if self.line.level_at(t_ns) else self.pairs
+        return stamped(pairs[number], sequence, t_ns, turn)
 
 
 def make_led_material(pairs: int) -> tuple[LedMaterial, LedLine]:
@@ -92,12 +89,8 @@ def make_led_material(pairs: int) -> tuple[LedMaterial, LedLine]:
 
     def render(on: bool, first: int) -> tuple[tuple[Frame, Frame], ...]:
         unit.leds_on = on
-        made = []
-        for sequence in range(first, first + pairs):
-            t_ns = sequence * unit.config.period_ns
-            front, rear = (unit.expose(camera, sequence, t_ns) for camera in CAMERAS)
-            made.append((replace(front, leds_on=False), replace(rear, leds_on=False)))
-        return tuple(made)
+        made = exposed(unit, range(first, first + pairs))
+        return tuple((replace(front, leds_on=False), replace(rear, leds_on=False)) for front, rear in made)
 
     dark, lit = render(False, 0), render(True, pairs)
     return LedMaterial(dark, calibration, calibration, lit, line), line

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
+from support.cli import altd
 from support.foreign import need_program
-from support.places import ROOT
 
 from benchmarks.load import CLIENTS
 
 
 def test_each_interface_is_read_and_the_ages_of_its_messages_are_plausible() -> None:
     need_program("mosquitto")
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.load", "--seconds", "2"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    _, heads, *rows = (line.split() for line in done.stdout.splitlines())
+    done = altd("--seconds", 2, module="benchmarks.load", timeout_s=470)
+    assert (done.status, done.err) == (0, "")
+    _, heads, *rows = (line.split() for line in done.out.splitlines())
     assert heads == ["clients", "s", "pairs", "lost", "core", "more", "MB", "stolen", "s"]
     assert [row[0] for row in rows[: len(CLIENTS) + 2]] == ["none", *CLIENTS, "all"]
     (pictures,) = (place for place, row in enumerate(rows) if row[0] == "pictures")

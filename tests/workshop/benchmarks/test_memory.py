@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
-from support.places import ROOT
+from support.cli import altd
 
 pytestmark = pytest.mark.timeout(1200)  # minutes of work where other programs keep the cores busy
 
@@ -19,17 +17,11 @@ def peaks_mb(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, fl
     """By command and size, from a run of ``make bench-memory`` on small inputs."""
     written = tmp_path_factory.mktemp("memory") / "figures.json"
     sizes = "--nodes", ",".join(map(str, NODES)), "--frames", ",".join(map(str, FRAMES))
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.memory", *sizes, "--exposures", "1", "--json", str(written)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    options = *sizes, "--exposures", 1, "--json", written
+    done = altd(*options, module="benchmarks.memory", timeout_s=1100)
+    assert (done.status, done.err) == (0, "")
     figures = json.loads(written.read_text())
-    assert len(done.stdout.splitlines()) == 1 + len(figures) == 1 + 3 * 2 + 3 * 2
+    assert len(done.out.splitlines()) == 1 + len(figures) == 1 + 3 * 2 + 3 * 2
     peaks: dict[str, dict[int, float]] = {}
     for figure in figures:
         assert figure["cpu_s"] > 0
