@@ -34,6 +34,8 @@ _START_TIMEOUT_S = 120.0
 _END_TIMEOUT_S = 30.0
 _RESULT_TIMEOUT_S = 300.0
 _POLL_INTERVAL_S = 0.01
+_MAX_QUOTED = 2000
+"""Characters of a child's output in an error: the last ones, which contain the cause."""
 
 
 class Parser(OneLineParser):
@@ -294,7 +296,7 @@ class Child:
         """Command, state and output, for an error."""
         status = self.process.poll()
         ended = "is running" if status is None else f"ended with status {status}"
-        return f"{self.process.args!r} {ended}; its output: {self.output!r}"
+        return f"{self.process.args!r} {ended}; its output: {self.output[-_MAX_QUOTED:]!r}"
 
 
 @contextlib.contextmanager
