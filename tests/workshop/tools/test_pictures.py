@@ -97,5 +97,9 @@ def test_a_picture_is_written_when_it_shows_more_than_other_numbers_or_is_named(
         (tmp_path / file).write_bytes(before)
         assert pictures.main(names, tmp_path) == 0
         assert (tmp_path / file).read_bytes() == expected
+    taken[(file,)] = (take, 1.0)
+    (tmp_path / file).write_bytes(before)
+    assert pictures.main([], tmp_path) == 0
+    assert (tmp_path / file).read_bytes() == before
     with pytest.raises(BadInputError, match="unknown picture 'b'; known are a"):
         pictures.main(["b"], tmp_path)
