@@ -135,7 +135,12 @@ def test_all_parts_run_after_a_failure_and_a_test_that_fails_once_is_listed(tmp_
     done = subprocess.run(
         [tmp_path / ".ci" / "tests"],
         env=os.environ
-        | {"VENV": sys.prefix, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": "-p xdist"},
+        | {
+            "VENV": sys.prefix,
+            "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+            "PYTEST_ADDOPTS": "-p xdist",
+            "TURN": "",
+        },
         capture_output=True,
         text=True,
         check=False,
