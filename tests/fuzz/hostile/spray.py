@@ -94,7 +94,7 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
                 with suppress(StopIteration):  # it is ending
                     rss_mb.append(resident_mb(daemon.process.pid))
                 time.sleep(min(_RSS_INTERVAL_S, seconds / 4))
-        output = attack.output.strip()
+            output = attack.output.strip()
         if daemon.process.poll() is not None:
             status = daemon.process.returncode
             raise RuntimeError(f"the daemon ended with {status}: {daemon.output[-2000:]}")
