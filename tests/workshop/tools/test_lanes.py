@@ -148,5 +148,5 @@ def test_all_parts_run_after_a_failure_and_a_test_that_fails_once_is_listed(tmp_
     assert done.returncode == 1
     assert sorted(ran.read_text().split()) == ["alone", "alone", "real_time", "real_time", "unit", "waits"]
     assert "altd: tests failed: core alone\n" in done.stderr
-    listed = done.stdout.partition("altd: failed once, and were repeated:\n")[2].split()
+    listed = done.stdout.partition("altd: failed at the first try, and repeated:\n")[2].split()
     assert listed == ["tests/system/test_system.py::test_late", "tests/system/test_system.py::test_alone"]
