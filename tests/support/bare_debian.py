@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from support.foreign import need_program
-from support.places import ROOT
+from support.places import CACHE, ROOT
 
 MIRROR = "http://deb.debian.org/debian"
 _PACKAGES = "systemd,systemd-sysv,udev,procps,iproute2,ca-certificates"
@@ -87,19 +87,17 @@ def install_debian(root: Path, suite: str) -> None:
     install = [need_program("debootstrap"), "--variant=minbase", f"--include={_PACKAGES}", suite]
     with urllib.request.urlopen(f"{MIRROR}/dists/{suite}/InRelease", timeout=60) as release:
         digest = hashlib.sha256(" ".join(install).encode() + release.read()).hexdigest()[:16]
-    caches = os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")
-    cache = Path(os.environ.get("ALTD_CACHE", Path(caches, "altd")))
-    kept = cache / f"debian-{suite}-{digest}.tar"
+    kept = CACHE / f"debian-{suite}-{digest}.tar"
     if kept.exists():
         subprocess.run(["tar", "--numeric-owner", "-C", root, "-xpf", kept], check=True)
         shutil.copy("/etc/resolv.conf", root / "etc")  # as debootstrap does
         return
     done = subprocess.run([*install, root, MIRROR], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
-    cache.mkdir(parents=True, exist_ok=True)
-    for old in cache.glob(f"debian-{suite}-*.tar"):
+    CACHE.mkdir(parents=True, exist_ok=True)
+    for old in CACHE.glob(f"debian-{suite}-*.tar"):
         old.unlink()
-    written = cache / f"{kept.name}.{os.getpid()}"
+    written = CACHE / f"{kept.name}.{os.getpid()}"
     subprocess.run(["tar", "--numeric-owner", "-C", root, "-cf", written, "."], check=True)
     written.replace(kept)
 

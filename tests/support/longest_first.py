@@ -1,6 +1,6 @@
 """Test files are run in the order of their time in earlier runs: one that takes minutes does not begin last.
 
-The times are kept in ``$ALTD_CACHE``, which is ~/.cache/altd unless set; they change only the order of files.
+The times are kept between runs; they change only the order of files.
 """
 
 from __future__ import annotations
@@ -8,13 +8,13 @@ from __future__ import annotations
 import collections
 import json
 import os
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-_CACHE = Path(os.environ.get("ALTD_CACHE") or Path.home() / ".cache" / "altd")
-TIMES_S = _CACHE / "test-times.json"
+from support.places import CACHE
+
+TIMES_S = CACHE / "test-times.json"
 _UNKNOWN_S = 10.0
 """For a file that was not run before."""
 

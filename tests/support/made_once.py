@@ -1,6 +1,6 @@
 """Parts that take seconds are made once: the first process makes one, others and later runs find it.
 
-They are kept in ``$ALTD_CACHE``, which is ~/.cache/altd unless set, by a digest of all that can change them.
+They are kept by a digest of all that can change them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import functools
 import hashlib
 import inspect
 import json
-import os
 import pickle
 import platform
 import shutil
@@ -22,6 +21,8 @@ from collections.abc import Callable, Iterable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeVar
+
+from support.places import CACHE
 
 Made = TypeVar("Made")
 
@@ -108,8 +109,7 @@ def _found(part: Path) -> Path | None:
 @functools.cache
 def _base() -> Path:
     """The folder of today's sources, which no other process removes while this one runs."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    cache = Path(os.environ.get("ALTD_CACHE") or Path(home) / "altd") / "made-once"
+    cache = CACHE / "made-once"
     try:
         cache.mkdir(parents=True, exist_ok=True)
     except OSError:  # no home to write to
