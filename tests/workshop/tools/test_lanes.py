@@ -150,3 +150,9 @@ def test_all_parts_run_after_a_failure_and_a_test_that_fails_once_is_listed(tmp_
     assert "altd: tests failed: core alone\n" in done.stderr
     listed = done.stdout.partition("altd: failed at the first try, and repeated:\n")[2].split()
     assert listed == ["tests/system/test_system.py::test_late", "tests/system/test_system.py::test_alone"]
+
+
+def test_a_lane_that_does_not_exist_is_one_line() -> None:
+    done = subprocess.run([ROOT / ".ci" / "tests", "simulater"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "altd: .ci/tests: there is no lane simulater\n"
