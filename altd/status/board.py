@@ -38,6 +38,8 @@ class Board:
         self._rehearsal = rehearsal
         self.identity = identity
         """Identity of the unit and session of these measurements."""
+        self.messages: dict[str, int] = {}
+        """Number of messages that each interface has sent in this session, by the interface's component."""
         self._clock = clock
         self._started_ns = clock.monotonic_ns()
         self._latest: Measurement | None = None

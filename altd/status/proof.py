@@ -32,8 +32,8 @@ class Identity:
 class Stamp:
     """Stamp of one message of one interface.
 
-    ``message`` counts the messages of this interface from 1, ``clock_ms`` the milliseconds since the daemon
-    started; both continue with 0 after 0xFFFFFFFE.
+    ``message`` counts the messages of this interface, ``clock_ms`` the milliseconds since the daemon started;
+    both continue with 0 after 0xFFFFFFFE.
     """
 
     identity: Identity
@@ -42,7 +42,11 @@ class Stamp:
 
 
 class Running(Protocol):
-    """An object with an identity and the time since its start: the board."""
+    """An object with an identity, the time since its start, and the counts of its messages: the board."""
+
+    @property
+    def messages(self) -> dict[str, int]:
+        """Number of messages that each interface has sent in this session, by the interface's component."""
 
     @property
     def identity(self) -> Identity:
@@ -53,17 +57,23 @@ class Running(Protocol):
 
 
 class Stamps:
-    """Stamps of one interface, one for each message that it sends."""
+    """Stamps of one interface, one for each message that it sends.
 
-    def __init__(self, running: Running) -> None:
+    Within a session the numbers of an interface never go back: one that is opened again continues, and one
+    that is added begins above all others, since a client may follow it from another address.
+    """
+
+    def __init__(self, running: Running, interface: str) -> None:
         self._running = running
-        self._messages = 0
+        self._interface = interface
+        running.messages.setdefault(interface, max(running.messages.values(), default=0))
 
     def next(self) -> Stamp:
         """Return the stamp of a message that is sent now."""
-        self._messages += 1
+        self._running.messages[self._interface] += 1
+        message = self._running.messages[self._interface] % _NOT_KNOWN
         clock_ms = self._running.running_ns() // 1_000_000
-        return Stamp(self._running.identity, self._messages % _NOT_KNOWN, clock_ms % _NOT_KNOWN)
+        return Stamp(self._running.identity, message, clock_ms % _NOT_KNOWN)
 
 
 def unit_number(serial: str) -> int:

@@ -67,7 +67,7 @@ class OpcUaUnit:
         self.health.state = UnitState(self.board, self.health, self.clock).read
         self.component = self.health.component("opcua")
         self.publisher = OpcUaPublisher(self.settings, self.board, self.health, self.component, self.history)
-        self.stamps = Stamps(self.board)
+        self.stamps = Stamps(self.board, "test")
 
     @property
     def start(self) -> Start:

@@ -49,7 +49,8 @@ Tested with 1,000 of each: [wire errors](studies/wire-errors.md).
 `python3 -c "import zlib; print(zlib.crc32(b'{SERIAL}'))"`. Write it into the controller from the unit's \
 label |
 | `session` | random number of each start of the daemon; after a change `message` and `clock` begin again |
-| `message` | counts the messages of this interface from 1; with several readers a reader sees gaps |
+| `message` | counts the messages of this interface; a reload of the settings never sets it back, and an \
+interface that it adds begins above all others; with several readers a reader sees gaps |
 | `clock` | milliseconds since the daemon started, at the moment of sending; never set |
 | capture time | middle of the averaged exposures in UTC, by the unit's clock |
 | `age` | time since then, at the moment of sending |

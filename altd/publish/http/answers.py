@@ -126,7 +126,7 @@ class Answers:
         self._component = component
         self.guard = guard
         self.past = past
-        self._stamps = Stamps(board)
+        self._stamps = Stamps(board, component.name)
         self._metrics = Metrics(board, health)
         self._page = page_of(board.quantities)
         self._page_files = page_files()

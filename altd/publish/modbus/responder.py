@@ -129,7 +129,7 @@ class Responder:
         self._order = order
         self._image = RegisterImage(order=order)
         self._block = CheckedBlock(order)
-        self._stamps = Stamps(board)
+        self._stamps = Stamps(board, component.name)
         self._shares: Mapping[str, float | None] = {}
         self._shares_s = -_SHARES_INTERVAL_S
         allowed = {SELF_CHECK_ADDRESS: settings.allow_self_check, ZERO_ADDRESS: settings.allow_zero}

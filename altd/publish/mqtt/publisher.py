@@ -56,7 +56,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
     ) -> None:
         super().__init__(settings, board, health, component, chance)
         self._topics = Topics.of(settings.topic, self._serial)
-        self._stamps = Stamps(board)
+        self._stamps = Stamps(board, component.name)
         self._sender: OutboxSender | None = None
         if outbox is not None:
             topics = self._topics.outbox, self._topics.ack

@@ -87,7 +87,7 @@ class OpcUaPublisher:
         self._component = component
         self._history = history
         self._installation = installation
-        self._stamps = Stamps(board)
+        self._stamps = Stamps(board, component.name)
         self._patience_s = START_TIMEOUT_S
         self._answers: list[str] = []
         self._has_clients = asyncio.Event()

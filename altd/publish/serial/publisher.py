@@ -56,7 +56,7 @@ class TelegramPublisher:
         self._component = component
         self._clock = clock
         self._nameplate = nameplate
-        self._stamps = Stamps(board)
+        self._stamps = Stamps(board, component.name)
         self._heard = LINE_END
         self._asked = False
         """Whether a request waits; several requests get one answer."""

@@ -20,14 +20,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
+from paho.mqtt.client import CallbackAPIVersion, Client
 from support import proof_code
+from support.mqtt import mosquitto
 from support.played_unit import PlayedUnit, PlayingDaemon, playing
 from support.ports import free_port
 from support.wire import Wire
 
-from benchmarks.wire_errors.polled import TcpClient
+from benchmarks.wire_errors.polled import RtuClient, TcpClient, raw_terminal, telegrams
 
 PROOF = proof_code.python()
 
@@ -159,6 +162,62 @@ def test_what_changed_is_restarted_alone(own_unit: PlayedUnit, wire: Wire) -> No
         assert unit.get("/api/status")["config_sha256"] != sha256
         assert b"$PALT" in os.read(wire.far, 65536)
         unit.end()
+
+
+CHANGES = {
+    "[modbus_tcp]\n": "allow_self_check = true\n",
+    "[http]\n": 'names = ["unit"]\n',
+    "[mqtt]\n": 'home_assistant = "homeassistant"\n',
+    'speaks = "telegram"\n': "identify_every_s = 3600\n",
+    'speaks = "modbus_rtu"\n': "allow_zero = true\n",
+}
+"""For each interface a line of its table, and one that a reload adds after it; no client is concerned."""
+
+
+@pytest.mark.real_time
+def test_no_reader_is_locked_out_by_a_reload(own_unit: PlayedUnit, tmp_path: Path) -> None:
+    lines, heard = [raw_terminal() for _ in range(2)], queue.SimpleQueue[bytes]()
+    subscriber = Client(CallbackAPIVersion.VERSION2)
+    subscriber.on_connect = lambda client, *_: client.subscribe("altd/+/measurement")
+    subscriber.on_message = lambda _client, _data, message: heard.put(message.payload)
+    with mosquitto(tmp_path, "allow_anonymous true") as (broker, _):
+        subscriber.connect("127.0.0.1", broker)
+        subscriber.loop_start()
+        telegram, rtu = (
+            f'[[serial]]\ndevice = "{os.ttyname(near)}"\nbaud = 115200\nspeaks = "{speaks}"\n'
+            for (_, near), speaks in zip(lines, ("telegram", "modbus_rtu"), strict=True)
+        )
+        mqtt = f'[mqtt]\nhost = "127.0.0.1"\nport = {broker}\nevery_measurement = true\n'
+        with running(own_unit, mqtt + telegram + "checked = true\ninterval_s = 0.1\n" + rtu) as unit:
+            polled, polled_rtu = TcpClient(unit.daemon.modbus), RtuClient(lines[1][0])
+            sentences = telegrams(lines[0][0])
+            measurement = f"http://127.0.0.1:{unit.daemon.http}/api/measurement"
+            wires: dict[str, Callable[[], Any]] = {
+                "modbus_tcp": lambda: PROOF.from_block(polled.ask(5.0)),
+                "modbus_rtu": lambda: PROOF.from_block(polled_rtu.ask(5.0)),
+                "telegram": lambda: PROOF.from_telegram(next(sentences)),
+                "http": lambda: PROOF.from_json(urllib.request.urlopen(measurement, timeout=20).read()),
+                "mqtt": lambda: PROOF.from_json(heard.get(timeout=20)),
+            }
+            checks = {wire: PROOF.Check(crc32(b"TEST-1"), 5.0) for wire in wires}
+            for reloads in range(3):
+                now_ms = wires["modbus_tcp"]()["clock_ms"]
+                for wire, take in wires.items():
+                    is_of_now = False
+                    while not is_of_now:  # earlier ones wait on some wires
+                        message = take()
+                        fault = checks[wire].fault(message, time.monotonic())
+                        assert fault == "not valid", (wire, reloads, fault)  # as all that is played
+                        is_of_now = message["clock_ms"] > now_ms + 500
+                text = unit.config.read_text()
+                for line, more in CHANGES.items():
+                    text = text.replace(line + more, line) if reloads % 2 else text.replace(line, line + more)
+                unit.reload(text)
+                keys = "modbus_tcp.allow_self_check, mqtt.home_assistant, http.names, serial"
+                assert sorted(unit.outcome().partition(": ")[2].split(", ")) == sorted(keys.split(", "))
+                polled.close()
+            unit.end()
+        subscriber.loop_stop()
 
 
 def missing_calibration(unit: Unit) -> str:

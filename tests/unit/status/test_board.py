@@ -140,7 +140,7 @@ def test_another_process_draws_another_session() -> None:
 
 def test_messages_and_the_clock_advance() -> None:
     clock = FakeClock(3_000_000_000)
-    stamps = Stamps(Board(clock, 1.0, QUANTITIES, Identity(1, 2)))
+    stamps = Stamps(Board(clock, 1.0, QUANTITIES, Identity(1, 2)), "mqtt")
     first = stamps.next()
     clock.now_ns += 1_999_999
     second = stamps.next()
@@ -152,8 +152,10 @@ def test_messages_and_the_clock_advance() -> None:
 
 def test_the_counts_of_two_faces_are_their_own() -> None:
     board = Board(FakeClock(), 1.0, QUANTITIES, Identity(1, 2))
-    ours, theirs = Stamps(board), Stamps(board)
+    ours, theirs = Stamps(board, "ours"), Stamps(board, "theirs")
     assert [ours.next().message, ours.next().message, theirs.next().message] == [1, 2, 1]
+    reopened, added = Stamps(board, "theirs"), Stamps(board, "added")
+    assert (reopened.next().message, added.next().message) == (2, 3), "a number goes back within a session"
 
 
 def test_units_are_told_apart_by_their_serial_numbers() -> None:

@@ -100,7 +100,7 @@ def test_what_is_sent_fits_its_model_and_a_key_too_many_does_not() -> None:
     clock = FakeClock(now_ns=8 * 10**9)
     board = Board(clock, 10.0, ROUND.quantities)
     published = board.publish(ROUND)
-    document = json.loads(checked_line(board, published, Stamps(board).next()))
+    document = json.loads(checked_line(board, published, Stamps(board, "http").next()))
     model = measurement_model(ROUND.quantities)
     model.model_validate(document)
     document["targets"]["t3"]["dz_mm"] = 1.0
