@@ -17,8 +17,10 @@ from altd.records import Frame
 steps = logging.getLogger("altd.frames")
 """Logger of each frame's processing steps, for ``altd run --trace-frames``."""
 
-ROOM = 4
-"""Maximum number of waiting incomplete frame sets: an abandoned one arrives together with the next."""
+MAX_BEHIND_NS = 1_000_000_000
+"""Time in which a delayed reader catches up without a loss; one slower than the cameras never does."""
+WAITING_BYTES = 64 << 20
+"""Maximum memory of the waiting frame sets; the newest one waits in any case."""
 
 
 class Marks(Protocol):
@@ -29,8 +31,10 @@ class Marks(Protocol):
 
 
 class FramePairs:
-    """The frame sets of the cameras for one reader; a slow reader gets the newest.
+    """The frame sets of the cameras for one reader.
 
+    A reader that was delayed gets all of them; one that has been behind for ``MAX_BEHIND_NS`` gets the newest
+    until it has caught up.
     ``arrived`` is called in a camera's thread when a frame set is ready. ``marks`` mark frames exposed under
     LEDs and add the opaque target. ``ring`` keeps the newest frames; None: none are kept.
     """
@@ -50,6 +54,8 @@ class FramePairs:
         self._ring = ring
         self._changed = threading.Condition()
         self._pairs: deque[Pair[Frame]] = deque()
+        self._behind_ns: int | None = None
+        """Exposure of the first frame set that came since the reader last found none."""
         self._running = set(pairer.cameras)
         self._is_closed = False
         self._changing: set[str] = set()
@@ -83,20 +89,24 @@ class FramePairs:
             self.delivered_ns = self._clock.monotonic_ns()
             pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
             for pair in pairs:
-                if not wait:
-                    self._make_room(pair)
                 self._pairs.append(pair)
+                if not wait:
+                    self._drop_oldest()
                 after_ms = (self.delivered_ns - pair.t_ns) * 1e-6
                 missing = ", ".join(f"{camera} {reason}" for camera, reason in pair.missing.items())
                 steps.debug("exposure %d: %s after %.1f ms", pair.sequence, missing or "paired", after_ms)
         if pairs:
             self._arrived()
 
-    def take(self) -> list[Pair[Frame]]:
-        """Return the waiting frame sets, oldest first; may be empty."""
+    def take(self, most: int | None = None) -> list[Pair[Frame]]:
+        """Return the waiting frame sets, at ``most`` the oldest so many, oldest first; may be empty."""
         with self._changed:
-            pairs = [pair.of(self._with_mark) if self._changing else pair for pair in self._pairs]
-            self._pairs.clear()
+            if most is None or not self._pairs:
+                self._behind_ns = None
+            count = len(self._pairs) if most is None else min(most, len(self._pairs))
+            pairs = [self._pairs.popleft() for _ in range(count)]
+            if self._changing:
+                pairs = [pair.of(self._with_mark) for pair in pairs]
             self._changed.notify_all()
         return pairs
 
@@ -112,16 +122,18 @@ class FramePairs:
             self._changed.notify_all()
         self._arrived()
 
-    def _make_room(self, newest: Pair[Frame]) -> None:
-        """Drop waiting frame sets: every complete one for a complete one, else the oldest incomplete ones."""
-        alike = [pair for pair in self._pairs if bool(pair.missing) is bool(newest.missing)]
-        room = ROOM if newest.missing else 1
-        for pair in alike[: max(len(alike) + 1 - room, 0)]:
-            self._pairs.remove(pair)
-            self._drop(pair)
+    def _drop_oldest(self) -> None:
+        """Drop all but the newest for a reader that stays behind, and the oldest beyond ``WAITING_BYTES``."""
+        newest_ns = self._pairs[-1].t_ns
+        if self._behind_ns is None:
+            self._behind_ns = newest_ns
+        left_bytes = WAITING_BYTES - sum(map(_size_bytes, self._pairs))
+        while len(self._pairs) > 1 and (left_bytes < 0 or newest_ns - self._behind_ns > MAX_BEHIND_NS):
+            left_bytes += _size_bytes(self._pairs[0])
+            self._drop(self._pairs.popleft())
 
     def _drop(self, pair: Pair[Frame]) -> None:
-        steps.debug("exposure %d: dropped, replaced by a newer one", pair.sequence)
+        steps.debug("exposure %d: dropped, the reader is behind", pair.sequence)
         for frame in pair.all_items:
             self.dropped[frame.camera] += 1
             if frame.changing:
@@ -133,3 +145,7 @@ class FramePairs:
             return frame
         self._changing.discard(frame.camera)
         return replace(frame, changing=True)
+
+
+def _size_bytes(pair: Pair[Frame]) -> int:
+    return sum(frame.pixels.nbytes for frame in pair.all_items)

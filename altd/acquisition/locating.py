@@ -1,4 +1,4 @@
-"""The threads that locate the spots of the newest frame set; the event loop takes their results."""
+"""The threads that locate the spots of the frame sets; the event loop takes their results."""
 
 from __future__ import annotations
 
@@ -171,10 +171,10 @@ class Locating:
                 self._arrived.wait()
                 self._arrived.clear()
                 is_at_end = located.frames.is_at_end  # read before the waiting frame sets are taken
-                for pair in located.frames.take():
+                while pairs := located.frames.take(1):  # the others can still be dropped
                     if self._stop.is_set():
                         return
-                    located.put(self._locate_pair(pair, helpers))
+                    located.put(self._locate_pair(pairs[0], helpers))
         finally:
             for helper in helpers.values():
                 helper.end()

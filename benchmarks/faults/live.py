@@ -203,9 +203,9 @@ class _WatchedPairs(FramePairs):
         super().__init__(*parts)
         _WatchedPairs.made = self
 
-    def take(self) -> list[Pair[Frame]]:
+    def take(self, most: int | None = None) -> list[Pair[Frame]]:
         """Take the pairs and count them."""
-        pairs = super().take()
+        pairs = super().take(most)
         self.taken += len(pairs)
         return pairs
 

@@ -24,7 +24,10 @@ MIN_PACKET_BYTES, MAX_PACKET_BYTES = 576, 16404
 """Limits of the packet size: GigE Vision demands 576 of every camera; Ethernet frames have little over
 9000."""
 _SOCKET_BUFFER_FRAMES = 4
-"""Frames in the socket's buffer, as far as net.core.rmem_max allows; a packet takes twice its size there."""
+"""Frames in the socket's buffer besides those of a stall, as far as net.core.rmem_max allows; a packet takes
+twice its size there."""
+_STALL_S = 0.25
+"""Longest delay of the process, as by another program, that loses no frame."""
 _RELEASE_TIMEOUT_S = 1.0
 _TEMPERATURE = "DeviceTemperature"
 
@@ -109,8 +112,9 @@ def _start_stream(
         packet_bytes,
         device.ticks_per_s(),
     )
+    buffer_bytes = (_SOCKET_BUFFER_FRAMES + math.ceil(settings.fps * _STALL_S)) * image_bytes
     try:
-        receiving = PacketSocket(own_address, address, packet_bytes, _SOCKET_BUFFER_FRAMES * image_bytes)
+        receiving = PacketSocket(own_address, address, packet_bytes, buffer_bytes)
     except OSError as error:
         raise CameraLostError(f"{own_address}: {error.strerror}") from None
     try:

@@ -179,7 +179,7 @@ class V4l2Camera:
         set_rate(node, settings.fps, layout)
         exposure = ExposureTime.of(controls_of(node).values())
         exposure_ms = exposure.now_ms(node) if exposure else None
-        return _Running(node, layout, Stream(node), exposure, exposure_ms)
+        return _Running(node, layout, Stream(node, settings.fps), exposure, exposure_ms)
 
     def _open_camera(self) -> _Running:
         if self._running is None:

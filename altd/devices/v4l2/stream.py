@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import math
 import select
 import time
 from fractions import Fraction
@@ -21,7 +22,11 @@ from altd.devices.v4l2.node import Node
 from altd.ports import CameraRefusedError
 
 _BUFFER_COUNT = 4
-"""Number of buffers: one is filled while one is taken; the others bridge delays in scheduling the thread."""
+"""Number of buffers besides those of a stall: one is filled while one is taken."""
+_STALL_S = 0.25
+"""Longest delay of the process, as by another program, that loses no frame."""
+_MAX_BUFFER_COUNT = 32
+"""VIDEO_MAX_FRAME (linux/videodev2.h); the kernel grants fewer where memory is short."""
 _SPURIOUS_WAKE_BACKOFF_S = 0.001
 _RATE_TOLERANCE = 1e-4
 """Maximum relative difference of equal rates: the kernel uses fractions, the config decimals."""
@@ -76,8 +81,9 @@ def set_rate(node: Node, fps: float, layout: Layout) -> None:
 class Stream:
     """A running camera, used from one thread; every method raises OSError when the camera is gone."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, fps: float) -> None:
         self._node = node
+        wanted = min(_BUFFER_COUNT + math.ceil(fps * _STALL_S), _MAX_BUFFER_COUNT)
         self._poll = select.poll()
         self._poll.register(node.descriptor, select.POLLIN)
         self._maps: list[mmap] = []
@@ -85,7 +91,7 @@ class Stream:
             granted = node.call(
                 abi.VIDIOC_REQBUFS,
                 abi.v4l2_requestbuffers(
-                    count=_BUFFER_COUNT, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP
+                    count=wanted, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP
                 ),
             )
             for index in range(granted.count):  # may differ from the number requested

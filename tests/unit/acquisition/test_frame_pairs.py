@@ -1,16 +1,19 @@
-"""From the threads of cameras to one reader: what is newest, what is lost, what is marked and kept."""
+"""From the threads of cameras to one reader: what waits, what is lost, what is marked and kept."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
-from altd.acquisition.frame_pairs import ROOM, FramePairs
+from altd.acquisition.frame_pairs import WAITING_BYTES, FramePairs
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.self_check.frames import LedLog, MarkedFrames
 from altd.measuring.pairing import Pairer
@@ -61,12 +64,36 @@ class TestTheReader:
             assert bench.taken() == [(number, "front rear")]
         assert bench.pairs.dropped == {"front": 0, "rear": 0}
 
-    def test_gets_the_newest_and_the_loss_is_counted(self) -> None:
+    def test_gets_all_exposures_after_a_stall_of_a_second(self) -> None:
         bench = Bench(*BOTH)
-        bench.put(*range(10))
-        assert bench.taken() == [(9, "front rear")]
-        assert bench.pairs.dropped == {"front": 9, "rear": 9}
-        assert bench.taken() == []
+        bench.put(*range(21))
+        assert [pair.sequence for _ in range(21) for pair in bench.pairs.take(1)] == list(range(21))
+        assert bench.pairs.take(1) == []
+        assert bench.pairs.dropped == {"front": 0, "rear": 0}
+
+    def test_gets_the_newest_until_it_has_caught_up_after_more_and_the_loss_is_counted(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        bench = Bench(*BOTH)
+        with caplog.at_level(logging.DEBUG, "altd.frames"):
+            bench.put(*range(22))
+        assert "exposure 20: dropped, the reader is behind" in caplog.messages
+        assert [pair.sequence for pair in bench.pairs.take(1)] == [21]
+        bench.put(22, 23)
+        assert [pair.sequence for pair in bench.pairs.take(1)] == [23]
+        assert bench.pairs.dropped == {"front": 22, "rear": 22}
+        assert bench.pairs.take(1) == []
+        bench.put(24, 25)
+        assert bench.taken() == [(24, "front rear"), (25, "front rear")]
+
+    def test_gets_as_many_large_exposures_as_there_is_memory_for(self) -> None:
+        bench, large = Bench(*BOTH), np.broadcast_to(np.uint8(0), (3000, 4000))
+        for number in range(9):
+            for camera in BOTH:
+                bench.pairs.put(replace(shot(camera, number), pixels=large), wait=False)
+        room = WAITING_BYTES // (2 * large.nbytes)
+        assert [pair.sequence for pair in bench.pairs.take()] == list(range(9 - room, 9))
+        assert bench.pairs.dropped == {"front": 9 - room, "rear": 9 - room}
 
     def test_gets_a_frame_set_that_was_given_up_together_with_the_newer_one(self) -> None:
         bench = Bench(*BOTH)
@@ -81,12 +108,15 @@ class TestTheReader:
             taken = bench.taken()
             assert taken == ([] if number < 4 else [(number - 4, "rear")])
 
-    def test_gets_few_of_many_frame_sets_that_lack_a_camera(self) -> None:
+    def test_gets_frame_sets_that_lack_a_camera_by_the_same_rule(self) -> None:
         bench = Bench(*BOTH)
         for number in range(20):
             bench.pairs.put(shot("rear", number), wait=False)
-        assert bench.taken() == [(number, "rear") for number in range(16 - ROOM, 16)]
-        assert bench.pairs.dropped == {"front": 0, "rear": 16 - ROOM}
+        assert bench.taken() == [(number, "rear") for number in range(16)]
+        for number in range(20, 43):
+            bench.pairs.put(shot("rear", number), wait=False)
+        assert bench.taken() == [(38, "rear")]
+        assert bench.pairs.dropped == {"front": 0, "rear": 22}
 
     def test_gets_frames_that_are_out_of_step_but_not_as_a_pair(self) -> None:
         bench = Bench(*BOTH)
@@ -100,10 +130,10 @@ class TestTheReader:
     def test_loses_no_mark_of_a_change_of_exposure(self) -> None:
         for marked in range(5):
             bench = Bench(*BOTH)
-            bench.put(*range(5), changing=(("front", marked),))
+            bench.put(*range(23), changing=(("front", marked),))
             (newest,) = bench.pairs.take()
             assert (newest.items["front"].changing, newest.items["rear"].changing) == (True, False)
-            bench.put(5)
+            bench.put(24)
             (after,) = bench.pairs.take()
             assert not after.items["front"].changing
 

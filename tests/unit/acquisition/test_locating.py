@@ -19,7 +19,7 @@ from support.located import SPOT, located
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl, ExposureFigures
-from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.frame_pairs import MAX_BEHIND_NS, FramePairs
 from altd.acquisition.locating import (
     MAX_WAITING_PAIRS,
     LocatedPairs,
@@ -151,8 +151,10 @@ class TickingCamera:
     def close(self) -> None: ...
 
 
-async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_the_rest_counted() -> None:
-    """Locating takes five periods; that holds up neither the driver nor what comes next."""
+async def test_a_camera_located_slower_than_it_delivers_is_soon_measured_newest() -> (
+    None
+):
+    """Locating takes five periods; that holds up neither the driver nor what comes after a second."""
     clock = FakeClock(PERIOD_NS)
     camera, ages, done = TickingCamera(clock), list[int](), threading.Event()
 
@@ -160,7 +162,7 @@ async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_t
         if not ages:
             assert camera.asked.acquire(timeout=LONG_S)
         ages.append(camera.last - frame.sequence)
-        if len(ages) < 15:
+        if len(ages) < 40:
             camera.expose(5)
         else:
             done.set()
@@ -177,13 +179,13 @@ async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_t
     await stop(bench.task)
     await stop(acquiring)
     await stop(taking)
-    assert [frame.sequence for frame in bench.locator.frames] == list(range(1, 75, 5))
-    assert set(ages) == {0}
-    assert bench.pairs.dropped["front"] == 14 * 4
+    behind = MAX_BEHIND_NS // (5 * PERIOD_NS) + 1
+    assert ages == [*range(0, 4 * behind, 4), *[0] * (40 - behind)]
+    assert bench.pairs.dropped["front"] == bench.locator.frames[-1].sequence - 40
     assert "lost" not in component.counters
 
 
-async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_the_rest_is_counted() -> None:
+async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_then_the_others() -> None:
     bench = Bench(Locator())
     bench.put(0)
     await bench.begun()
@@ -196,8 +198,7 @@ async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_the_rest_is_coun
     taken: list[int] = []
     while last not in taken:
         taken += await bench.take()
-    assert taken == [MAX_WAITING_PAIRS, last]
-    assert bench.pairs.dropped["front"] == last - MAX_WAITING_PAIRS - 1
+    assert taken == list(range(MAX_WAITING_PAIRS, last + 1))
     await stop(bench.task)
 
 
@@ -241,17 +242,12 @@ async def test_the_way_of_each_frame_is_logged_where_that_is_asked_for(
         bench = Bench(Locator())
         for number in range(3):
             bench.put(number)
-        assert await bench.take() == [2]
+        while 2 not in await bench.take():
+            pass
         await stop(bench.task)
     lines = [re.sub(r"-?\d+\.\d+ ms", "T", line) for line in caplog.messages]
-    assert lines[:5] == [
-        "exposure 0: paired after T",
-        "exposure 0: dropped, replaced by a newer one",
-        "exposure 1: paired after T",
-        "exposure 1: dropped, replaced by a newer one",
-        "exposure 2: paired after T",
-    ]
-    assert lines[5] == f"frame 2 of front: located in T: {SPOT}"
+    expected = (f"exposure {n}: paired after T|frame {n} of front: located in T: {SPOT}" for n in range(3))
+    assert sorted(lines) == sorted("|".join(expected).split("|"))
 
 
 async def test_a_defect_in_the_localiser_is_raised() -> None:

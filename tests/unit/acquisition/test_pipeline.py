@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.clock import settle, stop
 from support.pipeline_bench import Bench
 
+from altd.acquisition.frame_pairs import MAX_BEHIND_NS
 from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
 from altd.records import Frame, Measurement
@@ -121,9 +123,9 @@ async def test_silence_counts_from_the_last_frame_also_where_that_waits_for_its_
 
 
 async def test_frames_that_nobody_took_in_time_count_as_dropped(bench: Bench) -> None:
-    for number in range(4):
+    for t_ns in (0, 1, 2, 2 * MAX_BEHIND_NS):
         for camera in ("front", "rear"):
-            bench.pairs.put(shot(camera, number), wait=False)
+            bench.pairs.put(replace(shot(camera, t_ns), sequence=t_ns % 5), wait=False)
     bench.put("front", "rear", sequence=4)
     await bench.clock.advance(0.01)
     assert (bench.component.counters["dropped_front"], bench.component.counters["dropped_rear"]) == (3, 3)
