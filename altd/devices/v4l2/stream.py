@@ -97,7 +97,9 @@ class Stream:
             for index in range(granted.count):  # may differ from the number requested
                 buffer = node.call(abi.VIDIOC_QUERYBUF, _buffer(index))
                 self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
-                node.call(abi.VIDIOC_QBUF, buffer)
+                stamp = buffer.flags & abi.V4L2_BUF_FLAG_TIMESTAMP_MASK
+                if index < _BUFFER_COUNT or stamp == abi.V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC:
+                    node.call(abi.VIDIOC_QBUF, buffer)  # other frames are stamped on arrival: few may wait
             node.call(abi.VIDIOC_STREAMON, ctypes.c_int(abi.V4L2_BUF_TYPE_VIDEO_CAPTURE))
         except OSError:
             self.close()
