@@ -28,15 +28,13 @@ def answer(images: Iterable[Path], form: TextFormat, report_error: Callable[[str
     status = 0
     for path in images:
         try:
-            pixels = read_picture(path)
+            pixels, bits = read_picture(path)
         except BadInputError as error:
             report_error(str(error))
             table.add({"image": str(path), "reason": UNREADABLE, "detail": error.message})
             status = 2
         else:
-            table.add(
-                {"image": str(path), **_found(Frame(path.name, 0, 0, pixels, 8 * pixels.dtype.itemsize))}
-            )
+            table.add({"image": str(path), **_found(Frame(path.name, 0, 0, pixels, bits))})
     return status
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -28,6 +29,11 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_GREY = 0
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 _CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
+_PGM_SPACE = rb"(?:\s|#[^\n]*\n)+"
+_PGM_HEAD = re.compile(rb"P[25]" + 2 * (_PGM_SPACE + rb"\d+") + _PGM_SPACE + rb"(\d{1,5})\s")
+_PGM_HEAD_BYTES = 1 << 16
+_TIFF_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+_TIFF_ORIENTATION, _UPRIGHT = 274, 1
 
 
 def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
@@ -62,13 +68,15 @@ def png_bytes(width: int, height: int, bits: int) -> int:
     return 2 * width * height * (1 if bits == 8 else 2) + (1 << 20)
 
 
-def read_picture(path: Path) -> PixelArray:
-    """Read an 8- or 16-bit grey picture in any format of OpenCV; raises BadInputError.
+def read_picture(path: Path) -> tuple[PixelArray, int]:
+    """Return the pixels and bits of a grey picture in any format of OpenCV; raises BadInputError.
 
+    The bits are those of the largest value that a PGM states, in other formats 8 or 16.
     For single-threaded commands: output of a decoder on stderr is caught, and the picture is then refused.
     """
     data = read_file(path, _MAX_BYTES)
     try:
+        _check_tiff(data)
         with _stderr_caught() as said:
             pixels = _decode(_critical(data) if data.startswith(_PNG_SIGNATURE) else data)
     except ValueError as error:
@@ -81,7 +89,27 @@ def read_picture(path: Path) -> PixelArray:
         raise BadInputError(path, "is not an 8- or 16-bit grey image")
     if min(pixels.shape) < 32:
         raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
-    return cast("PixelArray", pixels)
+    head = _PGM_HEAD.match(data, 0, _PGM_HEAD_BYTES)
+    bits = max(int(head[1]).bit_length(), 1) if head else 8 * pixels.dtype.itemsize
+    return cast("PixelArray", pixels), bits
+
+
+def _check_tiff(data: bytes) -> None:
+    """Raise ValueError for a TIFF (6.0) that OpenCV would turn, or of whose pages it would show the first."""
+    if (order := _TIFF_ORDERS.get(data[:4])) is None:
+        return
+    try:
+        (first,) = struct.unpack_from(order + "I", data, 4)
+        (count,) = struct.unpack_from(order + "H", data, first)
+        for entry in range(first + 2, first + 2 + 12 * count, 12):
+            tag, _, _, value = struct.unpack_from(order + "HHIH", data, entry)
+            if tag == _TIFF_ORIENTATION and value != _UPRIGHT:
+                raise ValueError(f"its orientation tag is {value}: store the camera's pixels with tag 1")
+        (following,) = struct.unpack_from(order + "I", data, first + 2 + 12 * count)
+    except struct.error:
+        raise ValueError("it is torn or damaged") from None
+    if following:
+        raise ValueError("it has several pages: store each as a file")
 
 
 @contextmanager

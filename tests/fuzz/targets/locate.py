@@ -40,11 +40,11 @@ def check(example: bytes) -> None:
     path = folder(NAME) / "picture"
     path.write_bytes(example)
     try:
-        pixels = read_picture(path)
+        pixels, bits = read_picture(path)
     except BadInputError as error:
         one_line(error)
         return
-    frame = Frame("picture", 0, 0, pixels, 8 * pixels.dtype.itemsize)
+    frame = Frame("picture", 0, 0, pixels, bits)
     rows, columns = pixels.shape
     spot = locate(frame)
     for found in (spot, locate_ellipse(frame)) if isinstance(spot, Spot) else ():

@@ -5,6 +5,7 @@ import os
 import pwd
 import re
 import socket
+import struct
 import threading
 import time
 from pathlib import Path
@@ -147,6 +148,37 @@ def test_a_torn_or_damaged_png_is_refused_and_libpng_says_nothing(capfd: pytest.
     assert capfd.readouterr().err == ""
 
 
+def tiff(order: str = "<", orientation: int = 1, following: int = 0) -> bytes:
+    """An uncompressed grey TIFF of PIXELS, its directory at the end (TIFF 6.0, sections 2 and 4)."""
+    rows, columns = PIXELS.shape
+    fields = {256: columns, 257: rows, 258: 8, 259: 1, 262: 1, 273: 8, 274: orientation, 277: 1, 278: rows}
+    fields[279] = PIXELS.size
+    entries = b"".join(struct.pack(order + "HHIHH", tag, 3, 1, value, 0) for tag, value in fields.items())
+    head = (b"II" if order == "<" else b"MM") + struct.pack(order + "HI", 42, 8 + PIXELS.size)
+    count = struct.pack(order + "H", len(fields))
+    return head + PIXELS.tobytes() + count + entries + struct.pack(order + "I", following)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_tiff_is_read_as_it_is_stored(order: str, tmp_path: Path) -> None:
+    (tmp_path / "picture").write_bytes(tiff(order))
+    pixels, bits = read_picture(tmp_path / "picture")
+    assert (pixels == PIXELS).all()
+    assert bits == 8
+
+
+@pytest.mark.parametrize(("largest", "bits"), [(255, 8), (199, 8), (1023, 10), (4095, 12), (65535, 16)])
+def test_a_pgm_has_the_bits_of_the_largest_value_that_it_states(
+    largest: int, bits: int, tmp_path: Path
+) -> None:
+    pixels = PIXELS % 200 if largest < 256 else PIXELS.astype(">u2")
+    head = f"P5 # of a camera\n{PIXELS.shape[1]}\n# with {bits} bits\n{PIXELS.shape[0]} {largest}\n"
+    (tmp_path / "picture").write_bytes(head.encode() + pixels.tobytes())
+    read, found = read_picture(tmp_path / "picture")
+    assert (read == pixels).all()
+    assert found == bits
+
+
 @pytest.mark.parametrize(
     ("data", "why"),
     [
@@ -163,6 +195,10 @@ def test_a_torn_or_damaged_png_is_refused_and_libpng_says_nothing(capfd: pytest.
         (cv2.imencode(".jpg", PIXELS)[1].tobytes()[:1500] + b"\xff\xd9", "Corrupt JPEG data"),
         (cv2.imencode(".png", np.zeros((64, 64, 3), np.uint8))[1].tobytes(), "is not an 8- or 16-bit grey"),
         (cv2.imencode(".png", np.zeros((16, 64), np.uint8))[1].tobytes(), "is only 64 × 16 pixels"),
+        (tiff(orientation=6), "its orientation tag is 6"),
+        (tiff(order=">", orientation=3), "its orientation tag is 3"),
+        (tiff(following=8), "it has several pages"),
+        (tiff()[:200], "it is torn or damaged"),
     ],
 )
 def test_a_picture_that_cannot_be_used_is_refused_in_one_line(
