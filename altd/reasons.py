@@ -104,7 +104,7 @@ class Reason(StrEnum):
         "saturated", _TARGET, 3, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is overexposed",
         "shorten the exposure or take power off the laser",
-        "more than half of the spot's bright pixels, or the background, is at full scale",
+        "more than half of the spot's bright pixels share the largest value, or the background is full",
     )  # fmt: skip
     CUT_BY_EDGE = (
         "cut_by_edge", _TARGET, 4, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,

@@ -36,8 +36,8 @@ from altd.mapping.tensor_map import TensorMap
 from altd.recording.reader import Recording
 from altd.records import FloatArray, NoSpot
 from altd.vision.flat import Flat
-from altd.vision.image import Image
-from altd.vision.localise import SATURATED_FROM, locate
+from altd.vision.image import SATURATED_FROM, Image
+from altd.vision.localise import locate
 from altd.vision.settings import SpotSettings
 
 _DIAMETERS_OF_NODES = 50

@@ -20,8 +20,7 @@ from altd.recording.reader import Recording
 from altd.records import FloatArray, Frame, NoSpot
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import patch_around
-from altd.vision.image import Image
-from altd.vision.localise import SATURATED_FROM
+from altd.vision.image import SATURATED_FROM, Image
 from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray
 from altd.vision.flat import BLOCK_PX
-from altd.vision.image import Image, Mask, Noise, gaussian_blur
+from altd.vision.image import Image, Mask, Noise, clipped_from, gaussian_blur
 from altd.vision.search import Region, Search, pixel_noise, search
 from altd.vision.settings import SpotSettings
 
@@ -54,6 +54,10 @@ class Patch:
     peak: float
     """Peak of the smoothed excess."""
     mask: Mask
+    core: npt.NDArray[np.bool_]
+    """Pixels of the spot above half the smoothed peak."""
+    clipped_from: float
+    """Value from which its pixels are clipped."""
     outline: Outline
     is_cut: bool
     """Whether the spot reaches the edge of the image."""
@@ -80,7 +84,11 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         if not at_patch_edge:
             middle = float(background[len(background) // 2, background.shape[1] // 2])
             outline = outline_of(mask)
-            return Patch(left, top, pixels, excess, smooth, middle, peak, mask, outline, at_image_edge)
+            core = (smooth > 0.5 * peak) & (mask > 0)
+            clipped = clipped_from(pixels[core], frame.full_scale)
+            return Patch(
+                left, top, pixels, excess, smooth, middle, peak, mask, core, clipped, outline, at_image_edge
+            )
         margin *= 2
 
 

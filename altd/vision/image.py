@@ -8,6 +8,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from altd.records import PixelArray
+
+SATURATED_FROM = 0.995
+"""Share of full scale from which a pixel counts as saturated."""
+_MIN_PLATEAU_SHARE, _MIN_PLATEAU_PX = 0.1, 9
+_MIN_PLATEAU_RATIO = 3
+"""Minimum number of pixels with the largest value, relative to that with the next value below. Of a spot that
+is not clipped the latter is the larger number: fewer pixels are the brighter."""
+
 Image = npt.NDArray[np.float32]
 """Counts, irradiance or weights, (rows, columns)."""
 
@@ -20,6 +29,20 @@ def gaussian_blur(image: Image, sigma_px: float) -> Image:
     if sigma_px <= 0:
         return image
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
+
+
+def clipped_from(bright: PixelArray, full_scale: int) -> float:
+    """Return the value from which pixels are clipped, judged by a spot's bright pixels.
+
+    It is ``SATURATED_FROM`` of full scale, or less where many of them share the largest value: a camera that
+    delivers fewer bits than its pixels have room for, or that clips below their largest value.
+    """
+    full, top = SATURATED_FROM * full_scale, bright.max(initial=0)
+    at_top = np.count_nonzero(bright == top)
+    if top >= full or at_top < max(_MIN_PLATEAU_SHARE * bright.size, _MIN_PLATEAU_PX):
+        return full
+    next_below = np.count_nonzero(bright == bright[bright < top].max(initial=0))
+    return float(top) if at_top >= _MIN_PLATEAU_RATIO * next_below > 0 else full
 
 
 @dataclass(frozen=True, slots=True)

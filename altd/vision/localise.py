@@ -14,14 +14,11 @@ from altd.records import Frame, NoSpot, Spot, SpotShape
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch
-from altd.vision.image import Centre, Noise
+from altd.vision.image import SATURATED_FROM, Centre, Noise
 from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
 from altd.vision.profile import Profile, fit_profile, moment
 from altd.vision.search import Region
 from altd.vision.settings import SpotReference, SpotSettings
-
-SATURATED_FROM = 0.995
-"""Share of full scale from which a pixel counts as saturated."""
 
 _EXPLAINED_SIGMAS = 1.5
 """Number of sigmas above its mean up to which a chi-square adds nothing to a spot's sigma."""
@@ -101,7 +98,7 @@ def spot_in(
     if isinstance(size, NoSpot):
         return size
     noise = analysis.noise
-    if _repeats_pixels(frame, patch, noise):
+    if _repeats_pixels(patch, noise):
         return NoSpot(Reason.DISTORTED, "its pixels repeat their neighbours: the camera enlarges the picture")
     by_moment = settings.method == "moment" or (
         settings.method == "auto" and flat is None and is_patterned(patch, noise)
@@ -110,7 +107,7 @@ def spot_in(
         return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
     profile = None
     if not by_moment or reference is not None:
-        profile = _profile(frame, patch, size.diameter_px, noise, flat)
+        profile = _profile(patch, size.diameter_px, noise, flat)
     if by_moment:
         centre = moment(patch, noise, settings)
     elif profile is not None:
@@ -206,9 +203,7 @@ def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> P
     if patch is None or patch.is_cut:
         return None
     size = _classify(frame, patch, settings)
-    return (
-        None if isinstance(size, NoSpot) else _profile(frame, patch, size.diameter_px, analysis.noise, flat)
-    )
+    return None if isinstance(size, NoSpot) else _profile(patch, size.diameter_px, analysis.noise, flat)
 
 
 def is_patterned_spot(frame: Frame, settings: SpotSettings) -> bool:
@@ -237,22 +232,18 @@ def is_patterned(patch: Patch, noise: Noise) -> bool:
     return float(residual @ residual) - expected > _MIN_PRINT_CONTRAST**2 * float(light @ smooth) * scale
 
 
-def _profile(
-    frame: Frame, patch: Patch, diameter_px: float, noise: Noise, flat: Flat | None
-) -> Profile | None:
+def _profile(patch: Patch, diameter_px: float, noise: Noise, flat: Flat | None) -> Profile | None:
     """Fit the profile without the clipped pixels."""
-    full = SATURATED_FROM * frame.full_scale
-    clipped = patch.pixels >= full if patch.pixels.max() >= full else None
+    clipped = patch.pixels >= patch.clipped_from if patch.pixels.max() >= patch.clipped_from else None
     return fit_profile(patch, flat, diameter_px, noise, clipped)
 
 
 def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize | NoSpot:
     """Classify the contour by size and shape (2.1.1); return the spot's size, or why it is none."""
-    core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
-    peak, clipped = _brightness(frame, patch, core)
+    peak, clipped = _brightness(patch)
     if clipped > settings.max_saturated:
         return NoSpot(Reason.SATURATED, f"{clipped:.0%} of the spot's bright pixels are saturated")
-    second = _second_piece_share(core)
+    second = _second_piece_share(patch.core)
     if second >= settings.like_size:
         return NoSpot(
             Reason.AMBIGUOUS, f"two spots touch, the second has {second:.0%} of the first one's area"
@@ -270,22 +261,21 @@ def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize |
     return _SpotSize(diameter_px, peak)
 
 
-def _brightness(frame: Frame, patch: Patch, core: npt.NDArray[np.bool_]) -> tuple[float, float]:
+def _brightness(patch: Patch) -> tuple[float, float]:
     """Return the peak of the spot over the background, and the saturated fraction of its bright pixels.
 
-    ``core`` marks the pixels above half the smoothed peak. The peak is where their brightest hundredth
-    begins, so that a hot pixel among the dots makes none. Bright pixels reach half of that: on the printed
-    window the dots, not the glass between them.
+    The peak is where the brightest hundredth of its core begins, so that a hot pixel among the dots makes
+    none. Bright pixels reach half of that: on the printed window the dots, not the glass between them.
     """
-    raw, excess = patch.pixels[core], patch.excess[core]
+    raw, excess = patch.pixels[patch.core], patch.excess[patch.core]
     brightest = len(excess) - 1 - len(excess) // 100
     peak = float(np.partition(excess, brightest)[brightest])
-    saturated = raw >= SATURATED_FROM * frame.full_scale
+    saturated = raw >= patch.clipped_from
     bright = excess >= 0.5 * peak
     return peak, np.count_nonzero(saturated & bright) / np.count_nonzero(bright)
 
 
-def _repeats_pixels(frame: Frame, patch: Patch, noise: Noise) -> bool:
+def _repeats_pixels(patch: Patch, noise: Noise) -> bool:
     """Return whether rows or columns repeat within a spot, as in a binned picture enlarged to its old size.
 
     The enlarged picture has another scale if the factor does not divide the picture's size.
@@ -293,7 +283,7 @@ def _repeats_pixels(frame: Frame, patch: Patch, noise: Noise) -> bool:
     if 0.5 * patch.peak < _MIN_SHOT_NOISE_COUNTS**2 * noise.electrons_per_count:
         return False
     bright = patch.smooth > 0.5 * patch.peak
-    bright &= patch.pixels < SATURATED_FROM * frame.full_scale
+    bright &= patch.pixels < patch.clipped_from
     limit = _MAX_EQUAL_SHARE * np.count_nonzero(bright)
     for pixels, chosen in ((patch.pixels, bright), (patch.pixels.T, bright.T)):
         equal = pixels[:, 1:] == pixels[:, :-1]

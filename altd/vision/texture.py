@@ -18,11 +18,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import FloatArray, PixelArray
+from altd.records import FloatArray
 from altd.vision.flat import Flat
-from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.frame_analysis import FrameAnalysis, Patch
 from altd.vision.image import Image, gaussian_blur
-from altd.vision.localise import SATURATED_FROM
 
 MAX_SHIFT_PX = 12
 """Maximum lag that is searched, either way in u and v."""
@@ -103,7 +102,7 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
         else gaussian_blur(patch.excess, _SMOOTHING_PX)
     )
     smooth, correction = _curvature_preserving(once)
-    clipped = _near_clipped(patch.pixels, analysis.frame.full_scale)
+    clipped = _near_clipped(patch)
     is_used = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & ~clipped
     light = np.where(is_used, smooth, np.float32(1))
     relative = np.where(is_used, np.clip(patch.excess / light - 1, -1, _MAX_RELATIVE), 0)
@@ -149,11 +148,11 @@ def _curvature_preserving(once: Image) -> tuple[Image, Image]:
     return np.asarray(once + correction, dtype=np.float32), np.asarray(correction, dtype=np.float32)
 
 
-def _near_clipped(pixels: PixelArray, full_scale: int) -> npt.NDArray[np.bool_]:
+def _near_clipped(patch: Patch) -> npt.NDArray[np.bool_]:
     """Return the pixels whose smoothed surroundings lack clipped light; a single one is a hot pixel."""
-    if pixels.max() < SATURATED_FROM * full_scale:
-        return np.zeros(pixels.shape, dtype=np.bool_)
-    clipped = (pixels >= SATURATED_FROM * full_scale).astype(np.uint8)
+    if patch.pixels.max() < patch.clipped_from:
+        return np.zeros(patch.pixels.shape, dtype=np.bool_)
+    clipped = (patch.pixels >= patch.clipped_from).astype(np.uint8)
     several = cv2.boxFilter(clipped, cv2.CV_32F, (3, 3), normalize=False) > 1
     reach = 2 * round(2 * _SMOOTHING_PX) + 1
     near = cv2.dilate((several & (clipped > 0)).astype(np.uint8), np.ones((reach, reach), np.uint8))

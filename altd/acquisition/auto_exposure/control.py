@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from altd.acquisition.auto_exposure.rule import (
     ExposureRule,
     Setting,
+    ceiling_of,
     limits_of,
     sample_brightness,
     setting_for,
@@ -82,6 +83,8 @@ class ExposureControl:
         self._rule: tuple[ExposureRange, ExposureRule] | None = None
         """The exposure rule and the limits it was made for."""
         self._changes = 0
+        self._ceiling: float | None = None
+        """Largest value of the camera below full scale; without it a clipped spot would seem dim."""
 
     def sample(self, frame: Frame, found: Spot | NoSpot) -> None:
         """Sample the brightness of a frame in which ``found`` was located; update the setpoint if needed.
@@ -91,7 +94,11 @@ class ExposureControl:
         if frame.changing or frame.leds_on:
             return
         ability = self._ability
-        brightness = sample_brightness(frame, found)
+        if (ceiling := ceiling_of(frame, found)) is not None:
+            self._ceiling = ceiling
+        elif self._ceiling is not None and frame.pixels.max() > self._ceiling:
+            self._ceiling = None
+        brightness = sample_brightness(frame, found, self._ceiling)
         # the camera reports an invalid exposure time, or reports none and was never set
         exposed = frame.exposure_ms is not None and frame.exposure_ms > 0
         if (

@@ -15,6 +15,7 @@ from altd.config import ExposureSettings
 from altd.ports import ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray, Spot
+from altd.vision.image import SATURATED_FROM, clipped_from
 
 LOW, HIGH = 0.35, 0.8
 """Limits of the band of levels, as shares of full scale, in which exposure is not changed."""
@@ -85,24 +86,41 @@ class BrightnessSample:
     level: float
 
 
-def sample_brightness(frame: Frame, spot: Spot | NoSpot) -> BrightnessSample:
-    """Return the brightness of a frame, given the localiser's result.
+def ceiling_of(frame: Frame, spot: Spot | NoSpot) -> float | None:
+    """Return the largest value that the camera delivers if a clipped spot shows it; None: full scale."""
+    if isinstance(spot, Spot):
+        bright = _middle_of(spot, frame.pixels)
+    elif spot.reason is Reason.SATURATED:
+        bright = frame.pixels[frame.pixels > frame.pixels.max() // 2]
+    else:
+        return None
+    clipped = clipped_from(bright, frame.full_scale)
+    return clipped if clipped < SATURATED_FROM * frame.full_scale else None
+
+
+def sample_brightness(frame: Frame, spot: Spot | NoSpot, ceiling: float | None = None) -> BrightnessSample:
+    """Return the brightness of a frame, given the localiser's result; ``ceiling`` replaces full scale.
 
     The level of a spot is the 98th percentile of a square as wide as half its 1/e² diameter. A Gaussian falls
     there to 0.78 at the corners. So the level is the peak, both on a plate and on the dots of a window (a
     fifth of the area), and neither a hot pixel nor a grain of speckle determines it.
     """
-    pixels, full = frame.pixels, frame.full_scale
+    pixels, full = frame.pixels, ceiling or frame.full_scale
     if isinstance(spot, Spot):
-        half = max(round(spot.diameter_px / 4), 2)
-        u, v = round(spot.u_px), round(spot.v_px)
-        around = pixels[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].ravel()
+        around = _middle_of(spot, pixels)
         place = int(_PERCENTILE * (around.size - 1))
         return BrightnessSample(Content.SPOT, float(np.partition(around, place)[place]) / full)
     if spot.reason is Reason.SATURATED or _is_clipped_somewhere(pixels, full):
         return BrightnessSample(Content.OVEREXPOSED, 1.0)
     content = Content.NOTHING if spot.reason is Reason.SPOT_MISSING else Content.OTHER
     return BrightnessSample(content, float(_cells(pixels).max()) / full)
+
+
+def _middle_of(spot: Spot, pixels: PixelArray) -> PixelArray:
+    """Return the pixels of a square half as wide as the spot."""
+    half = max(round(spot.diameter_px / 4), 2)
+    u, v = round(spot.u_px), round(spot.v_px)
+    return pixels[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].ravel()
 
 
 def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> ExposureRange:
@@ -202,7 +220,7 @@ def _factor(gain_db: float) -> float:
     return float(10 ** (gain_db / 20))
 
 
-def _is_clipped_somewhere(pixels: PixelArray, full: int) -> bool:
+def _is_clipped_somewhere(pixels: PixelArray, full: float) -> bool:
     """Whether more than hot pixels is clipped."""
     _, clipped = cv2.threshold(pixels, math.ceil(CLIPPED_FROM * full) - 1, 255, cv2.THRESH_BINARY)
     return bool(_cells(np.asarray(clipped)).max() >= _CLIPPED_CELL * 255)

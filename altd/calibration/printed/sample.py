@@ -11,7 +11,7 @@ from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, Frame
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
-from altd.vision.localise import SATURATED_FROM
+from altd.vision.image import SATURATED_FROM
 from altd.vision.profile import fit_profile
 from altd.vision.settings import SpotSettings
 

@@ -151,9 +151,7 @@ class TickingCamera:
     def close(self) -> None: ...
 
 
-async def test_a_camera_located_slower_than_it_delivers_is_soon_measured_newest() -> (
-    None
-):
+async def test_a_camera_located_slower_than_it_delivers_is_soon_measured_newest() -> None:
     """Locating takes five periods; that holds up neither the driver nor what comes after a second."""
     clock = FakeClock(PERIOD_NS)
     camera, ages, done = TickingCamera(clock), list[int](), threading.Event()

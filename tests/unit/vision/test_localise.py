@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.reasons import Reason
-from altd.records import NoSpot, Spot
+from altd.records import Frame, NoSpot, Spot
 from altd.vision.localise import locate
 from altd.vision.search import coarse_image, fit_background
 from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
@@ -109,6 +110,23 @@ def test_a_weak_reflection_does_not_make_a_frame_ambiguous() -> None:
 def test_a_spot_that_is_clipped_flat_is_saturated() -> None:
     assert reason(locate(frame(light(Blob(300, 200, peak=900))))) is Reason.SATURATED
     assert isinstance(locate(frame(light(Blob(300, 200, peak=240)))), Spot)
+
+
+@pytest.mark.parametrize(("bits", "ceiling"), [(8, 235), (8, 250), (16, 4095), (16, 65520)])
+def test_a_spot_that_is_clipped_below_full_scale_is_saturated_too(bits: int, ceiling: int) -> None:
+    """As by a camera that delivers 12 bits in 16, or the grey values of video."""
+    rng, scale = np.random.default_rng(bits * ceiling), ceiling / 255
+
+    def clipped(peak: float) -> Frame:
+        counts = scale * (light(Blob(300.3, 200.2, diameter_px=40.0, peak=peak)) + 8)
+        counts += rng.normal(0, 2 * scale, counts.shape)
+        step = 16 if ceiling == 65520 else 1  # the 12 bits may be the upper ones
+        return frame(step * np.rint(np.minimum(counts, ceiling) / step), background=0, bits=bits)
+
+    assert reason(locate(clipped(900))) is Reason.SATURATED
+    spot = found(locate(clipped(320)))
+    assert math.hypot(spot.u_px - 300.3, spot.v_px - 200.2) < 3 * spot.sigma_px
+    assert found(locate(clipped(200))).diameter_px == pytest.approx(40, abs=1)
 
 
 @pytest.mark.parametrize(

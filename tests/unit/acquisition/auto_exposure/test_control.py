@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.frames import Blob, light
 
 from altd.acquisition.auto_exposure.control import (
     MAX_MARKED_FRAMES,
@@ -15,6 +18,7 @@ from altd.config import ExposureSettings
 from altd.ports import CameraLostError, CameraRefusedError, ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot
+from altd.vision.localise import locate
 
 RANGE = ExposureRange(0.05, 30.0, 0.0, 24.0)
 BRIGHT, GOOD = 230, 130
@@ -186,3 +190,21 @@ def test_without_control_the_level_is_shown_and_the_setpoint_stays(name: str, as
     assert control.figures == ExposureFigures(name, 0.9, 1.0, 0.0, 0)
     assert control.setpoint == Setting(2.0, 0.0)
     assert not control.is_due
+
+
+def test_a_camera_that_delivers_twelve_bits_in_sixteen_is_exposed_for_its_own_ceiling() -> None:
+    camera, control, levels = Camera(tells="exposure gain"), control_of(exposure_ms=20.0), []
+    rng, opened_once = np.random.default_rng(1), opened(control, camera)
+    assert opened_once is not None
+    for _ in range(200):
+        taken, used = camera.frame()
+        counts = 400 * used.exposure_ms * light(Blob(150, 120, peak=1), width=300, height=240)
+        counts += 100 + rng.normal(0, 8, counts.shape)
+        pixels = np.rint(np.minimum(counts, 4095)).astype(np.uint16)
+        taken = control.mark(replace(taken, pixels=pixels, bits=16))
+        control.sample(taken, locate(taken))
+        applied(control, camera)
+        levels.append(counts.max() / 4095)
+    assert min(levels[-60:]) > 0.4
+    assert max(levels[-60:]) < 0.9
+    assert len(camera.asked) < 12, "it does not settle"
