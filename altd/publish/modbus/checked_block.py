@@ -90,26 +90,16 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
 )
 """Values of two registers each, from ``FLOATS`` on. Add new ones after all rows, or others would move."""
 
-_AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
-
-_OF_NOW = tuple(
-    (
-        f"sigma_now_{name}",
-        unit,
-        "standard deviation as a statement about the beam when answered",
-        values.sigma_now(key),
-    )
-    for name, unit, key in _AXES
-)
+_OF_NOW = tuple(values.sigmas_now())
 """Ageing values, which follow the quantities; after them the rates, then sigma_random."""
 
 _RATES = tuple(
-    (f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in _AXES
+    (f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in values.AXES
 )
 
 _RANDOM = tuple(
     (f"sigma_random_{name}", unit, "the part of sigma that scatters", values.sigma_random(key))
-    for name, unit, key in _AXES
+    for name, unit, key in values.AXES
 )
 
 CRC = Register(
@@ -124,9 +114,7 @@ CRC = Register(
 ROWS = (
     *HEAD,
     *(
-        Register(
-            FLOATS + 2 * row, name, Type.F32, unit, meaning, value, is_ageing=name.startswith("sigma_now_")
-        )
+        Register(FLOATS + 2 * row, name, Type.F32, unit, meaning, value, values.is_of_now(name))
         for row, (name, unit, meaning, value) in enumerate(_QUANTITIES + _OF_NOW + _RATES + _RANDOM)
     ),
     CRC,

@@ -175,14 +175,15 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("front_y", "mm", "spot on the front target", values.of_target("front", "y_mm")),
     ("rear_x", "mm", "spot on the rear target", values.of_target("rear", "x_mm")),
     ("rear_y", "mm", "spot on the rear target", values.of_target("rear", "y_mm")),
+    *values.sigmas_now(),
 )
 
 FLOAT_BLOCK = tuple(
-    Register(FLOATS + 2 * row, name, Type.F32, unit, meaning, value)
+    Register(FLOATS + 2 * row, name, Type.F32, unit, meaning, value, values.is_of_now(name))
     for row, (name, unit, meaning, value) in enumerate(_QUANTITIES)
 )
 SCALED_BLOCK = tuple(
-    Register(SCALED + 2 * row, name, Type.S32, unit, meaning, _scaled(value))
+    Register(SCALED + 2 * row, name, Type.S32, unit, meaning, _scaled(value), values.is_of_now(name))
     for row, (name, unit, meaning, value) in enumerate(_QUANTITIES)
 )
 TEST_BLOCK = (

@@ -25,6 +25,8 @@ from altd.status.health import Health
 from altd.status.proof import Identity, Stamp
 
 BLOCK = struct.pack(">BHH", 4, 200, 80)
+OF_NOW = struct.pack(">BHH", 4, 50, 42)
+"""sigma_now of the first table: x, y, yaw, pitch from 50 on, and x as an integer at 90."""
 HEAD = struct.Struct(">HHIIIIIIIHHIHHHH")
 """Addresses 200 to 223."""
 
@@ -107,11 +109,15 @@ async def test_sigma_of_now_grows_from_read_to_read_while_rates_stay(
     x = Motion(2.0, 0.01, 0.0, 0.0, 0.475, 0.083, probable_rate=2.0, acceleration=0.0)
     pitch = Motion(-0.02, 0.001, 0.0, 0.0, 0.475, 0.083, probable_rate=0.02, acceleration=0.0)
     board.publish(measured(motions={"x_mm": x, "pitch_deg": pitch}))
-    first = words(await client.ask(BLOCK))
+    first, others = words(await client.ask(BLOCK)), [words(await client.ask(OF_NOW))]
     clock.now_ns += 400_000_000
     second = words(await client.ask(BLOCK))
-    for read, age_s in ((first, 0.52), (second, 0.92)):
+    others.append(words(await client.ask(OF_NOW)))
+    for read, other, age_s in zip((first, second), others, (0.52, 0.92), strict=True):
         assert is_intact(read)
+        assert other[:8] == read[50:58], "the first table has another sigma_now"
+        scaled = struct.unpack(">i", bytes_of(other[40:42]))[0]
+        assert scaled == pytest.approx(1e4 * math.hypot(0.004, 2.0 * age_s), abs=1)
         sigma_now, rates = (struct.unpack(">4f", bytes_of(read[place : place + 8])) for place in (50, 58))
         assert sigma_now[0] == pytest.approx(math.hypot(0.004, 2.0 * age_s), rel=1e-6)
         assert sigma_now[3] == pytest.approx(math.hypot(0.0012, 0.02 * age_s), rel=1e-6)
