@@ -58,6 +58,11 @@ class Reading:
     sigma_y_mm: float | None = None
     sigma_yaw_deg: float | None = None
     sigma_pitch_deg: float | None = None
+    sigma_now_x_mm: float | None = None
+    """Sigma at the moment of sending, where the port has ``sigma_now = true``; only with ``unit``."""
+    sigma_now_y_mm: float | None = None
+    sigma_now_yaw_deg: float | None = None
+    sigma_now_pitch_deg: float | None = None
     reasons: tuple[str, ...] = ()
     """Codes: why the telegram is invalid, or its warnings."""
     session: int | None = None
@@ -144,6 +149,12 @@ class Reader:
         name, fields = _decoded(sentence)
         if not name:
             return self._drop(is_damaged=not garbage and line != b"\r\n")
+        if name == "PALTN" and len(self._begun) == 2:  # the CRC-32 covers it with the sentence before it
+            quality, of_quality = self._begun[1]
+            if fields.pop("sequence") != of_quality["sequence"]:
+                return self._drop()
+            self._begun[1] = quality + sentence, of_quality | fields
+            return None
         cut_short = self._end(now_s) if name != _ORDER[len(self._begun)] else None
         if name == "PALTI":
             self.identity = Identity(**fields)
@@ -220,7 +231,7 @@ class Reader:
 
 
 def _reading(fields: Mapping[str, Any], fault: str) -> Reading:
-    withheld = {*_FILLED_WHEN_VALID, "roll_deg"} if fault else set()
+    withheld = {*_FILLED_WHEN_VALID, "roll_deg", *_OF_NOW} if fault else set()
     known = {key: fields[key] for key in fields.keys() - withheld - {"unit", "crc32"}}
     return Reading(**known | {"fault": fault, "reasons": fields["reasons"] or ()})
 
@@ -285,6 +296,9 @@ _SENTENCES = {
     | dict.fromkeys(("sigma_x_mm", "sigma_y_mm"), _Kind(r"\d{1,2}\.\d{4}"))
     | dict.fromkeys(("sigma_yaw_deg", "sigma_pitch_deg"), _Kind(r"\d\.\d{4}"))
     | {"reasons": _Kind(r"[a-z0-9_]+(\+[a-z0-9_]+)*", lambda text: tuple(text.split("+")))},
+    "PALTN": {"sequence": _SEQUENCE}
+    | dict.fromkeys(("sigma_now_x_mm", "sigma_now_y_mm"), _Kind(r"\d{1,2}\.\d{4}"))
+    | dict.fromkeys(("sigma_now_yaw_deg", "sigma_now_pitch_deg"), _Kind(r"\d\.\d{4}")),
     "PALTC": dict.fromkeys(("unit", "session"), _HEXADECIMAL)
     | dict.fromkeys(("message", "clock_ms"), _COUNT)
     | {"date": _DATE, "age_ms": _number(9_999_999), "crc32": _HEXADECIMAL},
@@ -296,4 +310,5 @@ _ORDER = ("PALTM", "PALTQ", "PALTC")
 _NEVER_EMPTY = {"mode", "unit", "session", "message", "clock_ms", "crc32"}
 _BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 _FILLED_WHEN_VALID = (*_BEAM, *(f"sigma_{key}" for key in _BEAM))
+_OF_NOW = tuple(f"sigma_now_{key}" for key in _BEAM)
 _NOT_LIVE = {"simulated", "playback"}

@@ -275,7 +275,9 @@ class TelegramPortSettings(SerialPortSettings):
     on_request: bool = False
     """Send only when the line `?` is received."""
     checked: bool = False
-    """Send a third sentence for checks (`proof.md`)."""
+    """Send a last sentence for checks (`proof.md`)."""
+    sigma_now: bool = False
+    """Send a sentence with `sigma_now`, the uncertainty at sending."""
     identify_every_s: Annotated[float, Field(ge=1, le=86400)] | None = None
     """Interval of `$PALTI`, s: serial number, versions and date."""
 

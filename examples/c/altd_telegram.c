@@ -11,7 +11,7 @@
 
 static const struct altd_reading nothing = {
     0, ALTD_NO_FAULT, 'V', UNKNOWN, "", NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN,
-    UNKNOWN, "", UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN};
+    NAN, NAN, NAN, NAN, UNKNOWN, "", UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN};
 
 /* CRC-32 of IEEE 802.3, continued from the CRC of what came before; 0 at first. */
 static uint32_t crc32_of(uint32_t crc, const char *data, size_t length)
@@ -204,6 +204,15 @@ static int read_quality(struct fields *fields, struct altd_reading *reading, int
         && take_reasons(fields, reading->reasons) && !fields->next;
 }
 
+static int read_now(struct fields *fields, struct altd_reading *reading, int64_t *sequence)
+{
+    return take_count(fields, 0xFFFFFFFF, 10, sequence)
+        && take_number(fields, 0, 2, 4, &reading->sigma_now_x_mm)
+        && take_number(fields, 0, 2, 4, &reading->sigma_now_y_mm)
+        && take_number(fields, 0, 1, 4, &reading->sigma_now_yaw_deg)
+        && take_number(fields, 0, 1, 4, &reading->sigma_now_pitch_deg) && !fields->next;
+}
+
 static int read_proof(struct fields *fields, struct altd_reading *reading, int64_t *unit, int64_t *crc)
 {
     return take_hexadecimal(fields, unit) && take_hexadecimal(fields, &reading->session)
@@ -298,6 +307,8 @@ static int end(struct altd_telegram *t, uint32_t now_ms, struct altd_reading *re
     if (fault != ALTD_NO_FAULT) {
         reading->x_mm = reading->y_mm = reading->yaw_deg = reading->pitch_deg = reading->roll_deg = NAN;
         reading->sigma_x_mm = reading->sigma_y_mm = reading->sigma_yaw_deg = reading->sigma_pitch_deg = NAN;
+        reading->sigma_now_x_mm = reading->sigma_now_y_mm = NAN;
+        reading->sigma_now_yaw_deg = reading->sigma_now_pitch_deg = NAN;
     }
     return 1;
 }
@@ -319,7 +330,7 @@ static const char *body_end(const char *line, size_t length)
 
 static int take_line(struct altd_telegram *t, uint32_t now_ms, struct altd_reading *reading)
 {
-    static const char *const names[] = {"PALTM", "PALTQ", "PALTC"};
+    static const char *const names[] = {"PALTM", "PALTQ", "PALTC", "PALTN"};
     struct altd_reading read = t->begun;
     struct fields fields = {t->line + 1, body_end(t->line, t->used)};
     struct field name;
@@ -331,7 +342,7 @@ static int take_line(struct altd_telegram *t, uint32_t now_ms, struct altd_readi
     if (!fields.end)
         return drop(t, !is_dirty && !(t->used == 2 && t->line[0] == '\r'));
     take(&fields, &name);
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 4; i++)
         if (name.length == 5 && memcmp(name.text, names[i], 5) == 0)
             kind = i + 1;
     if (kind == 1)
@@ -340,8 +351,17 @@ static int take_line(struct altd_telegram *t, uint32_t now_ms, struct altd_readi
         is_read = read_quality(&fields, &read, &sequence);
     else if (kind == 3)
         is_read = read_proof(&fields, &read, &unit, &crc);
+    else if (kind == 4)
+        is_read = read_now(&fields, &read, &sequence);
     if (!is_read)
         return drop(t, !is_dirty);
+    if (kind == 4 && t->sentences == 2) {
+        if (sequence != read.sequence)
+            return drop(t, 0);
+        t->begun = read;
+        t->crc = crc32_of(t->crc, t->line, t->used);
+        return 0;
+    }
     if (kind != t->sentences + 1)
         is_completed = end(t, now_ms, reading);
     if (kind != t->sentences + 1)
@@ -350,6 +370,8 @@ static int take_line(struct altd_telegram *t, uint32_t now_ms, struct altd_readi
     t->begun = read;
     t->sentences = kind;
     if (kind == 1) {
+        t->begun.sigma_now_x_mm = t->begun.sigma_now_y_mm = NAN;
+        t->begun.sigma_now_yaw_deg = t->begun.sigma_now_pitch_deg = NAN;
         t->crc = 0;
         t->is_consistent = 1;
     } else if (kind == 2) {

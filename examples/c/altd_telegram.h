@@ -35,6 +35,7 @@ struct altd_reading {
     char time[11];         /* UTC, hhmmss.sss, middle of the averaged exposures */
     double x_mm, y_mm, yaw_deg, pitch_deg, roll_deg;
     double sigma_x_mm, sigma_y_mm, sigma_yaw_deg, sigma_pitch_deg;
+    double sigma_now_x_mm, sigma_now_y_mm, sigma_now_yaw_deg, sigma_now_pitch_deg; /* at sending; if sent */
     int64_t frames;        /* exposures that were averaged */
     char reasons[80];      /* codes joined by '+': why it is invalid, or what it warns of */
     int64_t session, message, clock_ms; /* of the third sentence, like those below */

@@ -35,6 +35,7 @@ COUNTS = ("sequence", "frames", "session", "message", "clock_ms", "date", "age_m
 NUMBERS = (
     *("x_mm", "y_mm", "yaw_deg", "pitch_deg", "roll_deg"),
     *("sigma_x_mm", "sigma_y_mm", "sigma_yaw_deg", "sigma_pitch_deg"),
+    *("sigma_now_x_mm", "sigma_now_y_mm", "sigma_now_yaw_deg", "sigma_now_pitch_deg"),
 )
 FAULTS = ("", "foreign", "restarted", "not newer", "late", "unchecked")
 """As ``enum altd_fault`` numbers them."""
@@ -90,11 +91,11 @@ def sentence(body: str) -> bytes:
 def wire(telegram: str) -> bytes:
     """The bytes of ``live 160`` or, of some of its sentences, ``live 160:MC``."""
     name, _, order = telegram.partition(":")
-    bodies = TABLE["telegrams"][name]["wire"]
-    sentences = dict(zip("MQ", map(sentence, bodies[:2]), strict=True))
-    covered = b"".join(sentences.values()) + f"${bodies[2]},".encode()
-    sentences["C"] = sentence(f"{bodies[2]},{zlib.crc32(covered):08X}")
-    return b"".join(sentences[letter] for letter in order or "MQC")
+    *bodies, proof = TABLE["telegrams"][name]["wire"]
+    sentences = dict(zip("MQN", map(sentence, bodies), strict=False))
+    covered = b"".join(sentences.values()) + f"${proof},".encode()
+    sentences["C"] = sentence(f"{proof},{zlib.crc32(covered):08X}")
+    return b"".join(sentences[letter] for letter in order or sentences)
 
 
 def variants() -> Iterator[Variant]:
@@ -127,6 +128,7 @@ def _expected(telegram: str, fault: str, *, is_checked: bool) -> Record:
     reads |= {"reasons": [], **TABLE["telegrams"][telegram]["reads"]}
     if not is_checked or fault == "unchecked":
         reads |= dict.fromkeys(("session", "message", "clock_ms", "date", "age_ms"))
+        reads |= dict.fromkeys(NUMBERS[-4:])  # the telegram ends before it
     if fault:
         reads |= dict.fromkeys(NUMBERS)
     return reads | {"fault": fault, "valid": reads["mode"] == "A" and not fault}

@@ -27,7 +27,8 @@ static void count(int64_t value)
 static void show(const struct altd_reading *r)
 {
     const double numbers[] = {r->x_mm, r->y_mm, r->yaw_deg, r->pitch_deg, r->roll_deg,
-                              r->sigma_x_mm, r->sigma_y_mm, r->sigma_yaw_deg, r->sigma_pitch_deg};
+                              r->sigma_x_mm, r->sigma_y_mm, r->sigma_yaw_deg, r->sigma_pitch_deg,
+                              r->sigma_now_x_mm, r->sigma_now_y_mm, r->sigma_now_yaw_deg, r->sigma_now_pitch_deg};
     const int64_t counts[] = {r->sequence, r->frames, r->session, r->message, r->clock_ms, r->date, r->age_ms};
     printf("%d %d %c %s %s", r->valid, (int)r->fault, r->mode, *r->time ? r->time : "-",
            *r->reasons ? r->reasons : "-");

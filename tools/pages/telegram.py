@@ -11,6 +11,7 @@ from altd.config import SerialPortSettings, TelegramPortSettings
 from altd.publish.serial.telegram import (
     IDENTIFICATION,
     MAX_SENTENCE_BYTES,
+    OF_NOW,
     SENTENCES,
     Sentence,
     encode,
@@ -52,6 +53,10 @@ Nothing was measured since the unit started:
 Numbers have a point, a fixed number of decimals and no plus sign. Directions are those of
 [Conventions](conventions.md), after the signs and offsets of `[installation]`. `reasons` holds the codes of
 [Reasons and states](reasons.md), joined with `+`; those of a target have its name in front.
+
+{sentence_table(OF_NOW)}
+With `sigma_now = true` this sentence follows the first two. `sigma_now` describes the beam at the moment of
+sending ([uncertainty](integrate.md#uncertainty)). The CRC of `$PALTC` covers it: set `checked = true`, too.
 
 {sentence_table(IDENTIFICATION)}
 With `identify_every_s` the first telegram, and one each time that so many seconds have passed, ends with this

@@ -17,6 +17,7 @@ from altd.publish.serial.telegram import (
     encode,
     identification,
     longest_bytes,
+    of_now,
     with_proof,
 )
 from altd.serial_port.port import Port, describe, opened
@@ -107,10 +108,12 @@ class TelegramPublisher:
             await asyncio.sleep(READ_INTERVAL_S)
 
     def _send(self, port: Port, lead: bytes, identifies: bool) -> bool:
-        measurement = self._board.read()
+        measurement, age_s = self._board.read(), self._board.age_s()
         telegram = encode(measurement)
+        if self._settings.sigma_now:
+            telegram += of_now(measurement, age_s)
         if self._settings.checked:
-            telegram = with_proof(telegram, measurement, self._stamps.next(), self._board.age_s())
+            telegram = with_proof(telegram, measurement, self._stamps.next(), age_s)
         if identifies:
             telegram += identification(self._nameplate, measurement)
         sent = port.write(lead + telegram)

@@ -1,6 +1,6 @@
-"""The telegram: one measurement as two sentences with the framing of NMEA 0183, and a third to check both.
+"""The telegram: one measurement as two sentences with the framing of NMEA 0183, and a last one to check them.
 
-A fourth identifies the unit; it is sent rarely.
+One between them states sigma now, where the settings ask for it; one after them identifies the unit, rarely.
 
 A sentence is ``$``, a name, fields after commas, ``*``, the exclusive or of all characters between ``$``
 and ``*`` as two hexadecimal digits, CR LF; at most 82 characters in total. ``$P`` marks a proprietary
@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, date, time
 from functools import reduce
 from operator import xor
+from types import SimpleNamespace
 from typing import Any
 
 from altd.config import TelegramPortSettings
@@ -204,6 +205,41 @@ def _date(measurement: Measurement | None) -> date | None:
     return measurement.time.astimezone(UTC).date()
 
 
+OF_NOW = Sentence(
+    "PALTN",
+    "its uncertainty now",
+    (
+        Field("sequence", SEQUENCE, "", "that of the `$PALTM` before it"),
+        *(
+            Field(
+                f"sigma_now_{key}",
+                form,
+                unit,
+                f"standard deviation of {name} when sent; empty: not known",
+            )
+            for key, form, unit, name in (
+                ("x_mm", SIGMA_MILLIMETRES, "mm", "x"),
+                ("y_mm", SIGMA_MILLIMETRES, "mm", "y"),
+                ("yaw_deg", SIGMA_DEGREES, "degree", "yaw"),
+                ("pitch_deg", SIGMA_DEGREES, "degree", "pitch"),
+            )
+        ),
+    ),
+)
+
+
+def of_now(measurement: Measurement | None, age_s: float | None) -> bytes:
+    """Return the sentence with ``sigma_now``; one that is too large for its field is not known."""
+    values: dict[str, float | int | None] = dict.fromkeys(field.name for field in OF_NOW.fields)
+    if measurement is not None:
+        values["sequence"] = measurement.sequence % SEQUENCE_MODULUS
+    for key, field in zip(SIGMAS, OF_NOW.fields[1:], strict=True):
+        value = None if measurement is None or age_s is None else measurement.sigma_at(key, age_s)
+        if value is not None and field.form.pattern.fullmatch(field.form.write(value)):
+            values[field.name] = value
+    return OF_NOW.encode(SimpleNamespace(**values))
+
+
 MAX_AGE_MS = 9_999_999
 """Maximum age that is sent, close to three hours; a greater age is sent as this value."""
 
@@ -291,5 +327,6 @@ def identification(nameplate: Nameplate, measurement: Measurement | None) -> byt
 
 def longest_bytes(settings: TelegramPortSettings) -> int:
     """Maximum number of characters of a telegram with the sentences that a port sends."""
-    sentences = len(SENTENCES) + settings.checked + (settings.identify_every_s is not None)
+    sentences = len(SENTENCES) + settings.sigma_now + settings.checked
+    sentences += settings.identify_every_s is not None
     return MAX_SENTENCE_BYTES * sentences

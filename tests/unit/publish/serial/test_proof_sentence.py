@@ -9,8 +9,9 @@ from datetime import UTC, date, datetime, timedelta, timezone
 import pynmea2
 import pytest
 
-from altd.publish.serial.telegram import PROOF, Nameplate, encode, identification, with_proof
+from altd.publish.serial.telegram import PROOF, Nameplate, encode, identification, of_now, with_proof
 from altd.records import Measurement
+from altd.records.spots import Motion
 from altd.status.proof import Identity, Stamp
 
 STAMP = Stamp(Identity(0x1E4B2D8E, 0x0000A0A7), 4711, 345_678)
@@ -60,6 +61,28 @@ def test_the_longest_sentence_is_82_characters_at_most(measured: Measurement) ->
     assert len(longest) <= 82
     widest = sum(len(field.form.widest) + 1 for field in PROOF.fields)
     assert len(longest) == len("$PALTC*00\r\n") + widest
+
+
+def test_sigma_now_follows_age_and_motion_and_is_covered_by_the_crc(measured: Measurement) -> None:
+    """2 mm/s beside a sigma of 0.004 mm; 300 mm/s do not fit, and without an age nothing is known."""
+    motion = Motion(2.0, 0.01, 0.0, 0.0, 0.475, 0.083, probable_rate=2.0, acceleration=0.0)
+    fast = replace(motion, rate=300.0, probable_rate=300.0)
+    moving = replace(measured, motions={"x_mm": motion, "y_mm": fast})
+    for age_s, sigma_mm in ((0.52, 1.04), (0.92, 1.84)):
+        sentence = of_now(moving, age_s)
+        assert pynmea2.parse(sentence.decode("ascii"), check=True).data == [
+            "N",
+            "160",
+            f"{sigma_mm:.4f}",
+            "",
+            "",
+            "",
+        ]
+    assert of_now(moving, None)[:-4] == b"$PALTN,160,,,,*"
+    assert of_now(None, None)[:-4] == b"$PALTN,,,,,*"
+    checked = with_proof(encode(moving) + sentence, moving, STAMP, 0.92)
+    before, _, crc = checked[: checked.rindex(b"*")].rpartition(b",")
+    assert crc == b"%08X" % zlib.crc32(before + b",")
 
 
 NAMEPLATE = Nameplate(unit=0x1E4B2D8E, serial="ALT-0007", firmware="0.1.0", calibrated=date(2026, 11, 2))
