@@ -87,7 +87,8 @@ class FramePairs:
             if self._is_closed:
                 return
             self.delivered_ns = self._clock.monotonic_ns()
-            pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
+            arrived_ns = None if wait else self.delivered_ns
+            pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame, arrived_ns)
             for pair in pairs:
                 self._pairs.append(pair)
                 if not wait:

@@ -16,6 +16,8 @@ Made = TypeVar("Made")
 _PARTNER_TIMEOUT_FRAMES = 4
 """Number of further frames of its own camera for which a frame waits for its partner. If more frames of a
 camera than that are late in a row, they are right and an earlier frame was wrong."""
+_MAX_HELD_FRAMES = 64
+"""Maximum number of frames of one camera that wait for a partner while they arrive faster than exposed."""
 _MAX_LATE_ITEMS = 8
 """Late frames of two cameras in a row. Numbers that never settle a frame set must not fill the memory: the
 oldest beyond this number are dropped."""
@@ -65,6 +67,7 @@ class _Waiting(Generic[Item]):
     t_ns: int
     aligned_ns: int
     """Time less the camera's lag."""
+    arrived_ns: int
     delivery: int
     """Number of frames that its camera had delivered, including this one."""
     item: Item
@@ -178,8 +181,14 @@ class Pairer(Generic[Item]):
         """Delay of each camera's frames behind the first one's; empty if pairing is by sequence."""
         return self._lags.ns if self._lags else {}
 
-    def add(self, camera: str, sequence: int, t_ns: int, item: Item) -> list[Pair[Item]]:
-        """Add one item; return the frame sets that are now settled, oldest first."""
+    def add(
+        self, camera: str, sequence: int, t_ns: int, item: Item, arrived_ns: int | None = None
+    ) -> list[Pair[Item]]:
+        """Add one item; return the frame sets that are now settled, oldest first.
+
+        ``arrived_ns`` is the time of its arrival if that is known. Items that arrive faster than they were
+        exposed were delayed: their partners are on the way, too.
+        """
         if self._lags:
             self._lags.add(camera, t_ns)
         aligned_ns = t_ns - self.lags_ns.get(camera, 0)
@@ -187,7 +196,8 @@ class Pairer(Generic[Item]):
         is_broken = not 0 <= aligned_ns - last_ns <= _RESTART_GAP_NS
         self._delivers_ns[camera] = aligned_ns if is_broken else since_ns, aligned_ns
         self._delivered[camera] += 1
-        new = _Waiting(camera, sequence, t_ns, aligned_ns, self._delivered[camera], item)
+        arrived_ns = t_ns if arrived_ns is None else arrived_ns
+        new = _Waiting(camera, sequence, t_ns, aligned_ns, arrived_ns, self._delivered[camera], item)
         self._expire(new)
         if self._is_late(new):
             self._count_late(new)
@@ -198,11 +208,18 @@ class Pairer(Generic[Item]):
         if len(group) == len(self.cameras):
             settled += self._settle_older(group)
             settled.append(self._settle(group))
-        elif len(self._waiting[camera]) > _PARTNER_TIMEOUT_FRAMES:
-            group = self._group_of(min(self._waiting[camera], key=self._order))
-            settled += self._settle_older(group)
-            settled.append(self._settle(group))
+        elif not self._is_held_up(new):
+            while len(self._waiting[camera]) > _PARTNER_TIMEOUT_FRAMES:
+                group = self._group_of(min(self._waiting[camera], key=self._order))
+                settled += self._settle_older(group)
+                settled.append(self._settle(group))
         return settled
+
+    def _is_held_up(self, new: _Waiting[Item]) -> bool:
+        """Return whether a camera's waiting frames arrived at least twice as fast as they were exposed."""
+        waiting = self._waiting[new.camera]
+        arrived_in_ns = new.arrived_ns - waiting[0].arrived_ns
+        return len(waiting) <= _MAX_HELD_FRAMES and 0 <= 2 * arrived_in_ns < new.t_ns - waiting[0].t_ns
 
     def flush(self) -> list[Pair[Item]]:
         """Settle all waiting items, at the end of a recording."""

@@ -71,6 +71,21 @@ class TestTheReader:
         assert bench.pairs.take(1) == []
         assert bench.pairs.dropped == {"front": 0, "rear": 0}
 
+    def test_gets_pairs_also_where_all_frames_of_one_camera_are_delivered_before_those_of_the_other(
+        self,
+    ) -> None:
+        """As after a stall, whichever thread runs first."""
+        bench = Bench(*BOTH)
+        for camera in BOTH:
+            for number in range(20):
+                bench.pairs.put(shot(camera, number), wait=False)
+                bench.clock.now_ns += 1_000_000
+        assert bench.taken() == [(number, "front rear") for number in range(20)]
+        for number in range(20, 60):  # one is silent since then
+            bench.clock.now_ns += PERIOD_NS
+            bench.pairs.put(shot("rear", number), wait=False)
+        assert bench.taken()[-1] == (55, "rear")
+
     def test_gets_the_newest_until_it_has_caught_up_after_more_and_the_loss_is_counted(
         self, caplog: pytest.LogCaptureFixture
     ) -> None:
@@ -104,6 +119,7 @@ class TestTheReader:
     def test_gets_the_frames_of_a_camera_alone_when_the_other_is_silent(self) -> None:
         bench = Bench(*BOTH)
         for number in range(10):
+            bench.clock.now_ns = number * PERIOD_NS
             bench.pairs.put(shot("rear", number), wait=False)
             taken = bench.taken()
             assert taken == ([] if number < 4 else [(number - 4, "rear")])
@@ -111,9 +127,11 @@ class TestTheReader:
     def test_gets_frame_sets_that_lack_a_camera_by_the_same_rule(self) -> None:
         bench = Bench(*BOTH)
         for number in range(20):
+            bench.clock.now_ns = number * PERIOD_NS
             bench.pairs.put(shot("rear", number), wait=False)
         assert bench.taken() == [(number, "rear") for number in range(16)]
         for number in range(20, 43):
+            bench.clock.now_ns = number * PERIOD_NS
             bench.pairs.put(shot("rear", number), wait=False)
         assert bench.taken() == [(38, "rear")]
         assert bench.pairs.dropped == {"front": 0, "rear": 22}
