@@ -1,4 +1,4 @@
-"""The real daemon on cameras that deliver from memory: CPU, latency and the maximum rate."""
+"""The real daemon on cameras that deliver from memory: CPU, latency and losses."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import AsyncIterator, Callable, Collection
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,17 +60,13 @@ class LoadFigures:
 
 @dataclass(frozen=True, slots=True)
 class RateFigures:
-    """Rates in pairs/s on one core."""
+    """The daemon on one core at several rates, and the chain's own rate, pairs/s."""
 
     core: int
-    seconds: float
-    held: float
-    pairs: int
     chain_alone: float
-    refused: tuple[float, ...]
-    """Rates that lost a pair, in the order tried."""
+    loads: list[LoadFigures]
     others_share: float
-    """CPU share of other processes on that core; while they run, frames of this process are replaced."""
+    """CPU share of other processes on that core; while they run, frames of this process wait."""
 
 
 def measure_load(material: Material, name: str, pairs_per_s: float, seconds: float) -> LoadFigures:
@@ -103,34 +99,21 @@ def measure_served(
             return asyncio.run(_load(material, name, FPS, seconds, config, dismiss))
 
 
-def measure_rate(material: Material, probe_s: float, probes: int, seconds: float) -> RateFigures:
-    """Find the maximum rate at which one core loses no pair for ``seconds``.
-
-    Bisection below the chain's own rate with short trials; then the best rate for the whole time, reduced a
-    little after each failure. A trial ends with the first loss.
-    """
+def measure_rates(material: Material, rates: Sequence[float], seconds: float) -> RateFigures:
+    """Measure the daemon without interfaces on one core, ``seconds`` at each rate below the chain's own."""
     allowed = os.sched_getaffinity(0)
     core = max(allowed)
     _pin({core})
     busy_s, own_s, wall_s = _busy_s(core), time.process_time(), time.monotonic()
     try:
-        bound = pure_rate(material, probe_s)
-        refused: list[float] = []
-        low, high = 0.0, bound
-        for _ in range(probes):
-            rate = (low + high) / 2
-            if asyncio.run(_holds(material, rate, probe_s)):
-                low = rate
-            else:
-                high = rate
-                refused.append(rate)
-        rate, pairs = low, 0
-        while rate > FPS and not (pairs := asyncio.run(_holds(material, rate, seconds))):
-            refused.append(rate)
-            rate *= 0.94
+        alone = pure_rate(material, min(seconds, 1.5))
+        loads = [
+            measure_load(material, f"one core, {rate:g} pairs/s", rate, seconds)
+            for rate in rates
+            if rate < alone
+        ]
         busy_s, own_s, wall_s = _busy_s(core) - busy_s, time.process_time() - own_s, time.monotonic() - wall_s
-        others_share = max(busy_s - own_s, 0.0) / wall_s
-        return RateFigures(core, seconds, rate if pairs else 0.0, pairs, bound, tuple(refused), others_share)
+        return RateFigures(core, alone, loads, max(busy_s - own_s, 0.0) / wall_s)
     finally:
         _pin(allowed)
 
@@ -184,19 +167,6 @@ async def watched(daemon: Daemon, source: Source) -> AsyncIterator[list[int]]:
         yield waits_ns
     finally:
         watching.cancel()
-
-
-async def _holds(material: Material, pairs_per_s: float, seconds: float) -> int:
-    """Number of measured pairs if none was lost, else 0."""
-    source = Source(material, pairs_per_s)
-    async with running(source, make_config()) as daemon:
-        end_ns = source.start_ns() + round(seconds * 1e9)
-        source.stop_at_ns = end_ns
-        while time.monotonic_ns() < end_ns and not lost(daemon):  # noqa: ASYNC110  there is no event
-            await asyncio.sleep(0.05)
-        await asyncio.sleep(0.1)
-        measured = daemon.health.component("measuring").counters.get("measurements", 0)
-        return measured if not lost(daemon) and measured >= source.planned(seconds) else 0
 
 
 def lost(daemon: Daemon) -> int:

@@ -124,8 +124,6 @@ class Source:
         self.period_ns = round(1e9 / pairs_per_s) if pairs_per_s else 0
         self.handed_ns: list[int] = []
         """Time at which the last frame of each frame set was delivered."""
-        self.stop_at_ns: int | None = None
-        """Time after which there are no exposures."""
         self._start_ns: int | None = None
         self._lock = threading.Lock()
 
@@ -140,10 +138,6 @@ class Source:
             if self._start_ns is None:
                 self._start_ns = time.monotonic_ns() + _LEAD_NS
             return self._start_ns
-
-    def planned(self, seconds: float) -> int:
-        """Number of exposures in this duration, counted from the first one."""
-        return round(seconds * 1e9) // self.period_ns + 1
 
     def note(self, sequence: int) -> None:
         """Record the delivery of a frame of this frame set."""
@@ -177,8 +171,7 @@ class MemoryCamera:
         source = self._source
         t_ns = source.start_ns() + self._next * source.period_ns
         wait_s = (t_ns - time.monotonic_ns()) * 1e-9
-        ended = source.stop_at_ns is not None and t_ns > source.stop_at_ns
-        if not source.period_ns or ended or wait_s > timeout_s:
+        if not source.period_ns or wait_s > timeout_s:
             time.sleep(timeout_s)
             raise CameraTimeoutError(f"{self.name}: nothing within {timeout_s:g} s")
         if wait_s > 0:

@@ -19,7 +19,7 @@ import cv2
 
 from altd.calibration.file import save_calibration
 from altd.measuring.calibration import Calibration
-from benchmarks.daemon import LoadFigures, RateFigures, measure_load, measure_rate, measure_served
+from benchmarks.daemon import LoadFigures, RateFigures, measure_load, measure_rates, measure_served
 from benchmarks.harness import (
     Columns,
     Parser,
@@ -143,7 +143,7 @@ class Figures:
     inside_us: dict[str, list[float]]
     """Time of each stage within the chain, µs a pair, at each of ``RATES_HZ``."""
     loads: list[LoadFigures]
-    rate: RateFigures
+    rates: RateFigures
     start: StartFigures
     machine: dict[str, str]
 
@@ -159,7 +159,7 @@ def lines(figures: Figures) -> Iterator[str]:
     yield ""
     yield from _loads(figures.loads)
     yield ""
-    yield from _rate(figures.rate)
+    yield from _rates(figures.rates)
     yield ""
     yield from _start_lines(figures.start)
     yield ""
@@ -203,23 +203,26 @@ _LOADS = Columns(
 
 def _loads(loads: list[LoadFigures]) -> Iterator[str]:
     yield _LOADS.head
-    for load in loads:
-        figures: tuple[object, ...] = ()
-        if (wait := load.latency) is not None:
-            figures = load.cpu_ms_a_pair, load.pairs, load.lost, wait.p50_ms, wait.p99_ms, wait.max_ms
-        yield _LOADS.row(load.name, 100 * load.cpu_share, *figures)
+    yield from _load_rows(loads)
     yield _LOADS.row("aim", "", f"< {CPU_AIM_MS:g}", "", 0, "", f"< {LATENCY_AIM_MS:g}")
     yield "p50, p99, max: from the pair's last frame handed over to the value in a reader's hands"
     attached = next((load.answers for load in loads if load.answers), {})
     yield "clients were given " + ", ".join(f"{count} {what}" for what, count in attached.items())
 
 
-def _rate(rate: RateFigures) -> Iterator[str]:
-    held = f"{rate.held:.0f} pairs/s" if rate.held else "none"
-    yield f"highest rate without a lost pair, one core, {rate.seconds:g} s: {held} ({rate.pairs} pairs)"
+def _load_rows(loads: list[LoadFigures]) -> Iterator[str]:
+    for load in loads:
+        figures: tuple[object, ...] = ()
+        if (wait := load.latency) is not None:
+            figures = load.cpu_ms_a_pair, load.pairs, load.lost, wait.p50_ms, wait.p99_ms, wait.max_ms
+        yield _LOADS.row(load.name, 100 * load.cpu_share, *figures)
+
+
+def _rates(rates: RateFigures) -> Iterator[str]:
+    yield from _load_rows(rates.loads)
     yield (
-        f"the chain alone, back to back: {rate.chain_alone:.0f} pairs/s;"
-        f" other processes took {rate.others_share:.0%} of that core meanwhile"
+        f"the chain alone, back to back: {rates.chain_alone:.0f} pairs/s;"
+        f" other processes took {rates.others_share:.0%} of that core meanwhile"
     )
 
 
@@ -232,7 +235,9 @@ def _start_lines(start: StartFigures) -> Iterator[str]:
 
 
 FAST_PAIRS_PER_S = 300.0
-"""Rate of the cameras for the maximum-rate measurement: the higher, the less moves from pair to pair."""
+"""Rate of the cameras of ``LOSS_RATES_HZ``: the higher, the less moves from pair to pair."""
+LOSS_RATES_HZ = 50.0, 100.0, 150.0, 200.0
+"""Rates at which losses are counted."""
 IDLE, BARE = "cameras silent", "no publishers"
 SERVED = [("all interfaces, unread", False, False), ("the same with clients", bool(BROKER), True)]
 if BROKER:
@@ -249,14 +254,12 @@ class Effort:
     rounds: int
     idle_s: float
     load_s: float
-    probe_s: float
-    probes: int
-    hold_s: float
+    rate_s: float
     starts: int
 
 
-FULL = Effort(240, 2, 6, 5.0, 21.0, 1.5, 6, 10.0, 3)
-QUICK = Effort(60, 1, 2, 0.3, 1.5, 0.3, 3, 1.0, 1)
+FULL = Effort(240, 2, 6, 5.0, 21.0, 10.0, 3)
+QUICK = Effort(60, 1, 2, 0.3, 1.5, 0.5, 1)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -289,13 +292,13 @@ def measure(effort: Effort, quick: bool) -> Figures:
     for name, has_broker, has_clients in SERVED:
         show(f"daemon, {name}")
         loads.append(measure_served(material, name, effort.load_s, has_broker, has_clients))
-    show("highest rate")
+    show("losses by rate")
     fast = dataclasses.replace(material, pairs=tuple(make_pairs(effort.pairs, FAST_PAIRS_PER_S)))
-    rate = measure_rate(fast, effort.probe_s, effort.probes, effort.hold_s)
+    rates = measure_rates(fast, LOSS_RATES_HZ, effort.rate_s)
     show("start of altd run")
     start = measure_start(material, effort.starts)
     show("")
-    return Figures(quick, effort.pairs, stages, inside_us, loads, rate, start, of_machine)
+    return Figures(quick, effort.pairs, stages, inside_us, loads, rates, start, of_machine)
 
 
 if __name__ == "__main__":

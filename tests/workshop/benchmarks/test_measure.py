@@ -78,9 +78,9 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     assert [load["answers"] for load in (bare, *served[:-1])] == [{}] * len(served)
     assert all(served[-1]["answers"][what] > 0 for what in ("modbus answers", "stream events", "telegrams"))
 
-    rate = figures["rate"]
-    assert rate["held"] < rate["chain_alone"]
-    assert rate["pairs"] >= rate["held"] * rate["seconds"] * 0.99
+    for load in figures["rates"]["loads"]:
+        assert load["pairs"] == load["latency"]["count"] > 0
+    assert figures["rates"]["chain_alone"] > 20
     start = figures["start"]
     assert 0 < start["first_answer_s"] <= start["first_valid_s"]
     assert set(figures["machine"]) >= {"cpu", "cores", "python", "numpy", "opencv"}
@@ -88,7 +88,7 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     for line in (
         "whole chain",
         "no publishers",
-        "highest rate without a lost pair",
+        "the chain alone, back to back",
         "altd run, from process",
     ):
         assert line in done.out
