@@ -9,6 +9,9 @@ acknowledgements of the ingest. Three measurements:
 - plain COPY of the same rows into a table like that of the ingest, in one transaction: the limit of the
   database.
 
+``--hostile`` adds a unit that sends as many batches a second during the live part. Their CRC is right. By
+turns, one has an integer of 2^40, and the database refuses one for a constraint that this program adds.
+
 In the end the database must have each row that was sent once. Mosquitto, PostgreSQL and the units share the
 machine with the ingest.
 """
@@ -25,6 +28,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psycopg
@@ -54,6 +58,8 @@ class Unit:
     newest: int = 0
     sent: int = 0
     acknowledged: int = 0
+    change: dict[str, Any] = field(default_factory=dict)
+    """Fields of its rows that differ."""
     made_s: dict[int, float] = field(default_factory=dict)
     """Creation times of rows that are not yet acknowledged, by sequence number."""
 
@@ -64,7 +70,8 @@ class Unit:
             (round(mean + chance * 1e-4, 4), 0.004, round(mean, 4), round(mean + 11.0, 4))
             for mean in (10.0, -5.0, 1.0, -2.0)
         ]
-        return Second(sequence, 1, self.start_s + sequence, 20, 20, 0, "", "", values)
+        row = Second(sequence, 1, self.start_s + sequence, 20, 20, 0, "", "", values)
+        return row._replace(**self.change)
 
     def next_batch(self) -> str | None:
         """Next message; None if there is nothing to send or too much is unacknowledged."""
@@ -152,6 +159,35 @@ def live(port: int, count: int, hz: int, seconds: int, start_s: int) -> Units:
     units.wait()
     units.end()
     return units
+
+
+@contextlib.contextmanager
+def hostile(port: int, connection: str, hz: int) -> Iterator[None]:
+    """Let a unit send ``hz`` batches a second that cannot be written."""
+    with psycopg.connect(connection) as opened:
+        opened.execute("ALTER TABLE altd.seconds ADD CHECK (cause <> 'hostile')")
+    client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+    client.connect("127.0.0.1", port)
+    client.loop_start()
+    ended = threading.Event()
+
+    def send() -> None:
+        unit, number = Unit("HOSTILE", int(time.time()), 1, newest=10**9), 0
+        while not ended.wait(1 / hz):
+            number += 1
+            unit.change = {"boot": 2**40} if number % 2 else {"cause": "hostile"}
+            unit.acknowledged = unit.sent
+            client.publish(f"altd/{unit.serial}/outbox", unit.next_batch(), qos=1)
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        sender.join()
+        client.disconnect()
+        client.loop_stop()
 
 
 def backlog(port: int, count: int, rows: int, start_s: int) -> tuple[Units, float]:
@@ -255,11 +291,13 @@ def main() -> int:
     parser.count("--seconds", 600, "time of the live part")
     parser.count("--backlog", WEEK_S, "its seconds, or 0", least=0)
     parser.count("--backlog-units", 60, "units that have it")
+    parser.count("--hostile", 0, "batches a second of a hostile unit", least=0)
     options = parser.parse_args()
     start_s = int(time.time()) - WEEK_S
     with servers(["shared_buffers=512MB", "max_wal_size=4GB"]) as (port, connection, pids):
         before_s = _cpu_s(pids)
-        units = live(port, options.units, options.hz, options.seconds, start_s)
+        with hostile(port, connection, options.hostile) if options.hostile else contextlib.nullcontext():
+            units = live(port, options.units, options.hz, options.seconds, start_s)
         _, p99_s, _ = ages_at_s = np.percentile(units.ages_s, [50, 99, 100])
         worked_s = {name: used_s - before_s[name] for name, used_s in _cpu_s(pids).items()}
         lost, twice = faults(connection, units)

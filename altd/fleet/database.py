@@ -46,7 +46,10 @@ class Progress:
 
 def connect(settings: FleetSettings) -> psycopg.Connection:
     """Connect, in UTC and with commits to disk; raises psycopg.OperationalError and BadInputError."""
-    options = f"-c timezone=UTC -c synchronous_commit=on -c statement_timeout={STATEMENT_TIMEOUT_S}s"
+    options = (
+        "-c timezone=UTC -c client_encoding=UTF8 -c synchronous_commit=on "
+        f"-c statement_timeout={STATEMENT_TIMEOUT_S}s"
+    )
     text = settings.database.connection
     try:
         return psycopg.connect(

@@ -12,6 +12,7 @@ import secrets
 import threading
 import time
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 from urllib.parse import quote
 
@@ -21,6 +22,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
+from psycopg.errors import InsufficientPrivilege, ReadOnlySqlTransaction, UndefinedTable
 
 from altd.credentials.certificates import client_context
 from altd.credentials.file import load_login
@@ -42,6 +44,15 @@ GATHER_S = 0.05
 MAINTENANCE_INTERVAL_S = 60.0
 ROUND_INTERVAL_S = 5.0
 """Time between two rounds of roll-ups: a unit with many stale hours must not keep the database busy."""
+
+_NOT_OF_CONTENT = (
+    psycopg.OperationalError,
+    psycopg.InterfaceError,
+    InsufficientPrivilege,
+    ReadOnlySqlTransaction,
+    UndefinedTable,
+)
+"""Errors of any batch: the server is away, became a replica, or its tables and rights were changed."""
 
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 10.0
 _REPORT_INTERVAL_S = 60.0
@@ -84,7 +95,7 @@ class Ingest:
         """Take messages until a signal ends the process."""
         try:
             self._open_database()
-        except psycopg.OperationalError as error:  # it is retried with the first message
+        except _NOT_OF_CONTENT as error:  # it is retried with the first message
             log.warning("ingest: no database yet: %s", one_line(str(error).strip()))
         threading.Thread(target=self._maintain, name="maintenance", daemon=True).start()
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -156,7 +167,6 @@ class Ingest:
             topic = f"{self._settings.broker.topic}/{quote(each.serial, safe='')}/ack"
             text = acknowledgement_of(each.serial, each.stream, each.sequence)
             self._client.publish(topic, text, qos=0, retain=True)  # if it is lost, the batch is sent again
-        self.rows += sum(len(batch.rows) for batch in batches)
         self._report(now_s)
 
     def _refuse(self, unit: str, reason: Refusal) -> None:
@@ -166,32 +176,62 @@ class Ingest:
             self._refused["", str(reason)] += 1
 
     def _commit(self, batches: list[Batch]) -> list[Progress]:
-        """Write until the database accepts it; a batch that it can never accept is refused."""
+        """Write batches and the numbers of refused messages; a batch that cannot be written is refused."""
+        if not batches and not self._refused:
+            return []
+        try:
+            progress = self._write(batches, self._refused)
+        except psycopg.Error:
+            progress = self._isolate(batches)
+            try:
+                self._write([], self._refused)
+            except psycopg.Error as error:
+                log.warning("ingest: the database refuses its counters: %s", one_line(str(error).strip()))
+        self._refused.clear()
+        return progress
+
+    def _isolate(self, batches: list[Batch]) -> list[Progress]:
+        """Write batches of which the database refuses some, and refuse those."""
+        now_s = time.monotonic()
+        held = [batch for batch in batches if self._intake.is_held(batch.serial, now_s)]
+        for batch in held:
+            self._refuse(batch.serial, Refusal.DATABASE)
+        batches = [batch for batch in batches if not self._intake.is_held(batch.serial, now_s)]
+        if not batches:
+            return []
+        try:
+            return self._write(batches, {})
+        except psycopg.Error as error:
+            middle = len(batches) // 2
+            if middle:
+                return self._isolate(batches[:middle]) + self._isolate(batches[middle:])
+            unit = batches[0].serial
+            self._refuse(unit, Refusal.DATABASE)
+            self._intake.note_database_refusal(unit, now_s)
+            log.warning("ingest: the database refuses a batch of %s: %s", unit, one_line(str(error).strip()))
+            return []
+
+    def _write(self, batches: list[Batch], refused: Mapping[tuple[str, str], int]) -> list[Progress]:
+        """Write in one transaction, and retry until the database answers.
+
+        Raises psycopg.Error if it refuses the content; then nothing is written.
+        """
         backoff_s = _MIN_BACKOFF_S
-        while batches or self._refused:
+        while True:
             try:
                 writer = self._writer or self._open_database()
-                progress = writer.write(batches, self._refused)
-            except (psycopg.OperationalError, psycopg.InterfaceError) as error:
+                progress = writer.write(batches, refused)
+            except psycopg.Error as error:
+                is_limit = (error.sqlstate or "").startswith("54")  # such as a text too long for an index
+                if is_limit or not isinstance(error, _NOT_OF_CONTENT):
+                    raise
                 log.warning("ingest: the database does not take it: %s", one_line(str(error).strip()))
                 self._close_database()
                 time.sleep(backoff_s)
                 backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
-            except psycopg.Error as error:
-                log.exception("ingest: a defect")
-                self._close_database()
-                if len(batches) <= 1:
-                    if batches:
-                        self._refuse(batches[0].serial, Refusal.DATABASE)
-                    else:
-                        self._refused.clear()
-                    log.warning("ingest: refused by the database: %s", one_line(str(error).strip()))
-                    return []
-                return [each for batch in batches for each in self._commit([batch])]
             else:
-                self._refused.clear()
+                self.rows += sum(len(batch.rows) for batch in batches)
                 return progress
-        return []
 
     def _open_database(self) -> Writer:
         self._connection = connect(self._settings)

@@ -22,6 +22,12 @@ SECONDS_RATE_HZ, SECONDS_BURST = 2.0, 31 * 86_400.0
 A hostile unit can store twice the seconds of another one, and these days again at each start of an instance.
 """
 
+DATABASE_RATE_HZ, DATABASE_BURST = 1 / 60.0, 3.0
+"""Maximum rate and burst of a unit's batches that the database refuses; above it, its messages are not read.
+
+Each of them costs the other units some transactions more.
+"""
+
 MAX_UNITS = 100_000
 
 
@@ -43,12 +49,16 @@ class _Limit:
         self._burst = burst
         self._tokens: dict[str, tuple[float, float]] = {}
 
+    def left(self, unit: str, now_s: float) -> float:
+        """Return the tokens that the unit has now."""
+        tokens, then_s = self._tokens.get(unit, (self._burst, now_s))
+        return min(tokens + (now_s - then_s) * self._rate_hz, self._burst)
+
     def admits(self, unit: str, number: int, now_s: float) -> bool:
         """Take a number of tokens, if the unit has as many."""
         if len(self._tokens) > MAX_UNITS:
             self._tokens.clear()
-        tokens, then_s = self._tokens.get(unit, (self._burst, now_s))
-        tokens = min(tokens + (now_s - then_s) * self._rate_hz, self._burst)
+        tokens = self.left(unit, now_s)
         is_admitted = tokens >= number
         self._tokens[unit] = tokens - is_admitted * number, now_s
         return is_admitted
@@ -61,6 +71,7 @@ class Intake:
         self._levels = topic.split("/")
         self._messages = _Limit(RATE_HZ, BURST)
         self._seconds = _Limit(SECONDS_RATE_HZ, SECONDS_BURST)
+        self._database = _Limit(DATABASE_RATE_HZ, DATABASE_BURST)
 
     def unit_of(self, topic: str) -> str:
         """Serial number in a topic; empty: it is not the topic of a unit's outbox."""
@@ -76,6 +87,8 @@ class Intake:
         unit = self.unit_of(topic)
         if not self._messages.admits(unit, 1, now_s):
             return Refusal.RATE
+        if self.is_held(unit, now_s):
+            return Refusal.DATABASE
         if not is_sealed(payload):
             return Refusal.CRC
         try:
@@ -85,3 +98,11 @@ class Intake:
         if batch.serial != unit:
             return Refusal.UNIT
         return batch if self._seconds.admits(unit, max(len(batch.rows), 1), now_s) else Refusal.RATE
+
+    def note_database_refusal(self, unit: str, now_s: float) -> None:
+        """Count a batch of the unit that the database refused."""
+        self._database.admits(unit, 1, now_s)
+
+    def is_held(self, unit: str, now_s: float) -> bool:
+        """Whether the database refused so many batches of the unit that its messages are not read now."""
+        return self._database.left(unit, now_s) < 1

@@ -21,6 +21,8 @@ MAX_NUMBERS = 2500
 MAX_QUANTITIES = 128
 
 _Whole = Annotated[int, Field(ge=0, lt=2**53)]
+_Count = Annotated[int, Field(ge=0, lt=2**31)]
+"""A number in a column of 32 bits."""
 _Code = Annotated[str, Field(pattern=r"^[A-Za-z0-9_. -]*$", max_length=80)]
 _Random = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 _Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_.]*$", max_length=80)]
@@ -36,10 +38,10 @@ class Second(NamedTuple):
     """
 
     sequence: _Whole
-    boot: _Whole
+    boot: _Count
     t_s: Annotated[int, Field(ge=0, lt=2**35)]
-    n: Annotated[int, Field(ge=0, lt=2**31)]
-    n_valid: Annotated[int, Field(ge=0, lt=2**31)]
+    n: _Count
+    n_valid: _Count
     worst: Annotated[int, Field(ge=0, le=4)]
     cause: _Code
     lost_to: _Code

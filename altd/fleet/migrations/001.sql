@@ -196,7 +196,7 @@ CREATE VIEW altd.fleet AS
         WHERE unit = units.id ORDER BY updated DESC LIMIT 1
     ) AS stream ON true
     LEFT JOIN LATERAL (
-        SELECT sum(dropped) AS dropped FROM altd.files WHERE unit = units.id
+        SELECT least(sum(dropped), 2::numeric ^ 63 - 1) AS dropped FROM altd.files WHERE unit = units.id
     ) AS kept ON true
     LEFT JOIN LATERAL (
         SELECT sum(count) AS refused FROM altd.refused WHERE refused.unit = units.serial
