@@ -122,12 +122,19 @@ class HistoryRecorder:
             return True
         except Exception as error:  # a defect here must not stop the measurement
             log.exception("history: a defect")
+            if batch is not None:
+                self._count_lost(batch)
             self._events_written = self._events_taken
             self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
             self._report_fault(f"a defect: {type(error).__name__}: {error}")
             return True
         finally:
             del writing, batch  # an error raised in it refers to this frame
+        self._show(written, took_s)
+        return True
+
+    def _show(self, written: Written, took_s: float) -> None:
+        """Show the result of a batch that was written."""
         self._events_written = self._events_taken
         if self._outbox is not None:
             self._outbox.mark = written.outbox
@@ -136,12 +143,13 @@ class HistoryRecorder:
         self._backoff_s = WRITE_INTERVAL_S
         if took_s >= SLOW_S + 2 * WRITE_INTERVAL_S:
             self._report_fault(f"the disk is slow: the last second took {took_s:.1f} s to write")
+        elif written.complaint:
+            self._report_fault(f"written, but {self._store.path}: {written.complaint}")
         else:
             size = f"{written.used_bytes / 1e6:.1f} MB in {self._store.path}"
             self._component.set_state(State.OK, size)
         for notice in written.notices:
             self._log.note_recorded(notice.kind, notice.text, notice.detail)
-        return True
 
     def _next_batch(self, now_ns: int) -> Batch:
         items, self._items = self._items, deque()
@@ -151,6 +159,15 @@ class HistoryRecorder:
         new = [event for event in events if not event.is_recorded]
         acknowledged = None if self._outbox is None else self._outbox.acknowledged
         return Batch(now_ns, self._wall_us(), items, new, acknowledged)
+
+    def _count_lost(self, batch: Batch) -> None:
+        """Count what a batch held that is dropped."""
+        for counter, number in (
+            ("measurements_lost", sum(isinstance(item, Sample) for item in batch.items)),
+            ("events_lost", self._events_lost + len(batch.events)),
+        ):
+            if number:
+                self._component.count(counter, number)
 
     def _put_back(self, batch: Batch | None) -> None:
         if batch is None:

@@ -188,9 +188,11 @@ class Notice:
 class Written:
     """The result of a batch: the history's own events and the size of the file's used pages.
 
-    ``outbox`` is None if there is none.
+    ``outbox`` is None if there is none. ``complaint``: what failed after the batch was written, or
+    empty.
     """
 
     notices: Sequence[Notice]
     used_bytes: int
     outbox: OutboxMark | None = None
+    complaint: str = ""

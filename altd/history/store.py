@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import secrets
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 from altd.history.columns import Column, prepare_columns
 from altd.history.facts import Epochs, Reasons, changed_facts, check_unit
@@ -16,6 +18,7 @@ from altd.history.opening import (
     WriteLock,
     check_folder,
     check_pages,
+    is_damage,
     is_private,
     open_to_write,
     set_aside,
@@ -56,12 +59,15 @@ _MAX_DELAY_S = 60.0
 
 _US = 10**6
 
+Result = TypeVar("Result")
+
 
 class Store:
     """History of one daemon. After a failure the next batch opens the file again.
 
     A file that is damaged or of another unit is moved aside, and a new one is created. Each opening begins an
-    epoch, so that earlier rows are never changed. ``has_outbox``: summaries of 1 s are queued for an ingest.
+    epoch, so that earlier rows are never changed. A batch whose COMMIT failed may still be in the file: its
+    items are then left out of the next batch. ``has_outbox``: summaries of 1 s are queued for an ingest.
     """
 
     def __init__(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
@@ -75,16 +81,24 @@ class Store:
         self._open: _OpenStore | None = None
         self._lock: WriteLock | None = None
         self._was_open = False
+        self._batches = 0
+        self._doubtful: dict[str, Batch] = {}
+        """Batches whose COMMIT failed, by name, since the last one that succeeded."""
 
     def write(self, batch: Batch) -> Written:
         """Write a batch completely or not at all; raises OSError, sqlite3.Error and UnusableFileError."""
         try:
             if self._open is None:
                 self._open = self._opened(batch)
-            used_bytes = self._open.write(batch)
+            self._batches += 1
+            name = f"{self._session} {self._batches}"
+            self._open.write(self._without_written(batch, self._open), name)
+            self._doubtful = {}
             notices, self._notices_left = [*self._notices_left, *self._open.take_notices()], []
-            return Written(notices, used_bytes, self._open.outbox_mark() if self._has_outbox else None)
+            return self._open.after_commit(notices)
         except (OSError, sqlite3.Error, UnusableFileError) as error:
+            if self._open is not None and self._open.is_committing:
+                self._doubtful[name] = batch
             self._close_file()
             if (aside := set_aside(self.path, error)) is not None:
                 text = f"the history before is kept as {aside.name}: {error}"
@@ -100,6 +114,19 @@ class Store:
         finally:
             if self._open is None:
                 self._release()
+
+    def _without_written(self, batch: Batch, opened: _OpenStore) -> Batch:
+        """Return the batch without what is in the file although its COMMIT failed."""
+        if not self._doubtful:
+            return batch
+        last = opened.last_batch()
+        self._doubtful = {name: each for name, each in self._doubtful.items() if name == last}
+        written = {id(one) for each in self._doubtful.values() for one in (*each.items, *each.events)}
+        return replace(
+            batch,
+            items=[item for item in batch.items if id(item) not in written],
+            events=[event for event in batch.events if id(event) not in written],
+        )
 
     def end(self, batch: Batch | None) -> None:
         """Write the last batch and mark the epoch as ended; failures are ignored."""
@@ -168,6 +195,11 @@ class _OpenStore:
         self._summarised_numbers: list[int] = []
         self._delay_s = 0.0
         self._last_us = 0
+        self._used_bytes = 0
+        self._mark: OutboxMark | None = None
+        self._failure: Exception | None = None
+        """What failed after the last COMMIT."""
+        self.is_committing = False
 
     def begin(self, batch: Batch, session: str, notices: Sequence[Notice]) -> None:
         """Prepare columns and reasons, and begin an epoch; ``notices`` are written as its first events."""
@@ -194,11 +226,11 @@ class _OpenStore:
             self.epochs.begin("start" if is_restart else "reopened", first_us, batch.monotonic_ns)
             for notice in self._notices:
                 self._add_notice(notice, first_us)
-        self._touched = touched(self._path)
+        self._touched = self._tried(lambda: touched(self._path), ())
         self._new_spans()
 
-    def write(self, batch: Batch) -> int:
-        """Write a batch in one transaction; returns the size of the used pages in bytes."""
+    def write(self, batch: Batch, name: str) -> None:
+        """Write a batch and its name in one transaction."""
         self._check_place()
         with transaction(self._connection):
             if batch.acknowledged is not None and batch.acknowledged[0] == self._stream:
@@ -218,13 +250,33 @@ class _OpenStore:
                     text = f"to free space, the oldest {deleted.what} were deleted"
                     self._notices.append(Notice(EventKind.HISTORY, text, {"rows": deleted.rows}))
                     self._add_notice(self._notices[-1], batch.wall_us)
-        self.retention.shrink()
-        used_bytes = self.retention.used_bytes()
-        self._touched = touched(self._path)  # the last statement may have checkpointed the log
-        return used_bytes
+            self._connection.execute("INSERT OR REPLACE INTO facts VALUES ('batch', ?)", (name,))
+            self.is_committing = True
+        self.is_committing = False
 
-    def outbox_mark(self) -> OutboxMark:
-        """Return the state of the outbox after the last transaction."""
+    def after_commit(self, notices: Sequence[Notice]) -> Written:
+        """Shrink the file and describe it. The batch is in the file: a failure is stated, not raised."""
+        self._failure = None
+        self._tried(self.retention.shrink, None)
+        self._used_bytes = self._tried(self.retention.used_bytes, self._used_bytes)
+        if self._has_outbox:
+            self._mark = self._tried(self._outbox_mark, self._mark)
+        self._touched = self._tried(lambda: touched(self._path), ())  # the log may have been checkpointed
+        return Written(notices, self._used_bytes, self._mark, _complaint_of(self._failure))
+
+    def _tried(self, step: Callable[[], Result], otherwise: Result) -> Result:
+        try:
+            return step()
+        except Exception as error:
+            self._failure = error
+            return otherwise
+
+    def last_batch(self) -> str:
+        """Return the name of the last batch in the file."""
+        row = self._connection.execute("SELECT value FROM facts WHERE name = 'batch'").fetchone()
+        return "" if row is None else str(row[0])
+
+    def _outbox_mark(self) -> OutboxMark:
         facts = dict(
             self._connection.execute("SELECT name, value FROM facts WHERE name IN ('file', 'dropped')")
         )
@@ -263,7 +315,11 @@ class _OpenStore:
             return
 
     def _check_place(self) -> None:
-        """Raise if the files changed since the last batch, or if a reader blocks the write-ahead log."""
+        """Raise if the files are damaged or changed, or if a reader blocks the write-ahead log."""
+        if isinstance(self._failure, sqlite3.Error) and is_damage(self._failure):
+            raise self._failure
+        if not self._touched:
+            raise UnusableFileError("could not be examined after the last batch")
         if touched(self._path) != self._touched:
             with suppress(sqlite3.Error):  # a moved file is intact, and its log is written to no other
                 self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -358,6 +414,12 @@ def _detail_text(detail: Mapping[str, object]) -> str | None:
         return json.dumps(detail, allow_nan=False) if detail else None
     except (ValueError, TypeError, RecursionError):
         return None
+
+
+def _complaint_of(error: Exception | None) -> str:
+    if error is None or isinstance(error, OSError | sqlite3.Error):
+        return str(error or "")
+    return f"a defect: {type(error).__name__}: {error}"
 
 
 def _begun(path: Path, is_new: bool) -> list[Notice]:

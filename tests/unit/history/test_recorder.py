@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import gc
 import shutil
+import sqlite3
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,10 +18,13 @@ from support.clock import settle
 from support.history import ABOUT, MAX_BYTES, START_S, US, WallClock, at
 from support.measurements import measurement
 
+from altd.history import opening
 from altd.history import recorder as recorder_module
+from altd.history import store as store_module
 from altd.history.reader import Reader
 from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
 from altd.history.records import Batch, Written
+from altd.history.retention import Retention
 from altd.history.schema import SECONDS
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
@@ -190,6 +195,63 @@ async def test_a_disk_that_goes_and_comes_back_costs_history_only(tmp_path: Path
     assert lost == 0
 
 
+def fail_after_commit(patches: pytest.MonkeyPatch, step: str, times: int) -> list[str]:
+    """Let a step that follows each COMMIT fail as on a full disk; returns the list of failures."""
+    failed: list[str] = []
+
+    def fail() -> None:
+        if len(failed) < times:
+            failed.append(step)
+            raise sqlite3.OperationalError("database or disk is full")
+
+    place: Any = Retention if step in ("shrink", "used_bytes") else store_module._OpenStore  # noqa: SLF001
+    if step in ("touched", "COMMIT"):
+        place = store_module if step == "touched" else opening.transaction
+    name = "__exit__" if step == "COMMIT" else step
+    original = getattr(place, name)
+
+    def with_fault(self: Any, *arguments: Any) -> Any:
+        if step == "COMMIT":
+            original(self, *arguments)
+        if step == "touched":
+            is_after = sys._getframe(1).f_code.co_name != "_check_place"  # noqa: SLF001
+        else:
+            is_after = not self._connection.in_transaction
+        if is_after:
+            fail()
+        return None if step == "COMMIT" else original(self, *arguments)
+
+    patches.setattr(place, name, with_fault)
+    return failed
+
+
+@pytest.mark.parametrize("step", ["shrink", "used_bytes", "_outbox_mark", "touched", "COMMIT"])
+async def test_what_fails_after_a_commit_writes_nothing_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    store = Store(tmp_path / "history.db", MAX_BYTES, ABOUT, has_outbox=True)
+    async with Recording(tmp_path, store) as recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        recording.log.note(EventKind.STATE, "once")
+        failed = fail_after_commit(monkeypatch, step, 4)
+        await recording.pass_time(2.0, rate=20)
+        assert recording.component.state is State.DEGRADED
+        assert "disk is full" in recording.component.message or step == "touched"
+        await recording.pass_time(4.0, rate=20)
+        await recording.until(lambda: len(failed) == 4)
+        await recording.until(lambda: recording.component.state is State.OK)
+    assert recording.stored() == list(range(1, 121))
+    with Reader(recording.path) as reader:
+        rows = list(reader.summaries(SECONDS, 0, 2**62))
+        assert len(reader.events(0, 2**62, ["state"])) == 1
+        (epochs,) = next(iter(reader.rows("SELECT max(epoch) FROM epochs")))
+        (queued,) = next(iter(reader.rows("SELECT count(*) FROM outbox")))
+    assert sum(row.n for row in rows) == 120
+    assert queued == len(rows)
+    if step not in ("touched", "COMMIT"):
+        assert (epochs, len(rows)) == (1, len({row.t_us for row in rows}))
+
+
 class HeldStore(Store):
     """A disk that takes as long as the test wants: no file system of this machine can be made to.
 
@@ -296,4 +358,10 @@ async def test_a_defect_of_the_history_ends_nothing(tmp_path: Path, monkeypatch:
         monkeypatch.setattr(Store, "write", fail)
         await recording.until(lambda: recording.component.message == "a defect: KeyError: 'a defect'")
         assert recording.component.state is State.DEGRADED
+        recording.component.counters.clear()
+        recording.log.note(EventKind.STATE, "lost with the batch")
+        await recording.pass_time(2.0, rate=20)
+        lost = recording.component.counters
+        await recording.until(lambda: lost.get("measurements_lost") == recording.published)
+        assert lost["events_lost"] == 1
         recording.publish()
