@@ -36,7 +36,7 @@ from altd.publish.modbus.responder import (
     SERVER_ID,
     ZERO_ADDRESS,
 )
-from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
+from altd.publish.modbus.rtu import BITS_PER_CHARACTER, MAX_UNCLEAR_LOOPBACKS, silence_s
 from altd.publish.modbus.tcp import MAX_CLIENTS
 from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import (
@@ -379,6 +379,15 @@ address) instead of the role.
 - {MAX_HANDSHAKES} handshakes run at a time, {HANDSHAKE_TIMEOUT_S:g} s each. An address that is not reserved
   may begin {CONNECTIONS.burst} at once and {CONNECTIONS.per_s:g} a second.
 
+## Echo
+
+Some two-wire adapters receive what the unit sends. The unit finds this out by itself, without a setting: once
+an answer comes back that no master sends, such as that of a read, the line echoes. Then bytes equal to the
+last answer are its echo, until an answer does not come back. On other lines equal requests are all answered,
+however fast they follow. As long as neither is known, a loopback is answered up to {MAX_UNCLEAR_LOOPBACKS}
+times without a pause, and the next one, or a repeated command, with exception 6. The reply to that exception
+decides.
+
 ## Exceptions
 
 | code | when |
@@ -387,6 +396,7 @@ address) instead of the role.
 | 2 | a read beyond its block, or an input that does not exist |
 | 3 | no register, more than 125, a malformed request, or a command's wrong value |
 | 4 | a [command](#commands) that is not possible now, or a defect (see the log) |
+| 6 | Modbus RTU: the request equals the answer before it, and may be its [echo](#echo); send it again |
 | 11 | Modbus TCP: another unit id |
 """)
 

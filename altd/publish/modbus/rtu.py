@@ -15,10 +15,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
+from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.responder import LineCounters, Responder, serial_response
+from altd.publish.modbus.responder import DIAGNOSTICS, LineCounters, Responder, serial_response
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
@@ -215,6 +216,53 @@ def _has_its_length(frame: bytes) -> bool:
     return True
 
 
+MAX_UNCLEAR_LOOPBACKS = 16
+"""Maximum number of loopbacks in a row that are answered before it is known whether the line echoes."""
+
+
+class EchoDetector:
+    """Tells the echo of an answer, which a two-wire adapter may receive, from a request with equal bytes.
+
+    An answer that differs from its request is no request of a master: if it comes back, the line echoes. If
+    another request follows an answer directly, the line does not. Until then, equal bytes are unclear.
+    """
+
+    def __init__(self) -> None:
+        self._line_echoes: bool | None = None
+        self._answer = b""
+        self._until_s = 0.0
+        self._is_own = False
+        """Whether no master sends these bytes."""
+        self._is_disturbed = False
+        self._unclear = 0
+
+    def answered(self, request: bytes, answer: bytes, until_s: float) -> None:
+        """Note the last answer, with id and CRC as its request; ``until_s``: the latest end of an echo."""
+        self._answer, self._until_s, self._is_own = answer, until_s, answer != request
+        self._is_disturbed = False
+
+    def disturbed(self) -> None:
+        """Note bytes that are no request: one of them may be a damaged echo."""
+        self._is_disturbed = True
+
+    def is_request(self, received: bytes, frame: bytes, now_s: float) -> bool | None:
+        """Whether ``frame`` at the end of the received bytes is a request; False: an echo; None: unclear."""
+        answer, self._answer = self._answer, b""  # an echo comes once
+        if frame == answer and self._is_own:
+            self._line_echoes = True
+            return False
+        if frame == answer and now_s < self._until_s:
+            if self._line_echoes is None:
+                self._unclear += 1
+                is_loopback = frame[1] == DIAGNOSTICS  # a command must not run again for its echo
+                return True if is_loopback and self._unclear < MAX_UNCLEAR_LOOPBACKS else None
+            return not self._line_echoes
+        self._unclear = 0
+        if answer and received == frame != answer and not self._is_disturbed:
+            self._line_echoes = False
+        return True
+
+
 BITS_PER_CHARACTER = 11
 
 MAX_BUFFERED_BYTES = 1024
@@ -247,20 +295,27 @@ class ModbusRtuPublisher:
 
     async def _serve(self, port: Port) -> None:
         clock = asyncio.get_running_loop().time
-        bus, answered, echo_until_s = Bus(self._settings.unit_id), b"", 0.0
+        bus, echo = Bus(self._settings.unit_id), EchoDetector()
         while True:
             received = await port.read() + await self._until_silence(port)
             request = bus.receive(received[-MAX_BUFFERED_BYTES:], clock())
             if request is None:
+                echo.disturbed()
                 continue
-            if self._framed(request) == answered and clock() < echo_until_s:
-                echo_until_s = 0.0  # a two-wire adapter receives its own output, once
-            else:
-                answered = self._framed(self._response(request, bus.counters))
-                if not port.write(answered):  # the controller is not receiving; it repeats the request
-                    self._component.count("answers_dropped")
-                    bus.counters.unanswered += 1
-                echo_until_s = clock() + seconds_on_line(self._settings, len(answered)) + FRAGMENT_TIMEOUT_S
+            frame = self._framed(request)
+            if (is_request := echo.is_request(received, frame, clock())) is False:
+                continue
+            if is_request:
+                answer = self._framed(self._response(request, bus.counters))
+            else:  # no master sends this answer, so the next bytes show whether the line echoes
+                answer = self._framed(bytes([request[0] | _EXCEPTION_BIT, ExcCodes.DEVICE_BUSY]))
+                bus.counters.exceptions += 1
+            if not port.write(answer):  # the controller is not receiving; it repeats the request
+                self._component.count("answers_dropped")
+                bus.counters.unanswered += 1
+                continue
+            on_line_s = seconds_on_line(self._settings, len(answer))
+            echo.answered(frame, answer, clock() + on_line_s + FRAGMENT_TIMEOUT_S)
 
     def _response(self, request: bytes, counters: LineCounters) -> bytes:
         counters.requests += 1

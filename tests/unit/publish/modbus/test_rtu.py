@@ -18,7 +18,7 @@ from support.serving import serving
 from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus import rtu
 from altd.publish.modbus.registers import SIZE
-from altd.publish.modbus.rtu import ModbusRtuPublisher, silence_s
+from altd.publish.modbus.rtu import MAX_UNCLEAR_LOOPBACKS, ModbusRtuPublisher, silence_s
 from altd.status.board import Board
 from altd.status.health import Component, Health
 
@@ -59,10 +59,12 @@ class Controller:
         return await self.hear(1, within_s=0.03) == b""
 
 
-def rtu_at(device: str, board: Board, component: Component, **fields: Any) -> ModbusRtuPublisher:
+def rtu_at(
+    device: str, board: Board, component: Component, health: Health | None = None, **fields: Any
+) -> ModbusRtuPublisher:
     ordinary: dict[str, Any] = {"speaks": "modbus_rtu", "baud": 115200, "unit_id": UNIT}
     settings = ModbusRtuPortSettings(device=Path(device), **(ordinary | fields))
-    return ModbusRtuPublisher(settings, board, component, Health(component.clock))
+    return ModbusRtuPublisher(settings, board, component, health or Health(component.clock))
 
 
 @pytest.fixture
@@ -201,6 +203,98 @@ async def test_the_echo_of_our_answer_in_pieces_is_not_answered(controller: Cont
     assert await controller.is_answered()
 
 
+LOOPBACK = frame(bytes.fromhex("08 0000 1234"))
+
+
+async def loopbacks_answered(controller: Controller, count: int) -> int:
+    """The answers to loopbacks, each sent when the answer before it has come or is overdue."""
+    answered = 0
+    for _ in range(count):
+        controller.send(LOOPBACK)
+        answered += await controller.hear(len(LOOPBACK), within_s=0.5) == LOOPBACK
+    return answered
+
+
+async def test_loopbacks_without_a_pause_are_all_answered(controller: Controller) -> None:
+    assert await loopbacks_answered(controller, 8) == 8
+    assert await controller.is_answered()
+    assert await loopbacks_answered(controller, 100) == 100
+
+
+async def test_one_of_many_loopbacks_on_an_unknown_line_is_answered_busy(controller: Controller) -> None:
+    assert await loopbacks_answered(controller, MAX_UNCLEAR_LOOPBACKS) == MAX_UNCLEAR_LOOPBACKS
+    controller.send(LOOPBACK)
+    assert await controller.answer() == frame(bytes([0x88, 6]))
+    assert await loopbacks_answered(controller, 50) == 50
+
+
+async def heard_with_echo(controller: Controller, request: bytes) -> bytes:
+    """All that the unit sends after a request, if the line returns each of its answers at once."""
+    controller.send(request)
+    heard = b""
+    while answer := await controller.hear(1, within_s=0.1):
+        answer += await controller.hear(255, within_s=0.02)
+        heard += answer
+        controller.send(answer)
+    return heard
+
+
+@pytest.mark.usefixtures("patient")
+async def test_a_line_that_echoes_is_found_out(controller: Controller) -> None:
+    for _ in range(2):
+        assert await heard_with_echo(controller, frame(ONE)) == frame(ONE_ANSWER)
+        assert await heard_with_echo(controller, LOOPBACK) == LOOPBACK
+
+
+@pytest.mark.usefixtures("patient")
+async def test_an_unknown_line_that_echoes_a_loopback_falls_silent(controller: Controller) -> None:
+    busy = frame(bytes([0x88, 6]))
+    assert await heard_with_echo(controller, LOOPBACK) == LOOPBACK * MAX_UNCLEAR_LOOPBACKS + busy
+    assert await heard_with_echo(controller, LOOPBACK) == LOOPBACK
+
+
+@pytest.mark.usefixtures("patient")
+async def test_a_line_that_no_longer_echoes_is_found_out(controller: Controller) -> None:
+    assert await heard_with_echo(controller, frame(ONE)) == frame(ONE_ANSWER)
+    assert await controller.is_answered()
+    assert await controller.is_answered()
+    assert await loopbacks_answered(controller, 50) == 50
+
+
+@pytest.mark.usefixtures("patient")
+async def test_a_damaged_echo_is_no_sign_of_a_line_without_echo(controller: Controller) -> None:
+    assert await heard_with_echo(controller, frame(ONE)) == frame(ONE_ANSWER)
+    assert await controller.is_answered()
+    controller.send(b"\x55" * 9)
+    assert await controller.hears_nothing()
+    assert await heard_with_echo(controller, LOOPBACK) == LOOPBACK
+
+
+@pytest.mark.usefixtures("patient")
+async def test_a_command_is_not_executed_again_for_its_echo(
+    pty: tuple[int, str], board: Board, component: Component
+) -> None:
+    asked = []
+    health = Health(component.clock)
+    health.self_check.ask = asked.append  # type: ignore[method-assign]
+    command = frame(bytes.fromhex("06 03e8 0001"))
+    async with serving(rtu_at(pty[1], board, component, health, allow_self_check=True)):
+        heard = await heard_with_echo(Controller(pty[0]), command)
+    assert heard == command + frame(bytes([0x86, 6]))
+    assert asked == ["modbus"]
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00", "08 0000", "11"])
+async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller, request_hex: str) -> None:
+    assert await heard_with_echo(controller, frame(ONE)) == frame(ONE_ANSWER)
+    controller.send(frame(bytes.fromhex(request_hex)))
+    answer = await controller.answer()
+    controller.send(answer)
+    assert await controller.hears_nothing()
+    assert await controller.is_answered()
+
+
 async def test_a_request_right_behind_another_units_answer_is_answered(controller: Controller) -> None:
     controller.send(frame(ONE, unit=9) + frame(ONE_ANSWER, unit=9) + frame(ONE))
     assert await controller.hear(9) == frame(ONE_ANSWER)
@@ -209,16 +303,6 @@ async def test_a_request_right_behind_another_units_answer_is_answered(controlle
 async def test_a_request_that_the_controller_gave_up_is_not_answered(controller: Controller) -> None:
     controller.send(frame(ONE) + frame(ONE, unit=9))
     assert await controller.hears_nothing()
-
-
-@pytest.mark.usefixtures("patient")
-@pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00", "08 0000 1234"])
-async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller, request_hex: str) -> None:
-    controller.send(frame(bytes.fromhex(request_hex)))
-    answer = await controller.answer()
-    controller.send(answer)
-    assert await controller.hears_nothing()
-    assert await controller.is_answered()
 
 
 async def test_a_missing_device_is_an_os_error(board: Board, component: Component) -> None:
