@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -26,6 +26,7 @@ from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import FloatArray, utc_text
 from altd.runtime.service_manager import state_folder
+from altd.runtime.threads import call_in_thread
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.proof import unit_number
@@ -196,7 +197,8 @@ class BaselineKeeper:
         made = clock.utc(clock.monotonic_ns()) or datetime.now(UTC)
         while True:
             try:
-                await asyncio.to_thread(self.file.save, means, made, Reason.SIMULATED in reasons)
+                save = partial(self.file.save, means, made, Reason.SIMULATED in reasons)
+                await call_in_thread(save, "baseline")
             except BadInputError as error:
                 self.component.set_state(State.FAILED, f"{error}; trying again")
                 await clock.sleep(_RETRY_S)

@@ -1,4 +1,4 @@
-"""Reads the file of the loaded calibration and the report next to it, in a separate thread."""
+"""Reads the file of the loaded calibration and the report next to it, in a thread for each read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from altd.calibration.report.write import HEAD_BYTES, checksum_in, page_path
 from altd.errors import BadInputError
 from altd.files.reading import read_file, read_head
 from altd.measuring.calibration import CalibrationFile
-from altd.runtime.threads import DeviceThread
+from altd.runtime.threads import SingleCall
 from altd.status.services import NoCalibrationFileError, NoReportError
 
 MAX_REPORT_BYTES = 1 << 26
@@ -29,7 +29,7 @@ class ReadCalibrationFiles:
         self._path = path
         self._page = page_path(path)
         self._loaded = loaded
-        self._thread: DeviceThread | None = None
+        self._reading = SingleCall("calibration files")
 
     async def calibration(self) -> bytes:
         """Return the file as it was loaded; raises NoCalibrationFileError."""
@@ -53,12 +53,6 @@ class ReadCalibrationFiles:
         self._check(page)
         return page
 
-    async def end(self) -> None:
-        """End the reading thread."""
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            await thread.end(lambda: None, READ_TIMEOUT_S)
-
     async def _of_page(self, read: Callable[[], bytes]) -> bytes:
         try:
             return await self._call(read)
@@ -77,6 +71,4 @@ class ReadCalibrationFiles:
             )
 
     async def _call(self, read: Callable[[], bytes]) -> bytes:
-        if self._thread is None:
-            self._thread = DeviceThread("calibration files")
-        return await self._thread.call(read, within_s=READ_TIMEOUT_S)
+        return await self._reading.call(read, READ_TIMEOUT_S)

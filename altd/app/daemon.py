@@ -177,10 +177,7 @@ class Daemon:
         failure; a failure of a publisher never does.
         """
         async with self.past.recorded():
-            try:
-                await self._run(reload)
-            finally:
-                await self._calibration_files.end()
+            await self._run(reload)
 
     async def _run(self, reload: asyncio.Event | None) -> None:
         cv2.setNumThreads(1)  # for small frames, more threads cost more time than they save

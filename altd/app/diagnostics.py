@@ -27,6 +27,7 @@ from altd.errors import BadInputError
 from altd.history.history import History
 from altd.local_socket import NoAnswerError, ask_content
 from altd.publish.http.diagnostics import Part, archive_name, archive_of, further_part, history_parts, part_of
+from altd.runtime.threads import SingleCall
 from altd.status.health import DiagnosticPart
 
 _PATH = "/api/v1/diagnostics"
@@ -68,7 +69,8 @@ def diagnose(place: Path | None) -> tuple[str, bytes, str]:
         said = str(error)
     why = "; ".join(filter(None, (why, said)))
     parts = [part_of("daemon.txt", "why the daemon made no archive", f"{why}\n".encode)]
-    parts += map(further_part, () if config is None else diagnostic_parts(config))
+    calls = SingleCall("diagnostics")
+    parts += [further_part(part, calls) for part in (() if config is None else diagnostic_parts(config))]
     past = History(history, serial=serial or None)
     return archive_name(serial, now), asyncio.run(_archive(parts, past, serial, now)), why
 

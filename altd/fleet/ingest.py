@@ -13,6 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import Future
 from typing import Any
 from urllib.parse import quote
 
@@ -92,7 +93,22 @@ class Ingest:
             self._client.tls_set_context(client_context(broker.ca, broker.certificate, broker.key))
 
     def run(self) -> None:
-        """Take messages until a signal ends the process."""
+        """Take messages until a signal ends the process, also while the broker or the database hangs.
+
+        A signal interrupts the main thread only where Python waits, not while a name is resolved.
+        """
+        failed: Future[None] = Future()
+
+        def work() -> None:
+            try:
+                self._run()
+            except BaseException as error:
+                failed.set_exception(error)
+
+        threading.Thread(target=work, name="ingest", daemon=True).start()
+        failed.result()
+
+    def _run(self) -> None:
         try:
             self._open_database()
         except _NOT_OF_CONTENT as error:  # it is retried with the first message
@@ -107,11 +123,8 @@ class Ingest:
             broker.host, broker.port_or_default, keepalive=10, clean_start=True, properties=properties
         )
         self._client.loop_start()
-        try:
-            while True:
-                self.take(self._next_messages())
-        finally:
-            self._client.loop_stop()
+        while True:
+            self.take(self._next_messages())
 
     def _on_connect(self, client: Client, userdata: Any, flags: Any, code: ReasonCode, _: Any) -> None:
         broker = self._settings.broker

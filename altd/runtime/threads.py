@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
@@ -25,6 +25,32 @@ def call_in_thread(call: Callable[[], Result], name: str) -> asyncio.Future[Resu
     result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
     threading.Thread(target=_settle, args=(result, call), name=name, daemon=True).start()
     return result
+
+
+class SingleCall:
+    """Makes one call at a time, each in a new thread: while one hangs, no second one begins."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._running: asyncio.Future[Any] | None = None
+
+    async def call(self, function: Callable[[], Result], within_s: float | None = None) -> Result:
+        """Return or raise the outcome of a call; TimeoutError if it or the one before takes too long.
+
+        A call that timed out or was cancelled continues.
+        """
+        async with asyncio.timeout(within_s):
+            while self._running is not None:
+                await asyncio.wait({self._running})
+            self._running = call_in_thread(function, self._name)
+            self._running.add_done_callback(self._returned)
+            return await asyncio.shield(self._running)
+
+    def _returned(self, result: asyncio.Future[Any]) -> None:
+        """Allow the next call; mark the exception as retrieved: the caller may have left."""
+        self._running = None
+        if not result.cancelled():
+            result.exception()
 
 
 class DeviceThread:
@@ -57,7 +83,7 @@ class DeviceThread:
         """Call ``last`` after the pending calls and end the thread; return whether it ended in time."""
         self._calls.put(last)
         self._calls.put(None)
-        await asyncio.shield(asyncio.to_thread(self._thread.join, within_s))
+        await asyncio.shield(call_in_thread(partial(self._thread.join, within_s), self._thread.name))
         return not self._thread.is_alive()
 
     def _came_back(self, result: asyncio.Future[Result]) -> None:

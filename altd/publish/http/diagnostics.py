@@ -28,6 +28,7 @@ from altd.publish.http.metrics import Metrics
 from altd.publish.http.past import Past, event_object
 from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
 from altd.publish.http.stream import time_of
+from altd.runtime.threads import SingleCall, call_in_thread
 from altd.status.board import Board
 from altd.status.health import DiagnosticPart, Health
 from altd.status.measurement_json import as_object_now
@@ -73,6 +74,7 @@ class Diagnostics:
         self._metrics = metrics
         self._guard = guard
         self._downloads = downloads
+        self._further = SingleCall("diagnostics")
 
     async def archive(self, request: Request) -> Response:
         """Return the zip archive."""
@@ -100,7 +102,7 @@ class Diagnostics:
         yield part_of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
         yield part_of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
         yield from history_parts(self._past.history, now)
-        yield from map(further_part, self._health.diagnostics)
+        yield from (further_part(part, self._further) for part in self._health.diagnostics)
 
     def _measurement(self) -> bytes:
         measurement = self._board.read()
@@ -133,7 +135,7 @@ async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes
             cut = f" (its first {MAX_PART_BYTES} bytes)" if len(content) > MAX_PART_BYTES else ""
             said.append(f"{part.name}: {part.meaning}{cut}")
     files = {_README: _readme(one_line(serial), now, said, missing), **files}
-    return await asyncio.to_thread(_zipped, files, now)
+    return await call_in_thread(partial(_zipped, files, now), "diagnostics archive")
 
 
 def archive_name(serial: str, now: datetime) -> str:
@@ -159,9 +161,9 @@ def history_parts(history: History, now: datetime) -> Iterator[Part]:
     )
 
 
-def further_part(part: DiagnosticPart) -> Part:
-    """Return a part that is made in a thread."""
-    return Part(part.name, part.meaning, partial(asyncio.to_thread, part.make))
+def further_part(part: DiagnosticPart, calls: SingleCall) -> Part:
+    """Return a part that is made in the thread of ``calls``."""
+    return Part(part.name, part.meaning, partial(calls.call, part.make))
 
 
 def part_of(name: str, meaning: str, make: Callable[[], bytes]) -> Part:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from starlette.requests import HTTPConnection
@@ -14,6 +14,7 @@ from starlette.responses import Response
 from altd.ports import Clock
 from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, MAX_SESSION_S, Sessions, host_of
 from altd.publish.http.errors import Refused, refusal
+from altd.runtime.threads import SingleCall
 from altd.status.event_log import EventKind, EventLog
 from altd.tcp_port import Buckets, address_of, group_of, is_loopback
 
@@ -66,7 +67,8 @@ class Guard:
         self._unfamiliar_attempts = Buckets(ALL_ATTEMPTS, clock)
         self._familiar = OrderedDict[str, None]()
         """Addresses that have logged in, in the order of their last login."""
-        self._verifying = asyncio.Lock()
+        self._verifying = SingleCall("password")
+        """One at a time: each takes 16 MB and a core."""
 
     @property
     def has_credentials(self) -> bool:
@@ -126,10 +128,8 @@ class Guard:
             raise Refused(refusal(409, "logging in is not possible: [http] credentials is not set"))
         self._check_attempts(request)
         self._count_attempt(request)
-        async with self._verifying:  # one at a time: each takes 16 MB and a core
-            credentials = self._credentials()
-            fits = await asyncio.to_thread(credentials.is_password, name, password)
-        if not fits:
+        credentials = self._credentials()
+        if not await self._verifying.call(partial(credentials.is_password, name, password)):
             if name in credentials.names:
                 self._note(request, "a wrong password", "login_refused", name)
             else:  # the name is not noted: some people type their password there

@@ -23,6 +23,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from altd.config import MqttSettings
 from altd.errors import one_line
+from altd.runtime.threads import SingleCall
 
 KEEP_ALIVE_S = 10
 """Keep-alive time. A broker that receives nothing for 1.5 times as long publishes the will."""
@@ -106,6 +107,8 @@ class Broker(aiomqtt.Client):
             logger=_log,
         )
         self._will = will
+        self.connecting = SingleCall("mqtt connect")
+        """Makes the calls that resolve the broker's name and connect, which may hang."""
         self._is_left = False
         self.has_sent_connect = False
         """Whether CONNECT was sent to a server, whatever followed."""
@@ -119,11 +122,12 @@ class Broker(aiomqtt.Client):
         lost = self._disconnected
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT_S):
+                await self.connecting.call(self._connect)
                 await super().__aenter__()
         except TimeoutError as error:
             self._close()
             raise BrokerError(f"no answer within {CONNECT_TIMEOUT_S:g} s") from error
-        except aiomqtt.MqttError as error:
+        except (OSError, aiomqtt.MqttError) as error:
             self._close()
             raise BrokerError(_why_refused(error)) from error
         except BaseException:
@@ -211,11 +215,14 @@ class Broker(aiomqtt.Client):
                 state.set_exception(error)
                 return
 
-    def _client_connect(self) -> None:
+    def _connect(self) -> None:
         """Connect, in a thread; after that only the event loop uses the socket."""
         super()._client_connect()
         self.has_sent_connect = True
         self._loop.call_soon_threadsafe(self._watch)
+
+    def _client_connect(self) -> None:
+        """Do nothing: aiomqtt would connect in asyncio's pool, where calls that hang stop all others."""
 
     def _watch(self) -> None:
         sock = self._client.socket()
@@ -304,15 +311,14 @@ class Broker(aiomqtt.Client):
         self._loop.call_soon_threadsafe(self._fail, BrokerError(text))
 
 
-def _why_refused(error: aiomqtt.MqttError) -> str:
-    """Reason for the failed connection. aiomqtt keeps the socket's error as the context of its own."""
+def _why_refused(error: OSError | aiomqtt.MqttError) -> str:
+    """Reason for the failed connection."""
     if isinstance(error, MqttConnectError):
         return f"the broker refuses the unit: {error.rc}; see user name, password and certificate"
-    origin = error.__context__
-    if isinstance(origin, ssl.SSLCertVerificationError):
-        return f"the broker's certificate is refused: {origin.verify_message}"
-    if isinstance(origin, ssl.SSLError):
-        return f"no TLS with the broker: {(origin.reason or str(origin)).replace('_', ' ').lower()}"
-    if isinstance(origin, OSError):
-        return origin.strerror or str(origin)
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"the broker's certificate is refused: {error.verify_message}"
+    if isinstance(error, ssl.SSLError):
+        return f"no TLS with the broker: {(error.reason or str(error)).replace('_', ' ').lower()}"
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
     return f"no answer of an MQTT 5 broker: {error}"

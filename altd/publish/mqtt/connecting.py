@@ -14,6 +14,7 @@ from altd.credentials.certificates import client_context
 from altd.credentials.file import load_login
 from altd.errors import BadInputError, unwrap_group
 from altd.publish.mqtt.broker import Broker, BrokerError, Login
+from altd.runtime.threads import SingleCall
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 
@@ -52,6 +53,7 @@ class BrokerPublisher(ABC, Generic[Connection]):
         self._identifier = f"altd_{board.identity.unit or 0:08x}"
         self._unsent = board.cursor()
         self._tries = 0
+        self._connecting = SingleCall("mqtt connect")
         self._secrets()
 
     @abstractmethod
@@ -83,7 +85,9 @@ class BrokerPublisher(ABC, Generic[Connection]):
             login, tls = self._secrets()
         except BadInputError as error:  # a file was changed since the start
             raise BrokerError(str(error)) from error
-        async with self._connection(login, tls) as broker:
+        connection = self._connection(login, tls)
+        connection.connecting = self._connecting  # a try that hangs is not joined by a second one
+        async with connection as broker:
             try:
                 async with asyncio.TaskGroup() as tasks:
                     tasks.create_task(broker.lost(), name="mqtt connection")

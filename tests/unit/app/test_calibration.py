@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,10 +51,8 @@ def content(path: Path) -> bytes:
 
 
 @pytest.fixture
-async def files(path: Path) -> AsyncIterator[ReadCalibrationFiles]:
-    made = ReadCalibrationFiles(path, load_calibration(path).file)
-    yield made
-    await made.end()
+def files(path: Path) -> ReadCalibrationFiles:
+    return ReadCalibrationFiles(path, load_calibration(path).file)
 
 
 def checksum_of(path: Path) -> str:
@@ -126,7 +123,6 @@ async def test_a_calibration_that_was_not_read_from_a_file_has_none(path: Path) 
     with pytest.raises(NoCalibrationFileError):
         await files.calibration()
     assert "another calibration" in await why_no_report(files)
-    await files.end()
 
 
 async def test_a_disk_that_does_not_answer_is_given_up(

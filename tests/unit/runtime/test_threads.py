@@ -12,7 +12,7 @@ from functools import partial
 
 import pytest
 
-from altd.runtime.threads import DeviceThread, call_in_thread, real_time_interpreter
+from altd.runtime.threads import DeviceThread, SingleCall, call_in_thread, real_time_interpreter
 
 LONG_S = 60.0  # only a hang takes that long
 
@@ -39,9 +39,10 @@ class Hand:
 
 
 @pytest.mark.parametrize("end", ["returns", "raises", "times out", "is cancelled"])
-@pytest.mark.parametrize("by", ["device", "call"])
+@pytest.mark.parametrize("by", ["device", "call", "single"])
 async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(by: str, end: str) -> None:
     thread, gate, watched = DeviceThread("device"), Gate(), weakref.WeakSet[Hand]()
+    single = SingleCall("worker")
     if end in ("returns", "raises"):
         gate.may_end.set()
 
@@ -60,6 +61,8 @@ async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(b
         with contextlib.suppress(LookupError, TimeoutError):
             if by == "device":
                 await thread.call(work, hand, within_s=within_s)
+            elif by == "single":
+                await single.call(partial(work, hand), within_s)
             else:
                 async with asyncio.timeout(within_s):
                     await call_in_thread(partial(work, hand), "worker")
@@ -154,6 +157,26 @@ async def test_a_call_that_takes_too_long_times_out_and_so_does_the_next_until_i
     gate.may_end.set()
     assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
     assert await thread.end(lambda: None, LONG_S)
+
+
+async def test_while_a_single_call_hangs_no_second_one_begins() -> None:
+    calls, gate, made = SingleCall("single"), Gate(), []
+
+    def make() -> str:
+        made.append(threading.current_thread().name)
+        return gate()
+
+    for _ in range(3):
+        with pytest.raises(TimeoutError):
+            await calls.call(make, 0.05)
+    assert made == ["single"]
+    waiting = [asyncio.create_task(calls.call(make, LONG_S)) for _ in range(2)]
+    gate.may_end.set()
+    assert await asyncio.gather(*waiting) == ["through"] * 2
+    with pytest.raises(ZeroDivisionError):
+        await calls.call(raise_it)
+    assert await calls.call(lambda: "next") == "next"
+    assert len(made) == 3
 
 
 async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(

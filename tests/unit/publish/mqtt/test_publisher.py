@@ -7,6 +7,7 @@ import gc
 import json
 import logging
 import socket
+import threading
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -96,6 +97,30 @@ async def test_it_leaves_the_will_to_a_broker_that_does_not_take_offline(
             await broker.until("summary")
             broker.answer = lambda number: b""
         assert await broker.ends.get() == PUBLISH
+
+
+async def test_a_name_that_is_not_resolved_holds_one_thread_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Asyncio's pool has few threads; other parts use it, and the end of the process waits for them."""
+    may_end, lookups = threading.Event(), list[str]()
+
+    def hang(host: str, *_: object, **__: object) -> list[object]:
+        lookups.append(f"{host} in {threading.current_thread().name}")
+        may_end.wait(60)
+        raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+    monkeypatch.setattr(socket, "getaddrinfo", hang)
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.05)
+    unit = PublishingUnit.made(1, host="broker.example")
+    async with unit.running():
+        for _ in range(3):
+            await unit.until(State.FAILED, "no answer within 0.05 s")
+            unit.component.set_state(State.STARTING)
+        assert lookups == ["broker.example in mqtt connect"]
+        may_end.set()
+        await unit.until(State.FAILED, "Temporary failure in name resolution")
+        assert len(lookups) > 1
 
 
 async def test_every_measurement_is_sent_once_and_then_that_it_is_stale() -> None:
