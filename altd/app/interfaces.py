@@ -80,12 +80,14 @@ class Interfaces:
     installation: Installation
     tasks: asyncio.TaskGroup
     _running: dict[str, _Interface] = field(default_factory=dict)
+    _http: HttpSettings | None = None
 
     async def start(self, config: Config) -> None:
         """Start all interfaces; raises BadInputError for an unusable file or address.
 
         Every interface tries to start before the first frame, so that a mistake in the config is found first.
         """
+        self._http = config.http
         self._running = await self._made(interfaces_of(config))
         await self._begin(self._running)
 
@@ -94,7 +96,8 @@ class Interfaces:
 
         Raises BadInputError for an unusable file or address; all interfaces are then as before.
         """
-        wanted, running = interfaces_of(config), self._running
+        wanted, running, http = interfaces_of(config), self._running, self._http
+        self._http = config.http
         kept = {place: each for place, each in running.items() if wanted.get(place) == each.settings}
         old = {place: each for place, each in running.items() if place not in kept}
         try:
@@ -108,6 +111,9 @@ class Interfaces:
                 await self._begin(old, is_new=False)
                 raise
             self._running = kept | new
+        except BaseException:
+            self._http = http
+            raise
         finally:
             for place in (old.keys() | wanted.keys()) - self._running.keys():
                 self.health.remove(place)
@@ -185,7 +191,8 @@ class Interfaces:
             if settings.sparkplug is None:
                 from altd.publish.mqtt.publisher import MqttPublisher
 
-                return MqttPublisher(settings, board, health, component, spread, past.outbox)
+                about = board, health, component, spread, past.outbox
+                return MqttPublisher(settings, *about, lambda: self._http)
             from altd.publish.mqtt.edge_node import EdgeNodePublisher
 
             return EdgeNodePublisher(settings, board, health, component, spread)

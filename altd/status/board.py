@@ -35,7 +35,8 @@ class Board:
         """Quantities of its measurements; known before the first one."""
         self.stale_after_s = stale_after_s
         self._complete = complete
-        self._rehearsal = rehearsal
+        self.is_rehearsal = rehearsal
+        """Whether numbers that are not live are valid."""
         self.identity = identity
         """Identity of the unit and session of these measurements."""
         self.messages: dict[str, int] = {}
@@ -66,7 +67,7 @@ class Board:
 
     def _as_live(self, measurement: Measurement) -> Measurement:
         """Return the measurement with its numbers if it is live or in rehearsal; else without them."""
-        if self._rehearsal:
+        if self.is_rehearsal:
             return replace(measurement, status=(*measurement.status, _REHEARSAL))
         why = [str(fault.reason) for fault in measurement.status if fault.reason in NOT_FROM_CAMERAS]
         if not why:

@@ -11,14 +11,14 @@ from pydantic import BaseModel
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S
 from altd.publish.mqtt.connecting import MAX_JITTER_S
+from altd.publish.mqtt.home_assistant import EXPIRE_AFTER_S, STATE_EXPIRE_AFTER_S, discovery_topic
 from altd.publish.mqtt.messages import Birth, Topics, summary_model, summary_of
 from altd.publish.mqtt.outbox import BATCH_EXPIRY_S
 from altd.publish.mqtt.publisher import (
-    EXPIRE_AFTER_S,
+    DISCOVERY_EXPIRY_S,
     NUMBERS_EXPIRY_S,
     REFRESH_INTERVAL_S,
     RETAINED_EXPIRY_S,
-    discovery_topic,
 )
 from altd.runtime.supervision import MAX_BACKOFF_S, MIN_BACKOFF_S
 from altd.status.measurement_json import with_proof
@@ -165,9 +165,26 @@ private networks: see [Install](install.md).
 
     home_assistant = "homeassistant"
 
-in `[mqtt]` announces the unit as a device. Its sensors are the means of the summary, the share of valid
-measurements, the reasons and the state. A number is unavailable {EXPIRE_AFTER_S} s after the last summary.
-To remove the device, remove the key and send an empty retained message:
+in `[mqtt]` announces the unit as a device of Home Assistant 2024.11 or later:
+
+| entity | value |
+|---|---|
+| one for each quantity | mean of the summary |
+| the same with `sigma` | uncertainty (1 sigma) of one measurement |
+| `valid` | on: every measurement of the last second was valid |
+| `live` | on: the numbers come from the unit's own cameras, measured now |
+| `share of valid measurements`, `age`, `reasons` | `valid_share`, `age_s` and `status` of the summary |
+| `state` | NE 107 signal |
+
+An entity is unavailable {EXPIRE_AFTER_S} s after the last summary, the state {STATE_EXPIRE_AFTER_S} s after
+the last state. In automations use a number only while `valid` and `live` are on. In rehearsal Home Assistant
+shows the numbers but keeps no statistics of them. "Visit device" opens the unit's page, if `[http]` serves
+other computers. Entities of another kind of unit with the same serial number are removed, except those of the
+places of a row.
+
+The announcement expires in the broker {DISCOVERY_EXPIRY_S // 3600} h after the unit has sent it last, also
+when the unit changes to `[mqtt.sparkplug]`. To remove the device at once, remove the key and send an empty
+retained message:
 
     mosquitto_pub -h broker.plant.example -r -n -t {discovery_topic("homeassistant", identifier)}
 """)

@@ -166,6 +166,11 @@ class Broker(aiomqtt.Client):
         async with self._acknowledged():
             await self.publish(topic, payload, 1, retain, properties)
 
+    @property
+    def own_address(self) -> str:
+        """The unit's IP address on this connection; empty: there is none."""
+        return "" if self._watched is None else str(self._watched.getsockname()[0])
+
     async def subscribe_to(
         self, topic: str, take: Callable[[bytes, bool], None], with_retained: bool = False
     ) -> None:

@@ -9,29 +9,23 @@ import asyncio
 import json
 import random
 import ssl
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import aiomqtt
 
-from altd.config import MqttSettings
+from altd.config import HttpSettings, MqttSettings
 from altd.history.outbox import Outbox
 from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
+from altd.publish.mqtt.home_assistant import discovery_of, discovery_topic, page_url
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics, birth_of, state_of, summary_of
 from altd.publish.mqtt.outbox import OutboxSender
-from altd.reasons import Signal
-from altd.records import Measurement, Quantities
+from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Stamps
-
-EXPIRE_AFTER_S = 5
-"""Time without the summary of each second until Home Assistant shows a number as unavailable."""
-
-MAX_STATE_CHARACTERS = 255
-"""Maximum length of a state in Home Assistant."""
 
 NUMBERS_EXPIRY_S = 2
 """Time after which a broker drops a summary or a measurement that it could not deliver."""
@@ -41,11 +35,16 @@ REFRESH_INTERVAL_S = 10.0
 """Interval at which ``online`` and the state are repeated, or else expire: a broker may lose the will
 in a crash, or send that of an older connection after the ``online`` of this one."""
 
+DISCOVERY_EXPIRY_S = 3600
+DISCOVERY_INTERVAL_S = 600.0
+"""Interval at which the discovery message is repeated, or else expires: that of a unit that is no device of
+Home Assistant any more must not stay with the broker."""
+
 
 class MqttPublisher(BrokerPublisher[Broker]):
     """Publishes summaries or measurements, state and identity as JSON, each on its own topic."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  the parts of a unit
         self,
         settings: MqttSettings,
         board: Board,
@@ -53,8 +52,11 @@ class MqttPublisher(BrokerPublisher[Broker]):
         component: Component,
         chance: random.Random,
         outbox: Outbox | None = None,
+        http: Callable[[], HttpSettings | None] = lambda: None,
     ) -> None:
+        """``http`` returns the present settings of the unit's page; None: it has none."""
         super().__init__(settings, board, health, component, chance)
+        self._http = http
         self._topics = Topics.of(settings.topic, self._serial)
         self._stamps = Stamps(board, component.name)
         self._sender: OutboxSender | None = None
@@ -69,7 +71,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
         self._since_summary: list[Measurement] = []
         self._sent: Measurement | None = None
         self._sent_state: object = None
-        self._refresh_ns = 0
+        self._refresh_ns = self._discovery_ns = 0
 
     def _connection(self, login: Login, tls: ssl.SSLContext | None) -> Broker:
         will = aiomqtt.Will(self._topics.availability, OFFLINE, qos=1, retain=True)
@@ -94,17 +96,30 @@ class MqttPublisher(BrokerPublisher[Broker]):
 
     async def _announce(self, broker: Broker) -> None:
         """Send the identity; ``online`` is last, so that a client that receives it has everything else."""
-        topics, version = self._topics, self._health.facts.get("version", "")
         birth = self._with_proof(birth_of(self._board, self._health, self._clock))
-        await broker.send(topics.birth, birth, expiry_s=None, retain=True)
-        if (prefix := self._settings.home_assistant) is not None:
-            device = discovery_of(self._board.quantities, topics, self._identifier, self._serial, version)
-            config = discovery_topic(prefix, self._identifier)
-            await broker.send(config, json.dumps(device), expiry_s=None, retain=True)
+        await broker.send(self._topics.birth, birth, expiry_s=None, retain=True)
         self._sent = None
+        self._discovery_ns = 0
         await self._refresh(broker)
 
+    async def _send_discovery(self, broker: Broker, prefix: str) -> None:
+        self._discovery_ns = self._clock.monotonic_ns() + round(DISCOVERY_INTERVAL_S * 1e9)
+        device = discovery_of(
+            self._board.quantities,
+            self._topics,
+            self._identifier,
+            self._serial,
+            self._health.facts.get("version", ""),
+            page=page_url(self._http(), broker.own_address),
+            is_rehearsal=self._board.is_rehearsal,
+        )
+        config = discovery_topic(prefix, self._identifier)
+        await broker.send(config, json.dumps(device), expiry_s=DISCOVERY_EXPIRY_S, retain=True)
+
     async def _refresh(self, broker: Broker) -> None:
+        prefix = self._settings.home_assistant
+        if prefix is not None and self._clock.monotonic_ns() >= self._discovery_ns:
+            await self._send_discovery(broker, prefix)
         self._refresh_ns = self._clock.monotonic_ns() + round(REFRESH_INTERVAL_S * 1e9)
         self._sent_state = None
         await self._send_state(broker)
@@ -144,66 +159,3 @@ class MqttPublisher(BrokerPublisher[Broker]):
         self._sent_state = state
         line = self._with_proof(state_of(report, self._clock))
         await broker.send(self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)
-
-
-def discovery_topic(prefix: str, identifier: str) -> str:
-    """Topic on which Home Assistant expects the discovery message of a device."""
-    return f"{prefix}/device/{identifier}/config"
-
-
-def discovery_of(
-    quantities: Quantities, topics: Topics, identifier: str, serial: str, version: str
-) -> dict[str, Any]:
-    """Return the device-based discovery message, retained at ``discovery_topic``.
-
-    Its sensors read summary and state.
-    """
-    components = {
-        quantity.key: _sensor(quantity.label)
-        | {
-            "value_template": f"{{{{ value_json.{quantity.key}.mean }}}}",
-            **({"unit_of_measurement": quantity.unit} if quantity.unit else {}),
-            "state_class": "measurement",
-            "suggested_display_precision": quantity.decimals - 1,
-            "expire_after": EXPIRE_AFTER_S,
-        }
-        for quantity in quantities.shown
-    }
-    components["valid_share"] = _sensor("valid") | {
-        "value_template": "{{ 100 * value_json.valid_share if value_json.valid_share is number else None }}",
-        "unit_of_measurement": "%",
-        "state_class": "measurement",
-        "expire_after": EXPIRE_AFTER_S,
-    }
-    components["status"] = _sensor("reasons") | {
-        "value_template": f"{{{{ (value_json.status | join(', ') or 'none')[:{MAX_STATE_CHARACTERS}] }}}}",
-        "expire_after": EXPIRE_AFTER_S,
-    }
-    components["state"] = _sensor("state") | {
-        "state_topic": topics.state,
-        "value_template": "{{ value_json.signal }}",
-        "device_class": "enum",
-        "options": [str(signal) for signal in Signal],
-    }
-    for key, component in components.items():
-        component["unique_id"] = f"{identifier}_{key}"
-    return {
-        "dev": {
-            "ids": [identifier],
-            "name": f"Laser target {serial}",
-            "mdl": "Active Laser Target",
-            "sn": serial,
-            "sw": version,
-        },
-        "o": {"name": "altd", "sw": version},
-        "cmps": components,
-        "state_topic": topics.summary,
-        "availability_topic": topics.availability,
-        "payload_available": ONLINE,
-        "payload_not_available": OFFLINE,
-        "qos": 1,
-    }
-
-
-def _sensor(name: str) -> dict[str, Any]:
-    return {"p": "sensor", "name": name}

@@ -14,8 +14,8 @@ from support.measurements import measurement_of_row
 from altd.files.documents import line_of
 from altd.history.records import StoredMeasurement
 from altd.publish.http.metrics import Metrics
+from altd.publish.mqtt.home_assistant import discovery_of
 from altd.publish.mqtt.messages import Topics, summary_of
-from altd.publish.mqtt.publisher import discovery_of
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board

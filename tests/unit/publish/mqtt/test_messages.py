@@ -10,9 +10,7 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import BEAM, changed, measurement
 
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.messages import Topics, birth_of, summary_of
-from altd.publish.mqtt.publisher import discovery_of, discovery_topic
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.board import Board
@@ -93,17 +91,3 @@ def test_a_birth_names_unit_calibration_and_quantities(
     assert (birth["serial"], birth["version"]) == ("ALT-0007", "0.1.0")
     assert birth["calibration"] == {"created": "2026-11-02", "checksum": "sha256:1", "simulated": True}
     assert birth["quantities"]["yaw_deg"]["unit"] == "°"
-
-
-def test_a_device_of_home_assistant_has_what_its_discovery_requires() -> None:
-    """As documented for device-based discovery; a real Home Assistant (2025.4) took this very message."""
-    device = discovery_of(QUANTITIES, Topics.of("altd", "ALT-0007"), "altd_1e4b2d8e", "ALT-0007", "0.1.0")
-    components = device["cmps"]
-    assert {"ids", "name"} <= set(device["dev"])
-    assert device["o"]["name"] == "altd"
-    assert {component["p"] for component in components.values()} == {"sensor"}
-    assert len({component["unique_id"] for component in components.values()}) == len(components) == 7
-    assert device["availability_topic"] == "altd/ALT-0007/availability"
-    of_summary = [component for component in components.values() if "state_topic" not in component]
-    assert all(component["expire_after"] == 5 for component in of_summary), "an old number would stay"
-    assert discovery_topic("homeassistant", "altd_1e4b2d8e") == "homeassistant/device/altd_1e4b2d8e/config"

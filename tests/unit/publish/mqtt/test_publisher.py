@@ -70,7 +70,7 @@ async def test_who_it_is_comes_first_and_online_when_all_the_rest_is_there() -> 
     ]
     assert [message.qos for message in first] == [1] * 5
     assert [message.retain for message in first] == [True] * 4 + [False], "no number is retained"
-    assert [message.expiry_s for message in first] == [None, None, 30, 30, 2]
+    assert [message.expiry_s for message in first] == [None, 3600, 30, 30, 2]
     assert crc_holds(first[0].payload)
     assert crc_holds(first[2].payload)
     assert [json.loads(first[n].payload)["message"] for n in (0, 2, 4)] == [1, 2, 3]
