@@ -65,6 +65,8 @@ class ChosenBroker:
     ends: asyncio.Queue[int] = field(default_factory=asyncio.Queue)
     """The last packet of each connection that has ended, by its type."""
     answers_pings: bool = True
+    wills: list[tuple[int, bool]] = field(default_factory=list)
+    """QoS and retain of the will of each connection."""
     _writer: asyncio.StreamWriter | None = None
 
     async def __aenter__(self) -> Self:
@@ -93,6 +95,7 @@ class ChosenBroker:
                 kind, flags, body = await packet_of(reader)
                 if kind == CONNECT:
                     self._writer = writer
+                    self.wills.append((body[7] >> 3 & 3, bool(body[7] & 0x20)))
                     writer.write(self.greeting)
                 elif kind == PUBLISH:
                     number, message = published(flags, body)

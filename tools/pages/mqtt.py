@@ -12,6 +12,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S
 from altd.publish.mqtt.connecting import MAX_JITTER_S
 from altd.publish.mqtt.home_assistant import EXPIRE_AFTER_S, STATE_EXPIRE_AFTER_S, discovery_topic
+from altd.publish.mqtt.limits import NO_RETAIN, ONLY_QOS_0
 from altd.publish.mqtt.messages import Birth, Topics, summary_model, summary_of
 from altd.publish.mqtt.outbox import BATCH_EXPIRY_S
 from altd.publish.mqtt.publisher import (
@@ -140,6 +141,13 @@ Without a broker the unit queues nothing but the outbox. It retries after {MIN_B
 {MAX_BACKOFF_S:g} s, with up to {MAX_JITTER_S:g} s at random. `altd status` gives the cause, and the unit
 requires maintenance (`face_failed`). A message that is not acknowledged for {ACK_TIMEOUT_S:g} s ends the
 connection.
+
+| the unit says | cause, and what the unit does |
+|---|---|
+| {NO_RETAIN} | it publishes all messages unretained: a late client waits up to {refresh} for the state |
+| {ONLY_QOS_0} | it publishes with QoS 0, and waits for the answer to a ping instead |
+| only 1000 bytes in a message; not sent: … | they are too long; the others are sent. Allow 64 kB |
+| another client uses this identifier | each throws the other off the broker: their serial numbers are equal |
 
 ## TLS and login
 

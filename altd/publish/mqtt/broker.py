@@ -14,7 +14,6 @@ from types import TracebackType
 from typing import Any, Self
 
 import aiomqtt
-from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.client import Client as PahoClient
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -23,6 +22,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from altd.config import MqttSettings
 from altd.errors import one_line
+from altd.publish.mqtt.limits import NO_MQTT, BrokerError, Limits, why_ended, why_not_taken, why_refused
 from altd.runtime.threads import SingleCall
 
 KEEP_ALIVE_S = 10
@@ -45,7 +45,7 @@ MAX_PACKET_BYTES = 4096
 """Maximum size of a packet to the unit; the broker drops larger ones (Maximum Packet Size of MQTT 5)."""
 
 MAX_UNACKNOWLEDGED = 8
-"""Maximum number of unacknowledged messages to the unit (Receive Maximum of MQTT 5)."""
+"""Maximum number of unacknowledged messages to the unit (Receive Maximum of MQTT 5), and from it."""
 
 _TCP_INFO_BYTES = 136
 _BYTES_RECEIVED = struct.Struct("=128xQ")
@@ -57,15 +57,6 @@ Login = tuple[str, str] | None
 _log = logging.getLogger("altd.mqtt")
 _log.disabled = True
 """Disabled: aiomqtt and paho log what a broker sends, line by line; errors contain the relevant part."""
-
-
-_NO_MQTT = "the broker sent data that is not MQTT"
-_LOST = {130: _NO_MQTT, 141: "the broker is silent"}
-"""Error text for a lost connection, by its reason code of MQTT 5."""
-
-
-class BrokerError(OSError):
-    """The connection could not be made, or was lost; the message gives the reason."""
 
 
 class Broker(aiomqtt.Client):
@@ -84,7 +75,9 @@ class Broker(aiomqtt.Client):
         will: aiomqtt.Will,
         login: Login = None,
         tls: ssl.SSLContext | None = None,
+        limits: Limits | None = None,
     ) -> None:
+        """``limits`` receives what the broker accepts."""
         user, password = login or (None, None)
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.MaximumPacketSize = MAX_PACKET_BYTES
@@ -109,6 +102,10 @@ class Broker(aiomqtt.Client):
         self._will = will
         self.connecting = SingleCall("mqtt connect")
         """Makes the calls that resolve the broker's name and connect, which may hang."""
+        self.limits = limits or Limits()
+        self._free = asyncio.Semaphore(MAX_UNACKNOWLEDGED)
+        self._answered = asyncio.Event()
+        self._pinging = asyncio.Lock()
         self._is_left = False
         self.has_sent_connect = False
         """Whether CONNECT was sent to a server, whatever followed."""
@@ -129,7 +126,7 @@ class Broker(aiomqtt.Client):
             raise BrokerError(f"no answer within {CONNECT_TIMEOUT_S:g} s") from error
         except (OSError, aiomqtt.MqttError) as error:
             self._close()
-            raise BrokerError(_why_refused(error)) from error
+            raise BrokerError(why_refused(error)) from error
         except BaseException:
             self._close()  # the connecting thread cannot be stopped: _watch closes its socket
             raise
@@ -152,19 +149,36 @@ class Broker(aiomqtt.Client):
 
     async def _leave(self) -> None:
         will = self._will
-        await self.publish(will.topic, will.payload, will.qos, will.retain)
+        qos, retain = min(will.qos, self.limits.max_qos), will.retain and self.limits.has_retain
+        await self.publish(will.topic, will.payload, qos, retain)
         await super().__aexit__(None, None, None)
 
     async def send(self, topic: str, payload: str, *, expiry_s: int | None, retain: bool = False) -> None:
         """Publish with QoS 1 and wait for the acknowledgement; raises BrokerError.
 
-        The broker discards a message that it has stored for ``expiry_s``; None: never.
+        The broker discards a message that it has stored for ``expiry_s``; None: never. A broker without QoS 1
+        acknowledges a ping instead. Raises MessageTooLongError for a message above the broker's limit.
         """
+        qos, encoded = self.limits.max_qos, payload.encode()
         properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
         if expiry_s is not None:
             properties.MessageExpiryInterval = expiry_s
-        async with self._acknowledged():
-            await self.publish(topic, payload, 1, retain, properties)
+        self.limits.check(topic, encoded, qos, properties)
+        async with self._free, self._acknowledged():
+            await self.publish(topic, encoded, qos, retain and self.limits.has_retain, properties)
+            if not qos:
+                await self._ping()
+
+    async def _ping(self) -> None:
+        """Ping the broker and wait: it reads in order, so its answer confirms everything sent before.
+
+        Without this, a broker that stops reading would receive old numbers when it continues: QoS 0 has no
+        acknowledgement.
+        """
+        async with self._pinging:
+            self._answered.clear()
+            self._client._send_pingreq()  # noqa: SLF001  paho sends no ping on request
+            await self._answered.wait()
 
     @property
     def own_address(self) -> str:
@@ -268,8 +282,10 @@ class Broker(aiomqtt.Client):
         except BrokerError as error:
             self._stop_reading(sock, error)
         except Exception as error:  # paho raises many exception types for malformed packets
-            text = one_line(f"{_NO_MQTT} ({type(error).__name__}: {error})")
+            text = one_line(f"{NO_MQTT} ({type(error).__name__}: {error})")
             self._stop_reading(sock, BrokerError(text))
+        if not self._client._ping_t:  # noqa: SLF001  zero: every ping was answered
+            self._answered.set()
 
     def _stop_reading(self, sock: socket.socket, error: BrokerError) -> None:
         if sock.fileno() >= 0:
@@ -283,6 +299,18 @@ class Broker(aiomqtt.Client):
         if received > MAX_RECEIVED_BYTES + MAX_RECEIVED_BYTES_PER_MESSAGE * self._sent:
             raise BrokerError("the broker sends more than acknowledgements")
 
+    def _on_connect(
+        self,
+        client: PahoClient,
+        userdata: Any,
+        flags: Any,
+        reason_code: ReasonCode,
+        properties: Properties | None = None,
+    ) -> None:
+        self.limits.take(reason_code, properties)
+        self._free = asyncio.Semaphore(getattr(properties, "ReceiveMaximum", MAX_UNACKNOWLEDGED))
+        super()._on_connect(client, userdata, flags, reason_code, properties)
+
     def _on_message(self, client: PahoClient, userdata: Any, message: Any) -> None:
         if message.topic == self._topic:
             self._take(message.payload, message.retain)
@@ -295,7 +323,7 @@ class Broker(aiomqtt.Client):
         self, client: PahoClient, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties
     ) -> None:
         if reason_code.is_failure:
-            self._fail(BrokerError(f"the broker refuses a message: {reason_code}"))
+            self._fail(BrokerError(why_not_taken(reason_code)))
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
     def _on_disconnect(
@@ -306,24 +334,10 @@ class Broker(aiomqtt.Client):
         reason_code: ReasonCode,
         properties: Properties | None = None,
     ) -> None:
-        if flags.is_disconnect_packet_from_server:
-            text = f"the broker ended the connection: {reason_code}"
-        elif reason_code.is_failure:
-            text = _LOST.get(reason_code.value, "the broker closed the connection")
-        else:  # ended by the unit
+        is_by_server = flags.is_disconnect_packet_from_server
+        if not (is_by_server or reason_code.is_failure):  # ended by the unit
             super()._on_disconnect(client, userdata, flags, reason_code, properties)
             return
+        was_connected = self._connected.done() and self._connected.exception() is None
+        text = why_ended(reason_code, is_by_server=is_by_server, was_connected=was_connected)
         self._loop.call_soon_threadsafe(self._fail, BrokerError(text))
-
-
-def _why_refused(error: OSError | aiomqtt.MqttError) -> str:
-    """Reason for the failed connection."""
-    if isinstance(error, MqttConnectError):
-        return f"the broker refuses the unit: {error.rc}; see user name, password and certificate"
-    if isinstance(error, ssl.SSLCertVerificationError):
-        return f"the broker's certificate is refused: {error.verify_message}"
-    if isinstance(error, ssl.SSLError):
-        return f"no TLS with the broker: {(error.reason or str(error)).replace('_', ' ').lower()}"
-    if isinstance(error, OSError):
-        return error.strerror or str(error)
-    return f"no answer of an MQTT 5 broker: {error}"

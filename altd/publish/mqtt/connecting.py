@@ -13,7 +13,8 @@ from altd.config import MqttSettings
 from altd.credentials.certificates import client_context
 from altd.credentials.file import load_login
 from altd.errors import BadInputError, unwrap_group
-from altd.publish.mqtt.broker import Broker, BrokerError, Login
+from altd.publish.mqtt.broker import Broker, Login
+from altd.publish.mqtt.limits import BrokerError, Limits
 from altd.runtime.threads import SingleCall
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
@@ -54,6 +55,9 @@ class BrokerPublisher(ABC, Generic[Connection]):
         self._unsent = board.cursor()
         self._tries = 0
         self._connecting = SingleCall("mqtt connect")
+        self._limits = Limits()
+        self._too_long: dict[str, int] = {}
+        """Size of the first message that was not sent, by its topic, bytes."""
         self._secrets()
 
     @abstractmethod
@@ -92,15 +96,25 @@ class BrokerPublisher(ABC, Generic[Connection]):
                 async with asyncio.TaskGroup() as tasks:
                     tasks.create_task(broker.lost(), name="mqtt connection")
                     tasks.create_task(self._listen(broker), name="mqtt beside")
+                    self._too_long.clear()
                     await self._announce(broker)
                     ready()
-                    self._component.set_state(State.OK, "connected" if tls else "connected, without TLS")
+                    self._report()
                     await self._publish(broker)
             except BaseExceptionGroup as group:
                 lost = unwrap_group(group, BrokerError)
                 if lost is None:
                     raise
                 raise lost from None
+
+    def _report(self) -> None:
+        """Set the state of the component, with what the broker cannot do."""
+        how = "connected, without TLS" if self._settings.ca is None else "connected"
+        text = "; ".join([how, *self._limits.sentences])
+        if self._too_long:
+            self._component.set_state(State.DEGRADED, self._limits.not_sent(self._too_long))
+        else:
+            self._component.set_state(State.OK, text)
 
     def _secrets(self) -> tuple[Login, ssl.SSLContext | None]:
         settings = self._settings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-import socket
 import ssl
 from collections.abc import Sequence
 from urllib.parse import quote
@@ -14,6 +13,7 @@ import aiomqtt
 from altd.config import MqttSettings
 from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
+from altd.publish.mqtt.limits import Limits
 from altd.publish.mqtt.messages import birth_of
 from altd.publish.mqtt.sparkplug import (
     NAMESPACE,
@@ -45,14 +45,15 @@ class EdgeNodeSession(Broker):
         will: aiomqtt.Will,
         login: Login = None,
         tls: ssl.SSLContext | None = None,
+        limits: Limits | None = None,
     ) -> None:
-        super().__init__(settings, identifier, will, login, tls)
-        self._answered = asyncio.Event()
+        super().__init__(settings, identifier, will, login, tls, limits)
         self._is_born = False
 
     async def send_data(self, topic: str, payload: bytes) -> None:
         """Publish with QoS 0, and wait until the broker has read it; raises BrokerError."""
         self._is_born = True
+        self.limits.check(topic, payload, 0)
         async with self._acknowledged():
             await self.publish(topic, payload)
             await self._ping()
@@ -61,21 +62,6 @@ class EdgeNodeSession(Broker):
         """Wait for the broker's answer to a ping; raises BrokerError."""
         async with self._acknowledged():
             await self._ping()
-
-    async def _ping(self) -> None:
-        """Ping the broker and wait: it reads in order, so its answer confirms everything sent before.
-
-        Without this, a broker that stops reading would receive old numbers when it continues: QoS 0 has no
-        acknowledgement.
-        """
-        self._answered.clear()
-        self._client._send_pingreq()  # noqa: SLF001  paho sends no ping on request
-        await self._answered.wait()
-
-    def _read(self, sock: socket.socket) -> None:
-        super()._read(sock)
-        if not self._client._ping_t:  # noqa: SLF001  zero: every ping was answered
-            self._answered.set()
 
     async def _leave(self) -> None:
         """Send NDEATH after a birth, and no DISCONNECT, so that the broker sends the will in any case."""
@@ -122,7 +108,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         now_ms = self._now_ms()
         payload = payload_of([self._bd_seq_metric(now_ms)], now_ms, None, is_birth=True)
         will = aiomqtt.Will(self._topic("NDEATH"), payload, qos=1, retain=False)
-        self._session = EdgeNodeSession(self._settings, self._identifier, will, login, tls)
+        self._session = EdgeNodeSession(self._settings, self._identifier, will, login, tls, self._limits)
         return self._session
 
     def _bd_seq_metric(self, now_ms: int) -> Metric:

@@ -10,7 +10,8 @@ from pydantic import ValidationError
 from altd.history.history import NoHistoryError
 from altd.history.outbox import Outbox
 from altd.history.records import OutboxMark, QueuedSecond
-from altd.publish.mqtt.broker import Broker, BrokerError
+from altd.publish.mqtt.broker import Broker
+from altd.publish.mqtt.limits import BrokerError, MessageTooLongError
 from altd.status.health import Component, State, duration
 from altd.status.outbox import MAX_NUMBERS, SCHEMA, Acknowledgement, Second
 from altd.status.proof import is_sealed
@@ -56,6 +57,7 @@ class OutboxSender:
         self._highest = 0
         self._heard_ns = self._resend_ns = self._clock.monotonic_ns()
         self._resend_s = RESEND_AFTER_S
+        self._max_rows = _MAX_ROWS
         component.set_state(State.OK, self._waiting)
 
     def take_acknowledgement(self, payload: bytes, is_retained: bool) -> None:
@@ -91,6 +93,7 @@ class OutboxSender:
                 self._component.set_state(State.DEGRADED, str(error))
                 await self._clock.sleep(RESEND_AFTER_S)
         self._sent = self._acknowledged  # unknown whether messages in flight have arrived
+        self._max_rows = _MAX_ROWS
         while True:
             is_more = await self._send_next(broker)
             await self._clock.sleep(CATCH_UP_INTERVAL_S if is_more else LIVE_INTERVAL_S)
@@ -110,7 +113,8 @@ class OutboxSender:
                 return False
             if mark.stream != self._stream:
                 return True
-            rows = rows[: max(MAX_NUMBERS // (len(Second._fields) + 4 * len(quantities)), 1)]
+            most = MAX_NUMBERS // (len(Second._fields) + 4 * len(quantities))
+            rows = rows[: max(min(most, self._max_rows), 1)]
             last = rows[-1].sequence if len(rows) else mark.complete
             document = {
                 "schema": SCHEMA,
@@ -127,8 +131,16 @@ class OutboxSender:
             }
             if self._sent == self._acknowledged:
                 self._wait_for_answer()
+            before = self._sent, self._highest
             self._sent, self._highest = max(self._sent, last), max(self._highest, last)
-            await broker.send(self._topic, self._with_proof(document), expiry_s=BATCH_EXPIRY_S)
+            try:
+                await broker.send(self._topic, self._with_proof(document), expiry_s=BATCH_EXPIRY_S)
+            except MessageTooLongError as error:
+                self._sent, self._highest = before
+                self._max_rows = max(len(rows) // 2, 1)
+                if len(rows) <= 1:
+                    self._component.set_state(State.DEGRADED, str(error))
+                return len(rows) > 1
             self._component.count("batches_sent")
         self._report(mark)
         return mark.complete > self._sent and self._sent - self._acknowledged < MAX_UNACKNOWLEDGED_S

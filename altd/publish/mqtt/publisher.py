@@ -19,6 +19,7 @@ from altd.history.outbox import Outbox
 from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.connecting import BrokerPublisher
 from altd.publish.mqtt.home_assistant import discovery_of, discovery_topic, page_url
+from altd.publish.mqtt.limits import MessageTooLongError
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics, birth_of, state_of, summary_of
 from altd.publish.mqtt.outbox import OutboxSender
 from altd.records import Measurement
@@ -74,8 +75,10 @@ class MqttPublisher(BrokerPublisher[Broker]):
         self._refresh_ns = self._discovery_ns = 0
 
     def _connection(self, login: Login, tls: ssl.SSLContext | None) -> Broker:
-        will = aiomqtt.Will(self._topics.availability, OFFLINE, qos=1, retain=True)
-        return Broker(self._settings, self._identifier, will, login, tls)
+        limits = self._limits
+        topic = self._topics.availability
+        will = aiomqtt.Will(topic, OFFLINE, qos=limits.max_qos, retain=limits.has_retain)
+        return Broker(self._settings, self._identifier, will, login, tls, limits)
 
     def _with_proof(self, document: Mapping[str, Any]) -> str:
         return with_proof(document, self._board, self._stamps.next())
@@ -97,7 +100,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
     async def _announce(self, broker: Broker) -> None:
         """Send the identity; ``online`` is last, so that a client that receives it has everything else."""
         birth = self._with_proof(birth_of(self._board, self._health, self._clock))
-        await broker.send(self._topics.birth, birth, expiry_s=None, retain=True)
+        await self._send(broker, self._topics.birth, birth, expiry_s=None, retain=True)
         self._sent = None
         self._discovery_ns = 0
         await self._refresh(broker)
@@ -114,7 +117,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             is_rehearsal=self._board.is_rehearsal,
         )
         config = discovery_topic(prefix, self._identifier)
-        await broker.send(config, json.dumps(device), expiry_s=DISCOVERY_EXPIRY_S, retain=True)
+        await self._send(broker, config, json.dumps(device), expiry_s=DISCOVERY_EXPIRY_S, retain=True)
 
     async def _refresh(self, broker: Broker) -> None:
         prefix = self._settings.home_assistant
@@ -123,7 +126,21 @@ class MqttPublisher(BrokerPublisher[Broker]):
         self._refresh_ns = self._clock.monotonic_ns() + round(REFRESH_INTERVAL_S * 1e9)
         self._sent_state = None
         await self._send_state(broker)
-        await broker.send(self._topics.availability, ONLINE, expiry_s=RETAINED_EXPIRY_S, retain=True)
+        await self._send(broker, self._topics.availability, ONLINE, expiry_s=RETAINED_EXPIRY_S, retain=True)
+
+    async def _send(
+        self, broker: Broker, topic: str, line: str, *, expiry_s: int | None, retain: bool = False
+    ) -> bool:
+        """Return whether a message was sent; one that is too long for the broker is reported instead."""
+        try:
+            await broker.send(topic, line, expiry_s=expiry_s, retain=retain)
+        except MessageTooLongError as error:
+            self._component.count("messages_too_long")
+            if topic not in self._too_long:
+                self._too_long[topic] = error.size
+                self._report()
+            return False
+        return True
 
     async def _each_second(self, broker: Broker) -> None:
         """Send the state before the numbers, so that it is never better than they are."""
@@ -136,8 +153,8 @@ class MqttPublisher(BrokerPublisher[Broker]):
         summary = summary_of(self._since_summary, self._board, self._clock)
         self._since_summary.clear()
         line = self._with_proof(summary)
-        await broker.send(self._topics.summary, line, expiry_s=NUMBERS_EXPIRY_S)
-        self._has_sent()
+        if await self._send(broker, self._topics.summary, line, expiry_s=NUMBERS_EXPIRY_S):
+            self._has_sent()
 
     async def _send_measurement(self, broker: Broker) -> None:
         measurement = self._board.read()
@@ -145,8 +162,8 @@ class MqttPublisher(BrokerPublisher[Broker]):
             return
         self._sent = measurement
         line = checked_line(self._board, measurement, self._stamps.next())
-        await broker.send(self._topics.measurement, line, expiry_s=NUMBERS_EXPIRY_S)
-        self._has_sent()
+        if await self._send(broker, self._topics.measurement, line, expiry_s=NUMBERS_EXPIRY_S):
+            self._has_sent()
 
     async def _send_state(self, broker: Broker) -> None:
         """Send the state if it differs from the one sent last."""
@@ -158,4 +175,4 @@ class MqttPublisher(BrokerPublisher[Broker]):
             return
         self._sent_state = state
         line = self._with_proof(state_of(report, self._clock))
-        await broker.send(self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)
+        await self._send(broker, self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)

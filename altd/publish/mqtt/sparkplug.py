@@ -19,7 +19,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 
 from altd.ports import Clock
-from altd.publish.mqtt.broker import BrokerError
+from altd.publish.mqtt.limits import BrokerError
 from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board

@@ -9,7 +9,7 @@ from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 from support.mqtt import PublishingUnit
 
-from altd.publish.mqtt.broker import BrokerError
+from altd.publish.mqtt.limits import BrokerError
 
 NAME = "mqtt"
 CONNECTED = bytes.fromhex("20 03 00 00 00")

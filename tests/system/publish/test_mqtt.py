@@ -233,6 +233,36 @@ async def test_a_wrong_password_and_a_forbidden_topic_are_said_in_a_sentence(
         await unit.until(State.FAILED, "the broker refuses a message: Not authorized")
 
 
+@pytest.mark.parametrize(
+    ("line", "state", "sentence"),
+    [
+        ("retain_available false", State.OK, "connected, without TLS; the broker keeps no retained messages"),
+        ("max_qos 0", State.OK, "connected, without TLS; the broker supports only QoS 0"),
+        ("max_packet_size 1000", State.DEGRADED, "the broker accepts only 1000 bytes in a message; not sent"),
+    ],
+)
+async def test_a_broker_that_can_do_less_gets_no_more(
+    tmp_path: Path, line: str, state: State, sentence: str
+) -> None:
+    with mosquitto(tmp_path, OPEN, line) as (port, _):
+        unit = PublishingUnit.made(port)
+        async with subscribed(port) as client, unit.running():
+            unit.measure(1)
+            await unit.until(state, sentence)
+            for _ in range(20):
+                checked((await client.next("/summary"))[3], "Summary")
+            assert unit.component.counters.get("failures", 0) <= 1
+
+
+async def test_two_units_with_one_serial_number_name_each_other(tmp_path: Path) -> None:
+    """mosquitto 2.0.11 closes the connection without a reason."""
+    with mosquitto(tmp_path, OPEN) as (port, _):
+        one, other = PublishingUnit.made(port), PublishingUnit.made(port)
+        async with one.running(), other.running():
+            for unit in (one, other):
+                await unit.until(State.FAILED, "another client uses this identifier")
+
+
 def certified(folder: Path, name: str, *more: str, by: str = "") -> None:
     """A key, and a certificate that ``by`` signs; without it, one that signs itself."""
     line = [need_program("openssl"), "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256"]

@@ -18,7 +18,7 @@ from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample
 from altd.history.history import History
 from altd.history.outbox import Outbox
 from altd.history.store import Store
-from altd.publish.mqtt.broker import BrokerError
+from altd.publish.mqtt.limits import BrokerError, MessageTooLongError
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S, OutboxSender
 from altd.status.health import Component, State
 from altd.status.outbox import Batch, acknowledgement_of
@@ -31,6 +31,7 @@ class Taking:
 
     batches: list[Batch] = field(default_factory=list)
     refuses: bool = False
+    most_bytes: int = 1 << 20
     acknowledge: Callable[[bytes, bool], None] = lambda payload, is_retained: None
 
     async def subscribe_to(self, topic: str, take: Callable[[bytes, bool], None], **_: Any) -> None:
@@ -42,6 +43,8 @@ class Taking:
     async def send(self, topic: str, payload: str, **_: Any) -> None:
         assert topic == "outbox"
         assert is_sealed(payload.encode())
+        if len(payload) > self.most_bytes:
+            raise MessageTooLongError("too long", len(payload))
         self.batches.append(Batch.model_validate_json(payload))
 
 
@@ -154,6 +157,20 @@ async def test_no_more_than_a_window_waits_for_the_ingest(sending: Sending) -> N
         assert sending.broker.batches[-1].last == last
         sending.acknowledge(last)
         await sending.sent(MAX_UNACKNOWLEDGED_S + 1500)
+
+
+async def test_a_broker_that_accepts_only_short_messages_gets_short_batches(sending: Sending) -> None:
+    sending.write(100)
+    sending.broker.most_bytes = 3000
+    async with sending.running():
+        await sending.sent(100)
+        assert [row.sequence for each in sending.broker.batches for row in each.rows] == list(range(1, 101))
+        sending.acknowledge(100)
+        sending.write(100)
+        sending.broker.most_bytes = 100
+        await sending.until(lambda: sending.component.state is State.DEGRADED)
+        assert sending.component.message == "too long"
+    assert sending.broker.batches[-1].last == 100
 
 
 async def test_what_is_not_acknowledged_comes_again_and_less_and_less_often(sending: Sending) -> None:

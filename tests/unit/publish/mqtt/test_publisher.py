@@ -186,7 +186,10 @@ async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
         (bytes.fromhex("20 02 00 01"), "the broker refuses the unit: Unsupported protocol version"),
         (b"HTTP/1.1 400 Bad Request\r\n" + bytes(100), "the broker sent data that is not MQTT"),
         (CONNECTED + PUBLISH_TO_UNIT, "the unit has no subscription"),
-        (CONNECTED + bytes.fromhex("e0 02 8e 00"), "the broker ended the connection: Session taken over"),
+        (bytes.fromhex("20 03 00 95 00"), "the broker accepts only shorter messages"),
+        (CONNECTED + bytes.fromhex("e0 02 8e 00"), "another client uses this identifier; check the serial"),
+        (CONNECTED + bytes.fromhex("e0 02 95 00"), "the broker accepts only shorter messages"),
+        (CONNECTED + bytes.fromhex("e0 02 8b 00"), "the broker ended the connection: Server shutting down"),
         (CONNECTED + b"\x30\xff\xff\xff\x7f" + bytes(300_000), "the broker sends more than acknowledgements"),
         (CONNECTED + bytes.fromhex("3408 000161 0001 00 7879") * 10_000, "more than acknowledgements"),
         (CONNECTED + bytes.fromhex("3605 0001 61 00 78"), "the broker sent data that is not MQTT"),
@@ -203,6 +206,87 @@ async def test_what_a_broker_may_not_send_ends_the_connection_with_a_sentence(
             await unit.until(State.FAILED, sentence)
             broker.greeting = CONNECTED
             await unit.until(State.OK)
+
+
+def greeting_with(properties: str) -> bytes:
+    packed = bytes.fromhex(properties)
+    return bytes([0x20, len(packed) + 3, 0, 0, len(packed)]) + packed
+
+
+@pytest.mark.parametrize(
+    ("refusal", "properties", "sentence", "qos", "retain"),
+    [
+        ("20 03 00 9a 00", "25 00", "the broker keeps no retained messages", 1, False),
+        ("20 03 00 9b 00", "24 00", "the broker supports only QoS 0", 0, True),
+    ],
+)
+async def test_what_a_broker_cannot_do_is_named_and_not_asked_of_it(
+    refusal: str, properties: str, sentence: str, qos: int, retain: bool
+) -> None:
+    """It refuses the will of the first connection, as it must (MQTT 5, 3.2.2.3.4 and 3.2.2.3.5)."""
+    async with ChosenBroker(bytes.fromhex(refusal)) as broker:
+        unit = PublishingUnit.made(broker.port, home_assistant="homeassistant")
+        async with unit.running():
+            failed = await unit.until(State.FAILED, sentence)
+            broker.greeting = greeting_with(properties)
+            assert await unit.until(State.OK) == f"connected, without TLS; {sentence}"
+            sent = [await broker.until("") for _ in range(6)]
+        last = await broker.until("availability")
+        while not broker.published.empty():
+            last = broker.published.get_nowait()
+    assert "password" not in failed
+    assert (broker.wills[0], broker.wills[-1]) == ((1, True), (qos, retain))
+    assert {each.qos for each in sent} == {qos}
+    assert any(each.retain for each in sent) is retain
+    assert (last.payload, last.qos, last.retain) == ("offline", qos, retain)
+
+
+async def test_a_broker_of_qos_0_that_stops_reading_gets_no_second_message() -> None:
+    async with ChosenBroker(greeting_with("24 00"), answers_pings=False) as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            assert (await broker.until("birth")).qos == 0
+            for _ in range(10):
+                await settle()
+            assert broker.published.empty()
+
+
+async def test_a_message_that_is_too_long_for_the_broker_is_named_and_not_sent() -> None:
+    async with ChosenBroker(greeting_with("27 000003e8")) as broker:
+        unit = PublishingUnit.made(broker.port, home_assistant="homeassistant")
+        async with unit.running():
+            await broker.until("summary")
+            said = await unit.until(State.DEGRADED)
+            assert said.startswith(
+                "the broker accepts only 1000 bytes in a message; not sent: altd/ALT-0007/birth (1"
+            )
+            assert "homeassistant/device/altd_1e4b2d8e/config" in said
+            assert unit.component.counters["messages_too_long"] == 2
+            assert broker.begins.qsize() == 1
+            broker.greeting = greeting_with("27 00010000")
+            broker.tell(bytes.fromhex("e0 02 8b 00"))
+            assert await unit.until(State.OK) == "connected, without TLS"
+
+
+async def test_no_more_messages_wait_for_acknowledgement_than_the_broker_accepts() -> None:
+    """Receive Maximum 1, and two tasks that send."""
+    async with ChosenBroker(greeting_with("21 0001")) as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            await unit.until(State.OK)
+            session = unit.publisher._connection(None, None)  # noqa: SLF001
+        async with session:
+            broker.answer = lambda number: b""
+            while not broker.published.empty():
+                broker.published.get_nowait()
+            sending = [asyncio.create_task(session.send(name, "1", expiry_s=None)) for name in "ab"]
+            assert (await broker.until("a")).data == b"1"
+            for _ in range(10):
+                await settle()
+            assert broker.published.empty()
+            for each in sending:
+                each.cancel()
+            await asyncio.gather(*sending, return_exceptions=True)
 
 
 async def test_a_message_that_the_broker_refuses_is_a_failure_though_it_is_acknowledged() -> None:
