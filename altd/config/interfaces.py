@@ -152,12 +152,15 @@ def _broker(host: str) -> str:
 BrokerHost = Annotated[str, AfterValidator(_broker)]
 
 
-_TOPIC = re.compile(r"[A-Za-z0-9_.:-]+(/[A-Za-z0-9_.:-]+)*", re.ASCII)
+_TOPIC = re.compile(r"[^+#/]+(/[^+#/]+)*")
+"""Levels of a topic without wildcards (MQTT 5, 4.7)."""
 
 
 def _topic(text: str) -> str:
-    if not _TOPIC.fullmatch(text):
-        possible = "possible: letters, digits and _ . : -, and / between levels"
+    if not _TOPIC.fullmatch(text) or not text.isprintable() or text.startswith("$"):
+        possible = (
+            "possible: letters, digits and other characters except + and #, / between levels, no $ first"
+        )
         raise complaint(((), f"{shown(text)} is not a topic prefix; {possible}"))
     return text
 
@@ -166,8 +169,10 @@ Topic = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_topi
 
 
 def _sparkplug_identifier(text: str) -> str:
-    if not _TOPIC.fullmatch(text) or "/" in text:
-        raise complaint(((), f"{shown(text)} is not an identifier; possible: letters, digits and _ . : -"))
+    """Check an identifier (Sparkplug 3.0, 4.1.2)."""
+    if not _TOPIC.fullmatch(text) or not text.isprintable() or "/" in text:
+        possible = "possible: letters, digits and other characters except + / #"
+        raise complaint(((), f"{shown(text)} is not an identifier; {possible}"))
     return text
 
 

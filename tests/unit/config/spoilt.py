@@ -106,6 +106,7 @@ port = «0                            # 0 is too small; possible: whole number f
 topic = «"plant/#"                   # is not a topic prefix; possible: letters
 topic = «"/plant"                    # is not a topic prefix
 topic = «"$SYS"                      # is not a topic prefix
+topic = «"plant/+/altd"              # is not a topic prefix
 home_assistant = «true               # true is not text
 home_assistant = «"homeassistant"; sparkplug = {group = "line-4"} # does not go with [mqtt.sparkplug]
 every_measurement = «"each"          # "each" is neither true nor false
@@ -113,6 +114,8 @@ every_measurement = «"each"          # "each" is neither true nor false
 «hsot = "broker.plant.example"; -host # no such key;
 «sparkplug = {}; -home_assistant     # .group: is missing
 sparkplug = {group = «"plant/4"}; -home_assistant # .group: is not an identifier; possible: letters, digits
+sparkplug = {group = «"#"}; -home_assistant # .group: is not an identifier; possible: letters, digits
+sparkplug = {group = «"a\u0007"}; -home_assistant # .group: is not an identifier; possible: letters, digits
 sparkplug = {group = "4", node = «"+"}; -home_assistant # .node: is not an identifier
 certificate; -ca                     # is set without ca; possible: both
 certificate; -key                    # is set without key; possible: both

@@ -66,6 +66,15 @@ async def settled(broker: ChosenBroker, condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.001)
 
 
+@pytest.mark.parametrize("group", ["plant 1", "Werk Süd (4)", "$line"])
+async def test_a_group_has_any_characters_but_the_reserved_ones(group: str) -> None:
+    """Sparkplug 3.0, 4.1.2: all of UTF-8 except + / #."""
+    async with ChosenBroker() as broker:
+        unit = PublishingUnit.made(broker.port, sparkplug={"group": group})
+        async with unit.running():
+            assert (await broker.until("ALT-0007")).topic == f"spBv1.0/{group}/NBIRTH/ALT-0007"
+
+
 LIVE, PLAYED = measurement(), measurement(160, 0, Reason.PLAYBACK)
 
 
