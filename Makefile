@@ -209,7 +209,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium curl debootstrap lintian ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients '/usr/lib/postgresql/*/bin/initdb=postgresql' socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium curl debootstrap lintian ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients nginx=nginx-light '/usr/lib/postgresql/*/bin/initdb=postgresql' socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@.ci/npm node-opcua-client@2.186.0 sparkplug-payload@1.0.3
 	header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \

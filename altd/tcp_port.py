@@ -47,10 +47,12 @@ _NO_LISTENER = frozenset({errno.EBADF, errno.EINVAL, errno.ENOTSOCK})
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Open the listening socket; raises OSError that names the cause, if known, and a remedy."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    """Open the listening socket; raises OSError that names the cause, if known, and a remedy.
+
+    ``::`` serves IPv4 too.
+    """
     try:
-        listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
+        listener = _server(host, port)
     except OSError as error:
         number = error.errno or errno.EADDRNOTAVAIL
         sentence = os.strerror(number) if number > 0 else f"no such address: {error.strerror}"
@@ -59,10 +61,20 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
+def _server(host: str, port: int, *, reuse_port: bool = False) -> socket.socket:
+    return socket.create_server(
+        (host, port),
+        family=socket.AF_INET6 if ":" in host else socket.AF_INET,
+        backlog=BACKLOG,
+        reuse_port=reuse_port,
+        dualstack_ipv6=host == "::" and socket.has_dualstack_ipv6(),
+    )
+
+
 _SO_ATTACH_REUSEPORT_CBPF = 51
 _FROM_NETWORK_HEADER = 0xFFF00000
 """``SKF_NET_OFF`` of linux/filter.h: an offset counts from the header of the network's protocol."""
-_LOAD_WORD, _AND, _SKIP_UNLESS_EQUAL, _RETURN = 0x20, 0x54, 0x15, 0x06
+_LOAD_WORD, _LOAD_BYTE, _AND, _SKIP_UNLESS_EQUAL, _RETURN = 0x20, 0x30, 0x54, 0x15, 0x06
 _INSTRUCTION = struct.Struct("HBBI")
 """``struct sock_filter`` of linux/filter.h: code, instructions to skip if true, if false, operand."""
 
@@ -74,23 +86,20 @@ def listen_with_reserved(host: str, port: int, reserved: Iterable[str]) -> list[
     Raises OSError as ``listen`` does.
     """
     listener = listen(host, port)
-    program = b"".join(_matches(map(ipaddress.ip_network, reserved), listener.family))
+    versions = {4, 6} if host == "::" else {6 if ":" in host else 4}
+    networks = map(ipaddress.ip_network, reserved)
+    program = b"".join(_matches(network for network in networks if network.version in versions))
     if not program:
         return [listener]
     # Sockets that share a port would share it with another daemon of this user too. `listen` does not share:
     # it has just shown that the port is free.
-    family, port = listener.family, listener.getsockname()[1]
+    port = listener.getsockname()[1]
     listener.close()
     program += _INSTRUCTION.pack(_RETURN, 0, 0, 0)
     memory = ctypes.create_string_buffer(program, len(program))
     fprog = struct.pack("HP", len(program) // _INSTRUCTION.size, ctypes.addressof(memory))
     with contextlib.ExitStack() as opened:
-        listeners = [
-            opened.enter_context(
-                socket.create_server((host, port), family=family, backlog=BACKLOG, reuse_port=True)
-            )
-            for _ in range(2)
-        ]
+        listeners = [opened.enter_context(_server(host, port, reuse_port=True)) for _ in range(2)]
         listeners[0].setsockopt(socket.SOL_SOCKET, _SO_ATTACH_REUSEPORT_CBPF, fprog)
         for one in listeners:
             one.setblocking(False)
@@ -98,18 +107,20 @@ def listen_with_reserved(host: str, port: int, reserved: Iterable[str]) -> list[
     return listeners
 
 
-def _matches(
-    networks: Iterable[ipaddress.IPv4Network | ipaddress.IPv6Network], family: int
-) -> Iterator[bytes]:
-    """Yield a filter program for each network of the family: it returns 1, the second socket, on a match."""
-    version, source_offset = (4, 12) if family == socket.AF_INET else (6, 8)
+def _matches(networks: Iterable[ipaddress.IPv4Network | ipaddress.IPv6Network]) -> Iterator[bytes]:
+    """Yield a filter program for each network: it returns 1, the second socket, on a match.
+
+    The first four bits of a packet are its IP version.
+    """
     for network in networks:
-        if network.version != version:
-            continue
+        source_offset = 12 if network.version == 4 else 8
         length = network.max_prefixlen // 8
         words = struct.Struct(f">{length // 4}I")
         wanted = words.unpack(network.network_address.packed)
         masks = words.unpack(network.netmask.packed)
+        yield _INSTRUCTION.pack(_LOAD_BYTE, 0, 0, _FROM_NETWORK_HEADER)
+        yield _INSTRUCTION.pack(_AND, 0, 0, 0xF0)
+        yield _INSTRUCTION.pack(_SKIP_UNLESS_EQUAL, 0, 3 * len(masks) + 1, network.version << 4)
         for n, (word, mask) in enumerate(zip(wanted, masks, strict=True)):
             to_next_network = 3 * (len(masks) - n - 1) + 1
             yield _INSTRUCTION.pack(_LOAD_WORD, 0, 0, _FROM_NETWORK_HEADER + source_offset + 4 * n)

@@ -16,11 +16,12 @@ def is_unassignable(address: ipaddress.IPv4Address) -> bool:
 def overlap(one: str, other: str) -> bool:
     """Whether two listeners on these hosts cannot have the same port.
 
-    0.0.0.0 is every IPv4 address and :: every IPv6 address, each without the other kind, as altd opens its
-    sockets.
+    0.0.0.0 is every IPv4 address, :: every address, as altd opens its sockets.
     """
     hosts = ("127.0.0.1" if host == "localhost" else host for host in (one, other))
     first, second = map(ipaddress.ip_address, hosts)
+    if "::" in (one, other):
+        return True
     if first.version != second.version:
         return False
     return first == second or first.is_unspecified or second.is_unspecified

@@ -18,7 +18,7 @@ def _address(host: str) -> str:
     if host == "localhost":
         return host
     possible = (
-        "possible: an IP address of the unit, localhost, 0.0.0.0 for every address, :: for every IPv6 one"
+        "possible: an IP address of the unit, localhost, 0.0.0.0 for every IPv4 address, :: for IPv6 too"
     )
     try:
         address = ipaddress.ip_address(host)
@@ -75,7 +75,7 @@ class ModbusTcpSettings(Table):
     """Modbus TCP server."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """IP address to listen on, or localhost; `0.0.0.0`: every address, `::`: every IPv6 one."""
+    """IP address to listen on, or localhost; `0.0.0.0`: every IPv4 one, `::`: every one."""
     port: TcpPort | None = None
     """TCP port; default 502, with `certificate` 802. The service may use ports from 502 up (`install.md`)."""
     unit_id: UnitId = 1

@@ -21,7 +21,7 @@ from altd.publish.http.metrics import CONTENT_TYPE, Metrics
 from altd.publish.http.models import Login
 from altd.publish.http.past import Past
 from altd.publish.http.pictures import Viewers
-from altd.publish.http.recordings import Downloads, Recordings
+from altd.publish.http.recordings import Downloads, Recordings, head_of
 from altd.publish.http.stream import EventStream, Resuming, Streams
 from altd.reasons import Reason
 from altd.records import Quantities, Quantity
@@ -179,13 +179,13 @@ class Answers:
     async def stream(self, request: Request) -> Response:
         """Stream measurements as they are published."""
         if request.method == "HEAD":
-            return Response(media_type=EventStream.media_type)
+            return head_of(EventStream.media_type, EventStream.own_headers)
         return EventStream(self.streams)
 
     async def resumed_stream(self, request: Request) -> Response:
         """Stream measurements with ids, by which a client resumes the stream."""
         if request.method == "HEAD":
-            return Response(media_type=EventStream.media_type)
+            return head_of(EventStream.media_type, EventStream.own_headers)
         last_id = request.headers.get("Last-Event-ID")
         return EventStream(self.streams, Resuming(None if last_id is None else self.past.since(last_id)))
 

@@ -26,7 +26,7 @@ from altd.history.schema import MINUTES
 from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import Metrics
 from altd.publish.http.past import Past, event_object
-from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
+from altd.publish.http.recordings import Download, Downloads, head_of, saved_as, sent_whole
 from altd.publish.http.stream import time_of
 from altd.runtime.threads import SingleCall, call_in_thread
 from altd.status.board import Board
@@ -80,7 +80,7 @@ class Diagnostics:
         """Return the zip archive."""
         self._guard.check_may_look(request)
         if request.method == "HEAD":
-            return Response(media_type=ZIP)
+            return head_of(ZIP)
 
         async def made() -> Response:
             now = self._past.now() or _NO_TIME

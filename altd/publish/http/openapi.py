@@ -170,8 +170,8 @@ def _lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield f'<title>{title}: API</title>\n<link rel="icon" href="data:,">'
     yield f"<style>\n{_STYLE}\n</style>\n</head>\n<body>\n<h1>{title}: API</h1>"
     yield f"<p>{escape(about['description'])} altd {version}."
-    yield 'For programs: <a href="/api/v1/openapi.json">openapi.json</a> (OpenAPI 3.1).'
-    yield '<a href="/">The unit\'s page</a>.</p>'
+    yield 'For programs: <a href="openapi.json">openapi.json</a> (OpenAPI 3.1).'
+    yield '<a href="../../">The unit\'s page</a>.</p>'
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             if method != "head":  # GET includes it
@@ -183,7 +183,7 @@ def _lines(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _operation(path: str, method: str, operation: Mapping[str, Any]) -> Iterator[str]:
-    link = f'<a href="{escape(path)}">{escape(path)}</a>' if method == "get" else escape(path)
+    link = f'<a href="../..{escape(path)}">{escape(path)}</a>' if method == "get" else escape(path)
     yield f'<h2 id="{escape(operation["operationId"])}"><span class="method">{method.upper()}</span>'
     yield f"<code>{link}</code></h2>\n<p>{escape(operation['summary'])}.</p>"
     rows = [

@@ -92,6 +92,7 @@ class _Gate:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse a request, or forward it to the application."""
         self._component.count("requests")
+        scope = _in_origin_form(scope)
         if (wait_s := self._wait_s(scope)) > 0:
             self._component.count("requests_limited")
             answer: ASGIApp = too_many("too many requests", wait_s)
@@ -122,6 +123,21 @@ class _Gate:
         if address is None or is_loopback(address):
             return 0.0
         return self._requests.take(group_of(address))
+
+
+def _in_origin_form(scope: Scope) -> Scope:
+    """Return a request whose target is a whole URL as one with a path (RFC 9112, 3.2.2).
+
+    The URL replaces ``Host``.
+    """
+    scheme, is_url, rest = scope["raw_path"].partition(b"://")
+    if not is_url or scheme.lower() != scope["scheme"].encode():
+        return scope
+    host, _, path = rest.partition(b"/")
+    others = [(name, value) for name, value in scope["headers"] if name != b"host"]
+    path = b"/" + path
+    about = {"raw_path": path, "path": path.decode("latin-1"), "headers": [(b"host", host), *others]}
+    return {**scope, **about}
 
 
 def _malformed(scope: Scope) -> Response | None:

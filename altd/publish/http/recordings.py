@@ -64,6 +64,13 @@ def sent_whole(content: bytes, media_type: str, headers: Mapping[str, str]) -> R
     return StreamingResponse(pieces(), media_type=media_type, headers=sized)
 
 
+def head_of(media_type: str, headers: Mapping[str, str] | None = None) -> Response:
+    """Return the response to HEAD for a body whose length is not known yet: without Content-Length."""
+    response = Response(headers=headers, media_type=media_type)
+    del response.headers["Content-Length"]
+    return response
+
+
 def saved_as(name: str) -> dict[str, str]:
     """Return the header to save the response under this name, in characters that any system accepts."""
     return {"Content-Disposition": f'attachment; filename="{_NOT_IN_A_NAME.sub("_", name)}"'}
@@ -106,7 +113,7 @@ class Recordings:
         name = self._known_name(request)
         files = await self._service.provider.files(name)
         if request.method == "HEAD":
-            return Response(media_type=_TAR)
+            return head_of(_TAR)
 
         async def made() -> Response:
             named = saved_as(f"{name}.tar")

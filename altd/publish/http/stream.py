@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from datetime import UTC, datetime
+from typing import ClassVar
 
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
@@ -120,11 +121,13 @@ class EventStream(StreamingResponse):
     """Response to one client while it is connected; a refusal if too many streams are open."""
 
     media_type = "text/event-stream"
+    own_headers: ClassVar = {"X-Accel-Buffering": "no"}
+    """nginx would hold events back until its buffer is full."""
 
     def __init__(self, streams: Streams, resuming: Resuming | None = None) -> None:
         self._streams = streams
         self._events = events(streams.board, streams.component, streams.stamps, resuming)
-        super().__init__(self._events)
+        super().__init__(self._events, headers=self.own_headers)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve the client until it disconnects."""

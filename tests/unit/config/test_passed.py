@@ -86,7 +86,7 @@ def test_two_faces_have_one_port_only_where_the_kernel_gives_it_to_both(
 ) -> None:
     def listen(host: str, port: int) -> socket.socket:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, port), family=family)
+        return socket.create_server((host, port), family=family, dualstack_ipv6=host == "::")
 
     port = free_port()
     with listen(one, port):

@@ -199,6 +199,29 @@ def test_reserved_clients_have_their_queue(host: str, reserved: list[str], clien
         assert ready == [listeners[queue]]
 
 
+@pytest.mark.parametrize(
+    ("reserved", "server", "client", "queue"),
+    [
+        ([], "127.0.0.1", "127.0.0.1", 0),
+        ([], "::1", "::1", 0),
+        (["10.0.0.0/8", "127.0.3.0/24", "2001:db8::/32"], "127.0.0.1", "127.0.3.1", 1),
+        (["10.0.0.0/8", "127.0.3.0/24", "::1"], "::1", "::1", 1),
+        (["::/0"], "127.0.0.1", "127.0.3.1", 0),
+        (["0.0.0.0/0"], "::1", "::1", 0),
+    ],
+)
+def test_every_address_is_served_in_both_versions_of_ip(
+    reserved: list[str], server: str, client: str, queue: int
+) -> None:
+    need(has_ipv6(), "this machine has no IPv6")
+    with contextlib.ExitStack() as stack:
+        listeners = [stack.enter_context(each) for each in listen_with_reserved("::", 0, reserved)]
+        port = listeners[0].getsockname()[1]
+        stack.enter_context(socket.create_connection((server, port), 10, (client, 0)))
+        ready, _, _ = select.select(listeners, [], [], 10)
+        assert ready == [listeners[queue]]
+
+
 def has_ipv6() -> bool:
     """Whether the loopback interface has its IPv6 address."""
     try:

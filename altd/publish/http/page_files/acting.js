@@ -50,12 +50,12 @@ export function Session({ session, onChange }) {
   const logIn = async event => {
     event.preventDefault();
     setSaid("…");
-    const done = await asked("/api/v1/login", "POST", { name, password });
+    const done = await asked("api/v1/login", "POST", { name, password });
     setPassword("");
     setSaid(done.error ?? "");
     onChange();
   };
-  const logOut = async () => { await asked("/api/v1/logout", "POST"); onChange(); };
+  const logOut = async () => { await asked("api/v1/logout", "POST"); onChange(); };
   return html`<section aria-labelledby="session-title"><h2 id="session-title">Access</h2>
     ${session.name ? html`<p>${session.name} <button type="button" onClick=${logOut}>Log out</button></p>`
       : html`<form onSubmit=${logIn}>
@@ -68,7 +68,7 @@ export function CheckNow({ session, unavailable, onSession }) {
   const [said, setSaid] = useState("");
   const check = async () => {
     setSaid("self-check running…");
-    const done = await asked("/api/v1/self-check", "POST");
+    const done = await asked("api/v1/self-check", "POST");
     setSaid(done.error ?? `result: ${done.verdict}`);
     if (done.error) onSession();
   };

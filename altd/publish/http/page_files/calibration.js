@@ -47,14 +47,14 @@ function Targets({ targets }) {
 
 // mayLook: whether this browser gets pictures, and so the files that contain some.
 export function Calibration({ mayLook }) {
-  const calibration = useAnswer("/api/v1/calibration", ASK_MS);
+  const calibration = useAnswer("api/v1/calibration", ASK_MS);
   const isThere = calibration !== null && !calibration.error;
   return html`<section aria-labelledby="calibration-title" class="wide"><h2 id="calibration-title">Calibration</h2>
     ${!isThere && html`<p>${calibration?.error ?? "waiting for the unit…"}</p>`}
     ${isThere && html`${calibration.simulated && html`<p class="warned">Made from SIMULATED frames: not for a real unit.</p>`}
       <${Facts} calibration=${calibration} />${calibration.targets.length > 0 && html`<${Targets} targets=${calibration.targets} />`}
-      <p class="links">${mayLook && html`<a href="/api/v1/calibration/file" download>Download the file</a>
-        ${calibration.report.available && html` <a href="/api/v1/calibration/report" target="_blank" rel="noopener">Report</a>`}`}
+      <p class="links">${mayLook && html`<a href="api/v1/calibration/file" download>Download the file</a>
+        ${calibration.report.available && html` <a href="api/v1/calibration/report" target="_blank" rel="noopener">Report</a>`}`}
         ${mayLook === false && html`<span>To download the file, <a href="#unit">log in</a> first.</span>`}
         ${!calibration.report.available && html` <span class="hint">No report: ${calibration.report.why}</span>`}</p>`}</section>`;
 }

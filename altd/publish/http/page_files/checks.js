@@ -62,7 +62,7 @@ function Shifts({ target, columns }) {
 }
 
 export function PastChecks() {
-  const answer = useAnswer(`/api/v1/events?kind=self_check&limit=${DRAWN}`, ASK_MS);
+  const answer = useAnswer(`api/v1/events?kind=self_check&limit=${DRAWN}`, ASK_MS);
   const events = answer?.events ?? [];
   const targets = [...new Set(events.flatMap(({ detail }) => Object.keys(shiftsIn(detail))))];
   const drawn = targets.map(target => [target, shiftsOf(events, target)]).filter(([, columns]) => columns[0].length > 1);

@@ -5,7 +5,7 @@
 // by a computer that slept, a slow line or a proxy, is as old as its `clock_ms`, and is not news.
 
 export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400;
-const MEASUREMENT = "/api/v1/measurement", STATUS = "/api/v1/status", STREAM = "/api/v1/stream";
+const MEASUREMENT = "api/v1/measurement", STATUS = "api/v1/status", STREAM = "api/v1/stream";
 
 // Of two numbers of messages, which start again after 32 bits.
 const isLater = (message, last) => ((message - last) | 0) > 0;

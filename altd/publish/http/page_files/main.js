@@ -44,18 +44,18 @@ function Trends({ unit }) {
 // The user who is logged in; requested again after a change and while the unit answers.
 function useSession(isAnswering) {
   const [session, setSession] = useState(null);
-  const look = async () => { const found = await asked("/api/v1/session"); setSession(found.error ? null : found); };
+  const look = async () => { const found = await asked("api/v1/session"); setSession(found.error ? null : found); };
   useEffect(() => { if (isAnswering) look(); else setSession(null); }, [isAnswering]);
   return [session, look];
 }
 
 function EventsView({ session, mayLook, onSession }) {
-  const kept = useAnswer("/api/v1/recordings", CHECK_MS);
+  const kept = useAnswer("api/v1/recordings", CHECK_MS);
   return html`<${Events} kept=${kept} mayLook=${mayLook} /><${Recordings} kept=${kept} session=${session} mayLook=${mayLook} onSession=${onSession} />`;
 }
 
 function UnitView({ status, session, mayLook, onSession }) {
-  const check = useAnswer("/api/v1/self-check", CHECK_MS);
+  const check = useAnswer("api/v1/self-check", CHECK_MS);
   return html`<${Unit} status=${status} mayLook=${mayLook} />
     <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} session=${session} unavailable=${check?.unavailable} onSession=${onSession} /><//>
     <${Session} session=${session} onChange=${onSession} />

@@ -69,7 +69,7 @@ function useFile(text) {
 }
 
 export function PastTrends({ span }) {
-  const trend = useAnswer(`/api/v1/trend?from=-${SPANS[span]}&points=${POINTS}`, SPANS[span] > 3600 ? 60000 : 10000);
+  const trend = useAnswer(`api/v1/trend?from=-${SPANS[span]}&points=${POINTS}`, SPANS[span] > 3600 ? 60000 : 10000);
   const isThere = trend && !trend.error && trend.t_s.length > 0;
   const address = useFile(isThere ? csvOf(trend) : null);
   if (!isThere) return html`<p>${trend === null ? "waiting for the unit…" : trend.error ?? "nothing was measured in that time"}</p>`;
@@ -83,12 +83,12 @@ export function PastTrends({ span }) {
 function Frames({ name, kept, mayLook }) {
   if (!name || !kept?.recordings) return null;
   if (!kept.recordings.some(each => each.name === name)) return html`<small>the frames were deleted</small>`;
-  return mayLook !== false && html` <a href=${`/api/v1/recordings/${name}`} download>Download frames</a>`;
+  return mayLook !== false && html` <a href=${`api/v1/recordings/${name}`} download>Download frames</a>`;
 }
 
 export function Events({ kept, mayLook }) {
   const [before, setBefore] = useState(null);
-  const answer = useAnswer(`/api/v1/events?limit=50${before ? `&before=${before}` : ""}`, 5000);
+  const answer = useAnswer(`api/v1/events?limit=50${before ? `&before=${before}` : ""}`, 5000);
   const events = answer?.events ?? [];
   return html`<section aria-labelledby="events-title" class="wide"><h2 id="events-title">Events</h2>
     ${answer?.error && html`<p>${answer.error}</p>`}
@@ -116,13 +116,13 @@ export function Recordings({ kept: answer, session, mayLook, onSession }) {
   return html`<section aria-labelledby="kept-title" class="wide"><h2 id="kept-title">Fault recordings</h2>
     <p class="hint">The frames of the seconds around each fault, for <code>altd replay</code>. ${answer?.error ?? ""}
       ${mayLook === false && html` To download them, <a href="#unit">log in</a> first.`}</p>
-    <button type="button" disabled=${isImpossible} onClick=${() => act("/api/v1/recordings", "POST")}>Record the last seconds</button>
+    <button type="button" disabled=${isImpossible} onClick=${() => act("api/v1/recordings", "POST")}>Record the last seconds</button>
     <span class="reason"> ${answer?.unavailable || whyNot(session)}</span> <span role="status">${said}</span>
     ${kept.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="kept frames"><table>
       <thead><tr><th scope="col">UTC</th><th scope="col">Cause</th><th scope="col">s</th><th scope="col">Size</th><th scope="col">Download</th><th scope="col">Protect</th></tr></thead>
       <tbody>${kept.map(each => html`<tr key=${each.name}><td>${utc(each.start)}</td><td>${words(each.why)}</td>
         <td>${each.seconds.toFixed(1)}</td><td>${megabytes(each.bytes)}</td>
-        <td>${mayLook === false ? each.name : html`<a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>`}</td>
-        <td><button type="button" disabled=${!mayAct} onClick=${() => act(`/api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>
+        <td>${mayLook === false ? each.name : html`<a href=${`api/v1/recordings/${each.name}`} download>${each.name}.tar</a>`}</td>
+        <td><button type="button" disabled=${!mayAct} onClick=${() => act(`api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>
             ${each.marked ? "Unprotect" : "Protect"}</button>${each.marked && html` <small>protected from deletion</small>`}</td></tr>`)}</tbody></table></div>`}</section>`;
 }

@@ -73,7 +73,7 @@ function Lane({ memory }) {
 }
 
 export function LiveTrends({ memory }) {
-  const past = useAnswer(`/api/v1/trend?from=-${LENGTH_S}&points=${MAX_POINTS}`, FILL_MS);
+  const past = useAnswer(`api/v1/trend?from=-${LENGTH_S}&points=${MAX_POINTS}`, FILL_MS);
   useEffect(() => { if (past?.t_s) memory.fill(past); }, [past]);
   return html`<p class="hint">Line: value; band: ± 2 sigma (mean); bar below: green where all values were valid. Times are UTC.
       ${past?.error && html` Before this page was opened: ${past.error}.`}</p>

@@ -39,8 +39,10 @@ export class Watcher {
 
   connect() {
     if (this.socket) return;
-    const { location, WebSocket } = this.world;
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/pictures`);
+    const { location, URL, WebSocket } = this.world;
+    const address = new URL("api/v1/pictures", location.href);
+    address.protocol = address.protocol.replace("http", "ws");
+    const socket = new WebSocket(address.href);
     let asked = 0;
     this.socket = socket;
     socket.binaryType = "arraybuffer";

@@ -19,7 +19,7 @@ from altd.publish.http.answers import page_files
 from altd.status.measurement_json import as_object_now
 from tools.pages.example import AGE_S, MEASURED
 
-STATUS_PATH, MEASUREMENT_PATH = "/api/v1/status", "/api/v1/measurement"
+STATUS_PATH, MEASUREMENT_PATH = "api/v1/status", "api/v1/measurement"
 HERE = Path(__file__).parent
 
 SESSION = "5C1E90A7"
@@ -325,6 +325,7 @@ def message(sequence: int, age_s: float = 0.1, held_s: float = 0.05) -> dict[str
 def test_a_picture_is_as_old_as_its_light_and_its_way(pictures: Page) -> None:
     """It came 350 ms after it was asked for; the unit held it for 50 ms of them."""
     shown = pictures.do(pass_ms=350, message=message(7, age_s=0.1, held_s=0.05))
+    assert shown["address"] == "ws://plant/unit7/api/v1/pictures", "the page may be behind a prefix"
     assert shown["shown"] == {"front": [7, pytest.approx(0.4)]}
     assert pictures.do(pass_ms=800, tick=True)["shown"] == {"front": [7, pytest.approx(1.2)]}
     assert pictures.do(pass_ms=200, tick=True)["shown"] == {}

@@ -233,15 +233,42 @@ async def test_many_clients_at_once_are_all_answered(unit: Unit) -> None:
     assert {answer.status for answer in answers} == {200}
 
 
-async def test_it_listens_on_ipv6(board: Board, health: Health, component: Component) -> None:
-    publisher = HttpPublisher(HttpSettings(host="::1", port=0), board, health, component)
+@pytest.mark.parametrize(("host", "client"), [("::1", "::1"), ("::", "::1"), ("::", "127.0.0.1")])
+async def test_it_listens_on_ipv6_and_on_every_address_in_both_versions(
+    board: Board, health: Health, component: Component, host: str, client: str
+) -> None:
+    settings = HttpSettings(host=host, port=0, allow=("127.0.0.1",))
+    publisher = HttpPublisher(settings, board, health, component)
     ready = asyncio.Event()
     task = asyncio.ensure_future(publisher.run(ready.set))
     await asyncio.wait({task, waiting := asyncio.ensure_future(ready.wait())}, return_when="FIRST_COMPLETED")
     waiting.cancel()
     need(not (task.done() and isinstance(task.exception(), OSError)), "this machine has no IPv6")
-    _, writer = await asyncio.open_connection("::1", publisher.port)
+    reader, writer = await asyncio.open_connection(client, publisher.port)
+    writer.write(b"GET /healthz HTTP/1.1\r\nHost: unit\r\n\r\n")
+    assert b" 200 OK" in await reader.readline()
     writer.close()
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task
+
+
+@pytest.mark.parametrize(
+    ("target", "status"),
+    [
+        ("http://unit/healthz", 200),
+        ("HTTP://unit:8080/api/status?x=1", 200),
+        ("http://unit", 200),
+        ("http://unit/api/%73tatus", 404),
+        ("http://stranger/api/status", 421),
+        ("http://stranger@unit.example/api/status", 421),
+        ("https://unit/healthz", 404),
+        ("ftp://unit/healthz", 404),
+        (f"http://unit/{'a' * 2048}", 414),
+    ],
+)
+async def test_a_target_may_be_a_whole_url_and_counts_in_place_of_host(
+    unit: Unit, target: str, status: int
+) -> None:
+    """RFC 9112, 3.2.2."""
+    assert (await unit.ask(target, headers={"Host": "unit"})).status == status

@@ -28,6 +28,7 @@ async def test_the_latest_comes_at_once_and_then_every_new_one(
         head = (await events.head()).lower()
         assert b"content-type: text/event-stream" in head
         assert b"cache-control: no-store" in head
+        assert b"x-accel-buffering: no" in head, "nginx would hold events back"
         sequence, told = await events.event()
         assert sequence == "160"
         assert told.items() >= as_object_now(measured, board.age_s()).items()
@@ -37,6 +38,15 @@ async def test_the_latest_comes_at_once_and_then_every_new_one(
     assert component.counters["streams"] == 1
     assert component.counters["events_skipped"] == 0
     assert component.data_given == 11
+
+
+async def test_a_head_of_a_stream_has_the_headers_and_no_length(unit: Unit) -> None:
+    for path in ("/api/stream", "/api/v1/stream"):
+        answer = await unit.ask(path, "HEAD")
+        assert (answer.status, answer.body) == (200, b"")
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        assert answer.headers["x-accel-buffering"] == "no"
+        assert "content-length" not in answer.headers
 
 
 async def test_silence_is_told_by_a_comment(

@@ -7,7 +7,7 @@ const { Watcher } = await import(new URL("watcher.mjs", pathToFileURL(`${process
 
 let now = 1_000_000, tick, known;
 class Socket {
-  constructor() { Socket.last = this; this.readyState = 1; this.sent = 0; }
+  constructor(address) { Socket.last = this; this.address = address; this.readyState = 1; this.sent = 0; }
   send() { this.sent += 1; }
   close() { this.readyState = 3; }
 }
@@ -19,7 +19,7 @@ const message = header => {
 };
 const settle = () => new Promise(done => setImmediate(done));
 new Watcher(shown => { known = shown; }, {
-  document: { addEventListener() {}, hidden: false }, location: { protocol: "http:", host: "unit" }, WebSocket: Socket,
+  document: { addEventListener() {}, hidden: false }, location: { href: "http://plant/unit7/#drive" }, URL, WebSocket: Socket,
   Date: { now: () => now }, setInterval: work => { tick = work; }, setTimeout() {}, clearTimeout() {},
   createImageBitmap: async () => ({ close() {} }),
 }).start();
@@ -32,5 +32,5 @@ for await (const line of createInterface({ input: process.stdin })) {
   if (order.tick) tick();
   await settle();
   const shown = Object.entries(known.shown).map(([target, picture]) => [target, [picture.sequence, (now - picture.at) / 1000]]);
-  console.log(JSON.stringify({ shown: Object.fromEntries(shown), asked: Socket.last.sent }));
+  console.log(JSON.stringify({ shown: Object.fromEntries(shown), asked: Socket.last.sent, address: Socket.last.address }));
 }
