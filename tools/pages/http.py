@@ -187,14 +187,14 @@ The links of the page are relative, so that it works below any prefix, as with n
 Enter the proxy's name in `names`. If the proxy speaks TLS and the unit does not, a browser can only read: the
 unit refuses to act for another origin (403). Units below one name share the login: the last one counts.
 
-Streams have `X-Accel-Buffering: no`, so that nginx passes each event on at once. Other proxies may hold events
-back. `age_s` is the age at the moment of sending, not at receipt. To know the age at receipt:
+Streams have `X-Accel-Buffering: no`, so that nginx passes each event on at once. Other proxies may hold
+events back. `age_s` is the age at the moment of sending, not at receipt. To know the age at receipt:
 
 1. Request `/api/v1/measurement`. Its age is at most `age_s` plus the time since your request. Then
    `clock_ms` was current between request and answer: take the earlier time as that of `clock_ms`.
 2. Add the advance of `clock_ms` since then to that time. This gives the time at which an event was sent, or
    earlier. Its age is at most `age_s` plus the time since it was sent.
-3. Repeat step 1 each hour and after a new `session`, as clocks differ by up to 0.1 s in an hour.
+3. Repeat step 1 each hour and after a new `session`, as two clocks drift apart by up to 0.2 s in an hour.
 
 ## Permission to act
 
