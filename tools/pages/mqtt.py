@@ -80,7 +80,7 @@ The QoS is 1.
 | `{_TOPICS.outbox}` | [batches](fleet.md#messages) | with `store_and_forward = true` | no | {lifetime} |
 
 Except for availability and outbox, payloads are JSON with the schema [mqtt.schema.json](mqtt.schema.json).
-Keys may be added.
+`topics` in it has the schema of each topic, by its last level. Keys may be added.
 
 ## Use a number
 

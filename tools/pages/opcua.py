@@ -10,9 +10,10 @@ from altd.publish.opcua import server, sessions
 from altd.publish.opcua.__main__ import MAX_MEMORY_BYTES, NICE
 from altd.publish.opcua.history import MAX_VALUES
 from altd.publish.opcua.live import LINK_TIMEOUT_S
-from altd.publish.opcua.nodes import DI_NAMESPACE, HEALTH, OF_PLACE, UNIT_NAMESPACE, UNITS, VARIABLES
+from altd.publish.opcua.nodes import OF_PLACE
 from altd.publish.opcua.publisher import ranges_of
 from altd.publish.opcua.quality import OF_REASON, OF_SENSOR, Status
+from altd.publish.opcua.types import DI_NAMESPACE, HEALTH, UNIT_NAMESPACE, UNITS, VARIABLES
 from altd.reasons import Signal
 from tools.markdown import wrapped
 from tools.pages.example import SERIAL
@@ -36,7 +37,8 @@ Namespace 1 is the server (`urn:altd:{SERIAL}`, its application URI), 2 the unit
 same for all units), 3 the parts of OPC 10000-100 that the unit refers to (`{DI_NAMESPACE}`).
 
 The unit is the object `ns=2;s=unit` below `Objects` and `DeviceSet`, its type `ActiveLaserTargetType`, a
-subtype of `DeviceType`.
+subtype of `DeviceType`. The type is the same on all units: what all units have is mandatory in it, the
+quantities of beams and plates are optional.
 
 AnalogItems of Double of a beam:
 
@@ -46,8 +48,9 @@ AnalogItems of Double of a beam:
 | `targets.TARGET.x_mm`, `.y_mm` | calibrated area, mm | where the beam meets a target |
 
 All identifiers begin with `ns=2;s=`. `KEY.sigma` is the combined standard uncertainty (1 sigma),
-`KEY.sigma_now` that of the value as a statement about the beam when it was written. `EURange` includes the
-offsets of `[installation]`. [Rows and plates](#rows-and-plates) have other quantities. All units have:
+`KEY.sigma_now` that of the value as a statement about the beam when it was written. `EURange` and
+`Definition` include plane, signs and offsets of `[installation]`.
+[Rows and plates](#rows-and-plates) have other quantities. All units have:
 
 | node | BrowseName | meaning |
 |---|---|---|
@@ -150,11 +153,13 @@ Nothing can be written. With `allow_self_check = true` the method `SelfCheck` re
 | subscriptions of a session | {sessions.MAX_SUBSCRIPTIONS} |
 | monitored items of a session | {sessions.MAX_MONITORED_ITEMS} |
 | operations, bytes of a request | {sessions.MAX_OPERATIONS}, {server.MAX_REQUEST_BYTES} |
+| methods, nodes of HistoryRead of a request | {sessions.MAX_METHODS}, {sessions.MAX_HISTORY_NODES} |
 | after a wrong password | {sessions.LOGIN_INTERVAL_S:g} s |
 | memory of the process | {MAX_MEMORY_BYTES >> 20} MB of data |
 
-Deadbands are refused (`BadMonitoredItemFilterUnsupported`).  The server is a process of low priority (nice
-{NICE}). It is restarted when it ends or hangs, and skips measurements when it is slow
+`ServerCapabilities` states these limits. Nodes of the standard that the server does not support are
+`BadNotSupported`. Deadbands are refused (`BadMonitoredItemFilterUnsupported`). The server is a process of low
+priority (nice {NICE}). It is restarted when it ends or hangs, and skips measurements when it is slow
 (`measurements_skipped`).
 """)
 

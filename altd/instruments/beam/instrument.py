@@ -59,6 +59,29 @@ QUANTITIES = Quantities(
 )
 
 
+def quantities_of(installation: Installation) -> Quantities:
+    """Return the quantities with what they mean after plane, signs and offsets of the installation."""
+    plane_mm = installation.reference_plane_mm
+    plane = f"in the plane z = {plane_mm:g} mm" if plane_mm else "at the front target"
+
+    def meaning(quantity: Quantity) -> str:
+        key = quantity.is_also or quantity.key
+        if (sign := installation.signs.get(key)) is None:
+            return quantity.meaning
+        offset = getattr(installation, f"offset_{key}")
+        return "".join(
+            [
+                quantity.meaning.replace("at the front target", plane),
+                ", sign reversed" if sign < 0 else "",
+                f", plus {offset:g} {'mm' if key.endswith('_mm') else '°'}" if offset else "",
+            ]
+        )
+
+    return replace(
+        QUANTITIES, of_unit=tuple(replace(each, meaning=meaning(each)) for each in QUANTITIES.of_unit)
+    )
+
+
 def values_of(beam: Beam) -> dict[str, Value]:
     """Quantities of a beam by key, without roll."""
     x, y, yaw, pitch = beam.scatter
@@ -132,7 +155,6 @@ class BeamInstrument:
     the unit frame to the coordinates of the controller.
     """
 
-    quantities = QUANTITIES
     min_targets = 2
 
     def __init__(
@@ -142,6 +164,7 @@ class BeamInstrument:
         self._limits = calibration.limits
         self._measuring = measuring
         self._installation = installation or Installation()
+        self.quantities = quantities_of(self._installation)
         self._refraction = Refraction.of(calibration)
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 from urllib.parse import quote
 
-from pydantic import Field, create_model
+from pydantic import BaseModel, Field, create_model
 from pydantic.json_schema import models_json_schema
 
 from altd.ports import Clock
@@ -218,10 +218,21 @@ def summary_model(quantities: Quantities) -> type[_Summary]:
 
 
 def schema_of(quantities: Quantities) -> Mapping[str, Any]:
-    """Return the JSON Schema of the payloads of a unit with these quantities, each an entry of ``$defs``."""
-    models = (Birth, State, summary_model(quantities), measurement_model(quantities))
+    """Return the JSON Schema of the payloads of a unit with these quantities, each an entry of ``$defs``.
+
+    ``topics`` has the schema of each topic, by its last level.
+    """
+    by_topic: dict[str, type[BaseModel]] = {
+        "birth": Birth,
+        "state": State,
+        "summary": summary_model(quantities),
+        "measurement": measurement_model(quantities),
+    }
+    models = by_topic.values()
     _, schema = models_json_schema([(model, "serialization") for model in models])
     for definition in schema["$defs"].values():
         if definition.get("additionalProperties") is False:  # keys may be added in later versions
             del definition["additionalProperties"]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    topics = {topic: {"$ref": f"#/$defs/{model.__name__}"} for topic, model in by_topic.items()}
+    root = {"$schema": "https://json-schema.org/draft/2020-12/schema", "anyOf": list(topics.values())}
+    return {**root, "topics": topics, **schema}

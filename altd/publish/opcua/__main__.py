@@ -29,10 +29,12 @@ from altd.errors import BadInputError
 from altd.history.history import History
 from altd.publish.opcua.history import StoredValues
 from altd.publish.opcua.live import LiveUnit
-from altd.publish.opcua.nodes import MODEL, UnitNodes
+from altd.publish.opcua.nodes import UnitNodes
 from altd.publish.opcua.server import OpcUaServer
 from altd.publish.opcua.sessions import caller
+from altd.publish.opcua.standard import fill_standard_nodes
 from altd.publish.opcua.start import Start
+from altd.publish.opcua.types import MODEL
 
 NICE = 10
 MAX_MEMORY_BYTES = 384 << 20
@@ -83,6 +85,7 @@ class ServedUnit:
         else:
             server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         await self.nodes.build()
+        await fill_standard_nodes(server, start)
         stored = StoredValues(self._history, start, self.nodes.quantity_of)
         server.limited.read_history, server.limited.withdraw_stale = stored.read, self.live.withdraw_stale
         if settings.allow_self_check:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Set
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from altd.publish.opcua.nodes import OF_PLACE, VARIABLES, UnitNodes
+from altd.publish.opcua.nodes import OF_PLACE, UnitNodes
 from altd.publish.opcua.quality import Status, status_of, status_of_sensor
 from altd.publish.opcua.start import Start
+from altd.publish.opcua.types import VARIABLES
 from altd.status.proof import crc32
 
 LINK_TIMEOUT_S = 2.0

@@ -22,6 +22,8 @@ from altd.credentials.file import load_credentials
 from altd.errors import BadInputError, one_line, unwrap_group
 from altd.history.history import History
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
+from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
+from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua.start import Start
 from altd.status.board import Board
 from altd.status.cause import StateReport
@@ -201,6 +203,7 @@ class OpcUaPublisher:
                 "simulated": calibration.get("simulated"),
             },
             history=self._history.path,
+            declared=(*OF_BEAM.of_unit, *OF_PLATE.of_unit),
         )
 
     async def _listen(self, process: Process, ready: Callable[[], None]) -> None:
@@ -263,11 +266,12 @@ def _openness(settings: OpcUaSettings) -> str:
 
 
 def ranges_of(installation: Installation) -> dict[str, tuple[float, float]]:
-    """Ranges that are stated for the unit, with its mounting offsets, as a controller reads them."""
+    """Ranges that are stated for the unit, in its reference plane and with its mounting offsets."""
     ranges = {"roll_deg": (-180.0, 180.0)}
+    lever_m = abs(installation.reference_plane_mm) / 1000
     for key, offset, half in (
-        ("x_mm", installation.offset_x_mm, AREA_MM[0] / 2),
-        ("y_mm", installation.offset_y_mm, AREA_MM[1] / 2),
+        ("x_mm", installation.offset_x_mm, AREA_MM[0] / 2 + lever_m * MAX_YAW_MM_PER_M),
+        ("y_mm", installation.offset_y_mm, AREA_MM[1] / 2 + lever_m * MAX_PITCH_MM_PER_M),
         ("yaw_deg", installation.offset_yaw_deg, math.degrees(math.atan(MAX_YAW_MM_PER_M / 1000))),
         ("pitch_deg", installation.offset_pitch_deg, math.degrees(math.atan(MAX_PITCH_MM_PER_M / 1000))),
     ):

@@ -25,6 +25,7 @@ SESSION_TIMEOUT_S = 60.0
 MAX_OPERATIONS = 500
 """Maximum number of operations of one request: nodes to read, browse, monitor, and so on."""
 MAX_HISTORY_NODES = 16
+MAX_METHODS = 1
 
 MAX_SUBSCRIPTIONS = 8
 MAX_MONITORED_ITEMS = 256
@@ -113,7 +114,7 @@ class Session(InternalSession):
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         """Call methods."""
-        self._check_number(params, 1)
+        self._check_number(params, MAX_METHODS)
         caller.set(f"opcua {self.name[0]}" + (f", {self.user.name}" if self.user.name else ""))
         return await super().call(params)
 

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from altd.config import OpcUaSettings
-from altd.records import Quantities
+from altd.records import Quantities, Quantity
 
 Range = tuple[float, float]
 
@@ -35,6 +35,8 @@ class Start:
     targets: Mapping[str, Mapping[str, Range]]
     calibration: Mapping[str, Any]
     history: Path | None
+    declared: tuple[Quantity, ...] = ()
+    """Quantities of beams and plates, for the unit's type."""
 
     def to_line(self) -> bytes:
         """Return one line of JSON."""

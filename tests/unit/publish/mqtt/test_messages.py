@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from dataclasses import replace
 
 import pytest
+from jsonschema import Draft202012Validator
 from support.clock import FakeClock
 from support.measurements import BEAM, changed, measurement
 
-from altd.publish.mqtt.messages import Topics, birth_of, summary_of
+from altd.publish.mqtt.messages import Topics, birth_of, schema_of, summary_of
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Health
+from altd.status.measurement_json import checked_line, with_proof
+from altd.status.proof import Stamps
+
+
+def test_each_payload_fits_the_schema_of_its_topic_and_no_other(
+    board: Board, health: Health, clock: FakeClock
+) -> None:
+    board.publish(measurement())
+    stamps = Stamps(board)
+    health.calibration.summary = {"created": "2026-11-02", "simulated": False, "file": {"checksum": "1"}}
+    payloads = {
+        "birth": with_proof(birth_of(board, health, clock), board, stamps.next()),
+        "summary": with_proof(summary_of([measurement()], board, clock), board, stamps.next()),
+        "measurement": checked_line(board, measurement(), stamps.next()),
+    }
+    schema = schema_of(board.quantities)
+    assert schema["topics"].keys() == payloads.keys() | {"state"}
+    assert not Draft202012Validator(schema).is_valid({})
+    for topic, line in payloads.items():
+        document = json.loads(line)
+        Draft202012Validator(schema).validate(document)
+        for other, reference in schema["topics"].items():
+            of_topic = Draft202012Validator({**reference, "$defs": schema["$defs"]})
+            assert of_topic.is_valid(document) is (topic == other)
 
 
 @pytest.mark.parametrize(
