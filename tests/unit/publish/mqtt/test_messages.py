@@ -25,7 +25,7 @@ def test_each_payload_fits_the_schema_of_its_topic_and_no_other(
     board: Board, health: Health, clock: FakeClock
 ) -> None:
     board.publish(measurement())
-    stamps = Stamps(board)
+    stamps = Stamps(board, "mqtt")
     health.calibration.summary = {"created": "2026-11-02", "simulated": False, "file": {"checksum": "1"}}
     payloads = {
         "birth": with_proof(birth_of(board, health, clock), board, stamps.next()),
