@@ -87,6 +87,8 @@ def _metrics() -> str:
         meaning = _MEANINGS.get(metric.name) or metric.about["documentation"]
         if metric.name.startswith("sigma/"):
             meaning = "standard deviation (1 sigma)"
+        if metric.name.startswith("sigma_now/"):
+            meaning = "the same as a statement about the truth at sending"
         kind = ", ".join(filter(None, (metric.type.name.capitalize(), str(metric.about.get("engUnit", "")))))
         groups.setdefault((kind, meaning), []).append(f"`{metric.name}`")
     rows = [f"| {', '.join(names)} | {kind} | {meaning} |" for (kind, meaning), names in groups.items()]

@@ -72,6 +72,7 @@ def summary_of(measurements: Sequence[Measurement], board: Board, clock: Clock) 
 
     The mean of a quantity covers the valid measurements, or those in which its own sensor knows it. ``sigma``
     is the root mean square of their sigmas: the uncertainty of one measurement, not their scatter.
+    ``sigma_now`` is that of the last measurement as a statement about the truth at sending.
     """
     valid = sum(measurement.valid for measurement in measurements)
     shown = measurements or [now for now in (board.read(),) if now is not None]
@@ -84,14 +85,19 @@ def summary_of(measurements: Sequence[Measurement], board: Board, clock: Clock) 
         "count": len(measurements),
         "valid_share": round(valid / len(measurements), 4) if measurements else None,
         "status": list(dict.fromkeys(codes)) if shown else [str(Reason.WARMING_UP)],
-        **{quantity.key: _statistics(measurements, quantity) for quantity in board.quantities.shown},
+        **{
+            quantity.key: _statistics(measurements, quantity, board.age_s())
+            for quantity in board.quantities.shown
+        },
     }
 
 
-def _statistics(measurements: Sequence[Measurement], quantity: Quantity) -> dict[str, float | None]:
+def _statistics(
+    measurements: Sequence[Measurement], quantity: Quantity, age_s: float | None
+) -> dict[str, float | None]:
     known = [value for each in measurements if (value := each.known(quantity.key)) is not None]
     if not known:
-        return dict.fromkeys(("mean", "min", "max", "sigma"))
+        return dict.fromkeys(("mean", "min", "max", "sigma", "sigma_now"))
     values = [value.value for value in known]
     sigmas = [value.sigma for value in known if value.sigma is not None]
     numbers = {
@@ -99,6 +105,7 @@ def _statistics(measurements: Sequence[Measurement], quantity: Quantity) -> dict
         "min": min(values),
         "max": max(values),
         "sigma": math.hypot(*sigmas) / math.sqrt(len(sigmas)) if sigmas else None,
+        "sigma_now": None if age_s is None else measurements[-1].sigma_at(quantity.key, age_s),
     }
     return {
         name: None if number is None else round(number, quantity.decimals) for name, number in numbers.items()
@@ -191,6 +198,8 @@ class Statistics(Answer):
     max: float | None
     sigma: float | None
     """Combined standard uncertainty (1 sigma) of one measurement."""
+    sigma_now: float | None
+    """Sigma of the last measurement as a statement about the truth at sending; null: it is not known."""
 
 
 class _Summary(_Checked):

@@ -211,13 +211,16 @@ def measurement_metrics(measurement: Measurement | None, board: Board, clock: Cl
         metric("status", Type.STRING, " ".join(map(str, shown.status))),
         metric("sequence", Type.INT64, None if measurement is None else shown.sequence),
     ]
+    age_s = board.age_s()
     for quantity in board.quantities.shown:
         said, known = shown.from_sensors.get(quantity.key), shown.known(quantity.key)
         at_ms = captured_ms if said is None or said.value is None else utc_ms(clock, said.t_ns)
         about = {"engUnit": quantity.unit, "documentation": quantity.meaning}
         numbers = {quantity.key: None if known is None else known.value}
         if quantity.has_sigma:
+            now = shown.sigma_at(quantity.key, age_s) if known is not None and age_s is not None else None
             numbers[f"sigma/{quantity.key}"] = None if known is None else known.sigma
+            numbers[f"sigma_now/{quantity.key}"] = now
         for name, number in numbers.items():
             rounded = None if number is None else round(number, quantity.decimals)
             metrics.append(replace(metric(name, Type.DOUBLE, rounded, at_ms), about=about))

@@ -97,7 +97,7 @@ def test_only_what_is_measured_now_is_good_and_no_old_number_stays(
 ) -> None:
     clock = FakeClock(10**9)
     metrics = {each.name: each for each in measurement_metrics(shown, Board(clock, 1.0, QUANTITIES), clock)}
-    assert len(metrics) == 11
+    assert len(metrics) == 15
     for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg"):
         for name in (key, f"sigma/{key}"):
             assert (metrics[name].value is None) == (quality is None)

@@ -13,8 +13,10 @@ from support.clock import FakeClock
 from support.measurements import BEAM, changed, measurement
 
 from altd.publish.mqtt.messages import Topics, birth_of, schema_of, summary_of
+from altd.publish.mqtt.sparkplug import measurement_metrics
 from altd.reasons import Reason
 from altd.records import Measurement
+from altd.records.spots import Motion
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.measurement_json import checked_line, with_proof
@@ -71,6 +73,7 @@ def test_a_summary_has_mean_extremes_and_sigma_of_the_valid_measurements(
         "min": 1.0,
         "max": 4.0,
         "sigma": round(math.sqrt((1 + 4 + 9) / 3) * 1e-3, 4),
+        "sigma_now": None,  # its motion is not known
     }
     assert (summary["count"], summary["valid_share"], summary["status"]) == (4, 0.75, ["stale"])
     assert (summary["first"]["sequence"], summary["last"]["sequence"]) == (100, 103)
@@ -82,7 +85,20 @@ def test_a_summary_has_mean_extremes_and_sigma_of_the_valid_measurements(
     ]
 
 
-NOTHING = dict.fromkeys(("mean", "min", "max", "sigma"))
+def test_sigma_now_is_that_of_the_last_measurement_at_sending(board: Board, clock: FakeClock) -> None:
+    """2 mm/s beside a sigma of 0.004 mm, 0.5 s after the middle of the exposures."""
+    motion = Motion(2.0, 0.01, 0.0, 0.0, 0.475, 0.083, probable_rate=2.0, acceleration=0.0)
+    moving = replace(measurement(), motions={"x_mm": motion}, t_ns=clock.now_ns)
+    board.publish(moving)
+    clock.now_ns += 500_000_000
+    sigma = math.hypot(moving.sigma("x_mm") or 0.0, 1.0)
+    assert summary_of([moving], board, clock)["x_mm"]["sigma_now"] == pytest.approx(sigma, abs=1e-3)
+    metrics = {each.name: each.value for each in measurement_metrics(moving, board, clock)}
+    assert metrics["sigma_now/x_mm"] == pytest.approx(sigma, abs=1e-3)
+    assert metrics["sigma_now/y_mm"] is None
+
+
+NOTHING = dict.fromkeys(("mean", "min", "max", "sigma", "sigma_now"))
 
 
 def test_a_summary_without_a_valid_measurement_has_no_number(board: Board, clock: FakeClock) -> None:
