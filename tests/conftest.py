@@ -50,9 +50,9 @@ _END_TIMEOUT_S = 20.0
 
 def _patient(call: Callable[..., Awaitable[object]]) -> Callable[..., Awaitable[object]]:
     @functools.wraps(call)
-    async def patient(*arguments: object, within_s: float) -> object:
+    async def patient(*arguments: object, within_s: float, **more: object) -> object:
         has_fake_time = "time" in vars(asyncio.get_running_loop())  # FakeClock.of_loop
-        return await call(*arguments, within_s=within_s if has_fake_time else _PATIENCE * within_s)
+        return await call(*arguments, within_s=within_s if has_fake_time else _PATIENCE * within_s, **more)
 
     return patient
 

@@ -10,12 +10,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import queue
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, TypeVar
+
+log = logging.getLogger("altd")
 
 Result = TypeVar("Result")
 
@@ -58,26 +61,42 @@ class DeviceThread:
 
     def __init__(self, name: str) -> None:
         self._calls: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
-        self._idle = asyncio.Event()
-        self._idle.set()
+        self._turn = asyncio.Lock()
+        """Held from a call's start until its outcome is known."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    async def call(self, function: Callable[..., Result], *arguments: object, within_s: float) -> Result:
+    async def call(
+        self,
+        function: Callable[..., Result],
+        *arguments: object,
+        within_s: float,
+        undo: Callable[[Result], object] | None = None,
+    ) -> Result:
         """Return or raise the outcome of a call; TimeoutError if it or the one before takes too long.
 
-        A call that timed out continues; the next call starts only after it has returned.
+        A call that times out or is cancelled before it began is never made. One that has begun continues;
+        ``undo`` is then called with its result, in the thread. The next call starts only after it returned.
         """
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        result.add_done_callback(self._came_back)
+        begun = threading.Lock()  # taken by the thread, or by a caller who leaves before
         try:
             async with asyncio.timeout(within_s):
-                await self._idle.wait()
-                self._idle.clear()
-                self._calls.put(partial(_settle, result, partial(function, *arguments), self._end_soon))
-                return await asyncio.shield(result)
+                await self._turn.acquire()
+                result.add_done_callback(self._came_back)
+                self._calls.put(
+                    partial(_settle, result, partial(function, *arguments), self._end_soon, begun)
+                )
+                try:
+                    return await asyncio.shield(result)
+                except asyncio.CancelledError:
+                    if begun.acquire(blocking=False):
+                        result.cancel()
+                    elif undo is not None:
+                        result.add_done_callback(partial(self._undo, undo))
+                    raise
         finally:
-            del result, function, arguments  # breaks the cycle with an exception raised through this frame
+            del result, function, arguments, undo  # else an exception refers to them, and they to it
 
     async def end(self, last: Callable[[], None], within_s: float) -> bool:
         """Call ``last`` after the pending calls and end the thread; return whether it ended in time."""
@@ -87,10 +106,15 @@ class DeviceThread:
         return not self._thread.is_alive()
 
     def _came_back(self, result: asyncio.Future[Result]) -> None:
-        """Mark the thread as idle; mark the call's exception as retrieved: its caller may have left."""
-        self._idle.set()
+        """Let the next call start; mark the call's exception as retrieved: its caller may have left."""
+        self._turn.release()
         if not result.cancelled():
             result.exception()
+
+    def _undo(self, undo: Callable[[Result], object], result: asyncio.Future[Result]) -> None:
+        """Undo a call whose caller has left, before the next one."""
+        if not result.cancelled() and result.exception() is None:
+            self._calls.put(partial(_undone, undo, result.result()))
 
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
@@ -102,12 +126,17 @@ class DeviceThread:
 
 
 def _settle(
-    result: asyncio.Future[Result], call: Callable[[], Result], left: Callable[[], None] = lambda: None
+    result: asyncio.Future[Result],
+    call: Callable[[], Result],
+    left: Callable[[], None] = lambda: None,
+    begun: threading.Lock | None = None,
 ) -> None:
     """Make a call in this thread and pass its result to the loop; call ``left`` if the loop is closed.
 
-    A future that was cancelled meanwhile stays cancelled.
+    A future that was cancelled meanwhile stays cancelled. No call is made if ``begun`` is taken.
     """
+    if begun is not None and not begun.acquire(blocking=False):
+        return
     try:
         give = partial(result.set_result, call())
     except BaseException as error:
@@ -118,6 +147,13 @@ def _settle(
         left()
     finally:
         del result, call, give  # breaks the cycle with an exception, which refers to this frame
+
+
+def _undone(undo: Callable[[Result], object], result: Result) -> None:
+    try:
+        undo(result)
+    except Exception:  # there is no caller left to handle it
+        log.exception("%s: a call that came too late is not undone", threading.current_thread().name)
 
 
 def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> None:

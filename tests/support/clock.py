@@ -155,7 +155,7 @@ class FakeClock:
 
     @property
     def _has_threads_waiting(self) -> bool:
-        busy = sum(not device._idle.is_set() for device in self._devices)  # noqa: SLF001
+        busy = sum(device._turn.locked() for device in self._devices)  # noqa: SLF001
         ended = sum(not thread.is_alive() for thread in self._seen)
         return len(self._idle) + ended >= self.threads + busy
 

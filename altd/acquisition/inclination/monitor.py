@@ -143,7 +143,9 @@ class InclinationMonitor:
         try:
             while True:
                 try:
-                    await thread.call(self._driver.open, within_s=_OPEN_TIMEOUT_S)
+                    await thread.call(
+                        self._driver.open, within_s=_OPEN_TIMEOUT_S, undo=lambda _: self._driver.close()
+                    )
                     self._judge.restart()
                     backoff_s = _MIN_BACKOFF_S
                     await self._read_on(thread)

@@ -117,7 +117,10 @@ class FrameKeeper:
 
     async def mark(self, name: str, is_marked: bool) -> KeptRecording:
         """Mark a recording, so that it is never removed, or unmark it; raises NotKeptError."""
-        kept = await self._on_disk(partial(self._store.mark, name, is_marked))
+        before = any(each.name == name and each.is_marked for each in self._recordings)
+        kept = await self._on_disk(
+            partial(self._store.mark, name, is_marked), lambda _: self._store.mark(name, before)
+        )
         self._recordings = tuple(kept if each.name == name else each for each in self._recordings)
         return kept
 
@@ -171,8 +174,9 @@ class FrameKeeper:
             raise NotKeptError(f"{self._waiting} recordings are being written already")
         self._waiting += 1
         try:
-            kept = await self._on_disk(partial(self._write, why, since_ns, until_ns))
-            self._recordings = await self._on_disk(self._store.recordings)
+            kept, self._recordings = await self._on_disk(
+                partial(self._write, why, since_ns, until_ns), lambda done: self._store.remove(done[0].name)
+            )
         except NotKeptError as error:
             self._component.count("not_kept")
             if not isinstance(error, NoExposureError):
@@ -186,8 +190,10 @@ class FrameKeeper:
         self._note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
         return kept
 
-    def _write(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:
-        """Pair the frames and write them, in the disk's thread.
+    def _write(
+        self, why: str, since_ns: int, until_ns: int
+    ) -> tuple[KeptRecording, tuple[KeptRecording, ...]]:
+        """Pair the frames and write them, in the disk's thread; return the recording, and all recordings.
 
         Frames are taken from the ring only here, so that two recordings never hold frames at a time.
         """
@@ -199,7 +205,11 @@ class FrameKeeper:
             raise NoExposureError("no frames in the last seconds")
         start = self._clock.utc(frames[0].t_ns)
         nbytes = sum(frame.pixels.nbytes for frame in frames)
-        return self._store.add(why, start, nbytes, partial(self._write_into, frames))
+        kept = self._store.add(why, start, nbytes, partial(self._write_into, frames))
+        try:
+            return kept, self._store.recordings()
+        except OSError:  # it is kept all the same
+            return kept, (kept, *self._recordings)
 
     def _write_into(self, frames: deque[Frame], folder: Path) -> Written:
         source = self._source
@@ -228,12 +238,17 @@ class FrameKeeper:
                 yield from pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
         yield from pairer.flush()
 
-    async def _on_disk(self, call: Callable[[], Result]) -> Result:
-        """Make a call in the disk's thread; raises NotKeptError if it fails or the disk hangs."""
+    async def _on_disk(
+        self, call: Callable[[], Result], undo: Callable[[Result], object] | None = None
+    ) -> Result:
+        """Make a call in the disk's thread; raises NotKeptError if it fails or the disk hangs.
+
+        A call that returns after this was raised is undone.
+        """
         if self._disk is None:
             raise NotKeptError("the unit starts")
         try:
-            return await self._disk.call(call, within_s=_DISK_TIMEOUT_S)
+            return await self._disk.call(call, within_s=_DISK_TIMEOUT_S, undo=undo)
         except NotKeptError:
             raise
         except TimeoutError:

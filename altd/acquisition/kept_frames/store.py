@@ -118,6 +118,12 @@ class RecordingStore:
             raise self._refused(error) from error
         return kept
 
+    def remove(self, name: str) -> None:
+        """Remove a recording; raises OSError."""
+        left = self._under_way()  # after a power cut meanwhile, the next start removes the rest
+        (self._folder / name).rename(left)
+        shutil.rmtree(left)
+
     def add(
         self, why: str, start: datetime | None, max_bytes: int, write: Callable[[Path], Written]
     ) -> KeptRecording:
@@ -180,9 +186,7 @@ class RecordingStore:
             needed = f"no space for up to {max_bytes >> 20} MB"
             raise NotKeptError("the disk is nearly full" if free < max_bytes else f"{needed}: {held}")
         for name in going:
-            left = self._under_way()  # after a power cut meanwhile, the next start removes the rest
-            (self._folder / name).rename(left)
-            shutil.rmtree(left)
+            self.remove(name)
 
     def _under_way(self) -> Path:
         return self._folder / f"{_UNDER_WAY}{secrets.token_hex(8)}"

@@ -45,7 +45,8 @@ class LampController(Generic[Setpoint]):
     """Controls one driver's lamps. ``show`` applies a setpoint; ``dark`` is the setpoint of opened lamps.
 
     A failing driver affects nothing else: the failure is reported in health, and the lamps are closed and
-    reopened, at growing intervals, indefinitely. After a failure the setpoint is ``dark`` again.
+    reopened, at growing intervals, indefinitely. After a failure or a cancelled ``apply`` the setpoint is
+    ``dark`` again.
     """
 
     def __init__(
@@ -62,13 +63,16 @@ class LampController(Generic[Setpoint]):
         self._component = component
         self._clock = clock
         self._changed = asyncio.Event()
-        self._waiting: list[asyncio.Future[None]] = []
+        self._waiting: list[tuple[Setpoint, asyncio.Future[None]]] = []
+        self._newest: asyncio.Future[None] | None = None
+        """The call of ``apply`` that changed the setpoint last; None: it was ``request``."""
         self._backoff_s = MIN_BACKOFF_S
         self.last_failure = ""
         """Latest failure since the start, even if a later attempt succeeded; empty: none."""
 
     def request(self, setpoint: Setpoint) -> None:
         """Change the setpoint; health reports if it cannot be applied."""
+        self._newest = None
         if setpoint != self._setpoint:
             self._setpoint = setpoint
             self._changed.set()
@@ -83,15 +87,21 @@ class LampController(Generic[Setpoint]):
     async def apply(self, setpoint: Setpoint) -> None:
         """Change the setpoint; return once it is applied, raise LampsError if it cannot be.
 
-        When the daemon ends, waiting calls are cancelled: no lamp has failed.
+        It cannot be if another setpoint is requested before. When the daemon ends, waiting calls are
+        cancelled: no lamp has failed.
         """
         if complaint := self.complaint:
             raise LampsError(complaint)
         self._setpoint = setpoint
         self._changed.set()
-        applied = asyncio.get_running_loop().create_future()
-        self._waiting.append(applied)
-        await applied
+        self._newest = applied = asyncio.get_running_loop().create_future()
+        self._waiting.append((setpoint, applied))
+        try:
+            await applied
+        except asyncio.CancelledError:
+            if self._newest is applied:
+                self.request(self._dark)
+            raise
 
     async def run(self, cameras: Iterable[Component] = ()) -> None:
         """Control the lamps until cancelled; then darken them.
@@ -107,7 +117,7 @@ class LampController(Generic[Setpoint]):
         try:
             while True:
                 try:
-                    await thread.call(self._driver.open, within_s=CALL_TIMEOUT_S)
+                    await thread.call(self._driver.open, within_s=CALL_TIMEOUT_S, undo=self._close_late)
                     await self._apply_setpoints(thread)
                 except Exception as error:
                     self._fail(_complaint_of(error))
@@ -116,7 +126,7 @@ class LampController(Generic[Setpoint]):
                 await self._clock.sleep(self._backoff_s)
                 self._backoff_s = min(2 * self._backoff_s, MAX_BACKOFF_S)
         finally:
-            for applied in self._waiting:
+            for _, applied in self._waiting:
                 applied.cancel()
             if not await thread.end(self._driver.close, CALL_TIMEOUT_S):
                 log.warning("%s: the driver does not come back; they may stay lit", self._component.name)
@@ -125,17 +135,25 @@ class LampController(Generic[Setpoint]):
         """Apply the setpoint at each change and at intervals, until that fails."""
         while True:
             self._changed.clear()
-            count = len(self._waiting)
-            await thread.call(self._show, self._setpoint, within_s=CALL_TIMEOUT_S)
+            setpoint, count = self._setpoint, len(self._waiting)
+            await thread.call(self._show, setpoint, within_s=CALL_TIMEOUT_S, undo=self._close_late)
             self._backoff_s = MIN_BACKOFF_S
             self._component.set_state(State.OK)
-            for applied in self._waiting[:count]:
-                if not applied.done():
+            for wanted, applied in self._waiting[:count]:
+                if applied.done():
+                    continue
+                if wanted == setpoint:
                     applied.set_result(None)
+                else:
+                    applied.set_exception(LampsError("another request came before they were switched"))
             del self._waiting[:count]
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(REFRESH_INTERVAL_S):
                     await self._changed.wait()
+
+    def _close_late(self, _: None) -> None:
+        """Close the lamps after a call that came back too late: it was reported as failed."""
+        self._driver.close()
 
     def _fail(self, complaint: str) -> None:
         if self._component.message != (message := f"{complaint}; trying again"):
@@ -147,7 +165,7 @@ class LampController(Generic[Setpoint]):
         self._refuse_waiting(complaint)
 
     def _refuse_waiting(self, complaint: str) -> None:
-        for applied in self._waiting:
+        for _, applied in self._waiting:
             if not applied.done():
                 applied.set_exception(LampsError(complaint))
         self._waiting.clear()

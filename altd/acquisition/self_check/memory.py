@@ -156,8 +156,9 @@ class CheckMemory:
             self._saved_ns, self._saved_was_bad = now_ns, was_bad
 
     async def end(self) -> None:
-        """Wait for a write in progress, and end the thread."""
+        """Write the history if due: the end may have come before that; then end the thread."""
         if self._kept is not None:
+            await self.save()
             await self._kept.end()
 
     async def _load(self) -> bool:

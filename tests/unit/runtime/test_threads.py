@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import random
 import sys
 import threading
+import time
 import weakref
 from functools import partial
 
@@ -177,6 +179,80 @@ async def test_while_a_single_call_hangs_no_second_one_begins() -> None:
         await calls.call(raise_it)
     assert await calls.call(lambda: "next") == "next"
     assert len(made) == 3
+
+
+@pytest.mark.parametrize("end", ["times out", "is cancelled"])
+async def test_a_call_that_had_not_begun_when_its_caller_left_is_never_made(end: str) -> None:
+    """Three calls wait for a thread: the first comes back, and the second keeps the third waiting."""
+    thread, first, second, made = DeviceThread("device"), Gate(), Gate(), threading.Event()
+    before = [asyncio.create_task(thread.call(gate, within_s=LONG_S)) for gate in (first, second)]
+    third = asyncio.create_task(thread.call(made.set, within_s=0.05 if end == "times out" else LONG_S))
+    assert await asyncio.to_thread(first.entered.wait, LONG_S)
+    first.may_end.set()
+    assert await asyncio.to_thread(second.entered.wait, LONG_S)
+    if end == "is cancelled":
+        third.cancel()
+    with pytest.raises((TimeoutError, asyncio.CancelledError)):
+        await third
+    second.may_end.set()
+    assert await asyncio.gather(*before) == ["through"] * 2
+    assert await thread.end(lambda: None, LONG_S)
+    assert not made.is_set()
+
+
+@pytest.mark.parametrize("end", ["times out", "is cancelled"])
+async def test_a_call_that_comes_back_after_its_caller_left_is_undone_before_the_next(end: str) -> None:
+    thread, gate, done = DeviceThread("device"), Gate(), list[str]()
+
+    def work() -> str:
+        done.append(gate())
+        return done[-1]
+
+    within_s = 0.05 if end == "times out" else LONG_S
+    asked = asyncio.create_task(thread.call(work, within_s=within_s, undo=done.remove))
+    assert await asyncio.to_thread(gate.entered.wait, LONG_S)
+    following = asyncio.create_task(thread.call(done.copy, within_s=LONG_S))
+    if end == "is cancelled":
+        asked.cancel()
+    with pytest.raises((TimeoutError, asyncio.CancelledError)):
+        await asked
+    gate.may_end.set()
+    assert await following == []
+    assert await thread.end(lambda: None, LONG_S)
+
+
+async def test_a_call_that_cannot_be_undone_is_logged_and_the_next_is_made(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    thread, gate = DeviceThread("device"), Gate()
+    with pytest.raises(TimeoutError):
+        await thread.call(gate, within_s=0.01, undo=lambda _: raise_it())
+    gate.may_end.set()
+    assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
+    assert caplog.messages == ["device: a call that came too late is not undone"]
+    assert await thread.end(lambda: None, LONG_S)
+
+
+async def test_of_many_calls_that_are_cancelled_at_any_time_what_was_told_is_what_happened() -> None:
+    thread, chance, there = DeviceThread("device"), random.Random(1), set[int]()
+
+    def add(number: int) -> int:
+        time.sleep(chance.random() * 1e-3)
+        there.add(number)
+        return number
+
+    asked = [
+        asyncio.create_task(thread.call(add, number, within_s=LONG_S, undo=there.remove))
+        for number in range(200)
+    ]
+    for _ in range(100):
+        asked[chance.randrange(200)].cancel()
+        await asyncio.sleep(chance.random() * 1e-3)
+    told = await asyncio.gather(*asked, return_exceptions=True)
+    assert await thread.end(lambda: None, LONG_S)
+    successes = {number for number in told if isinstance(number, int)}
+    assert 100 <= len(successes) < 200
+    assert there == successes
 
 
 async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(

@@ -10,6 +10,8 @@ import weakref
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -311,6 +313,63 @@ async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
     finally:
         hangs.set()
         held.join()
+
+
+@pytest.mark.parametrize("how", ["timed out", "cancelled"])
+async def test_a_recording_that_was_refused_is_not_there_when_the_disk_comes_back(
+    unit: Unit, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    await unit.expose(40)
+    before = await unit.keeper.keep("before")
+    with monkeypatch.context() as slow:
+        disk = Disk(slow)
+        if how == "timed out":
+            slow.setattr(keeper_module, "_DISK_TIMEOUT_S", 0.05)
+        asked = asyncio.create_task(unit.keeper.keep("asked"))
+        assert await asyncio.to_thread(disk.is_written.wait, 60)
+        if how == "cancelled":
+            asked.cancel()
+        (end,) = await asyncio.gather(asked, return_exceptions=True)
+        assert isinstance(end, ENDS[how]), end
+        disk.goes_on.set()
+        await unit.is_idle()
+    assert unit.keeper.recordings == unit.store.recordings() == (before,)
+    later = await unit.keeper.keep("later")
+    assert unit.keeper.recordings == unit.store.recordings() == (later, before)
+
+
+async def test_a_recording_that_is_there_is_not_refused_because_the_others_cannot_be_listed(
+    unit: Unit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await unit.expose(40)
+    before = await unit.keeper.keep("before")
+    add = unit.store.add
+
+    def add_and_fail(*arguments: Any) -> KeptRecording:
+        kept = add(*arguments)
+        monkeypatch.setattr(unit.store, "recordings", Mock(side_effect=OSError(5, "Input/output error")))
+        return kept
+
+    monkeypatch.setattr(unit.store, "add", add_and_fail)
+    kept = await unit.keeper.keep("asked")
+    assert unit.keeper.recordings == (kept, before)
+
+
+async def test_a_mark_that_was_refused_is_not_there_when_the_disk_comes_back(
+    unit: Unit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await unit.expose(40)
+    kept = await unit.keeper.keep("asked")
+    goes_on, mark = threading.Event(), unit.store.mark
+    with monkeypatch.context() as slow:
+        slow.setattr(keeper_module, "_DISK_TIMEOUT_S", 0.05)
+        slow.setattr(unit.store, "mark", lambda *of: goes_on.wait(60) and mark(*of))
+        with pytest.raises(NotKeptError, match="does not answer"):
+            await unit.keeper.mark(kept.name, True)
+        goes_on.set()
+        await unit.is_idle()
+    assert unit.keeper.recordings == unit.store.recordings() == (kept,)
+    assert (await unit.keeper.mark(kept.name, True)).is_marked
 
 
 @pytest.mark.parametrize(

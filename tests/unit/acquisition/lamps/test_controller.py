@@ -150,6 +150,73 @@ async def test_a_switch_that_fails_is_an_error(lamps: FrameLamps, leds: Leds, co
         await leds.clock.run(lamps.apply(True))
 
 
+@pytest.mark.parametrize("is_begun", [False, True])
+async def test_of_requests_at_once_the_last_is_applied_and_the_others_are_told_so(
+    lamps: FrameLamps, leds: Leds, component: Component, is_begun: bool
+) -> None:
+    """``is_begun``: the first one is being applied when the others come; it was applied."""
+    await leds.clock.until(lambda: component.state is State.OK)
+    requests = [asyncio.create_task(lamps.apply(True))]
+    if is_begun:
+        leds.passable.clear()
+        await leds.clock.settle()
+    requests += [asyncio.create_task(lamps.apply(on)) for on in (True, False, True, False)]
+    await asyncio.sleep(0)
+    leds.clock.release(leds.passable)
+    told = await asyncio.gather(*requests, return_exceptions=True)
+    assert leds.lit is False
+    refused = [str(each) for each in told if isinstance(each, LampsError)]
+    assert [type(each) for each in told] == (
+        [type(None) if is_begun else LampsError, LampsError, type(None), LampsError, type(None)]
+    )
+    assert set(refused) == {"another request came before they were switched"}
+    assert component.state is State.OK
+
+
+@pytest.mark.parametrize("is_begun", [False, True])
+async def test_a_request_that_is_cancelled_leaves_the_lamps_dark(
+    lamps: FrameLamps, leds: Leds, component: Component, is_begun: bool
+) -> None:
+    await leds.clock.until(lambda: component.state is State.OK)
+    request = asyncio.create_task(lamps.apply(True))
+    if is_begun:
+        leds.passable.clear()
+        await leds.clock.settle()
+    else:
+        await asyncio.sleep(0)
+    request.cancel()
+    await asyncio.wait([request])
+    leds.clock.release(leds.passable)
+    await leds.clock.advance(0.1)
+    assert request.cancelled()
+    assert leds.lit is False
+
+
+async def test_a_request_that_is_cancelled_does_not_undo_a_later_one(
+    lamps: FrameLamps, leds: Leds, component: Component
+) -> None:
+    await leds.clock.until(lambda: component.state is State.OK)
+    first, second = (asyncio.create_task(lamps.apply(True)) for _ in range(2))
+    await asyncio.sleep(0)
+    first.cancel()
+    await second
+    assert leds.lit
+
+
+async def test_lamps_that_are_switched_after_it_was_reported_as_failed_are_closed_at_once(
+    lamps: FrameLamps, leds: Leds, component: Component
+) -> None:
+    await leds.clock.until(lambda: component.state is State.OK)
+    leds.passable.clear()
+    switching = asyncio.create_task(lamps.apply(True))
+    await leds.clock.until(switching.done)
+    assert isinstance(switching.exception(), LampsError)
+    await leds.clock.advance(6.0)  # within the third pause, of 0.8 s
+    leds.clock.release(leds.passable)
+    while leds.lit is not None:  # no time passes
+        await asyncio.sleep(0)
+
+
 async def test_a_defect_of_the_driver_ends_nothing(
     lamps: FrameLamps, leds: Leds, component: Component
 ) -> None:
