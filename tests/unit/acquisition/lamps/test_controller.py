@@ -213,7 +213,7 @@ async def test_lamps_that_are_switched_after_it_was_reported_as_failed_are_close
     assert isinstance(switching.exception(), LampsError)
     await leds.clock.advance(6.0)  # within the third pause, of 0.8 s
     leds.clock.release(leds.passable)
-    while leds.lit is not None:  # no time passes
+    while leds.lit is not None:  # noqa: ASYNC110  no time passes
         await asyncio.sleep(0)
 
 
