@@ -19,6 +19,7 @@ from altd.tables import Column, Format, Row, Type, Value, check_parquet, table_i
 
 Every = Literal["measurement", "second", "minute", "hour"]
 _TABLES = {"second": SECONDS, "minute": MINUTES, "hour": HOURS}
+_EPOCH = Column("epoch", Type.WHOLE, "", "number of the clock's epoch, in which time only increases")
 _SIGNALS = {signal.severity: str(signal) for signal in Signal}
 
 
@@ -63,6 +64,7 @@ def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
                 _of(stored, "sigma_random_", "scattering part of sigma of")
                 for stored in reader.recorded.values()
             ),
+            _EPOCH,
         )
     kinds = {
         "": "mean over the valid measurements of",
@@ -82,6 +84,7 @@ def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
             for stored in reader.summarised.values()
             for prefix, what in kinds.items()
         ),
+        _EPOCH,
     )
 
 
@@ -111,6 +114,7 @@ def _measurement_row(stored: StoredMeasurement) -> Row:
         **{_name(key): value for key, value in stored.values.items()},
         **{f"sigma_{_name(key)}": sigma for key, sigma in stored.sigmas.items()},
         **{f"sigma_random_{_name(key)}": sigma for key, sigma in stored.randoms.items()},
+        "epoch": stored.epoch,
     }
 
 
@@ -122,6 +126,7 @@ def _summary_row(point: SummaryPoint) -> Row:
         "worst": _SIGNALS[point.worst],
         "worst_cause": point.worst_code,
         "lost_to": point.lost_to,
+        "epoch": point.epoch,
     }
     for key, value in point.values.items():
         name = _name(key)

@@ -11,6 +11,7 @@ import math
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -125,13 +126,14 @@ class Reader:
         columns = self._chosen(None)
         names = [column_name(part, number) for number, _ in columns for part in SUMMARY_PARTS]
         sql = (
-            f"SELECT key, n, n_valid, worst, lost{''.join(f', {name}' for name in names)} "  # noqa: S608
+            f"SELECT key, n, n_valid, worst, lost{''.join(f', {name}' for name in names)}, epoch "  # noqa: S608
             f"FROM {table.name} WHERE key >= ? AND key < ? ORDER BY key LIMIT {MAX_ROWS}"
         )
         first = -(-max(from_us, 0) // _US) * ROWS_PER_SPAN
         while rows := self.rows(sql, (first, -(-min(to_us, 2**52) // _US) * ROWS_PER_SPAN)):
             for row in rows:
-                yield self._summary(row, table, columns)
+                (epoch,) = _whole(row[-1:], table.name)
+                yield replace(self._summary(row[:-1], table, columns), epoch=epoch)
             first = _further(rows[-1][0], first - 1) + 1
 
     def queued(self, stream: str, after: int, last: int, limit: int) -> list[QueuedSecond]:
@@ -160,6 +162,13 @@ class Reader:
         if not 0 <= after < 2**62 or not 1 <= limit <= MAX_ROWS:
             raise ValueError(f"measurements are asked for after an id, 1 to {MAX_ROWS} at once")
         return self._measurements("id > ? ORDER BY id LIMIT ?", (after, limit))
+
+    def measurements_between(
+        self, first: int, last: int, limit: int, *, newest_first: bool = False
+    ) -> list[StoredMeasurement]:
+        """Return the measurements with an id from ``first`` to ``last``, in its order."""
+        order = "DESC" if newest_first else "ASC"
+        return self._measurements(f"id >= ? AND id <= ? ORDER BY id {order} LIMIT ?", (first, last, limit))
 
     def id_of(self, sequence: int, t_ns: int) -> int | None:
         """Return the id of the newest measurement with this sequence and monotonic time; None: none."""

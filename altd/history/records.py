@@ -57,7 +57,8 @@ class SummaryPoint:
 
     ``n`` measurements were made in it, ``n_valid`` of them valid. ``worst`` is the severity (0 good to 4
     failure) of the unit's state, ``worst_code`` its cause; ``lost_to`` is the worst reason of the invalid
-    measurements. Both codes are empty if there is none. A quantity that was not known is absent.
+    measurements. Both codes are empty if there is none. A quantity that was not known is absent. Of a
+    single row, ``epoch`` is that of the clock.
     """
 
     t_us: int
@@ -68,6 +69,7 @@ class SummaryPoint:
     worst_code: str
     lost_to: str
     values: Mapping[str, SummaryValue]
+    epoch: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,9 +116,11 @@ A measurement has the first code of this table that fits its [reasons](reasons.m
 
 ## History
 
-HistoryRead of raw values gives the numbers of each quantity from the unit's [history](history.md), the
-oldest first, up to {MAX_VALUES} for each node in an answer. It needs a start time, and an end time or a
-number. Sigmas have no history.
+HistoryRead of raw values gives the numbers of each quantity from the unit's [history](history.md), up to
+{MAX_VALUES} for each node in an answer. It needs two of start time, end time and number. The newest come
+first if the end is before the start, or without a start time: an end time and a number give the last values
+before that time. After the clock was set back, times come twice; all values are given, in the order of time.
+Sigmas have no history.
 
 ## Security and login
 

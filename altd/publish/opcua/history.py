@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import bisect
+import functools
+import heapq
+import itertools
+import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 from asyncua import ua
 
@@ -21,8 +24,12 @@ MAX_VALUES = 2000
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _WINDOWS_EPOCH = datetime(1601, 1, 1, tzinfo=UTC)
-_CONTINUATION = struct.Struct(">Q")
-"""Id of the next measurement: the server stores nothing for clients that do not continue."""
+_CONTINUATION = struct.Struct(">QQ")
+"""Time and id of the next measurement: the server stores nothing for clients that do not continue."""
+
+_ROWS_AT_ONCE = 200
+_Key = tuple[int, int]
+"""Time, µs since 1970, and id of a measurement."""
 
 
 class StoredValues:
@@ -59,7 +66,7 @@ class StoredValues:
         data.DataValues = [self._value(row, key) for row in found]
         result.HistoryData = data
         if further and span.is_limited_by_server:
-            result.ContinuationPoint = _CONTINUATION.pack(further[0].id)
+            result.ContinuationPoint = _CONTINUATION.pack(*_key(further[0]))
         if not found:
             result.StatusCode = ua.StatusCode(ua.StatusCodes.GoodNoData)
         return result
@@ -77,56 +84,82 @@ class StoredValues:
 
 
 class _Span:
-    """The span of a request: from a start to an end, at most ``count`` values.
+    """The span of a request, at most ``count`` values; backwards from a later start, or without a start.
 
-    Raises ValueError if it cannot be answered: backwards, without a start, or without both end and count.
+    Raises ValueError without two of start, end and number (OPC 10000-11, 6.5.3).
     """
 
     def __init__(self, details: ua.ReadRawModifiedDetails, continuation: bytes | None) -> None:
-        start, end = details.StartTime, details.EndTime
-        self._from_us = _us(start)
-        has_end = end is not None and end > _WINDOWS_EPOCH
-        self._to_us = _us(end) if has_end else 2**62
-        wanted = details.NumValuesPerNode
-        if start is None or start <= _WINDOWS_EPOCH or self._to_us < self._from_us or not (has_end or wanted):
+        start, end, wanted = _us(details.StartTime), _us(details.EndTime), details.NumValuesPerNode
+        if (start is not None) + (end is not None) + bool(wanted) < 2:
             raise ValueError
-        self._first_id: int | None = None
+        self._is_reverse = start is None or (end is not None and end < start)
+        first_us, last_us = (end, start) if self._is_reverse and start is not None else (start, end)
+        self._first: _Key = (first_us or 0, 0)
+        self._last: _Key = (2**62 if last_us is None else last_us, 2**62)
         if continuation:
             if len(continuation) != _CONTINUATION.size:
                 raise ValueError
-            (self._first_id,) = _CONTINUATION.unpack(continuation)
-            if self._first_id >= 2**62:
+            t_us, number = _CONTINUATION.unpack(continuation)
+            if max(t_us, number) >= 2**62:
                 raise ValueError
+            if self._is_reverse:
+                self._last = min(self._last, (t_us, number))
+            else:
+                self._first = max(self._first, (t_us, number))
         self.count = min(wanted or MAX_VALUES, MAX_VALUES)
         self.is_limited_by_server = not wanted or wanted > MAX_VALUES
 
     def read(self, reader: Reader) -> Sequence[StoredMeasurement]:
-        """Return the rows, and one more row if there is one."""
-        first = self._first_id
-        if first is None:
-            first = _first_id(reader, self._from_us)
-        rows = reader.measurements_after(max(first - 1, 0), self.count + 1)
-        return [row for row in rows if self._from_us <= row.t_us <= self._to_us]
+        """Return the rows in the order of their times, and one more row if there is one.
+
+        Only within an epoch are ids in the order of times: after the clock was set back, times come again.
+        """
+        rows = [self._rows(reader, *epoch) for epoch in _epochs(reader)]
+        merged = heapq.merge(*rows, key=_key, reverse=self._is_reverse)
+        return list(itertools.islice(merged, self.count + 1))
+
+    def _rows(self, reader: Reader, first: int, last: int) -> Iterator[StoredMeasurement]:
+        """Yield the rows of an epoch with these ids, by bisection: the file has no index of times."""
+        ids = range(first, last + 1)
+        key = functools.partial(_key_from, reader, last)
+        first += bisect.bisect_left(ids, self._first, key=key)
+        last = ids.start + bisect.bisect_right(ids, self._last, key=key) - 1
+        while rows := reader.measurements_between(first, last, _ROWS_AT_ONCE, newest_first=self._is_reverse):
+            yield from rows
+            first, last = (first, rows[-1].id - 1) if self._is_reverse else (rows[-1].id + 1, last)
 
 
-def _first_id(reader: Reader, from_us: int) -> int:
-    """Id of the first measurement that is not older, by bisection: the file has no index of times.
+def _key(row: StoredMeasurement) -> _Key:
+    return row.t_us, row.id
 
-    Measurements are in the order of their creation; if the clock was set back, it is one of them.
-    """
+
+def _key_from(reader: Reader, last: int, number: int) -> _Key:
+    """Key of the first measurement from an id on; later than any other if there is none."""
+    rows = reader.measurements_between(number, last, 1)
+    return _key(rows[0]) if rows else (2**63, 0)
+
+
+def _epochs(reader: Reader) -> Iterator[tuple[int, int]]:
+    """Yield first and last id of the measurements of each epoch of the clock."""
     ((low, high),) = reader.rows("SELECT min(id), max(id) FROM measurements")
-    if low is None:
-        return 0
 
-    def time_us(number: int) -> int:
-        rows: list[Any] = reader.measurements_after(number - 1, 1)
-        return rows[0].t_us if rows else from_us
+    def epoch_from(number: int) -> float:
+        rows = reader.measurements_between(number, high, 1)
+        return rows[0].epoch if rows else math.inf
 
-    return low + bisect.bisect_left(range(low, high + 1), from_us, key=time_us)
+    while low is not None and low <= high:
+        ids = range(low, high + 1)
+        after = low + bisect.bisect_right(ids, epoch_from(low), key=epoch_from)
+        yield low, after - 1
+        low = after
 
 
-def _us(time: datetime | None) -> int:
-    return 0 if time is None else max((time - _EPOCH) // timedelta(microseconds=1), 0)
+def _us(time: datetime | None) -> int | None:
+    """Return a time of a request; None: it is not given."""
+    if time is None or time <= _WINDOWS_EPOCH:
+        return None
+    return max((time - _EPOCH) // timedelta(microseconds=1), 0)
 
 
 def _failed(code: int) -> ua.HistoryReadResult:

@@ -20,6 +20,7 @@ from support.history import START_S, batch, event, sample, state, store, write_s
 
 from altd.answers.events import answer
 from altd.history.opening import DAMAGED, move_aside
+from altd.history.records import ClockSet
 from altd.reasons import Reason
 from altd.status.event_log import EventKind
 
@@ -68,6 +69,22 @@ class TestExport:
         assert (rows[2]["x_mm"], rows[2]["sigma_x_mm"], rows[2]["front_x_mm"]) == (None, None, None)
         assert read.schema.field("yaw_deg").metadata[b"unit"] == "°".encode()
         assert json.loads(read.schema.metadata[b"altd.unit_serial"]) == "TEST-1"
+
+    @pytest.mark.parametrize(("every", "most"), [("second", 2), ("minute", 2), ("measurement", 4)])
+    def test_rows_of_one_time_are_told_apart_by_the_epoch_of_the_clock(
+        self, tmp_path: Path, every: str, most: int
+    ) -> None:
+        writing = store(tmp_path)
+        write_seconds(writing, START_S, [1.0] * 3, rate=2)
+        writing.write(batch(START_S + 4, [ClockSet(START_S * 10**6)]))
+        write_seconds(writing, START_S, [2.0] * 3, rate=2)
+        writing.end(None)
+        path = tmp_path / "history.db"
+        rows = table(altd_here("export", "--history", path, "--every", every).out)
+        at_once = [row for row in rows if row["time"] == rows[0]["time"]]
+        assert len(at_once) == 2
+        assert [(row["epoch"], row["x_mm"]) for row in at_once] == [("1", "1.0"), ("2", "2.0")]
+        assert len({(row["epoch"], row["time"]) for row in rows}) == len(rows) >= most
 
     @pytest.mark.parametrize("every", ["minute", "hour"])
     def test_minutes_and_hours(self, history: Path, every: str) -> None:
