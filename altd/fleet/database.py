@@ -121,12 +121,7 @@ class Writer:
 
     def _write(self, batches: Sequence[Batch], ids: dict[tuple[str, str], tuple[int, int]]) -> list[Progress]:
         execute = self._connection.execute
-        for serial, file in sorted({(batch.serial, batch.file) for batch in batches} - ids.keys()):
-            unit = self._find_id(_UNIT, serial)
-            ids[serial, file] = unit, self._find_id(_FILE, unit, file)
-        serials = {ids[batch.serial, batch.file][0]: batch.serial for batch in batches}
-        units = sorted(serials)  # in one order, so that instances do not deadlock
-        execute("SELECT FROM altd.units WHERE id = ANY(%s) ORDER BY id FOR UPDATE", (units,))
+        serials = self._lock_units(batches, ids)
         with self._connection.cursor().copy(
             "COPY staged (unit, time, file, sequence, boot, n, n_valid, worst, cause, lost_to, quantities) "
             "FROM STDIN"
@@ -168,6 +163,22 @@ class Writer:
                 latest.append((unit, batch.rows[-1], ids[batch.serial, batch.file][1], batch.dropped))
         self._show(latest)
         return progress
+
+    def _lock_units(
+        self, batches: Sequence[Batch], ids: dict[tuple[str, str], tuple[int, int]]
+    ) -> dict[int, str]:
+        """Find or create the batches' units and files, and lock the units; return the serials by id."""
+        while True:
+            for serial, file in sorted({(batch.serial, batch.file) for batch in batches} - ids.keys()):
+                unit = self._find_id(_UNIT, serial)
+                ids[serial, file] = unit, self._find_id(_FILE, unit, file)
+            serials = {ids[batch.serial, batch.file][0]: batch.serial for batch in batches}
+            locked = self._connection.execute(  # in one order, so that instances do not deadlock
+                "SELECT id FROM altd.units WHERE id = ANY(%s) ORDER BY id FOR UPDATE", (sorted(serials),)
+            ).fetchall()
+            if len(locked) == len(serials):
+                return serials
+            ids.clear()  # a unit was deleted since its id was found
 
     def _find_id(self, sql: LiteralString, *values: object) -> int:
         row = self._connection.execute(sql, values).fetchone()

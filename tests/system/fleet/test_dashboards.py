@@ -25,11 +25,12 @@ QUERIES = {
     for panel in json.loads(path.read_text())["panels"]
     for target in panel["targets"]
 }
-ALERTS = {
-    rule["title"]: rule["data"][0]["model"]["rawSql"]
+RULES = [
+    rule
     for group in yaml.safe_load((GRAFANA / "provisioning/alerting/altd.yaml").read_text())["groups"]
     for rule in group["rules"]
-}
+]
+ALERTS = {rule["title"]: rule["data"][0]["model"]["rawSql"] for rule in RULES}
 ALL_TIME = r"\1 BETWEEN '2020-01-01' AND '2040-01-01'"
 
 
@@ -99,6 +100,16 @@ def test_each_alert_names_the_unit(title: str, database: psycopg.Connection) -> 
     rows = database.execute(ALERTS[title].encode()).fetchall()
     is_healthy = "too little" in title or "clock" in title
     assert rows == ([] if is_healthy else [("ALT-1", 3 if "deleted" in title else 1)])
+
+
+def test_no_alert_fires_on_a_healthy_fleet(database: psycopg.Connection) -> None:
+    """Without ``noDataState`` Grafana fires on a query without a row."""
+    with database.transaction(force_rollback=True):
+        database.execute("DELETE FROM altd.refused")
+        database.execute("UPDATE altd.units SET last_time = now(), heard = now()")
+        for rule in RULES:
+            rows = database.execute(ALERTS[rule["title"]].encode()).fetchall()
+            assert (rows, rule.get("noDataState")) == ([], "OK"), rule["title"]
 
 
 def test_a_clock_that_is_ahead_does_not_hide_silence(database: psycopg.Connection, tmp_path: Path) -> None:

@@ -163,6 +163,30 @@ def test_a_database_that_takes_nothing_is_tried_again_and_no_unit_is_blamed(
         assert connection.execute("SELECT * FROM altd.refused").fetchall() == []
 
 
+def test_a_unit_that_is_deleted_while_the_ingest_runs_is_there_again_with_its_next_second(
+    ingest: Ingest,
+) -> None:
+    settings = ingest._settings  # noqa: SLF001
+    ingest.take([message("ALT-1", 1), message("ALT-2", 1)])
+    with connect(settings) as connection:
+        for table in ("seconds", "streams", "files"):
+            sql = f"DELETE FROM altd.{table} USING altd.units WHERE unit = units.id AND serial = 'ALT-1'"
+            connection.execute(sql.encode())
+        connection.execute("DELETE FROM altd.units WHERE serial = 'ALT-1'")
+    ingest.take([message("ALT-1", 2), message("ALT-2", 2)])
+    stored = [row[:2] for row in stored_rows(settings.database.connection)]
+    assert [(serial, t_s - 1_795_161_600) for serial, t_s in stored] == [
+        ("ALT-1", 2),
+        ("ALT-2", 1),
+        ("ALT-2", 2),
+    ]
+    with connect(settings) as connection:
+        fleet = connection.execute("SELECT unit, extract(epoch FROM last_time) FROM altd.fleet").fetchall()
+        files = connection.execute("SELECT count(DISTINCT unit) FROM altd.files").fetchone()
+    assert fleet == [("ALT-1", 1_795_161_602), ("ALT-2", 1_795_161_602)]
+    assert files == (2,)
+
+
 def test_the_day_of_a_wrong_clock_comes_and_old_days_go(cluster: Cluster) -> None:
     settings = settings_of(cluster)
     day = "date_trunc('day', now()) + interval '1 day'"
