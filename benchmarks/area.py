@@ -7,8 +7,6 @@ edge are cut. ``hard`` has all effects of ``hw_sim.hardness``, ``no laser speckl
 speckle; their flats are made with a lamp.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """The Chromium of this machine, driven by Playwright, and the resources of its processes."""
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 from collections.abc import AsyncIterator, Awaitable

@@ -1,7 +1,5 @@
 """The real daemon on cameras that deliver from memory: CPU, latency and losses."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -5,8 +5,6 @@ the units have faults. One loses its beam for ten seconds in each half minute, a
 share of valid measurements show. The other has no network for forty seconds in each minute, and catches up.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dataclasses

@@ -16,8 +16,6 @@ In the end the database must have each row that was sent once. Mosquitto, Postgr
 machine with the ingest.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -4,8 +4,6 @@ It imports nothing large, because a child process begins with the peak memory of
 (``benchmarks.memory``).
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import dataclasses

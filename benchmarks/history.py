@@ -5,8 +5,6 @@ an hour of measurements, 100,000 events. The values scatter as those of a unit; 
 invalid. The file is a history as the daemon writes it, except that the rows are inserted at once.
 """
 
-from __future__ import annotations
-
 import sqlite3
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """All interfaces of a unit on ports of this computer, and their far ends."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -16,8 +16,6 @@ ms from rounding. A value that waits in the unit before its message is made cont
 Pictures have no age in their message; theirs counts from the exposure.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

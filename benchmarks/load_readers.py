@@ -11,8 +11,6 @@ process runs in the idle scheduling class: clients have their own computers and 
 time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -1,7 +1,5 @@
 """``python -m benchmarks.measure`` (``make bench``): the figures, with their targets."""
 
-from __future__ import annotations
-
 import dataclasses
 import http.client
 import json

@@ -4,8 +4,6 @@ Each command runs in a separate process, one at a time; its peak is the kernel's
 process begins with the peak of its parent, so this module imports nothing large.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

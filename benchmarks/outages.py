@@ -9,8 +9,6 @@ with equal values and in order.
 It must run as root in a network namespace: ``unshare -n``. PostgreSQL runs as another user.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

@@ -10,8 +10,6 @@ A unit on two cameras from memory, 20 pairs/s, runs in a separate process. Three
 It must run where it may mount a file system and use all loopback addresses: ``unshare -rmn``.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -9,8 +9,6 @@ no true pose of a photograph is known. But the corners are rigid: seven of them,
 moved in the plane of the 28 others, have moved by a = b = 0 and turned by φ = 0. The rest is error.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections import Counter, defaultdict

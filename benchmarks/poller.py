@@ -5,8 +5,6 @@ It reads the input registers until its standard input ends. Then it prints as JS
 ``age``; and the numbers of events and telegrams received.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """A separate PostgreSQL server of Debian's package, for measurements and tests."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

@@ -4,8 +4,6 @@ The real daemon runs on cameras in memory that show the frame LEDs in their swit
 second. A Modbus TCP client polls it 50 times a second, and further processes load the CPU.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -5,8 +5,6 @@ calibration; each calibration has its own LED references, because they are the s
 positions alone, many more: LEDs with Gaussian noise through fit and test.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """Simulated units for ``benchmarks.selfcheck``: calibrated by a scan, then checked and measured."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Mapping, Sequence

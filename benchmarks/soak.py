@@ -6,8 +6,6 @@ frames are kept. Memory, descriptors and threads are those of this process, incl
 frames are taken from a stock that is longer than the memory of the check for repeated pictures.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """Settings of a unit, as a file; this module imports nothing large."""
 
-from __future__ import annotations
-
 
 def unit_toml(serial: str, calibration: object, front: str, rear: str) -> str:
     """Settings of a unit with two targets; ``front`` and ``rear`` are the lines of the cameras' tables."""

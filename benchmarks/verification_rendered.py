@@ -5,8 +5,6 @@ stages and beams have errors according to the headers. Recordings, calibration a
 ``DIR/SEED``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """``python -m hw_sim``: the simulator's commands."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Common parts of the simulator's commands: arguments and progress."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Differences between units: lenses, tilts and print, drawn from the unit's seed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The reference beam: its path in the unit frame, and its irradiance on a target."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The unit's cameras behind ``altd.ports.Camera``: one schedule of frame sets, two readers."""
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Protocol

@@ -1,7 +1,5 @@
 """``python -m hw_sim demo``: a simulated unit, measured by the real daemon, to watch and to query."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import contextlib

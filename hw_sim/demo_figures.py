@@ -1,7 +1,5 @@
 """Statistics of a demo: measurements against the truth, frame sets, and the process itself."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

@@ -1,7 +1,5 @@
 """The demo's folder: the data that its daemon keeps, and the commands that read them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shlex

@@ -1,7 +1,5 @@
 """The demo's cameras as hardware: ``hw_sim gige`` in a separate process, and altd's settings for it."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import sys

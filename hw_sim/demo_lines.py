@@ -4,8 +4,6 @@ The unit opens one end, a person the other, with any program that opens a device
 while the far end is closed are lost: a program that opens it receives only later data.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """The demo's terminal: a screen redrawn in place, single keys, and the terminal restored at the end."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

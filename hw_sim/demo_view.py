@@ -1,7 +1,5 @@
 """Texts of the demo: the table on a terminal, the line per second elsewhere, the commands to try."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Lens of a camera that has moved relative to its target."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ The pose is found by following the closure of the mechanism from the current pos
 It therefore stays in its assembly mode, and jams where the closure has no further solution.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Faults of a unit, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """A lens whose distortion depends on the angle of the ray, as the micro lens of f = 3.6 mm (Table 3.2)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

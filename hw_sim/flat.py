@@ -1,7 +1,5 @@
 """``python -m hw_sim flat``: the targets in even light or under the laser's own spot, and in the dark."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The frame LEDs one by one, and lights that are not frame LEDs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """One line of G-code: its words, the modes that it sets, and Grbl's errors about it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

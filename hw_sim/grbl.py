@@ -5,8 +5,6 @@ functions that a stage needs: straight moves, work coordinates, homing, soft and
 It stops between moves (Grbl blends them), has no overrides, arcs, probe or spindle, and its z does not move.
 """
 
-from __future__ import annotations
-
 import re
 from collections import deque
 from dataclasses import dataclass, field, replace

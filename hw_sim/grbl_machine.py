@@ -1,7 +1,5 @@
 """An xy table under a Grbl controller: its moves in simulated time, limits, homing, hold and alarms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Straight moves of an xy table, one after another; each accelerates, runs and brakes."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The controller has its own position count. The true position differs from it by 
 ``hw_sim.stage`` and, after a loss of power or of steps, by the lost distance, until homing.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import threading

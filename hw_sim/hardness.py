@@ -1,7 +1,5 @@
 """Effects of a real unit that the ordinary simulated one leaves out, each by its own setting."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hw_sim.beam import BeamFlaws

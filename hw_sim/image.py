@@ -1,7 +1,5 @@
 """Images of the simulator: light, electrons or shares of a pixel, before conversion to grey values."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

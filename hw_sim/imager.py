@@ -1,7 +1,5 @@
 """The imaging of one camera: its view, its sensor, and its exposure time and gain."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

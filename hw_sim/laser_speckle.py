@@ -13,8 +13,6 @@ phase; both depend on the laser, so ``place_mm`` is a setting, not a result. Vib
 within an exposure, whose light is then the mean over several patterns.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A tilted pinhole camera with Brown distortion, directed at a plane target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

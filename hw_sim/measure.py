@@ -1,7 +1,5 @@
 """``python -m hw_sim measure``: record poses of the beam with their truth, one after another."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

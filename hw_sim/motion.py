@@ -4,8 +4,6 @@ Both are sums of sinusoids, so that the truth at any instant is a formula withou
 evaluate it, and the result for a time is always the same.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The band-pass filter before a camera's lens, and the veiling glare of that lens."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import numpy.typing as npt

@@ -1,7 +1,5 @@
 """``python -m hw_sim planar-recording``: a plate with seven LEDs that moves in its plane (Sec. 2.4)."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

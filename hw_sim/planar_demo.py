@@ -1,7 +1,5 @@
 """``python -m hw_sim planar``: the 3-PRP machine moves its plate before a camera, and the daemon measures."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import itertools
@@ -9,7 +7,7 @@ import math
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -67,7 +65,7 @@ class PlateCamera:
         self._start_ns, self._last = 0, -1
 
     @staticmethod
-    def _rests_mm(seed: int) -> itertools.cycle[Array]:
+    def _rests_mm(seed: int) -> Iterator[Array]:
         """Joints of poses within the picture, from a machine with the same errors."""
         other = source_machine(MACHINE_FLAWS, seed)
         return itertools.cycle(

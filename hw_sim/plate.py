@@ -1,7 +1,5 @@
 """``python -m hw_sim plate``: record the plate of 7 × 5 LEDs (Sec. 3.3.4) at each target's place."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Sequence

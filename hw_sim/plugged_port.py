@@ -1,7 +1,5 @@
 """A serial port that can be unplugged: a pseudo-terminal with its own path."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

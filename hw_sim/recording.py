@@ -1,7 +1,5 @@
 """Writes altd-recording/1 folders: recording.json, frames.csv, one PNG for each frame."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

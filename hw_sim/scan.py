@@ -1,7 +1,5 @@
 """``python -m hw_sim scan``: record the calibration scan of Sec. 3.5.7."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path

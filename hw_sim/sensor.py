@@ -5,8 +5,6 @@ where a frame must take about a millisecond, Gaussian noise is taken from a pool
 (``NoisePool``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

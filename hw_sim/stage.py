@@ -1,7 +1,5 @@
 """The calibration table: it positions a beam in front of the targets, with typical errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ It works as with a real unit: ``altd scan`` controls the table, which moves the 
 the frames that the cameras deliver meanwhile. An interrupted scan is resumed like a real one.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scattering surfaces: the printed window, the plain plate, their speckle; positions of the frame LEDs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

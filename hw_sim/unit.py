@@ -1,7 +1,5 @@
 """The simulated unit: one seed makes one unit, with its truth, its faults and its two cameras."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Mapping

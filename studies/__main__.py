@@ -1,7 +1,5 @@
 """``python -m studies``: see ``studies.command``."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Ambient light: the unit in the dark and in daylight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Averaging: what one to a hundred frames make of a unit that vibrates."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from altd.records import FloatArray

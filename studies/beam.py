@@ -1,7 +1,5 @@
 """The beam's form, the distance of the laser, the filter's angle, and refraction in the window."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

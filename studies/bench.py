@@ -1,7 +1,5 @@
 """A simulated unit on the bench: recorded by ``hw_sim``, calibrated and measured by altd's command line."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

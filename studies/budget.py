@@ -1,7 +1,5 @@
 """The uncertainty budget of a calibration, and its check by a Monte Carlo simulation (JCGM 101:2008)."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A row of glass targets over 100 m: sigma by number of targets, and a drifting beam by stable targets."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Photographs of a chessboard through a real lens: the map at corners that it was not shown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fig. 3.17: a frame of aluminium or of Kevlar, 50 K warmer than when it was calibrated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figs. 3.19 and 3.20, and App. A.4: covariance of the basis, and what fails with Vandermonde's."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

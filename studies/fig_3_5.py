@@ -1,7 +1,5 @@
 """Fig. 3.5: what 0.1 mm of error in the spots does to yaw and pitch."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

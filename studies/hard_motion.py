@@ -1,7 +1,5 @@
 """Motions of a machine for which a bound of its later position is difficult."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Fig. 2.11 and Eqs. 2.34–2.36: workspace and singular poses of the planar 3-PRP machine."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """Laser power: the reference laser from 1 to 5 mW at one setting of the cameras."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Mean or now: the lag and the noise of both outputs, at rest and in motion, without and with vibration."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping

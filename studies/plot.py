@@ -1,7 +1,5 @@
 """Style of the studies' figures, and files of them that do not change from run to run."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

@@ -1,7 +1,5 @@
 """The result of a study: a table with the thesis' figures beside ours, a figure, and the text."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

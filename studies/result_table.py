@@ -1,7 +1,5 @@
 """A result's table as Markdown, aligned so that it reads well on a terminal too."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from studies.result import Column, Result, Row, is_worse

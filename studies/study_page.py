@@ -1,7 +1,5 @@
 """A study's page and plot, and the index over all pages: made, written, compared with what is stored."""
 
-from __future__ import annotations
-
 import re
 import statistics
 import textwrap

@@ -1,7 +1,5 @@
 """One unit, calibrated once and measured under a row of conditions: for ``ambient`` and ``laser``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 

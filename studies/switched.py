@@ -1,7 +1,5 @@
 """A unit whose front target is a switched glass, beside one of two cameras at once."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

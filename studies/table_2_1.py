@@ -1,7 +1,5 @@
 """Tables 2.1 to 2.3: the source's plate, calibrated at one pose and measured at three."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Table 3.1: which dots to print on the window."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Table 3.2: lenses of shorter and shorter focal length before a plate of LEDs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

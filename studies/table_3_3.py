@@ -1,7 +1,5 @@
 """Table 3.3: a 6 × 5 scan, how well the spots repeat and how well the map fits them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

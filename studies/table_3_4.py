@@ -1,7 +1,5 @@
 """Table 3.4 and Fig. 3.26–3.29: seventy beams, and whether their errors are correlated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Fixtures for every test, and remains that no test may leave."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import inspect

@@ -5,8 +5,6 @@ SOURCE`` writes the list from a folder of OSV records in JSON, such as the unpac
 database.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

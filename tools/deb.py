@@ -4,8 +4,6 @@ The package is for the Python of this process and for this machine's processor: 
 Debian 12, under 3.13 for Debian 13. Decision 0054 describes its content.
 """
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

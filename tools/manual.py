@@ -1,7 +1,5 @@
 """``altd.1`` and bash completion for the Debian package, from the parsers of the commands."""
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime
 

@@ -4,8 +4,6 @@
 Tables, code and headings are ignored, and only the text of a link counts.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterable, Iterator

@@ -6,8 +6,6 @@ folder all files of these three kinds. A string of one word may be a key and is 
 tests, which are data.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import sys

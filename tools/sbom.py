@@ -4,8 +4,6 @@ It lists the dependencies of a unit, with licences and the components inside whe
 same locks give the same bytes.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

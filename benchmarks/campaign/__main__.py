@@ -1,7 +1,5 @@
 """``python -m benchmarks.campaign`` (``make campaign``): disturbed measurements, judged against the truth."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 

@@ -3,8 +3,6 @@
 Frames with wrong times and numbers go through pipeline and board, and a reader of the board is judged.
 """
 
-from __future__ import annotations
-
 import asyncio
 import heapq
 import math

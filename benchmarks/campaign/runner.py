@@ -1,7 +1,5 @@
 """Runs episodes, each from its own seed, in one or two processes, until enough was measured."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """The table of a campaign, as text and as the page ``docs/studies/campaign.md``."""
 
-from __future__ import annotations
-
 import statistics
 from collections import Counter
 from collections.abc import Iterator, Mapping

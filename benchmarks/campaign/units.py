@@ -3,8 +3,6 @@
 Scans and calibrations are stored outside the tree, and made again when their code changes.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

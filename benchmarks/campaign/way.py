@@ -1,7 +1,5 @@
 """A way to disturb measurements: its effect on light, on grey values and on the stream of frames."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence

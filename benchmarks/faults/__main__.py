@@ -1,7 +1,5 @@
 """``python -m benchmarks.faults`` (``make faults``): disturb the whole daemon and judge all its outputs."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import logging

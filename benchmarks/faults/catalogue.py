@@ -4,8 +4,6 @@ A fault of the second kind is an asynchronous generator: it begins with its firs
 exposure, and ends when it is closed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

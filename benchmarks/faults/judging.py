@@ -1,7 +1,5 @@
 """Compares the outputs of all interfaces of a unit with the truth."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Faults that need a real process and real time: the daemon of ``hw_sim demo``, on the machine's clock."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

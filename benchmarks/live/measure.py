@@ -5,8 +5,6 @@ intervals between values, cost and errors of a unit that measures undisturbed ar
 a wire: ``beside CONFIG SEED SECONDS``, at the same time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dataclasses

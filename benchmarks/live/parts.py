@@ -1,7 +1,5 @@
 """Processes of a unit on a real wire: cameras that can be disturbed, the daemon, and its reader."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -3,8 +3,6 @@
 It also covers faults of the cameras as in the tunnel: the times to detection and to recovery.
 """
 
-from __future__ import annotations
-
 import http.client
 import json
 import threading

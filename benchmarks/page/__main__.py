@@ -1,7 +1,5 @@
 """The whole daemon's page in Chromium: ``python -m benchmarks.page`` (``make bench-page``)."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import tempfile

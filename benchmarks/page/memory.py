@@ -5,8 +5,6 @@ process that draws a page keep the page's network responses (``Network.enable``)
 memory of the page itself.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

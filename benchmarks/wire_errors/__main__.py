@@ -1,7 +1,5 @@
 """``python -m benchmarks.wire_errors`` (``make bench-wires``): errors on every wire, and their detection."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 

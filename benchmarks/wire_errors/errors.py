@@ -3,8 +3,6 @@
 Content is corrupted so that the wire's own checks still pass: only the CRC-32 can detect it.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections import deque

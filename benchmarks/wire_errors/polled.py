@@ -4,8 +4,6 @@ Modbus TCP and RTU: the reader polls the proxy, which polls the unit. The telegr
 unit's unsolicited messages pass through the proxy to the reader.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import os

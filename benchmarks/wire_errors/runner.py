@@ -1,7 +1,5 @@
 """Runs every error on every wire, and counts which the reader's checks detect."""
 
-from __future__ import annotations
-
 import json
 import os
 import queue

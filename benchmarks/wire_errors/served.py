@@ -4,8 +4,6 @@
 ports as one line of JSON. It ends when its standard input does.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

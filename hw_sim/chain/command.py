@@ -1,7 +1,5 @@
 """``python -m hw_sim chain``: record scans of a row of glass targets, and rounds in which a place moves."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """``python -m hw_sim chain-demo``: the daemon monitors a row of glass targets while a place moves."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import math

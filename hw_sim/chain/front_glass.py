@@ -1,7 +1,5 @@
 """A unit with an electro-active glass as front target: its switch, and its frames during switching."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """An electro-active glass: clear with voltage, milky without; it switches exponentially."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

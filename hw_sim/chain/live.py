@@ -1,7 +1,5 @@
 """A row in real time: its cameras and the switches of its glasses, behind altd's ports."""
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import replace

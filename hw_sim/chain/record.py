@@ -1,7 +1,5 @@
 """Recordings of a row: a scan of each target, and monitoring in rounds."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

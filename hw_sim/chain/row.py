@@ -1,7 +1,5 @@
 """The row: beam, places in the rock, glasses and cameras; it renders one camera frame at a time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """One camera of the simulated unit as a GigE Vision camera."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """``python -m hw_sim gige``: a simulated unit whose cameras are on the network."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import ipaddress

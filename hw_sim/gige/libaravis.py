@@ -4,8 +4,6 @@ PyGObject is unsuitable: the introspection data of 0.8 state that the callback i
 sets it returns, so it is freed.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import threading

@@ -3,8 +3,6 @@
 All of 127.0.0.0/8 is this machine, but Aravis serves only where an interface has that exact address.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -5,8 +5,6 @@ thousand the next instant has just passed, the difference is enormous, and the l
 100 ms: two frames are skipped, which no real sensor does. A packet on its control port wakes it up.
 """
 
-from __future__ import annotations
-
 import socket
 import struct
 import threading

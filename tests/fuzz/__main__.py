@@ -1,7 +1,5 @@
 """``make fuzz``: each target, or one, for a time; exit status 1 when something was found."""
 
-from __future__ import annotations
-
 import argparse
 import random
 

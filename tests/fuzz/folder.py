@@ -1,7 +1,5 @@
 """A place for the files of one process' examples: in memory where the computer has that, gone at its end."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Limits of one example: time and memory. More is a defect, as an exception is."""
 
-from __future__ import annotations
-
 import resource
 import signal
 import threading

@@ -1,7 +1,5 @@
 """One target for a given time: fresh seeds, each finding shrunk and reported once."""
 
-from __future__ import annotations
-
 import time
 import traceback
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Corrupted PNG files with right checksums, so that the parser behind them is reached."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """Interfaces that are served while the examples of one process are tried, and measurements to be served."""
 
-from __future__ import annotations
-
 import asyncio
 import atexit
 import contextlib

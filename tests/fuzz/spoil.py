@@ -1,7 +1,5 @@
 """Valid inputs, corrupted a little: what a parser meets where it is weakest."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ documented one, a wrong answer, a number that is not finite but marked valid. Ti
 outside (``limits``); a module that takes long to start does so in ``begin()``, which is not watched.
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import Any, Protocol

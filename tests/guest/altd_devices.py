@@ -1,7 +1,5 @@
 """Leaves what ``altd devices`` prints of a camera, a GPIO chip and a USB serial port that are there."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """Common parts of programs in the guest: cameras, their controls by v4l2-ctl, and results of calls."""
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Callable

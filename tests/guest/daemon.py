@@ -1,7 +1,5 @@
 """The whole daemon in the guest, with frames fed to its cameras, as its clients see it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -6,8 +6,6 @@ vivid runs each in a thread of its own: at equal rates the two can change places
 then shows each picture twice, which no camera does.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -3,8 +3,6 @@
 A device that is gone is opened again until it is back.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -5,8 +5,6 @@ LED_B, each lit by a high level of its pin as it is when the picture is fed. Whi
 cable to the LEDs is cut.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

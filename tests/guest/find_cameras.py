@@ -1,7 +1,5 @@
 """Leaves what the inventory finds, and what v4l2-ctl says of the same cameras."""
 
-from __future__ import annotations
-
 import os
 import re
 

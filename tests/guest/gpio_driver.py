@@ -1,7 +1,5 @@
 """Leaves what the GPIO driver does to the pins of a simulated chip, and what it complains of."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Says what the last power cut left of a history on a real ext4, and records on until the next one."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import subprocess

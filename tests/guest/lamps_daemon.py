@@ -3,8 +3,6 @@
 Its first argument is the folder of the host with calibration and recording.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

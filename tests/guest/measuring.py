@@ -1,7 +1,5 @@
 """A unit with two v4l2loopback cameras measures for a while: ``measuring.py CONFIG FRAMES FPS SECONDS``."""
 
-from __future__ import annotations
-
 import sys
 import time
 

@@ -1,7 +1,5 @@
 """A unit checks itself by LEDs on its GPIO lines, and loses them: ``self_check.py CONFIG FRAMES FPS``."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

@@ -4,8 +4,6 @@ The unit has the host's ends (cdc_acm, /dev/ttyACM…); the other ends are the g
 controllers listen. Leaves what they heard, and how long everything took.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """A vivid camera asked for what it has not, taken, broken, pulled out and put back elsewhere."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Frames of a vivid camera as the driver delivers them: pixels to files, the rest as results."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

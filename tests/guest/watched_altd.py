@@ -1,7 +1,5 @@
 """altd as it is, but that what the pins are is noted after each setting and before letting go."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

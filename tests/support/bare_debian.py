@@ -1,7 +1,5 @@
 """A clean Debian that runs its own systemd in namespaces of its own, as the PC of a unit."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Certificates and keys that openssl makes."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

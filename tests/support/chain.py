@@ -1,7 +1,5 @@
 """Simulated rows of glass targets: calibrated from their scans, recorded, and replayed in this process."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

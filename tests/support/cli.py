@@ -1,7 +1,5 @@
 """The command line as a person calls it: a process with its output and its exit status."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import json

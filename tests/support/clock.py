@@ -1,7 +1,5 @@
 """A clock that a test drives: an hour passes in as many steps as there are sleepers."""
 
-from __future__ import annotations
-
 import asyncio
 import heapq
 import math

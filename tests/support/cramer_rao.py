@@ -1,7 +1,5 @@
 """The Cramér-Rao bound: how well anybody could locate a spot in given noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

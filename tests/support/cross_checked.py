@@ -1,7 +1,5 @@
 """Fitted simulated lenses, and how far another map lies from the one that checks it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from altd.calibration.fitting import TargetFit, fit_nodes

@@ -1,7 +1,5 @@
 """A TCP proxy on loopback that can stop to forward, as a cable that is cut: nothing fails, nothing comes."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 

@@ -1,7 +1,5 @@
 """A daemon's documents on a made-up unit, written by hand after docs/http.md."""
 
-from __future__ import annotations
-
 from typing import Any
 
 TARGETS: dict[str, Any] = {

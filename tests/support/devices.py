@@ -1,7 +1,5 @@
 """A device that takes nothing, which no test can break: as root a copy of it, else the computer's own."""
 
-from __future__ import annotations
-
 import os
 import stat
 from contextlib import suppress

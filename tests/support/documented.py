@@ -1,7 +1,5 @@
 """The commands of a page of docs/, as a reader types them."""
 
-from __future__ import annotations
-
 import re
 
 from support.places import DOCS

@@ -1,7 +1,5 @@
 """A print whose every dot has a place of its own: where a picture moves it is computed, not interpolated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

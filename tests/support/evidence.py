@@ -1,7 +1,5 @@
 """Calibrations whose accuracy is known by formulas: straight maps with the errors that a test gives them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
 

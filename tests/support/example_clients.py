@@ -1,7 +1,5 @@
 """The clients of ``examples/``: their checks on a clock that the test drives, and the programs."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import json

@@ -1,7 +1,5 @@
 """A simulated unit for the guest: its calibration, and frames of a beam at rest to feed to video devices."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Debian's PostgreSQL, `altd ingest` as a process, and units with real histories."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import time

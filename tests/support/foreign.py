@@ -1,7 +1,5 @@
 """Foreign parts that a test needs: on a bare machine their absence skips it, in CI it fails it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Frames whose truth is a formula: Gaussian spots with noise, independent of altd and of hw_sim."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Aravis is the judge here: nothing of altd and of hw_sim takes part in what the client sees.
 """
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import os

@@ -3,8 +3,6 @@
 For programs in a guest. A line without a consumer has the level of its pull.
 """
 
-from __future__ import annotations
-
 import functools
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The places at which the Gram polynomials of so many nodes are orthonormal."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Clients on raw sockets that ask and never read, that never ask, and a controller that polls beside them."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

@@ -5,8 +5,6 @@ is this machine's tree, read-only; a program of ``tests/guest/`` runs there as r
 a folder that it may write to. No udev runs there: a program makes its own names under /dev/v4l/by-path.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -1,7 +1,5 @@
 """Packets of GigE Vision's stream, made from the standard without the code under test."""
 
-from __future__ import annotations
-
 import struct
 
 MONO8 = 0x01080001

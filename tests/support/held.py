@@ -1,7 +1,5 @@
 """A daemon that is held and resumed, as on a suspended computer, and controllers that poll meanwhile."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

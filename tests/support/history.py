@@ -1,7 +1,5 @@
 """Histories for tests: a clock whose time of day can be set, measurements of a known beam, a store."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager

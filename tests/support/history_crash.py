@@ -7,8 +7,6 @@ that was written, every one that was published a second or more before the kill,
 published.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import os

@@ -1,7 +1,5 @@
 """An inclinometer's settings, and a line at whose far end answers are made by hand."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Callable, Iterator

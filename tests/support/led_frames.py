@@ -1,7 +1,5 @@
 """Frames of LEDs and a spot whose places are numbers in a test, drawn without altd and without hw_sim."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

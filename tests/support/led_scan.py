@@ -1,7 +1,5 @@
 """A scan without a table and without a simulator: frames drawn by hand, their LEDs lit as the lamps are."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import threading

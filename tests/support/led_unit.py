@@ -1,7 +1,5 @@
 """A daemon in this process on simulated cameras whose frame LEDs follow the daemon's lamps."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import threading

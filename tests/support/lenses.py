@@ -1,7 +1,5 @@
 """Lenses by OpenCV's projection, which shares no code with altd: those of Table 3.2, on its sensor."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Cameras and frame LEDs on a test's clock: what a frame shows depends on when it was exposed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from altd.acquisition.lamps.controller import FrameLamps

@@ -1,7 +1,5 @@
 """A daemon that plays a recording and is asked through its local socket."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 from collections.abc import Iterator

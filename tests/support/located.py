@@ -1,7 +1,5 @@
 """Results that a camera's thread hands to the event loop, without a picture."""
 
-from __future__ import annotations
-
 from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
 from altd.measuring.view_check import ViewStatus

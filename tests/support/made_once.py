@@ -3,8 +3,6 @@
 They are kept by a digest of all that can change them.
 """
 
-from __future__ import annotations
-
 import atexit
 import fcntl
 import functools

@@ -1,7 +1,5 @@
 """Measurements of a beam, for the tests of boards and publishers, and a measurement's beam."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Frames of Modbus RTU by the specification's own arithmetic; nothing of it comes from the product."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 

@@ -1,7 +1,5 @@
 """Modbus TCP as a raw socket speaks it, for tests; nothing of it comes from the product."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ssl

@@ -4,8 +4,6 @@ The spots of known beams through straight maps, with noise and with an error of 
 machine moves.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A broker whose answers a test chooses, Debian's mosquitto, and a unit that publishes to either."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """Answers in the place of a daemon by another program: for each side that asks one."""
 
-from __future__ import annotations
-
 
 def http(body: bytes, head: bytes = b"HTTP/1.1 200 OK") -> bytes:
     """An answer of HTTP with this body."""

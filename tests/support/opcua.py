@@ -1,7 +1,5 @@
 """A unit's OPC UA server in the process of a test, its lines, and asyncua's client."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -5,8 +5,6 @@ what they like; several runs at once do not meet. All of one file run there in o
 first of them. Their fixtures are set up outside, too, and must do nothing before they are asked to.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

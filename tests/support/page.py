@@ -1,7 +1,5 @@
 """The page in Chromium, of a whole daemon on simulated cameras, and what a person sees there."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

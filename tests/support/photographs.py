@@ -1,7 +1,5 @@
 """Spots as a sensor with a full well of 15,000 electrons photographs them, and their centres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from altd.records import Frame

@@ -1,7 +1,5 @@
 """A maker of pictures behind the picture service that gives what a test puts into it."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The pipeline between frame sets and a board, with a chain that a test controls and a clock it drives."""
 
-from __future__ import annotations
-
 import asyncio
 
 from altd.acquisition.frame_pairs import FramePairs

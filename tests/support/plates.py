@@ -1,7 +1,5 @@
 """Pictures of an LED plate, drawn with OpenCV's own projections; independent of altd and of hw_sim."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """PNG files with any header, their checksums right (PNG specification, 5.3 and 11.2.2)."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """Ports for programs that receive theirs before they open it, also while other tests look for some."""
 
-from __future__ import annotations
-
 import os
 import random
 import socket

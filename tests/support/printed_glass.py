@@ -1,7 +1,5 @@
 """Spots on a printed target, photographed; pictures come from formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from altd.records import Frame

@@ -1,7 +1,5 @@
 """Printed targets of any lattice before the simulator's camera; their truth is what they are made of."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The code of ``docs/proof/check.py``, as a reader of the page copies it."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Small recordings with known truth, written here and not by altd."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

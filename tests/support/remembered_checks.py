@@ -1,7 +1,5 @@
 """Self-checks whose history is kept in a real file, by one daemon after the other."""
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """A simulated table that is quick, and what a scan has visited."""
 
-from __future__ import annotations
-
 from altd.recording.reader import Recording
 
 QUICK_TABLE = {110: "300000", 111: "300000", 120: "100000", 121: "100000"}

@@ -1,7 +1,5 @@
 """Cameras that do what a test's script says."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Answers of a unit, true and forged, and a Modbus TCP server that gives the answers of a script."""
 
-from __future__ import annotations
-
 import contextlib
 import enum
 import socket

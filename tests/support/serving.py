@@ -1,7 +1,5 @@
 """An interface that serves as long as a test runs."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable

@@ -6,8 +6,6 @@ When the named function is called for the fifth time the process gets the signal
 place on a fast and on a slow computer.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """A simulated unit's own files, made as a technician makes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from support.cli import altd_here

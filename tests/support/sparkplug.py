@@ -1,7 +1,5 @@
 """Sparkplug, seen from outside: a session of the unit, recorded, and payloads decoded by npm's package."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Fixtures: a clock that a test moves, and a board and health that tell its time."""
 
-from __future__ import annotations
-
 import pytest
 
 from altd.instruments.beam.instrument import QUANTITIES

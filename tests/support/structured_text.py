@@ -3,8 +3,6 @@
 Debian, PyPI and npm have no free compiler of it. Precedence is that of table 71 of IEC 61131-3:2013.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """A TCP server on loopback that leaves no connection behind."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Self

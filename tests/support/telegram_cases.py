@@ -11,8 +11,6 @@ The framing is computed here, with the arithmetic of pynmea2 and zlib. ``cases``
   of such a case ``gives`` names the valid readings only
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import zlib

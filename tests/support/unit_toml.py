@@ -1,7 +1,5 @@
 """The settings of a unit with a front and a rear target, as TOML; a test says what else its unit has."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 TARGETS = (

@@ -9,8 +9,6 @@ interpreter opens them, the signals' first dispositions, one thread, and the int
 not show an error while importing: some tests start an interpreter.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import importlib

@@ -1,7 +1,5 @@
 """The two ends of a serial line: a pseudo terminal of which the unit opens one."""
 
-from __future__ import annotations
-
 import asyncio
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """The unit against truth that it does not know: a foreign recording, and simulated units."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Sequence

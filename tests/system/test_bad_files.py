@@ -1,7 +1,5 @@
 """In place of every file that a command reads or writes: what is none, or no good one. One line, status 2."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

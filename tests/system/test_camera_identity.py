@@ -1,7 +1,5 @@
 """Identity of a camera, from its driver into recordings, calibrations and the daemon."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

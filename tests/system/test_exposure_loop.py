@@ -1,7 +1,5 @@
 """Exposure control on simulated cameras in their own time: located and controlled as in the daemon."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Every fuzz target, for a few inputs that are always the same; `make fuzz` tries many."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -3,8 +3,6 @@
 Cameras and LEDs are hw_sim's, behind Aravis' implementation of GigE Vision, in a process of their own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """The guest kernel itself: what runs in it, what comes out of it, what is left of it."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

@@ -3,8 +3,6 @@
 The daemon's own driver switches them; the pictures of two v4l2loopback cameras show LEDs as the pins are.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

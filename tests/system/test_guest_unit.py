@@ -3,8 +3,6 @@
 ``make bench-guest`` runs the first of it for a minute and prints the figures.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A camera of the real daemon goes silent for seconds: what health says of it is of the moment."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

@@ -1,7 +1,5 @@
 """No value is valid with an old age, not for an instant, when a daemon was held and is resumed."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import shutil

@@ -1,7 +1,5 @@
 """The whole daemon with an inclinometer on a pseudo-terminal that fails in every way."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess

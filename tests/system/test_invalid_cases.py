@@ -1,7 +1,5 @@
 """Every fault of the simulated unit gives its reason and no number, on the chain that the daemon uses."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """A fault at night: the daemon keeps the frames around it, and their replay shows what it measured."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 from datetime import datetime

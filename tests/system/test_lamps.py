@@ -1,7 +1,5 @@
 """The whole daemon with its lamps on a simulated chip, and ``altd lamps``."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Each contract between the rooms fails on an import that breaks it, and all hold as the project is."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

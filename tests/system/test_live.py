@@ -3,8 +3,6 @@
 ``make bench-live`` measures the same on a quiet machine; the limits here are those of a busy one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import signal

@@ -4,8 +4,6 @@ The ways: a camera or the simulator's own recorders, a recording, its playback, 
 scan, a flat or a plate, a calibration, its report, and what is measured, on each interface.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

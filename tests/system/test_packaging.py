@@ -1,7 +1,5 @@
 """Promises of the lock, the Makefile and the wheel."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import subprocess

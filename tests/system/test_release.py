@@ -1,7 +1,5 @@
 """Trust in a release: the commands of docs/install.md, with the real ssh-keygen."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

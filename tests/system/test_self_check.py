@@ -3,8 +3,6 @@
 The cameras' LEDs follow the times at which the daemon switched their line, not what it says of its frames.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 from dataclasses import replace

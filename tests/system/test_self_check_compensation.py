@@ -1,7 +1,5 @@
 """The whole daemon corrects a drift that its self-check found, and says when it does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

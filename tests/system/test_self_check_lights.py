@@ -1,7 +1,5 @@
 """The whole daemon's self-check where LEDs fail and other lights come and go."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The unit file before systemd's own judge, and the daemon's words to systemd on a real socket."""
 
-from __future__ import annotations
-
 import ipaddress
 import os
 import shutil

@@ -3,8 +3,6 @@
 Truth is where the beams and the stage were put, through the map of ``support.recordings``.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess

@@ -4,8 +4,6 @@ A window of a single exposure is the hardest case: the first pair of frames must
 are rendered and calibrated once, which takes ten seconds each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

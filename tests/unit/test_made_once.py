@@ -1,7 +1,5 @@
 """Parts that are kept between runs: never those of other sources, never changed or half made ones."""
 
-from __future__ import annotations
-
 import fcntl
 import importlib.util
 import math

@@ -1,7 +1,5 @@
 """The table of reasons: its numbers are contracts, written down here once more."""
 
-from __future__ import annotations
-
 from altd.publish.modbus.values import STATUS_BITS
 from altd.reasons import Reason, Scope, Signal, StatusGroup
 

@@ -1,7 +1,5 @@
 """The parser for users, by the table of cases that the parser in C is tested on, too."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil

@@ -3,8 +3,6 @@
 Under Python 3.11 that is Debian 12, under 3.13 Debian 13: a package is for the Python that makes it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

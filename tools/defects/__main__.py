@@ -4,8 +4,6 @@ The defects are those of the catalogue and 48 drawn ones. The unit tests nearest
 those of its room, then all of ``make test``, until one fails that passes without the defect.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """Defects chosen by hand, each a plausible mistake; and which drawn ones no unit test needs to catch."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

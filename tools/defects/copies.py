@@ -1,7 +1,5 @@
 """Copies of the project in which tests run with one defect at a time; the project itself is never changed."""
 
-from __future__ import annotations
-
 import os
 import queue
 import re

@@ -1,7 +1,5 @@
 """A defect: a text of a file of altd, and the one that replaces it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

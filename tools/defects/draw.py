@@ -7,8 +7,6 @@ A choice depends on a hash of the seed and of the node's own text and function, 
 changes the draw from this module only.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import textwrap

@@ -1,7 +1,5 @@
 """``python -m tools.licences [FOLDER]``: one line for each licence problem; the exit status is then 1."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

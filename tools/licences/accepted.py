@@ -1,7 +1,5 @@
 """Licences compatible with Apache-2.0, and manual findings on packages whose metadata state no licence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 ACCEPTED = frozenset(

@@ -1,7 +1,5 @@
 """Find packages and bundled components whose licences are not compatible with Apache-2.0."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Iterable, Iterator
 from fnmatch import fnmatch

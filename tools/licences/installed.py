@@ -1,7 +1,5 @@
 """Packages that altd needs at run time, and their metadata."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """``docs/licences.md`` from the locks and the packages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from tools.licences.accepted import ACCEPTED, PARTS, POSITIONS, PURPOSES, Part

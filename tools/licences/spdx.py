@@ -1,7 +1,5 @@
 """SPDX licence expressions (ISO/IEC 5962, annex D), as far as needed to decide on acceptance."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Container
 

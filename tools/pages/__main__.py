@@ -1,7 +1,5 @@
 """The generated pages and drawings of docs: write those that changed, or check that all are up to date."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """``docs/architecture.svg``: the unit, the daemon and its clients."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from html import escape
 

@@ -1,7 +1,5 @@
 """``docs/clients.md``, with excerpts of the programs in ``examples/``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tools.markdown import wrapped

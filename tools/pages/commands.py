@@ -1,7 +1,5 @@
 """``docs/commands.md`` from the parsers of the commands."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``docs/config.md`` from the models."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

@@ -1,7 +1,5 @@
 """``docs/console.md`` from the screens of the console."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -4,8 +4,6 @@ Every point is projected from unit-frame coordinates in mm (``docs/conventions.m
 contradict the signs that it shows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 

@@ -1,7 +1,5 @@
 """``docs/decisions/README.md`` from the decisions in its folder."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The example measurement on the pages of all interfaces, so that readers can compare them."""
 
-from __future__ import annotations
-
 from datetime import UTC, date, datetime, timedelta
 
 from altd.instruments.beam.instrument import QUANTITIES, values_of

@@ -1,7 +1,5 @@
 """``docs/http.md`` from the HTTP interface."""
 
-from __future__ import annotations
-
 import json
 
 from altd.history.reader import MAX_ROWS as EVENT_ROWS

@@ -1,7 +1,5 @@
 """``docs/modbus.md`` from the tables of registers."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 

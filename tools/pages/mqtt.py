@@ -1,7 +1,5 @@
 """``docs/mqtt.md`` from the published messages."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection
 from typing import Any

@@ -1,7 +1,5 @@
 """``docs/mqtt.schema.json`` from the payloads' models."""
 
-from __future__ import annotations
-
 import json
 
 from altd.instruments.beam.instrument import QUANTITIES

@@ -1,7 +1,5 @@
 """``docs/opcua.md`` from the code."""
 
-from __future__ import annotations
-
 from altd.config import Installation
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.chain.measurement import quantities_of

@@ -1,7 +1,5 @@
 """``docs/proof.md`` from the definitions."""
 
-from __future__ import annotations
-
 from altd.publish.modbus import checked_block
 from altd.publish.serial.telegram import PROOF, encode, with_proof
 from altd.status.measurement_json import PROOF_KEYS

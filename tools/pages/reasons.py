@@ -1,7 +1,5 @@
 """``docs/reasons.md`` from the tables of reasons and conditions."""
 
-from __future__ import annotations
-
 from altd.measuring.spot_locator import DUST_INTERVAL_NS
 from altd.measuring.spot_trend import RECENT_BUCKETS, REFERENCE_BUCKETS
 from altd.publish.modbus.values import STATUS_BITS

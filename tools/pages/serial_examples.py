@@ -1,7 +1,5 @@
 """Example measurement and unit state on the pages of the serial interfaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``docs/sparkplug.md`` from the published messages."""
 
-from __future__ import annotations
-
 from altd.publish.mqtt.broker import (
     ACK_TIMEOUT_S,
     KEEP_ALIVE_S,

@@ -1,7 +1,5 @@
 """``docs/states.svg``: the states, their causes and their transitions, from the code."""
 
-from __future__ import annotations
-
 from html import escape
 
 from altd.reasons import Reason, Signal

@@ -1,7 +1,5 @@
 """``docs/tables.md`` from the column definitions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from altd.instruments.beam.instrument import QUANTITIES

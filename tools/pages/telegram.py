@@ -1,7 +1,5 @@
 """``docs/telegram.md`` from the telegram's definition."""
 
-from __future__ import annotations
-
 from math import ceil
 from pathlib import Path
 from typing import Any, get_args

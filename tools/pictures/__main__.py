@@ -1,7 +1,5 @@
 """Take the pictures of docs: of the demos and their pages, of the page in tests, and of the report."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

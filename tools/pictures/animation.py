@@ -1,7 +1,5 @@
 """Convert successive terminal screens to an animated SVG: sharp at any size, small, without a script."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape

@@ -1,7 +1,5 @@
 """Screenshots with the Chromium of this machine."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``docs/planar.png``: a simulated plate in the camera's picture, and the LEDs that altd finds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Compare two pictures of a running program, whose numbers, clock and noise are never the same."""
 
-from __future__ import annotations
-
 import re
 
 import cv2

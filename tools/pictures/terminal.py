@@ -1,7 +1,5 @@
 """Run a program in a real terminal (tmux), read its screen and send keys to it."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import secrets

@@ -1,7 +1,5 @@
 """All ways to disturb measurements, by name; a module for each part that they disturb."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Protocol, TypeVar
 

@@ -1,7 +1,5 @@
 """Ways with other light: lamps, the sun, welding; with and without the laser."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

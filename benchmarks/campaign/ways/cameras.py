@@ -1,7 +1,5 @@
 """Ways with a wrong camera, or a camera that has moved since its calibration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace

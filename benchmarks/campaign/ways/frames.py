@@ -1,7 +1,5 @@
 """Ways by faults of electronics and transfer: changed grey values, and whole frames out of order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

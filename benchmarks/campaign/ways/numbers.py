@@ -1,7 +1,5 @@
 """Ways with invalid numbers, in the config and in the calibration file, which must be refused."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

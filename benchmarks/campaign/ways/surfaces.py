@@ -1,7 +1,5 @@
 """Ways that disturb surfaces in the light: dirt, water, scratches, hands and cables, lost print."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

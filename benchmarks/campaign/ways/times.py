@@ -1,7 +1,5 @@
 """Ways with wrong times and numbers of frames, and with a process that was held."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal

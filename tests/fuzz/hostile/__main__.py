@@ -5,8 +5,6 @@ them off; at consoles they are typed. Each answer is checked against the contrac
 or asks meanwhile must get the right answer each time, nothing may be logged, and nothing be left behind.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import sys

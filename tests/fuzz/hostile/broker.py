@@ -1,7 +1,5 @@
 """A hostile broker, to which units publish in both profiles; they measure, and a client polls by HTTP."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -6,8 +6,6 @@ moment, in one way after the other; it listens in to the cameras' frames, to for
 It shares no code with altd: packets are made from the GigE Vision standard.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,7 +1,5 @@
 """WebSockets as no browser speaks them (RFC 6455): handshakes, frames, and what a server may say to them."""
 
-from __future__ import annotations
-
 import random
 import socket
 import struct

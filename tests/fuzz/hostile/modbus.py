@@ -1,7 +1,5 @@
 """Requests of Modbus TCP that are nearly valid, none of them a right command; and a reader beside them."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 import socket

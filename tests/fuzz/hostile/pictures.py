@@ -1,7 +1,5 @@
 """Pictures of which everybody can say whether they are the right ones."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time

@@ -1,7 +1,5 @@
 """Regular readers of the unit while it is attacked."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time

@@ -1,7 +1,5 @@
 """Requests that are nearly valid, at HTTP over TCP and over the local socket."""
 
-from __future__ import annotations
-
 import json
 import random
 import re

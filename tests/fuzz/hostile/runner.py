@@ -1,7 +1,5 @@
 """Serves an interface, has it attacked, and reads it meanwhile."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import random

@@ -1,7 +1,5 @@
 """A unit's interfaces as the attackers find them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import tty

@@ -4,8 +4,6 @@ To be run in a network namespace of its own: ``unshare -rn``. Ends with status 1
 valid measurement was wrong: further than 5 of its sigmas, and 0.05 mm or 0.01 degrees, from the truth.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

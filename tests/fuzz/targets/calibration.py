@@ -1,7 +1,5 @@
 """Files that might be calibrations, with a checksum that fits, so that what is behind it is reached."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from typing import Any

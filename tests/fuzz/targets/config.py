@@ -1,7 +1,5 @@
 """Files that might be ``altd.toml``."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from typing import Any

@@ -1,7 +1,5 @@
 """Keys into the console, on a pseudo terminal: plain text comes back, and the next person is answered."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

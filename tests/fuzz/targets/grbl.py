@@ -1,7 +1,5 @@
 """Lines that a Grbl controller might say, and noise makes of them."""
 
-from __future__ import annotations
-
 import math
 
 from fuzz.spoil import spoilt_bytes

@@ -1,7 +1,5 @@
 """Datagrams on GigE Vision's control port, which anybody on the network may send."""
 
-from __future__ import annotations
-
 import struct
 
 from fuzz.spoil import spoilt_bytes

@@ -1,7 +1,5 @@
 """Files that might be a history: bytes corrupted on the disk, and rows forged in a good file."""
 
-from __future__ import annotations
-
 import math
 import sqlite3
 from functools import cache

@@ -1,7 +1,5 @@
 """Bytes into the real HTTP server: its answers are HTTP, it logs nothing, and the next client is served."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """Bytes that an inclinometer's line may bring, and noise makes of them."""
 
-from __future__ import annotations
-
 import struct
 
 from fuzz.spoil import spoilt_bytes

@@ -1,7 +1,5 @@
 """Bytes into the local socket: it is the server of HTTP, by what its client makes of the answers."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import tempfile

@@ -1,7 +1,5 @@
 """Pictures that a person gives to ``altd locate``, in the formats that OpenCV reads."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

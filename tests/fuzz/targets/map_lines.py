@@ -1,7 +1,5 @@
 """Lines on the stdin of ``altd map``."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

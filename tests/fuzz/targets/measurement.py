@@ -1,7 +1,5 @@
 """Measurements of any finite numbers on every interface: foreign readers get the same, or nothing."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """A bus with silences, torn frames and noise: our requests are found, those of others left alone."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 from collections.abc import Callable

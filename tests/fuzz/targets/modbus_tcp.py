@@ -1,7 +1,5 @@
 """Bytes into a real Modbus TCP server: who makes sense is answered as asked, and the next controller too."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import struct

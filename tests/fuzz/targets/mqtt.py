@@ -1,7 +1,5 @@
 """Bytes of a broker into the unit's connection: it ends with a sentence, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import asyncio
 
 from fuzz.served import Faces

@@ -1,7 +1,5 @@
 """Requests into the OPC UA server: another client reads what is true all the same, and nothing changes."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

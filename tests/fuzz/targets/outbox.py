@@ -1,7 +1,5 @@
 """Messages between outbox and ingest, corrupted and with the right CRC again: refused, or what COPY takes."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders that might be recordings: their header, their table, their frames."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

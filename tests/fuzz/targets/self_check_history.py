@@ -1,7 +1,5 @@
 """Files that might be a history of self-checks, with a checksum that fits to reach what is behind it."""
 
-from __future__ import annotations
-
 import json
 import math
 from functools import cache

@@ -1,7 +1,5 @@
 """Telegrams on a bad line: a valid reading is a whole telegram, and newer than the one before."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from fuzz.spoil import spoilt_bytes

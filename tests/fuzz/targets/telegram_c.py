@@ -1,7 +1,5 @@
 """The parser in C on the same bad line: sanitizers find nothing, and it reads the same as that in Python."""
 
-from __future__ import annotations
-
 import atexit
 import functools
 import tempfile

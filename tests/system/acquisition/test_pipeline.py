@@ -1,7 +1,5 @@
 """The pipeline for an hour of the injected clock."""
 
-from __future__ import annotations
-
 from support.clock import settle, stop
 from support.pipeline_bench import Bench
 

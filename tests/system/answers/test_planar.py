@@ -1,7 +1,5 @@
 """``altd calibrate`` and ``altd replay`` on recordings of a plate that moves in its plane."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

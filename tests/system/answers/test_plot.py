@@ -1,7 +1,5 @@
 """The drawing as an XML parser sees it; what it looks like was looked at."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as Xml
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``altd replay`` into tables: what a foreign reader finds in them is what the lines say."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

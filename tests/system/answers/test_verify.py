@@ -1,7 +1,5 @@
 """``altd verify``: recordings of known beams against a calibration, by what was put into the pictures."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """``altd devices``: what it prints can be written into ``altd.toml`` unchanged."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """SIGHUP to the real daemon: what changed is applied alone, and what is wrong changes nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

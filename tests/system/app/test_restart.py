@@ -1,7 +1,5 @@
 """A daemon that is started again reports it, on every wire that a reader checks."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """A plate with four dark LEDs, and the calibration that is made of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

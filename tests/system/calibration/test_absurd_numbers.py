@@ -1,7 +1,5 @@
 """Every number of a calibration file is finite and of a size that a unit can have; no other is taken in."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Iterator

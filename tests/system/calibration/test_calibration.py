@@ -1,7 +1,5 @@
 """Whole scans through the calibration: what is left out of them, and what is doubted."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

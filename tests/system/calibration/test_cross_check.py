@@ -1,7 +1,5 @@
 """The second map on good units: silent everywhere."""
 
-from __future__ import annotations
-
 import pytest
 from support.cross_checked import difference_px, fitted_unit
 from support.lenses import TABLE_3_2, LensKind

@@ -1,7 +1,5 @@
 """Scans whose outer nodes the picture cuts, or that lack outer rows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

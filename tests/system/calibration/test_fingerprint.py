@@ -1,7 +1,5 @@
 """The identity of a scan's cameras, from its header into the file of its calibration."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Displaced nodes among good and dark ones, many times over."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.lenses import SIZE, TABLE_3_2, LensKind, grid, make_lens, seen

@@ -1,7 +1,5 @@
 """Flats of a simulated unit, whose response is known."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Flats made with the laser itself, from frames whose response, spot and map are formulas."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Claims beyond the nodes, against a unit that this project did not make."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from pathlib import Path

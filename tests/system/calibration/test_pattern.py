@@ -1,7 +1,5 @@
 """Scatter made by known parts, which must come apart again; the truth is what the test put in."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

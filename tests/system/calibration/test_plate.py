@@ -1,7 +1,5 @@
 """Whole plates through the calibration: other lenses, dark corners, false lights, and a simulated unit."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A plate that is small enough to be calibrated often: what is found of it, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whole calibrations whose targets are those of the recordings' headers, whatever cameras look at them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

@@ -3,8 +3,6 @@
 Truth: the simulator's stage, whose beam is tilted and whose scale is wrong by what its header states.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

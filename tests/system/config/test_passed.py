@@ -1,7 +1,5 @@
 """`altd run` starts with a config that `check-config` accepts: interfaces get their addresses and ports."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 

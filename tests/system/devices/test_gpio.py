@@ -1,7 +1,5 @@
 """The GPIO driver on the kernel's own simulated chips; the levels are read at the pins."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The doctor on chips of the kernel."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from support.guest import run_in_guest

@@ -1,7 +1,5 @@
 """The doctor on a link of the kernel."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

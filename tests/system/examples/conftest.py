@@ -1,7 +1,5 @@
 """The checks of all Modbus clients of ``examples/``."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The Modbus clients of ``examples/``: one table of answers, with stale, forged and torn ones, for all."""
 
-from __future__ import annotations
-
 import json
 import random
 import struct

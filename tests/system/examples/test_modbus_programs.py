@@ -1,7 +1,5 @@
 """The Modbus clients of ``examples/`` and the real daemon, which plays a recording."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """The MQTT client of ``examples/``: true, forged, late and retained messages, and the real daemon."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import random

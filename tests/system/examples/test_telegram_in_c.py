@@ -1,7 +1,5 @@
 """The parser in C, by the table of cases and beside that in Python; and the program that shows its use."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """Each query of the dashboards and alerts in `examples/grafana`, on the real database with data."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

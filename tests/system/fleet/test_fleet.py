@@ -1,7 +1,5 @@
 """From the histories of units through a real broker into a real PostgreSQL, and all that may go wrong."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -1,7 +1,5 @@
 """The daemon's history is killed while it writes, again and again: `make bench-history` does so 200 times."""
 
-from __future__ import annotations
-
 import random
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

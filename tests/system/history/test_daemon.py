@@ -1,7 +1,5 @@
 """The history of a real daemon: over restarts and crashes, and on disks that are full or gone."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

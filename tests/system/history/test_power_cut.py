@@ -5,8 +5,6 @@ the disk. ``ALTD_BENCH_POWER_CUTS=50`` cuts more often, ``ALTD_BENCH_SYNCHRONOUS
 way.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import re

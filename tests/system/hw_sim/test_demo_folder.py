@@ -1,7 +1,5 @@
 """The demo's kept data, and the commands that it prints, pasted unchanged."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

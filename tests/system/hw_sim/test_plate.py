@@ -1,7 +1,5 @@
 """Whole plates before simulated cameras."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Simulated units beside others that differ in their seed or in one setting."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

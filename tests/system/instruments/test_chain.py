@@ -1,7 +1,5 @@
 """The row of glass targets on recordings: a step in the first round, faults by name, and disturbances."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Is sigma honest? Noise on nodes and spots, many times over, against the sigma of the maps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

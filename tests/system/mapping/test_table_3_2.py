@@ -6,8 +6,6 @@ prints it. The thesis has 0.0212, 0.0217, 0.0218 and 0.0665 mm by the tensor pol
 0.4130 and 1.5197 mm by the homography, both at the nodes themselves.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.lenses import SIZE, TABLE_3_2, LensKind, Projection, grid, make_lens, seen

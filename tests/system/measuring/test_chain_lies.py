@@ -1,7 +1,5 @@
 """Frames that are not new, or not of their time, in the chain that ``run`` and ``replay`` share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 

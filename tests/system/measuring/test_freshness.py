@@ -1,7 +1,5 @@
 """Series of new frames in which nothing comes again, also where the dark is cut off at black."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 How much of a target it covers, and where the beam is, are hw_sim's; it shares no code with what looks for it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

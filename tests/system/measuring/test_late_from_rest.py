@@ -1,7 +1,5 @@
 """A camera that delivers whole frames late, from the first motion after a rest on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A second light that comes near the spot of one target while the unit measures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 The essential cells of ``docs/studies/sigma-now.md``, without pictures.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The commands that are ended, and how one is run: what it left and what it said."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal

@@ -5,8 +5,6 @@ simulator's cameras in ``hw_sim/gige/test_command.py``, a demo that calibrates i
 ``hw_sim/test_demo.py``, a daemon on live cameras in ``test_live.py``.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The daemon and its log: it is not waited for, and not flooded. Standard error is a real pipe."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -3,8 +3,6 @@
 ``test_endings.py`` has each command whose standard output is full or whose reader goes away.
 """
 
-from __future__ import annotations
-
 import os
 import pty
 import shlex

@@ -1,7 +1,5 @@
 """The OpenAPI document drives a served unit: schemathesis asks for what it promises, and for other things."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

@@ -1,7 +1,5 @@
 """Files that [http] and [modbus_tcp] name: a bad one is one line of `altd run` and `altd check-config`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

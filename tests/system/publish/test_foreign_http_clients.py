@@ -1,7 +1,5 @@
 """curl and openssl at a unit with credentials and TLS as docs/http.md says; limits in an own network."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

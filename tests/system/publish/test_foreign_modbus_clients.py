@@ -1,7 +1,5 @@
 """pyModbusTCP and minimalmodbus read the real daemon; HTTP says what they must find."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable
 from pathlib import Path

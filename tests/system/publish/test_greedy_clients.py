@@ -1,7 +1,5 @@
 """Browsers that never read and crowds that connect at once: they cost the daemon no exposure and no poll."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import io

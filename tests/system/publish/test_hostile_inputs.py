@@ -1,7 +1,5 @@
 """Thousands of hostile inputs at each interface beside its readers; `make bench-hostile`: 100,000 at each."""
 
-from __future__ import annotations
-
 import pytest
 from fuzz.hostile.runner import run
 

@@ -1,7 +1,5 @@
 """The unit at Debian's mosquitto, read by mosquitto_sub: what arrives, what stays, what an outage does."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

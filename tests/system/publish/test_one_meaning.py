@@ -3,8 +3,6 @@
 The readers are the standard library's: struct, json, zlib, and NMEA 0183 by hand; of OPC UA asyncua's client.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import functools

@@ -1,7 +1,5 @@
 """The server in its own process: foreign clients, kills and stops, and clients that vanish."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

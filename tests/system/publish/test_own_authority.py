@@ -1,7 +1,5 @@
 """Commands, settings and files of docs/security.md: a unit, its clients and a broker with one authority."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

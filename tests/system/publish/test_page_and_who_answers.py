@@ -1,7 +1,5 @@
 """The page in Chromium with another unit at its address, a slow one, one with a history, and with a login."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import time

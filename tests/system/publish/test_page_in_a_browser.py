@@ -1,7 +1,5 @@
 """The page in Chromium, of a whole daemon on simulated cameras: what a person sees is what the unit says."""
 
-from __future__ import annotations
-
 import asyncio
 import subprocess
 from collections.abc import AsyncIterator, Callable

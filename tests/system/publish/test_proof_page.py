@@ -1,7 +1,5 @@
 """The code on the page about checking, against what the unit sends and its errors."""
 
-from __future__ import annotations
-
 import random
 import re
 import struct

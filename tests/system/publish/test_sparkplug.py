@@ -4,8 +4,6 @@ One session is recorded: what the unit sends, packet by packet, and what mosquit
 the npm package ``sparkplug-payload``. Each check names the requirements (``tck-id-…``) that it proves.
 """
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections.abc import Callable

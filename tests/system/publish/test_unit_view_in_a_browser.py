@@ -1,7 +1,5 @@
 """The view Unit in Chromium: the calibration with its file and report, self-checks so far, diagnostics."""
 
-from __future__ import annotations
-
 import asyncio
 import filecmp
 import json

@@ -1,7 +1,5 @@
 """The views Overview and Drive in Chromium, as a technician and a driver two metres away read them."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import re

@@ -1,7 +1,5 @@
 """Recordings of many frames."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tracemalloc

@@ -1,7 +1,5 @@
 """A scan whose table lacks frames, through the calibration."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from support.cli import altd_here

@@ -1,7 +1,5 @@
 """Time until a thread gets the interpreter from one that computes, and the daemons concerned."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -1,7 +1,5 @@
 """A simulated unit under a simulated Grbl table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """The whole scan: altd drives a simulated Grbl table over a pseudo-terminal, simulated cameras look on."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json

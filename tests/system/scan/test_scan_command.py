@@ -1,7 +1,5 @@
 """``altd scan`` as a person calls it: a process that is interrupted, killed, and finishes."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """``altd selfcheck RECORDING`` on a simulated unit that has changed since its calibration."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -1,7 +1,5 @@
 """The kernel's RS485 mode: what is asked of a port's driver, and what is said when it cannot do that."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """USB serial ports of a real kernel driver: pulled, plugged in under another number, and not listened to."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`altd status` and `altd selfcheck` of a real daemon, well, hung, dead and forbidden."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

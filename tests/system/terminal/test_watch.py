@@ -1,7 +1,5 @@
 """`altd watch` in real terminals: what the screen shows of a real daemon, and that it is left as it was."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -1,7 +1,5 @@
 """The localiser on frames of simulated units without a spot."""
 
-from __future__ import annotations
-
 import pytest
 
 from altd.reasons import Reason

@@ -1,7 +1,5 @@
 """Photographs of real beams against ISO 11146 as laserbeamsize computes it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """The same light on chips that are read with 8 to 16 bits: how far the position depends on the depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

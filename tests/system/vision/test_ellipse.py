@@ -1,7 +1,5 @@
 """The ellipse's error on many frames, against its own sigma and the Cramér-Rao bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.cramer_rao import cramer_rao

@@ -1,7 +1,5 @@
 """Sigma of a located spot against the scatter of many frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.frames import Blob, frame, light

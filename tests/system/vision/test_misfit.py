@@ -1,7 +1,5 @@
 """Light that one spot does not explain: what noise and grain make of the statistic, and what else does."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The error of the fitted profile over many frames against the Cramér-Rao bound."""
 
-from __future__ import annotations
-
 import numpy as np
 from support.cramer_rao import cramer_rao
 from support.frames import Blob, light

@@ -1,7 +1,5 @@
 """Cameras that are lost, refuse, hang and end, and their exposure, by the thread that takes their frames."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import threading

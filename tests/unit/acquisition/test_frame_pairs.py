@@ -1,7 +1,5 @@
 """From the threads of cameras to one reader: what waits, what is lost, what is marked and kept."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import threading

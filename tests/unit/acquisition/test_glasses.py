@@ -1,7 +1,5 @@
 """The cycle of a row's glasses: which frames show which target, and what a switch that fails does."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections.abc import AsyncIterator

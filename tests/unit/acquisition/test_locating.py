@@ -1,7 +1,5 @@
 """The thread that locates spots: slow, hanging, broken, and its end."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import re

@@ -1,7 +1,5 @@
 """Frames whose time cannot be true: what is refused, and what the camera's health says of it."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 

@@ -1,7 +1,5 @@
 """A frame shown to a person: the picture, and the place of the spot in it."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import AsyncIterator

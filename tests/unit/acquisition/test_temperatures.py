@@ -1,7 +1,5 @@
 """A thermometer that hangs, errs or breaks is reported in health, and its last value is not kept."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import Callable

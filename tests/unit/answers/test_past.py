@@ -1,7 +1,5 @@
 """``altd export`` and ``altd events``: hand-made histories, read by pandas' peers: csv and pyarrow."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """`altd status` and `altd selfcheck` with any program that answers, a good daemon or a faulty one."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -1,7 +1,5 @@
 """A backup of a unit whose daemon writes; its restoration; damaged, forged and foreign archives."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

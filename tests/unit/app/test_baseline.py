@@ -1,7 +1,5 @@
 """The baseline of a row in a file: what fits is used, all else is refused with its reason."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The calibration's file, its report and its summary are those of what was loaded, or not given at all."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The daemon's part of a unit's diagnostics, and data that must never be in it."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """The daemon's watches for maintenance, put together as its config says."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from dataclasses import replace

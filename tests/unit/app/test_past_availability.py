@@ -1,7 +1,5 @@
 """The history of the time before a start is read, at the start and when the clock was set."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable

@@ -1,7 +1,5 @@
 """The areas of the targets are what the maps take, and no target's name is that of something else."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

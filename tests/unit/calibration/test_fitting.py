@@ -3,8 +3,6 @@
 Lenses of `hw_sim` are the truth; ``make bench-area`` measures the margin on pictures.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

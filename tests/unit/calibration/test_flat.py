@@ -1,7 +1,5 @@
 """Flats of pictures that a test paints; those of a simulated unit: ``tests/system/calibration``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

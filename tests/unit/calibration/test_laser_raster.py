@@ -1,7 +1,5 @@
 """The laser's power in each exposure and its spot, from light whose formula is written here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Two localisers held against each other over the nodes of a target, on frames with known truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.frames import Blob, frame, light

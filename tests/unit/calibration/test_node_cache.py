@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from altd.calibration.scan_nodes import NodeCache

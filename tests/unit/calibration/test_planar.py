@@ -1,7 +1,5 @@
 """Calibration from a plate at known poses, in pictures that OpenCV's camera projects."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

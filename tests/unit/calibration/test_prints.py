@@ -1,7 +1,5 @@
 """Prints of known pitch and lattice before the simulator's camera; targets that end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Calibrations that are none although each number is one and the checksum fits."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Which targets a calibration has: those of the recordings' headers, whatever cameras look at them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

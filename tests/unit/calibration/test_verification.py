@@ -1,7 +1,5 @@
 """Estimates of a verification against errors put in by formula; limits of its tests, and their power."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

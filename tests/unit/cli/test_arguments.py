@@ -1,7 +1,5 @@
 """Wrong arguments: one line that names the argument and what is possible; none at all: what there is."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import math

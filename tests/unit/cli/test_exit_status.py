@@ -1,7 +1,5 @@
 """Commands that did their work end with status 0."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``altd refraction`` against published figures and a traced ray; ``altd registers`` and ``altd devices``."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Settings with one fault each: « marks the place of the fault, and is not in the file."""
 
-from __future__ import annotations
-
 from .whole_config import BASE
 
 TABLE = r"""

@@ -1,7 +1,5 @@
 """The rules of switched targets, of a row and of a beam: each fault at its key, and nothing but it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A config that `check-config` accepts is not refused by `altd run` for a reason in the file."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import socket

@@ -1,7 +1,5 @@
 """Places of keys and values, against marks in texts; and none at all where the scan and tomllib disagree."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

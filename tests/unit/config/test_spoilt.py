@@ -1,7 +1,5 @@
 """Each fault of a config is answered by its line and key, by `altd run` as by `altd check-config`."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Every error that our models can raise has a text of our own; an unexpected one is usable too."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A config made by hand that is good and has every table."""
 
-from __future__ import annotations
-
 from support.unit_toml import unit_toml
 
 _FRONT_CAMERA = """

@@ -1,7 +1,5 @@
 """``altd password`` and ``altd token`` as a technician calls them, at a terminal too."""
 
-from __future__ import annotations
-
 import os
 import pty
 import sys

@@ -1,7 +1,5 @@
 """The file of credentials: what it may hold, who may read it, that it never shows it; its hashes."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

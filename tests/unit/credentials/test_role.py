@@ -1,7 +1,5 @@
 """The role in a certificate, as openssl wrote it."""
 
-from __future__ import annotations
-
 import ssl
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """The Grbl driver on the simulated table, over a pseudo-terminal; what the table answers is Grbl's own
 (``tests/unit/hw_sim/test_grbl.py``). Grbl itself is asked where its simulator is installed."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

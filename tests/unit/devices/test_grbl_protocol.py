@@ -1,7 +1,5 @@
 """Answers of a Grbl controller, line by line."""
 
-from __future__ import annotations
-
 import pytest
 from support.grbl_conversation import CONVERSATION
 

@@ -1,7 +1,5 @@
 """A thermometer of the kernel: files as Documentation/hwmon/sysfs-interface has them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The inclinometer's driver against simulated sensors on a pseudo-terminal and bytes made by hand."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 import time

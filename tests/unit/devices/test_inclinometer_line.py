@@ -1,7 +1,5 @@
 """The line to an inclinometer when it does worse than be silent or damaged."""
 
-from __future__ import annotations
-
 import os
 import threading
 from itertools import count

@@ -3,8 +3,6 @@
 With the kernel's test drivers: ``tests/system/devices/v4l2``.
 """
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A tree that looks like a computer, and a config for it."""
 
-from __future__ import annotations
-
 import grp
 import os
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Devices that are missing, forbidden, taken or too slow, each with what mends it."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

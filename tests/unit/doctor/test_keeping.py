@@ -1,7 +1,5 @@
 """The daemon's stores and its socket: folders, room, a damaged file, a socket in the way."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

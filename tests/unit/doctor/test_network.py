@@ -1,7 +1,5 @@
 """The way to a GigE Vision camera and the addresses to listen on: on a tree, and on this kernel."""
 
-from __future__ import annotations
-
 import os
 import socket
 

@@ -1,7 +1,5 @@
 """Libraries, clock, disk and calibration; and the command as a whole."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Disks that are full, gone or read-only and files that are damaged, foreign or newer; on real files."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3

@@ -4,8 +4,6 @@
 seconds of two measurements, the second one's invalid, and two events.
 """
 
-from __future__ import annotations
-
 import gzip
 import sqlite3
 from pathlib import Path

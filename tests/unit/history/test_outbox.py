@@ -1,7 +1,5 @@
 """The outbox: what is complete is queued once, in order, and stays until it is acknowledged."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from dataclasses import replace

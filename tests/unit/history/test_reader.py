@@ -1,7 +1,5 @@
 """Trends against sums made in the test, and what bounds a query."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import random

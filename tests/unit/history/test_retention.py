@@ -1,7 +1,5 @@
 """Removal from a history that grows, with limits made small."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

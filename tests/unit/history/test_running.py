@@ -3,8 +3,6 @@
 START_S is 08:00:00Z; of 20 measurements a second each is valid or not as the test says.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """The history holds the measurements: hand-made ones, read back through the reader and by SQL."""
 
-from __future__ import annotations
-
 import sqlite3
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The folder of a demo: what it names, what it leaves, and what it says where it cannot be had."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """The simulated 3-PRP machine: its motion, its errors, and the singular poses it cannot pass."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 

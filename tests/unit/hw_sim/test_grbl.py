@@ -1,7 +1,5 @@
 """The simulated table, its motion, and the simulated inclinometer, which reads from no file but its own."""
 
-from __future__ import annotations
-
 import math
 import re
 import socket

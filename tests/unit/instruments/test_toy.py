@@ -1,7 +1,5 @@
 """A toy instrument with quantities of its own: chain, gate, JSON, console, page, tables take it as it is."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Both ends of the local socket: a command asks whatever answers; the daemon replaces, refuses, leaves."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """Beyond the nodes a map is known less and less, and not at all beyond its margin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The degree of the tensor polynomial against the truth that it does not know, its basis, and its grid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.gram import equidistant_nodes

@@ -1,7 +1,5 @@
 """Marks of a print before a lens of the simulator, and the shift of a patch's centre of light."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The inverse gives no number for a pixel that no place inside the hull has; its sigma by Monte Carlo."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

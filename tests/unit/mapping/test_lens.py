@@ -1,7 +1,5 @@
 """The lens model against OpenCV's projection, which shares no code with it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Chains of two cameras with a window of four, and what these cameras see."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

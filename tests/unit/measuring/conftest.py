@@ -1,7 +1,5 @@
 """The calibration that the chains of this room measure by."""
 
-from __future__ import annotations
-
 import pytest
 from support.played_unit import PlayedUnit
 

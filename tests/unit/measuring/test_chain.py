@@ -1,7 +1,5 @@
 """The chain from frames to a measurement: what is measured, mapped, corrected, refused and told."""
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

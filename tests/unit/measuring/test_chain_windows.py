@@ -1,7 +1,5 @@
 """Causes that end a window or do not: changes of exposure, frame LEDs, gaps and silent cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

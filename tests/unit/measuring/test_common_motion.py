@@ -1,7 +1,5 @@
 """Motion of all spots at once: a shock, and the lag of the second spot when a rigid motion starts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Light of a spot is that which fell, whatever exposure and gain; trends; changes on one target."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import replace

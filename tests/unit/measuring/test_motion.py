@@ -3,8 +3,6 @@
 The spots move on made-up paths with known motion, the machine as the simulator says.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 

@@ -1,7 +1,5 @@
 """Shapes of spots in the unit frame, against formulas."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """When a frame is examined, and the effect of the verdicts; the verdicts themselves are scripted here."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from unittest.mock import Mock

@@ -1,7 +1,5 @@
 """End of work, and its result, in this process; whole commands: ``tests/system/process``."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """Text from outside on standard output, standard error and in the log, and the log's limit on repetitions."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """The header of a recording: its targets, limits, ``turned_deg``, and a plate of LEDs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

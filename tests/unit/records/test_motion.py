@@ -1,7 +1,5 @@
 """Distance of the truth from a mean of the past, by formulas of motion; numbers of things in sentences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

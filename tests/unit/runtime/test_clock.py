@@ -1,7 +1,5 @@
 """The time of day of instants of the monotonic clock."""
 
-from __future__ import annotations
-
 import time
 from datetime import UTC, datetime, timedelta
 

@@ -1,7 +1,5 @@
 """Calls in real threads: one that is held comes back when the test lets it; use of the interpreter."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

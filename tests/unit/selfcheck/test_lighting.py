@@ -1,7 +1,5 @@
 """Frames drawn by hand, and lights in any order: what speaks against them, and which of them are LEDs."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

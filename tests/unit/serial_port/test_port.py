@@ -1,7 +1,5 @@
 """The port on a pseudo terminal: whole or not at all, never blocking, loud when it is gone."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """Board, health and state of a unit on a clock that the test drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from support.clock import FakeClock

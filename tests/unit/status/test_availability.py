@@ -1,7 +1,5 @@
 """The share of time in which the unit measured, by hand-made time."""
 
-from __future__ import annotations
-
 import pickle
 from datetime import timedelta
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Every cause of a state is reached, and brings the signal of its table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Events: kept in order, bounded, and limited where they repeat."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

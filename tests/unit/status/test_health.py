@@ -1,7 +1,5 @@
 """Health is of the moment at which it is read."""
 
-from __future__ import annotations
-
 import json
 import math
 

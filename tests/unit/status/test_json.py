@@ -1,7 +1,5 @@
 """A measurement and a round as JSON: what is true now, and the contract of ``targets``."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

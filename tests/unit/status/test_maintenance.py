@@ -1,7 +1,5 @@
 """A need of maintenance is reported before anything is invalid by it, and does not flicker at its limit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import cycle

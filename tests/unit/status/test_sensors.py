@@ -1,7 +1,5 @@
 """An inclinometer's values in a measurement of the beam: on the board and on every interface."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

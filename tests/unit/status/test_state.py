@@ -1,7 +1,5 @@
 """The unit's state: no cause is hidden by a worse one, and nothing unknown is good."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import cast
 

@@ -1,7 +1,5 @@
 """The zero: which measurement becomes it, and what is relative to it."""
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime
 from typing import Any

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from support.places import DOCS
 
 from altd.instruments.beam.instrument import QUANTITIES

@@ -1,7 +1,5 @@
 """Accepting where descriptors have run out and where many come at once, and whose addresses count as one."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -1,7 +1,5 @@
 """Any program may answer at the socket: only documents that can be shown pass."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import random

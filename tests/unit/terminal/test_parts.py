@@ -1,7 +1,5 @@
 """Pictures, trends and lines of text, each against what can be said of it beforehand."""
 
-from __future__ import annotations
-
 import pytest
 from support.daemon_documents import CALIBRATION, TARGETS, measurement, status
 

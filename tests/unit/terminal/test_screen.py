@@ -1,7 +1,5 @@
 """The screen of `altd watch`: exact for made-up data, whole on any size, and empty of what is not known."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Specks under a spot, counted in pictures whose dust is known by their geometry; an unseen smear."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """The ellipse as second localiser, and its direct fit: against formulas, OpenCV and the Cramér-Rao bound."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

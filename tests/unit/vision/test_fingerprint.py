@@ -1,7 +1,5 @@
 """A view is held against where the picture is known to lie; the print's dots are drawn where it lies."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

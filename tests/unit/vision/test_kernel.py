@@ -1,7 +1,5 @@
 """Compiled code and numpy find the same: numpy, which is also tested alone, is the truth here."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The fitted profile on clean and printed targets; frames and bound come from formulas, not from the fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.cramer_rao import cramer_rao

@@ -1,7 +1,5 @@
 """The judge of ``make campaign`` counts rightly: made-up measurements, truth by formula."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

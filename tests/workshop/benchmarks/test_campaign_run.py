@@ -3,8 +3,6 @@
 The ways that disturb times and numbers are held against arithmetic.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

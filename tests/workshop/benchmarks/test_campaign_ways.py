@@ -1,7 +1,5 @@
 """Each way of ``make campaign`` disturbs what its name says, by arithmetic on made-up scenes and frames."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

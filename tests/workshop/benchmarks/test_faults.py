@@ -1,7 +1,5 @@
 """``make faults`` judges rightly, runs the whole daemon, and repeats by its seed."""
 
-from __future__ import annotations
-
 import json
 import math
 import weakref

@@ -1,7 +1,5 @@
 """The benchmarks of the fleet find all that was sent, and its demo shows units that fail."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The daemon on large frames: what is measured of it is there, and a loop that stands still is seen."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 

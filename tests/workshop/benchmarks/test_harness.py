@@ -1,7 +1,5 @@
 """The harness of the benchmarks: child processes end in every case, wrong arguments are one line."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``make bench-load`` reads every interface and prints what came. How fast anything is belongs to no test."""
 
-from __future__ import annotations
-
 from support.cli import altd
 from support.foreign import need_program
 

@@ -1,7 +1,5 @@
 """``make bench`` runs and says all that it promises. How fast anything is belongs to no test."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The memory of a command does not grow with the nodes and the frames that it works on."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """``make bench-overload`` counts answers, memory and polls. Its figures belong to no test."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The slope that says whether the page's memory grows: told from noise and from a heap that is emptied."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

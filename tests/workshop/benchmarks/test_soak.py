@@ -1,7 +1,5 @@
 """The soak benchmark: its judge, and a few minutes of it."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 from pathlib import Path

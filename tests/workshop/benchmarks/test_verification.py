@@ -1,7 +1,5 @@
 """The benchmark of ``altd verify``: right and wrong units, by the stated confidence and power."""
 
-from __future__ import annotations
-
 import pytest
 import scipy.stats
 

@@ -1,7 +1,5 @@
 """The errors on the wires, a few of each: all are found, and what is no error passes."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The studies' reference figures for altd, against physics and against each other."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The index of the decisions checks their form."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

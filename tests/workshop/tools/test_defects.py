@@ -1,7 +1,5 @@
 """Each defect of ``python -m tools.defects`` has its place in the current code, and the runner reports it."""
 
-from __future__ import annotations
-
 import ast
 import threading
 import time

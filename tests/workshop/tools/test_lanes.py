@@ -1,7 +1,5 @@
 """``.ci/lanes``: which tests are due for a commit; ``.ci/tests``: all parts run, whatever fails."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

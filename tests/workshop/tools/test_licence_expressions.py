@@ -1,7 +1,5 @@
 """Licences as SPDX expressions: what is fulfilled, and how they are written."""
 
-from __future__ import annotations
-
 import pytest
 
 from tools.licences.spdx import canonical, is_accepted, names

@@ -1,7 +1,5 @@
 """The check of licences, on packages made up for it, and on those that altd runs on."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.metadata
 import json

@@ -1,7 +1,5 @@
 """The manual page before groff, and the completion in a real bash."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 from datetime import UTC, datetime

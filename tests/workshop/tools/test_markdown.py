@@ -1,7 +1,5 @@
 """Text that is wrapped at 120 characters, and text that is left alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

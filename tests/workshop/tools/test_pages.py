@@ -1,7 +1,5 @@
 """The generated pages: all that are out of date are named at once, and only those are written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The film of a terminal: its text, where, how it looks, and when; which pictures are written."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which phrases the language check finds, and where."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

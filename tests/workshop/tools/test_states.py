@@ -1,7 +1,5 @@
 """The page and the picture of the states name every cause, and the picture is well-formed."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree as ET
 
 from altd.reasons import Reason, Signal

@@ -1,7 +1,5 @@
 """Prints of many lattices before a simulated camera."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.prints import Dots, Scene, lattice_of, steps

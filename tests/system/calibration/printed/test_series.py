@@ -1,7 +1,5 @@
 """The sums that a series is fitted by, held against all pixels at a time in one matrix, by its SVD."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.prints import steps

@@ -1,7 +1,5 @@
 """``altd calibrate --report`` as a process."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

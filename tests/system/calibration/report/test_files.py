@@ -1,7 +1,5 @@
 """The two files as a person gets them, read by parsers and programs that know nothing of altd."""
 
-from __future__ import annotations
-
 import base64
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Real GigE Vision cameras on loopback: Aravis' own simulated one, a process each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """The GigE Vision driver with cameras that run, fail and come back."""
 
-from __future__ import annotations
-
 import struct
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The GigE Vision cameras that are found, and the message of a machine without Aravis."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

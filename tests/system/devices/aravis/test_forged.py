@@ -1,7 +1,5 @@
 """Datagrams that the camera did not send, at the ports of a running driver."""
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

@@ -1,7 +1,5 @@
 """Single questions to Aravis' simulated cameras."""
 
-from __future__ import annotations
-
 import pytest
 from support.gige import HOME, Cameras, register, wait_for
 

@@ -1,7 +1,5 @@
 """Cameras that die, hang, change places or lose their cable, and how soon their frames are back."""
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The driver against the kernel's own test drivers, in a guest."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

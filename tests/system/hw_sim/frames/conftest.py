@@ -1,7 +1,5 @@
 """Units for the simulator's tests, and the foreign tool that knows what a camera should see."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import cv2

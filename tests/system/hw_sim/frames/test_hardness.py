@@ -1,7 +1,5 @@
 """Physics of the effects that ``hw_sim.hardness`` adds."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A unit that is served to the tests of a module, its beam aslant and at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """``python -m hw_sim gige`` as a process: what it says, how it ends, and what it refuses."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

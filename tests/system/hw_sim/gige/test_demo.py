@@ -1,7 +1,5 @@
 """The whole daemon behind the simulated unit's GigE Vision cameras."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import socket

@@ -1,7 +1,5 @@
 """A camera's features and settings, asked by Aravis' own tool and by a client on Aravis."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """The cameras' pictures, against the truth that a unit of the same seed knows in this process."""
 
-from __future__ import annotations
-
 import time
 
 import cv2

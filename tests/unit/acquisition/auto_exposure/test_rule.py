@@ -1,7 +1,5 @@
 """The rule as tables, and what it looks at; the closed loop is in test_exposure_loop.py."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.frames import Blob, frame, light

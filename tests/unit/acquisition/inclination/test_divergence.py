@@ -1,7 +1,5 @@
 """The slow change of the beam's inclination against gravity."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable

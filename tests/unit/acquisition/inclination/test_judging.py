@@ -1,7 +1,5 @@
 """Acceptance of an inclinometer's readings, and their sigma."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,7 +1,5 @@
 """The inclinometer's task: what a measurement gets while its sensor does what it likes."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import random

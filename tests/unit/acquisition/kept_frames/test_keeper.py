@@ -1,7 +1,5 @@
 """Files written after a fault and on request, by a clock that the test moves; the disk is a real one."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -1,7 +1,5 @@
 """The ring keeps the newest frames within its bounds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

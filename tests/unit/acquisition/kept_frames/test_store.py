@@ -1,7 +1,5 @@
 """Recordings on the disk: whole or not at all, within their space, marked ones without limit."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Lamps that are lost, hang, and come back; with a driver in a real thread."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import AsyncIterator

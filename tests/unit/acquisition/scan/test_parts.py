@@ -1,7 +1,5 @@
 """The scan's order, its judgement of a node, and its folder; whole: ``tests/system/scan/test_scan.py``."""
 
-from __future__ import annotations
-
 import os
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise

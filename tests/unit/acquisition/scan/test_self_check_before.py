@@ -1,7 +1,5 @@
 """The self-check before a scan: what it says, what it stops, and what the recording keeps of it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path

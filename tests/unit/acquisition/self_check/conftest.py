@@ -1,7 +1,5 @@
 """Common parts of the tests of the history of self-checks."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A unit that is corrected sees its view where the check found it: print, LEDs and spots are drawn there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

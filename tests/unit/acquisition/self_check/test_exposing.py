@@ -1,7 +1,5 @@
 """The frames of a check, by cameras and LEDs on the test's clock, and whether the LEDs shone during each."""
 
-from __future__ import annotations
-
 import asyncio
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A client's polls while the LEDs take exposures from the window, of a beam at rest."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Effect of checks on a measurement, by verdicts that the test writes down."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

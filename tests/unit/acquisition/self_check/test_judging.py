@@ -1,7 +1,5 @@
 """From the frames of both cameras to a verdict, on frames whose LEDs are numbers in the test."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

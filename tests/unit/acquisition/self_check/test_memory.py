@@ -1,7 +1,5 @@
 """The history of checks over restarts; each day is one process's life."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """The file that keeps the history of checks: damaged, forged, on a disk that is full, away or hangs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """When checks are due, on the test's clock."""
 
-from __future__ import annotations
-
 import asyncio
 
 from support.clock import FakeClock, settle

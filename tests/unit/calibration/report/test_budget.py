@@ -1,7 +1,5 @@
 """The uncertainty budget against closed forms and printed tables."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The calibration certificate: facts from a file, sections, and XML in the published structure."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from xml.etree import ElementTree

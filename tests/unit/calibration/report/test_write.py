@@ -1,7 +1,5 @@
 """Files of a report, and the calibration that a report says that it is of."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames out of packets: of one camera, of a lossy network, and of an attacker."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import struct

@@ -1,7 +1,5 @@
 """The camera's clock, against clocks and delays that are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

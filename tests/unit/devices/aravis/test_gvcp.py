@@ -1,7 +1,5 @@
 """Single questions, and what a camera or something else may answer."""
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

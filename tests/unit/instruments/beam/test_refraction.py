@@ -1,7 +1,5 @@
 """Glass behind a target. The truth is a ray, traced in space from surface to surface by Snell's law."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The beam through two points, and limits of a calibration in its uncertainty."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

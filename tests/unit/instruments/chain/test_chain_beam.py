@@ -1,7 +1,5 @@
 """The beam's movement: interpolation in time, the weighted line, stable targets that moved; the rate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spots at different times become one beam: motion is taken off, vibration is in sigma, faults are named."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,7 +1,5 @@
 """Kinematics, singular poses and workspace of the planar 3-PRP machine, against plain geometry."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

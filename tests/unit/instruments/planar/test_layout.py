@@ -1,7 +1,5 @@
 """Which lights are LEDs, by layout alone and as a rigid plate; the homography against OpenCV's."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

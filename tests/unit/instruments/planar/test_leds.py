@@ -1,7 +1,5 @@
 """The LEDs of a plate in pictures whose light is a formula."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

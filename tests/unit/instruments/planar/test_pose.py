@@ -1,7 +1,5 @@
 """The pose from LEDs through a camera whose formula is written here, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """A browser that looks at pictures: the library websockets, and what it is shown."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """The files of a calibration, which a test changes."""
 
-from __future__ import annotations
-
 import asyncio
 
 from altd.status.services import NoCalibrationFileError, NoReportError

@@ -1,7 +1,5 @@
 """Answers of each path, over real sockets, and the page in docs that lists them."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import json

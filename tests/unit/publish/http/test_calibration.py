@@ -1,7 +1,5 @@
 """The loaded calibration over HTTP: shown to everybody, its files with the right to see pictures."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 

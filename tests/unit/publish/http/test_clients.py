@@ -1,7 +1,5 @@
 """Clients: by which addresses and names they connect, how much they may ask for, their sessions."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import pytest

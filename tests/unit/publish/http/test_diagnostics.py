@@ -1,7 +1,5 @@
 """The diagnostics: what there is in one archive that a foreign program opens, and what is missing by name."""
 
-from __future__ import annotations
-
 import csv
 import json
 import subprocess

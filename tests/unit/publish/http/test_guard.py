@@ -1,7 +1,5 @@
 """Permission to act where credentials are set: tokens, sessions, other pages, and too many tries."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import AsyncIterator, Sequence

@@ -1,7 +1,5 @@
 """The same answers on the local socket: with what a network's client may not, and bounds of its own."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -1,7 +1,5 @@
 """Events of logging in: the name and the address, never the typed text."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """/metrics, read by Prometheus' own parser, against the JSON of the same moment."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

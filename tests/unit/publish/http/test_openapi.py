@@ -1,7 +1,5 @@
 """The OpenAPI document: a foreign validator takes it, and each answer is what it says."""
 
-from __future__ import annotations
-
 import json
 import re
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """A page of elsewhere whose name was bent to the unit's address (DNS rebinding) reads nothing."""
 
-from __future__ import annotations
-
 import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus

@@ -1,7 +1,5 @@
 """The page's memory of the last minutes, run by Node.js, and what the unit's history adds to it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from datetime import UTC, datetime

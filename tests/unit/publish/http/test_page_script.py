@@ -3,8 +3,6 @@
 The network and the clock are the test's; a browser shows the page in tests/system/publish/http.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """The unit's history over HTTP: trends, events, and a stream that continues where it broke off."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncGenerator, AsyncIterator, Iterable

@@ -1,7 +1,5 @@
 """Pictures over a WebSocket, by a foreign client: the library websockets."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 

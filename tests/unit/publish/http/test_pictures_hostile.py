@@ -1,7 +1,5 @@
 """Hostile clients of the pictures over a WebSocket, most of them by bytes that no browser sends."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import random

@@ -1,7 +1,5 @@
 """Recordings over HTTP: listed for everybody, kept and marked with the right to act, fetched as archives."""
 
-from __future__ import annotations
-
 import asyncio
 import io
 import json

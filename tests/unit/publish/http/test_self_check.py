@@ -1,7 +1,5 @@
 """The self-check over HTTP: who may ask for one, and what comes back."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 

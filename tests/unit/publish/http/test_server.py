@@ -1,7 +1,5 @@
 """Clients that are hostile or many, a port that is taken, and an end that leaves nothing."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

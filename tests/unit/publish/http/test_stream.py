@@ -1,7 +1,5 @@
 """The stream: every measurement once, the newest first for the slow, silence that is reported."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

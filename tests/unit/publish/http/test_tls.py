@@ -1,7 +1,5 @@
 """TLS by a foreign client (Python's ssl and http.client), against certificates that openssl made."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import http.client

@@ -1,7 +1,5 @@
 """A board with measurements on it, and a publisher that serves it for the length of a test."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import AsyncIterator, Iterator

@@ -1,7 +1,5 @@
 """Following a bus: whose frames are received, and that the end of an answer of others is no request to us."""
 
-from __future__ import annotations
-
 import random
 import struct
 

@@ -1,7 +1,5 @@
 """The checked block against what the page promises; CRC and decoding are Python's own, not the product's."""
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

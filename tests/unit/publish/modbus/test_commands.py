@@ -1,7 +1,5 @@
 """A controller's commands by a write, on real sockets and a line."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import math

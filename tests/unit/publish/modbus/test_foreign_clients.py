@@ -1,7 +1,5 @@
 """The values as mbpoll reads them, a client that this project did not write, and the page that shows them."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Which Modbus TCP connection makes room: the policy alone, with times handed in."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The register table against what the page promises; decoding is struct's, not the product's."""
 
-from __future__ import annotations
-
 import math
 import struct
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The registers of a row: each place in its own block, what is not known as NaN, reasons and warnings."""
 
-from __future__ import annotations
-
 import math
 import struct
 

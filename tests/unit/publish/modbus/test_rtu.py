@@ -1,7 +1,5 @@
 """Modbus RTU over a pseudo terminal: alone, on a shared bus, and through noise."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

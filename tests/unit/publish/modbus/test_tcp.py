@@ -1,7 +1,5 @@
 """Modbus TCP: what a request gets for an answer."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import struct

@@ -1,7 +1,5 @@
 """Modbus TCP: clients that come, go, crowd and misbehave."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -1,7 +1,5 @@
 """Modbus/TCP Security by foreign clients: pymodbus, openssl, Python's ssl; certificates of openssl."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import shutil

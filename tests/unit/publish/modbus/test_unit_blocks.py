@@ -1,7 +1,5 @@
 """The blocks of the unit and its condition, discrete inputs, word orders, the functions of serial lines."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """The Sparkplug profile at a broker that answers as a test chooses. A foreign decoder: the system tests."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Topics and payloads, by hand and by formula."""
 
-from __future__ import annotations
-
 import json
 import math
 import statistics

@@ -1,7 +1,5 @@
 """The sender of the outbox: in order, within its limits, and deaf to wrong acknowledgements."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json

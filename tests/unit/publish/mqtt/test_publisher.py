@@ -1,7 +1,5 @@
 """The publisher at a broker that answers as a test chooses: late, never, with refusals, with nonsense."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import json

@@ -1,7 +1,5 @@
 """The nodes of each instrument, and which numbers of a row and of a plate a client may use."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace

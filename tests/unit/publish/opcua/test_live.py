@@ -1,7 +1,5 @@
 """Which values a line makes, and when they are taken back, by a clock that the test drives."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The status codes of values, against asyncua's names and the table that docs/opcua.md shows."""
 
-from __future__ import annotations
-
 import pytest
 from asyncua import ua
 

@@ -1,7 +1,5 @@
 """Limits of clients, by asyncua's client at the server: asyncua alone has none of them."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """A component, a measurement, consoles without a port, and what they answer to one line."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import pytest

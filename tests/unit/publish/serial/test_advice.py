@@ -1,7 +1,5 @@
 """The remedy is for the cause that was seen: what a fault's detail says, from the code that says it."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

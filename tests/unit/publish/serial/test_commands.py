@@ -1,7 +1,5 @@
 """The commands of a console: what they tell, what they ask before they do it, and what programs read."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The console as a technician meets it: bytes in, bytes out, no port and no board."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

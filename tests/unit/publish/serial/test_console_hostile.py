@@ -1,7 +1,5 @@
 """20,000 hostile sessions on one console: plain text comes back, and the next person is answered."""
 
-from __future__ import annotations
-
 import random
 import re
 

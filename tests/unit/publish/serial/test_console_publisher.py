@@ -1,7 +1,5 @@
 """The console through a pseudo terminal, from the client's bytes to the board and back."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -1,7 +1,5 @@
 """`status` on a unit and its faults, on pages that fit a screen."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The console through the terminal program that the manual names."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """`watch`: a line with every tick until a key ends it, and what counts as a key."""
 
-from __future__ import annotations
-
 import pytest
 
 from altd.instruments.beam.instrument import QUANTITIES

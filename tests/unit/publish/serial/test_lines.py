@@ -1,7 +1,5 @@
 """Keys become lines, whatever the terminal sends."""
 
-from __future__ import annotations
-
 import itertools
 import re
 

@@ -1,7 +1,5 @@
 """The pages in docs are what the code says."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """`history` and `log` on the console: what a real file holds, also by the wire."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The sentences that check and identify, read by plain string handling; the CRC is Python's own."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta, timezone

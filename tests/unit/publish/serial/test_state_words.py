@@ -1,7 +1,5 @@
 """The console says the state with its causes, and never a better availability than there was."""
 
-from __future__ import annotations
-
 import pytest
 from support.clock import FakeClock
 from support.measurements import measurement

@@ -1,7 +1,5 @@
 """Writing telegrams: a table of cases, a foreign parser, the parser for users, and random measurements."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 

@@ -1,7 +1,5 @@
 """Telegrams through a pseudo terminal, from the board to the client."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import zlib

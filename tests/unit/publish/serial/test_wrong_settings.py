@@ -1,7 +1,5 @@
 """Terminals with a wrong speed or parity, bit by bit as a UART sees them."""
 
-from __future__ import annotations
-
 import pytest
 
 from altd.instruments.beam.instrument import QUANTITIES
