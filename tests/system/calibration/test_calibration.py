@@ -1,20 +1,33 @@
-"""Whole scans through the calibration: what is left out of them, and what is doubted."""
+"""Whole scans through the calibration: what is left out, doubted, cut off, and claimed beyond the nodes."""
 
+import json
+import pickle
 import re
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from support.cross_checked import difference_px, fitted_unit
+from support.lenses import TABLE_3_2, LensKind
 from support.played_unit import PlayedUnit
-from support.recordings import Shot, place_px, write
+from support.recordings import Shot, grid, place_px, write, write_scan
 
 from altd.calibration.calibrating import calibrate
+from altd.calibration.file import load_calibration, save_calibration
+from altd.calibration.fitting import fit_nodes, outer_rows
 from altd.calibration.from_scans import calibrate_scans
+from altd.calibration.result import CalibrationResult
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
+from altd.mapping.inverse import InverseMap
+from altd.mapping.nodes import Nodes
 from altd.recording.reader import open_recording
+from altd.records import CameraIdentity
 from altd.vision.flat import Flat
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 
 
 @pytest.fixture
@@ -117,3 +130,105 @@ def test_an_undecodable_frame_ends_the_calibration_with_its_row(scan: Path, tmp_
     with pytest.raises(BadInputError, match=r"row 9: rear0003\.png cannot be decoded"):
         calibrate([open_recording(copy)])
     assert cv2.imread(str(copy / "rear0002.png"), cv2.IMREAD_UNCHANGED) is not None
+
+
+COLUMNS_MM = -70.0, -42.0, -14.0, 14.0, 42.0, 70.0
+ROWS_MM = -55.0, -27.5, 0.0, 27.5, 55.0
+CUT_ROWS_MM = -60.0, -30.0, 0.0, 30.0, 60.0
+"""The spots of the outer rows have 40 px and are 9 px from the border of the picture, which cuts them."""
+
+Place = tuple[float, float]
+
+
+def calibrated(
+    path: Path, dark_in_front: Iterable[Place] = (), rows_mm: Iterable[float] = ROWS_MM
+) -> CalibrationResult:
+    """The calibration of a scan in which some nodes have no spot on the front target."""
+    dark = set(dark_in_front)
+    shots: list[Shot] = [
+        (None if (x, y) in dark else (x, y), (x, y), (x, y)) for y in rows_mm for x in COLUMNS_MM
+    ]
+    return calibrate([open_recording(write(path, "scan", shots))])
+
+
+def test_nodes_that_the_border_cuts_are_used_and_named_with_their_weight(tmp_path: Path) -> None:
+    result = calibrated(tmp_path / "scan", rows_mm=CUT_ROWS_MM)
+    assert result.refused == ()
+    named = [line for line in result.remarks if " counts by 1/" in line]
+    assert named
+    assert all(" y -60 mm" in line or " y 60 mm" in line for line in named)
+    for seen in result.evidence:
+        inner = np.abs(seen.nodes_mm[:, 1]) < 50
+        assert np.all(seen.relative_sigma[inner] == 1.0)
+        assert np.median(seen.relative_sigma[~inner]) > 1.0
+
+
+def test_a_missing_row_is_named_and_does_not_refuse_the_scan(tmp_path: Path) -> None:
+    top = [(x, ROWS_MM[-1]) for x in COLUMNS_MM]
+    result = calibrated(tmp_path / "scan", [*top, (14.0, 0.0)])  # seven of thirty
+    assert len(result.refused) == 7
+    assert all(line.startswith("front node x ") and "spot_missing" in line for line in result.refused)
+    # with four rows left none can be left out to see what is known beyond them
+    (doubt,) = [line for line in result.doubts if "outer row" in line]
+    assert doubt == (
+        "front: no node of the outer row at y 55 mm can be used: the measurable area ends at y 27.5 mm"
+    )
+    front = result.calibration.target("front")
+    assert front is not None
+    for y_mm, known in ((20.0, True), (27.0, True), (30.0, False)):
+        point = front.point(*place_px("front", -28.0, y_mm))
+        assert (point is not None) is known
+        if point is not None:
+            assert (point.x_mm, point.y_mm) == pytest.approx((-28.0, y_mm), abs=0.05)
+
+
+def test_two_missing_rows_of_five_refuse_it(tmp_path: Path) -> None:
+    outer = [(x, y) for x in COLUMNS_MM for y in (ROWS_MM[0], ROWS_MM[-1])]
+    with pytest.raises(BadInputError, match="front: 12 of 30 nodes have no spot"):
+        calibrated(tmp_path / "scan", outer)
+
+
+def test_too_few_nodes_are_named_with_what_a_map_needs(tmp_path: Path) -> None:
+    write(tmp_path / "scan", "scan", [(node, node, node) for node in grid(2, 2)])
+    with pytest.raises(BadInputError, match=r"4 nodes do not form a usable grid: .* at least 4 × 4"):
+        calibrate([open_recording(tmp_path / "scan")])
+
+
+def test_the_outer_rows_of_a_unit_that_this_project_did_not_make_are_where_they_are_predicted(
+    unit_a: Path,
+) -> None:
+    """A whole pitch of 25 mm outside of the other nodes: twice what a map is ever asked for."""
+    made = pickle.loads((unit_a / "result.pickle").read_bytes())
+    normalised = []
+    for seen in made.evidence:
+        for row in outer_rows(seen.nodes_mm):
+            others = np.delete(np.arange(len(seen.nodes_mm)), row.rows)
+            places, px = seen.nodes_mm[others], seen.nodes_px[others]
+            alone = fit_nodes(Nodes.ordinary(places, px), (WIDTH_PX, HEIGHT_PX), 0).fit.map
+            mm, _, covariance = InverseMap(replace(alone, margin_mm=26.0)).to_mm(seen.nodes_px[row.rows])
+            sigma_mm = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+            normalised.append((mm - seen.nodes_mm[row.rows]) / sigma_mm)
+    assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate(normalised)))) < 1.25
+
+
+def test_the_file_carries_the_identities_of_the_scans_cameras(tmp_path: Path) -> None:
+    scan = write_scan(tmp_path / "rec")
+    header = json.loads((scan / "recording.json").read_text())
+    front = {**header["cameras"]["front"], "serial": "F-7", "model": "mini", "driver": "aravis"}
+    header["cameras"] = {**header["cameras"], "front": front}
+    (scan / "recording.json").write_text(json.dumps(header))
+    save_calibration(calibrate([open_recording(scan)]).calibration, tmp_path / "cal.json")
+    known, unknown = load_calibration(tmp_path / "cal.json").targets
+    assert known.camera == CameraIdentity("F-7", "mini", "aravis")
+    assert unknown.camera == CameraIdentity()
+
+
+@pytest.mark.parametrize("kind", TABLE_3_2, ids=str)
+def test_on_good_units_the_maps_agree_everywhere(kind: LensKind) -> None:
+    for seed in range(6):
+        fitted, rng = fitted_unit(kind, seed)
+        points = rng.uniform((-62.5, -50), (62.5, 50), (300, 2))
+        apart = difference_px(fitted, fitted.fit.map, points)
+        assert apart.max() < 0.7 * fitted.cross_check.limit_px
+        assert apart.max() <= fitted.cross_check.max_difference_px * 1.1
+        assert fitted.cross_check.max_difference_px <= apart.max() * 2

@@ -1,4 +1,4 @@
-"""Recordings of many frames."""
+"""Recordings of many frames, and a scan whose table lacks some."""
 
 import json
 import sys
@@ -7,6 +7,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from support.cli import altd_here
+from support.played_unit import PlayedUnit
 from support.recordings import header
 
 from altd.recording.reader import open_recording
@@ -31,3 +33,18 @@ def test_rows_take_no_memory(tmp_path: Path) -> None:
         assert opened.rows.last.file == kept_name
     finally:
         tracemalloc.stop()
+
+
+def test_calibrate_names_them_too(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    scan = tmp_path / "scan"
+    scan.mkdir()
+    for picture in (played_unit.folder / "scan").glob("*.png"):
+        (scan / picture.name).symlink_to(picture)
+    (scan / "recording.json").write_text((played_unit.folder / "scan" / "recording.json").read_text())
+    rows = (played_unit.folder / "scan" / "frames.csv").read_text().splitlines()
+    del rows[-5]  # the rear's of the third exposure from the end
+    (scan / "frames.csv").write_text("\n".join(rows) + "\n")
+    outcome = altd_here("calibrate", scan, "-o", tmp_path / "cal.json")
+    assert outcome.status == 0
+    line = f"altd calibrate: {scan}/frames.csv: row 56: sequence 27 has no row of camera 'rear'"
+    assert line in outcome.err.splitlines()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.foreign import need
 from support.frames import Blob, light
-from support.printed_glass import SIZE, dots, photographed
+from support.photographs import SIZE, dots, photographed
 
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision import blocks, fit, kernel, misfit, profile

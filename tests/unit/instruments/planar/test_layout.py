@@ -1,4 +1,4 @@
-"""Which lights are LEDs, by layout alone and as a rigid plate; the homography against OpenCV's."""
+"""LEDs of a plate in pictures by formula; which lights are LEDs; the homography against OpenCV's."""
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from altd.instruments.planar.layout import (
     rigid_pose,
     wrapped_deg,
 )
+from altd.instruments.planar.leds import find_leds, led_image, rim_points_px
 
 LEDS = np.array([(-41, -40), (-7, -39), (31, -32), (44, 16), (11, 3), (-38, 23), (2, 39)], dtype=float)
 TILTED = np.array([[2.6, 0.2, 400.0], [0.1, -2.5, 380.0], [4e-4, -6e-4, 1.0]])
@@ -171,3 +172,32 @@ def test_rims_of_circles_give_the_homography_whatever_their_radius() -> None:
     assert np.abs(apply_homography(by_middles, seen(NODES)) - NODES).max() > 1e-3
     refined = fit_rims(by_middles, rims, NODES, 2.7)
     assert refined == pytest.approx(back / back[2, 2], rel=1e-6, abs=1e-9)
+
+
+LEVEL = 150.0
+
+
+def picture(places: list[tuple[float, float]], radius_px: float) -> np.ndarray:
+    """Discs with half their light at the radius, on a background that slopes."""
+    v, u = np.mgrid[:120, :160]
+    counts = 10.0 + 0.05 * u + 0.02 * v
+    for at_u, at_v in places:
+        counts += LEVEL / (1.0 + np.exp((np.hypot(u - at_u, v - at_v) - radius_px) / 0.5))
+    return counts.astype(np.float32)
+
+
+@pytest.mark.parametrize("radius_px", [6.0, 9.13])
+def test_a_rim_is_where_half_the_light_of_a_disc_is(radius_px: float) -> None:
+    place = 60.3, 51.8
+    image = led_image(picture([place], radius_px))
+    (disc,) = find_leds(image)
+    assert (disc.u_px, disc.v_px) == pytest.approx(place, abs=0.02)
+    distance_px = np.hypot(*(rim_points_px(image, disc) - place).T)
+    assert len(distance_px) == 32
+    assert distance_px.mean() == pytest.approx(radius_px, abs=0.05)
+    assert distance_px.std() < 0.1
+
+
+def test_a_disc_that_the_border_cuts_is_no_led() -> None:
+    found = find_leds(led_image(picture([(60.0, 50.0), (2.0, 90.0), (110.0, 30.0)], 7.0)))
+    assert sorted(round(disc.u_px) for disc in found) == [60, 110]
