@@ -1,9 +1,4 @@
-<<<<<<< HEAD
-from __future__ import annotations
-
 import math
-=======
->>>>>>> 6b70b2b3 (Outside altd/, annotations come from __future__ only where one names something defined later)
 from dataclasses import replace
 
 import cv2

@@ -1,12 +1,7 @@
 """HistoryRead: every value of a span once, in both directions, whatever the clock did."""
 
-<<<<<<< HEAD
-from __future__ import annotations
-
 import struct
 from collections.abc import AsyncIterator
-=======
->>>>>>> 6b70b2b3 (Outside altd/, annotations come from __future__ only where one names something defined later)
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
