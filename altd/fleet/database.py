@@ -84,6 +84,12 @@ def migrate(connection: psycopg.Connection) -> None:
             connection.execute("INSERT INTO altd.version VALUES (%s)", (number,))
 
 
+def identity_of(connection: psycopg.Connection) -> str:
+    """Return the identity of the database."""
+    row = connection.execute("SELECT id FROM altd.identity").fetchone()
+    return "" if row is None else str(row[0])
+
+
 class Writer:
     """Writes batches through one connection."""
 

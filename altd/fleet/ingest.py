@@ -27,8 +27,8 @@ from psycopg.errors import InsufficientPrivilege, ReadOnlySqlTransaction, Undefi
 
 from altd.credentials.certificates import client_context
 from altd.credentials.file import load_login
-from altd.errors import one_line
-from altd.fleet.database import Progress, Writer, connect, maintain, migrate
+from altd.errors import BadInputError, one_line
+from altd.fleet.database import Progress, Writer, connect, identity_of, maintain, migrate
 from altd.fleet.intake import MAX_BYTES, Intake, Refusal
 from altd.fleet.settings import FleetSettings
 from altd.status.outbox import Batch, acknowledgement_of
@@ -41,6 +41,9 @@ MAX_BYTES_AT_ONCE = 4 << 20
 
 GATHER_S = 0.05
 """Time within which arriving messages share a transaction."""
+
+CLAIM_TIMEOUT_S = 5.0
+"""Time within which the broker must return the question to an ingest that asks for another database."""
 
 MAINTENANCE_INTERVAL_S = 60.0
 ROUND_INTERVAL_S = 5.0
@@ -70,6 +73,13 @@ class Ingest:
         broker = settings.broker
         self._intake = Intake(broker.topic)
         self._messages: queue.Queue[tuple[int, MQTTMessage]] = queue.Queue()
+        self._claim_topic = f"{broker.topic}/ingest/{broker.group}"
+        self._question = f"question {secrets.token_hex(8)}"
+        self._claim = ""
+        """Claim of the group by this ingest's database."""
+        self._is_foreign = False
+        self._asked_s: float | None = None
+        """Time of the connection; None: the outboxes are subscribed."""
         self._connections = 0
         self._refused: Counter[tuple[str, str]] = Counter()
         self._writer: Writer | None = None
@@ -95,7 +105,9 @@ class Ingest:
     def run(self) -> None:
         """Take messages until a signal ends the process, also while the broker or the database hangs.
 
-        A signal interrupts the main thread only where Python waits, not while a name is resolved.
+        A signal interrupts the main thread only where Python waits, not while a name is resolved. Raises
+        BadInputError if another ingest of the group writes to another database: each would take a part of
+        the messages, and the units delete what one of them has acknowledged.
         """
         failed: Future[None] = Future()
 
@@ -109,10 +121,12 @@ class Ingest:
         failed.result()
 
     def _run(self) -> None:
-        try:
-            self._open_database()
-        except _NOT_OF_CONTENT as error:  # it is retried with the first message
-            log.warning("ingest: no database yet: %s", one_line(str(error).strip()))
+        while self._writer is None:
+            try:
+                self._open_database()
+            except _NOT_OF_CONTENT as error:
+                log.warning("ingest: no database yet: %s", one_line(str(error).strip()))
+                time.sleep(_MAX_BACKOFF_S)
         threading.Thread(target=self._maintain, name="maintenance", daemon=True).start()
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.ReceiveMaximum = MAX_WAITING
@@ -124,10 +138,10 @@ class Ingest:
         )
         self._client.loop_start()
         while True:
+            self._check_claim()
             self.take(self._next_messages())
 
     def _on_connect(self, client: Client, userdata: Any, flags: Any, code: ReasonCode, _: Any) -> None:
-        broker = self._settings.broker
         if code.is_failure:
             log.warning("ingest: the broker refuses the connection: %s", code)
             return
@@ -135,10 +149,13 @@ class Ingest:
         with contextlib.suppress(queue.Empty):
             while True:  # they can no longer be acknowledged, and are sent again
                 self._messages.get_nowait()
-        client.subscribe(f"$share/{broker.group}/{broker.topic}/+/outbox", qos=1)
+        self._asked_s = time.monotonic()
+        client.subscribe(self._claim_topic, qos=0)
 
     def _on_subscribe(self, client: Client, userdata: Any, mid: int, codes: list[ReasonCode], _: Any) -> None:
-        if any(code.is_failure for code in codes):
+        if self._asked_s is not None:  # it comes back after the claim, if there is one
+            client.publish(self._claim_topic, self._question, qos=0)
+        elif any(code.is_failure for code in codes):
             log.warning("ingest: the broker refuses the subscription: %s", ", ".join(map(str, codes)))
         else:
             log.info("ingest: connected to %s", self._settings.broker.host)
@@ -147,7 +164,30 @@ class Ingest:
         log.warning("ingest: the connection to the broker has ended: %s", code)
 
     def _on_message(self, client: Client, userdata: Any, message: MQTTMessage) -> None:
-        self._messages.put((self._connections, message))
+        if message.topic != self._claim_topic:
+            self._messages.put((self._connections, message))
+        elif bytes(message.payload) == self._question.encode():
+            if not self._is_foreign:
+                client.publish(self._claim_topic, self._claim, qos=0, retain=True)
+                self._subscribe()
+        elif message.payload.startswith(b"database ") and bytes(message.payload) != self._claim.encode():
+            self._is_foreign = True
+
+    def _subscribe(self) -> None:
+        self._asked_s = None
+        broker = self._settings.broker
+        self._client.subscribe(f"$share/{broker.group}/{broker.topic}/+/outbox", qos=1)
+
+    def _check_claim(self) -> None:
+        """Raise BadInputError if the group belongs to another database."""
+        if self._is_foreign:
+            text = (
+                "an ingest of this group writes to another database; if that is out of use, delete its claim"
+            )
+            raise BadInputError("broker.group", f"{text}: mosquitto_pub -r -n -t {self._claim_topic}")
+        if self._asked_s is not None and time.monotonic() - self._asked_s > CLAIM_TIMEOUT_S:
+            log.warning("ingest: the broker does not let it read %s", self._claim_topic)
+            self._subscribe()
 
     def _next_messages(self) -> list[tuple[int, MQTTMessage]]:
         """Wait up to a second for messages and return those that have arrived."""
@@ -249,6 +289,7 @@ class Ingest:
     def _open_database(self) -> Writer:
         self._connection = connect(self._settings)
         migrate(self._connection)
+        self._claim = f"database {identity_of(self._connection)}"
         self._writer = Writer(self._connection, self._settings)
         return self._writer
 

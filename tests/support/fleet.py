@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import subprocess
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
@@ -15,11 +16,24 @@ from benchmarks.fleet import ingesting
 from benchmarks.outages import Row, history_rows, stored_rows
 from benchmarks.postgresql import Cluster, programs
 from benchmarks.postgresql import postgresql as server
-from support.foreign import need
+from support.foreign import need, need_program
 from support.history import ABOUT, MAX_BYTES, START_S, batch, renamed, sample, state
 from support.mqtt import PublishingUnit
 
-__all__ = ["Cluster", "FleetUnit", "Row", "fleet_toml", "ingesting", "postgresql", "stored_rows", "until"]
+__all__ = [
+    "LIMITS",
+    "Cluster",
+    "FleetUnit",
+    "Row",
+    "fleet_toml",
+    "guarded_broker",
+    "ingesting",
+    "postgresql",
+    "stored_rows",
+    "until",
+]
+
+LIMITS = "max_inflight_messages 1000", "max_queued_messages 10000"
 
 
 @contextlib.contextmanager
@@ -35,6 +49,23 @@ def fleet_toml(folder: Path, port: int, connection: str, more: str = "") -> Path
     text = f'[broker]\nhost = "127.0.0.1"\nport = {port}\n{more}\n[database]\nconnection = "{connection}"\n'
     path.write_text(text)
     return path
+
+
+def guarded_broker(folder: Path, *users: str) -> tuple[str, ...]:
+    """The worked example of docs/fleet.md: each unit has its own user, and its own topics."""
+    passwords, rights = folder / "passwords", folder / "acl"
+    passwords.touch(0o600)
+    for user in users:
+        words = [need_program("mosquitto_passwd", "mosquitto"), "-b", passwords, user, "secret"]
+        subprocess.run(words, check=True)
+        login = folder / user
+        login.touch(0o600)
+        login.write_text(f"{user}\nsecret\n")
+    rights.write_text(
+        "user ingest\ntopic read altd/+/outbox\ntopic write altd/+/ack\ntopic readwrite altd/ingest/+\n"
+        "pattern write altd/%u/#\npattern read altd/%u/ack\n"
+    )
+    return "allow_anonymous false", f"password_file {passwords}", f"acl_file {rights}", *LIMITS
 
 
 @dataclass

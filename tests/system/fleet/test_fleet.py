@@ -14,10 +14,12 @@ import psycopg
 import pytest
 from support.cli import altd_here
 from support.fleet import (
+    LIMITS,
     Cluster,
     FleetUnit,
     Row,
     fleet_toml,
+    guarded_broker,
     ingesting,
     postgresql,
     stored_rows,
@@ -31,8 +33,9 @@ from support.played_unit import PlayedUnit, playing
 from altd.publish.mqtt import connecting, outbox
 from altd.runtime import supervision
 from altd.status.proof import sealed
+from benchmarks.harness import Child, child, module_command
 
-BROKER = ("allow_anonymous true", "max_inflight_messages 1000", "max_queued_messages 10000")
+BROKER = ("allow_anonymous true", *LIMITS)
 
 
 @pytest.fixture(scope="module")
@@ -123,23 +126,6 @@ def publish(port: int, unit: str, payload: bytes, *arguments: str, topic: str = 
 def client(port: int, topic: str) -> list[str]:
     program = need_program("mosquitto_pub", "mosquitto-clients")
     return [program, "-V", "5", "-p", str(port), "-q", "1", "-t", topic]
-
-
-def guarded_broker(folder: Path, *users: str) -> tuple[str, ...]:
-    """The worked example of docs/fleet.md: each unit has its own user, and its own topics."""
-    passwords, rights = folder / "passwords", folder / "acl"
-    passwords.touch(0o600)
-    for user in users:
-        words = [need_program("mosquitto_passwd", "mosquitto"), "-b", passwords, user, "secret"]
-        subprocess.run(words, check=True)
-        login = folder / user
-        login.touch(0o600)
-        login.write_text(f"{user}\nsecret\n")
-    rights.write_text(
-        "user ingest\ntopic read altd/+/outbox\ntopic write altd/+/ack\n"
-        "pattern write altd/%u/#\npattern read altd/%u/ack\n"
-    )
-    return "allow_anonymous false", f"password_file {passwords}", f"acl_file {rights}", *BROKER[1:]
 
 
 @contextlib.contextmanager
@@ -238,6 +224,48 @@ async def test_a_hostile_unit_harms_itself_alone(cluster: Cluster, tmp_path: Pat
     assert {each for each in stored_rows(connection) if each[0] == "ALT-1"} == good.rows()
     good.close()
     evil.close()
+
+
+def run_ingest(config: Path) -> Child:
+    return child(module_command("altd.cli", "ingest", "--config", config), config.with_suffix(".log"))
+
+
+def test_an_ingest_of_another_database_is_refused_and_the_first_one_goes_on(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    """Each would take a part of each unit's seconds."""
+    first, second = cluster.new_database(), cluster.new_database()
+    unit = FleetUnit("ALT-1", tmp_path)
+    unit.write(90)
+    (batch,) = asyncio.run(batches_of(unit))
+    folder = tmp_path / "test"
+    folder.mkdir()
+    with mosquitto(tmp_path, *BROKER) as (port, _):
+        with ingesting(fleet_toml(tmp_path, port, first)) as process, ingesting(tmp_path / "fleet.toml"):
+            with run_ingest(fleet_toml(folder, port, second)) as refused:
+                assert refused.process.wait(30) == 2
+                assert "broker.group: an ingest of this group writes to another" in refused.described()
+            publish(port, "ALT-1", batch)
+            asyncio.run(until(lambda: len(stored_rows(first)) == 90))
+            assert process.poll() is None
+        subprocess.run([*client(port, "altd/ingest/altd"), "-r", "-n"], check=True)
+        with ingesting(folder / "fleet.toml"):
+            publish(port, "ALT-1", batch)
+            asyncio.run(until(lambda: len(stored_rows(second)) == 90))
+    unit.close()
+
+
+def test_an_ingest_that_may_not_read_the_claim_says_so_and_takes_messages(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    settings = guarded_broker(tmp_path, "ingest")
+    rights = tmp_path / "acl"
+    rights.write_text(rights.read_text().replace("topic readwrite altd/ingest/+\n", ""))
+    with mosquitto(tmp_path, *settings) as (port, _):
+        config = fleet_toml(tmp_path, port, cluster.new_database(), f'credentials = "{tmp_path / "ingest"}"')
+        with run_ingest(config) as ingest:
+            ingest.await_text("the broker does not let it read altd/ingest/altd")
+            ingest.await_text("connected to")
 
 
 async def test_seconds_that_a_unit_dropped_or_another_database_has_are_not_waited_for(
