@@ -1,4 +1,4 @@
-"""What a broker accepts, and one sentence for each reason why it does not."""
+"""Limits of a broker, and one sentence for each reason of a refusal."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class MessageTooLongError(BrokerError):
 
 @dataclass(slots=True)
 class Limits:
-    """What the broker accepts, from its last CONNACK: also from a refusal, for the next connection."""
+    """Limits of the broker, from its last CONNACK: also from a refusal, for the next connection."""
 
     max_qos: int = 1
     has_retain: bool = True

@@ -123,7 +123,7 @@ def test_the_url_of_the_page_is_one_that_other_computers_can_open(
 
 
 async def test_the_announcement_expires_and_is_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the device of a unit that changed to Sparkplug would stay for ever."""
+    """Else the device of a unit that changed to Sparkplug would stay."""
     monkeypatch.setattr(connecting, "INTERVAL_S", 0.02)
     for name in ("REFRESH_INTERVAL_S", "DISCOVERY_INTERVAL_S"):
         monkeypatch.setattr(publisher, name, 0.0)
