@@ -3,6 +3,7 @@
 import json
 import pickle
 import re
+import shutil
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -121,10 +122,7 @@ def test_a_node_at_which_the_stage_was_bumped_is_reported_and_survived(
 
 
 def test_an_undecodable_frame_ends_the_calibration_with_its_row(scan: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "rec"
-    copy.mkdir()
-    for path in scan.iterdir():
-        (copy / path.name).write_bytes(path.read_bytes())
+    copy = shutil.copytree(scan, tmp_path / "rec")
     damaged = copy / "rear0003.png"
     damaged.write_bytes(damaged.read_bytes()[:300])
     with pytest.raises(BadInputError, match=r"row 9: rear0003\.png cannot be decoded"):

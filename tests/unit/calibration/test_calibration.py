@@ -1,3 +1,5 @@
+"""A calibration and its file: maps, flats, glass, identities and views; what is refused."""
+
 import base64
 import hashlib
 import json
@@ -16,14 +18,19 @@ from altd.errors import BadInputError
 from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
-from altd.records import Glass
+from altd.records import CameraIdentity, Glass
+from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
+from altd.vision.hot_pixels import HotPixels, places_of
+from altd.vision.texture import Texture
 
 
 @pytest.fixture(scope="module")
 def calibration(played_unit: PlayedUnit) -> Calibration:
     assert played_unit.result.refused == ()
-    return played_unit.result.calibration
+    made = played_unit.result.calibration
+    front, rear = made.targets
+    return replace(made, targets=(replace(front, camera=CameraIdentity("F-7", "mini", "aravis")), rear))
 
 
 @pytest.fixture
@@ -236,3 +243,68 @@ def test_a_measurement_recording_is_no_scan(tmp_path: Path) -> None:
     recording = open_recording(write_beams(tmp_path / "rec", [(0, 0, 0, 0)]))
     with pytest.raises(BadInputError, match="is of kind 'measurement'; a calibration needs a 'scan'"):
         calibrate([recording])
+
+
+HOT = HotPixels(places_of([(3, 4), (700, 20)]), places_of([(5, 6)]))
+
+
+def reloaded(calibration: Calibration, folder: Path) -> Calibration:
+    save_calibration(calibration, folder / "cal.json")
+    return load_calibration(folder / "cal.json")
+
+
+def with_front(calibration: Calibration, fingerprint: Fingerprint, flat: Flat | None = None) -> Calibration:
+    front, rear = calibration.targets
+    return replace(calibration, targets=(replace(front, fingerprint=fingerprint, flat=flat), rear))
+
+
+def test_the_file_carries_the_cameras_identities(calibration: Calibration, tmp_path: Path) -> None:
+    front, rear = reloaded(calibration, tmp_path).targets
+    assert front.camera == CameraIdentity("F-7", "mini", "aravis")
+    assert rear.camera == CameraIdentity()
+
+
+def test_a_file_has_hot_pixels_and_the_texture_of_the_scan(calibration: Calibration, tmp_path: Path) -> None:
+    surface = np.random.default_rng(0).normal(0, 0.06, (480, 752)).astype(np.float32)
+    made = with_front(calibration, Fingerprint(HOT, Texture(surface), "scan"))
+    read = reloaded(made, tmp_path).targets[0].fingerprint
+    assert read.source == "scan"
+    assert read.texture is not None
+    np.testing.assert_array_equal(read.hot.permanent, HOT.permanent)
+    np.testing.assert_array_equal(read.hot.intermittent, HOT.intermittent)
+    np.testing.assert_allclose(read.texture.relative, surface, atol=0.0026)
+
+
+def test_a_texture_from_the_flat_is_made_of_the_files_flat(calibration: Calibration, tmp_path: Path) -> None:
+    flat = Flat(np.random.default_rng(0).integers(80, 255, (480, 752)).astype(np.uint8), "recording")
+    made = with_front(calibration, Fingerprint(HOT, Texture.of_flat(flat), "flat"), flat)
+    read = reloaded(made, tmp_path).targets[0].fingerprint
+    np.testing.assert_array_equal(read.texture.relative, Texture.of_flat(flat).relative)
+
+
+def test_a_file_of_an_older_altd_knows_nothing_of_cameras(file: Path) -> None:
+    targets = json.loads(file.read_text())["targets"]
+    for key in ("camera_model", "camera_driver", "fingerprint"):
+        del targets[0][key]
+    front = load_calibration(tampered(file, targets=targets)).targets[0]
+    assert front.fingerprint is None
+    assert (front.camera.model, front.camera.driver) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"hot_px": [[752, 0]]}, "front.fingerprint.hot_px: a pixel lies outside 752 × 480"),
+        ({"hot_px": [[-1, 0]]}, "fingerprint.hot_px.0.0"),
+        ({"texture": "scan"}, "front.fingerprint.png: belongs to texture 'scan'"),
+        ({"texture": "scan", "png": "AAAA"}, "front.fingerprint.png: is no"),
+        ({"texture": "flat"}, "front.fingerprint.texture: 'flat', but the target has none"),
+        ({"texture": "moon"}, "fingerprint.texture"),
+    ],
+)
+def test_a_fingerprint_that_does_not_fit_is_refused_in_one_line(
+    file: Path, table: dict[str, object], said: str
+) -> None:
+    targets = json.loads(file.read_text())["targets"]
+    targets[0]["fingerprint"] = {"hot_px": [], "sometimes_hot_px": [], "texture": None, "png": None} | table
+    assert said in complaint(tampered(file, targets=targets))

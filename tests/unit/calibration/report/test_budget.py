@@ -1,4 +1,4 @@
-"""The uncertainty budget against closed forms and printed tables."""
+"""The uncertainty that a report states, against closed forms, printed tables and Monte Carlo."""
 
 import json
 import math
@@ -6,11 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.evidence import DISTANCE_MM, calibration, evidence, target
+from support.evidence import DISTANCE_MM, calibration, evidence, nodes_mm, straight_map, straight_px, target
 from support.recordings import PX_PER_MM
 
 from altd.calibration.report.budget import Budget, Term, beams_of, budget_of, budget_section, student_quantile
 from altd.calibration.report.document import Table, Words
+from altd.calibration.report.prediction import (
+    common_area,
+    difference_mm,
+    node_covariance_px2,
+    noise_in_map_px,
+    offsets_mm,
+    predict,
+    spectrum_covariance_px2,
+)
+from altd.calibration.result import Candidate
+from altd.mapping.grid import convex_hull_mm
+from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import Glass, Limits
 
 LIMITS = Limits(0.005, 50.0, 0.05, 0.3, 0.05)
@@ -118,3 +130,146 @@ def test_a_single_target_has_the_budget_of_its_spot() -> None:
     assert one.quantities == ("x_mm", "y_mm")
     keys = {"pattern", "map", "scatter", "stage_scale_ppm", "stage_square_mrad"}
     assert {each.key for each in one.terms} == keys
+
+
+PATTERN_PX, SHIFT_PX, SCATTER_PX = 0.03, 0.01, 0.02
+
+
+def test_sigma_of_straight_maps_is_the_closed_form_everywhere() -> None:
+    prediction = predict(calibration(), exposures=16)
+    one_mm = math.sqrt(PATTERN_PX**2 + SHIFT_PX**2 + SCATTER_PX**2 / 16) / PX_PER_MM
+    assert prediction.sigma[:2] == pytest.approx(np.full_like(prediction.sigma[:2], one_mm), rel=1e-6)
+    angle_deg = math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM)
+    assert prediction.sigma[2:] == pytest.approx(np.full_like(prediction.sigma[2:], angle_deg), rel=1e-6)
+    assert prediction.rms("yaw_deg") == pytest.approx(prediction.worst("pitch_deg"))
+
+
+def test_the_shares_are_those_of_the_variances() -> None:
+    prediction = predict(calibration(), exposures=1)
+    parts = np.square([PATTERN_PX, SHIFT_PX, SCATTER_PX])
+    assert prediction.shares[:, :3] == pytest.approx(np.tile(parts / parts.sum(), (4, 1)), rel=1e-6)
+    assert not prediction.shares[:, 3].any(), "no limit is stated"
+
+
+def test_stated_limits_have_their_share() -> None:
+    """A beam tilted by 0.3 mm/m moves yaw and pitch by that, and x and y not at all."""
+    tilted = replace(calibration(), limits=Limits(beam_normal_mm_per_m=0.3))
+    before, after = predict(calibration()), predict(tilted)
+    added_deg = math.degrees(0.3e-3)
+    assert after.rms("x_mm") == pytest.approx(before.rms("x_mm"))
+    assert after.rms("yaw_deg") == pytest.approx(math.hypot(before.rms("yaw_deg"), added_deg), rel=1e-6)
+    assert after.shares[2, 3] == pytest.approx((added_deg / after.rms("yaw_deg")) ** 2, rel=1e-6)
+
+
+def test_targets_of_unlike_quality_count_by_their_own_errors() -> None:
+    prediction = predict(calibration(target("front", pattern_px=0.01), target("rear", pattern_px=0.1)), 10**6)
+    front_mm, rear_mm = (math.hypot(pattern, SHIFT_PX) / PX_PER_MM for pattern in (0.01, 0.1))
+    assert prediction.rms("x_mm") == pytest.approx(front_mm, rel=1e-4)
+    expected_deg = math.degrees(math.hypot(front_mm, rear_mm) / DISTANCE_MM)
+    assert prediction.rms("yaw_deg") == pytest.approx(expected_deg, rel=1e-4)
+
+
+def test_averaging_more_takes_away_the_scatter_alone() -> None:
+    windows = np.array([1.0, 5.0, 100.0])
+    after = predict(calibration(), exposures=20).rms_after("pitch_deg", windows)
+    expected = [predict(calibration(), exposures=round(n)).rms("pitch_deg") for n in windows]
+    assert after == pytest.approx(expected, rel=1e-6)
+
+
+def test_outside_a_hull_nothing_is_predicted() -> None:
+    rear = target("rear")
+    corner_off = nodes_mm()[~(nodes_mm() > (50, 40)).all(axis=1)]
+    rear = replace(rear, map=replace(rear.map, hull_mm=convex_hull_mm(corner_off)))
+    prediction = predict(calibration(target("front"), rear))
+    assert np.isnan(prediction.sigma[:, -1, -1]).all()
+    assert np.isfinite(prediction.sigma[:, -1, 0]).all()
+    assert np.isfinite(prediction.sigma[0]).mean() == pytest.approx(1 - 0.5 / 20, abs=0.01)
+
+
+def test_targets_without_a_common_area_are_refused() -> None:
+    rear = target("rear")
+    aside = replace(rear.map, hull_mm=rear.map.hull_mm + np.array([0.0, 200.0]))
+    with pytest.raises(ValueError, match="no calibrated area in common"):
+        predict(calibration(target("front"), replace(rear, map=aside)))
+
+
+def test_the_area_is_what_all_targets_share() -> None:
+    x_mm, y_mm = common_area(calibration().targets)
+    assert (x_mm[0], x_mm[-1], y_mm[0], y_mm[-1]) == pytest.approx((-62.5, 62.5, -50, 50))
+
+
+def test_a_shifted_second_map_differs_by_its_shift() -> None:
+    """A spot stays where it is: a map whose picture lies further right puts it further left."""
+    for name, mirror in (("front", -1), ("rear", 1)):
+        own = target(name)
+        places = nodes_mm()
+        rng = np.random.default_rng(1)
+        shifted = straight_px(name, places) + np.array([0.2, 0.1]) + rng.normal(0, 1e-6, places.shape)
+        other = fit_tensor_map(places, shifted, own.map.hull_mm, (1, 1)).map
+        off = difference_mm(own, other, places)
+        expected = (-mirror * 0.2 / PX_PER_MM, 0.1 / PX_PER_MM)
+        assert off == pytest.approx(np.tile(expected, (len(places), 1)), abs=1e-5)
+
+
+def test_offsets_in_the_picture_turn_with_the_camera() -> None:
+    off = offsets_mm(target("front"), nodes_mm()[:3], np.array([[4.0, 0.0], [0.0, 4.0], [0.0, 0.0]]))
+    assert off == pytest.approx(np.array([[-1.0, 0.0], [0.0, -1.0], [0.0, 0.0]]), abs=1e-4)
+
+
+def test_the_covariance_of_the_nodes_is_that_of_the_thesis() -> None:
+    """Eq. 3.53 with an orthonormal basis that QR makes, not altd's own."""
+    places = nodes_mm()
+    rng = np.random.default_rng(2)
+    noisy = straight_px("rear", places) + rng.normal(0, 0.05, places.shape)
+    fitted = fit_tensor_map(places, noisy, convex_hull_mm(places), (3, 2)).map
+    bx, _ = np.linalg.qr(np.vander(np.arange(6.0), 4))
+    by, _ = np.linalg.qr(np.vander(np.arange(5.0), 3))
+    expected = fitted.noise_px**2 * np.kron(bx @ bx.T, by @ by.T)
+    assert node_covariance_px2(fitted, rng.permutation(places)) == pytest.approx(expected, abs=1e-9)
+    spectrum = spectrum_covariance_px2(fitted)
+    assert spectrum == pytest.approx(fitted.noise_px**2 * np.eye(12), abs=1e-9)
+
+
+def test_of_a_thousand_nodes_the_covariance_of_every_second_is_shown() -> None:
+    x_mm, y_mm = np.meshgrid(np.linspace(-70, 70, 40), np.linspace(-55, 55, 25))
+    places = np.column_stack([x_mm.ravel(), y_mm.ravel()])
+    nodes = nodes_mm()
+    fitted = fit_tensor_map(nodes, straight_px("rear", nodes), convex_hull_mm(nodes), (3, 2)).map
+    noisy = replace(
+        fitted,
+        covariance_factor_px=np.random.default_rng(1).normal(0, 0.01, fitted.covariance_factor_px.shape),
+    )
+    shown = node_covariance_px2(noisy, places)
+    assert shown.shape == (500, 500)
+    by_columns = places[np.argsort(places[:, 0] * 1000 + places[:, 1])]
+    variances = noisy.variance_px2(by_columns[::2])[:, 0]
+    assert shown.diagonal() == pytest.approx(variances)
+
+
+def test_a_map_without_errors_has_no_covariance() -> None:
+    assert not node_covariance_px2(straight_map("front", shift_px=0.0), nodes_mm()).any()
+
+
+@pytest.mark.parametrize("degree", [(1, 1), (2, 3), (4, 3)])
+def test_the_noise_in_a_map_is_that_of_many_calibrations(degree: tuple[int, int]) -> None:
+    """Monte Carlo: scans of a straight target, each with its own noise; what all maps scatter by."""
+    places, noise_px = nodes_mm(), 0.05
+    hull = convex_hull_mm(places)
+    rng = np.random.default_rng(3)
+    fits = [
+        fit_tensor_map(
+            places, straight_px("rear", places) + rng.normal(0, noise_px, places.shape), hull, degree
+        )
+        for _ in range(200)
+    ]
+    dense_mm = fits[0].map.dense_mm()
+    scattered = np.array([fit.map.to_px(dense_mm) for fit in fits])
+    expected_px = float(np.sqrt(scattered.var(axis=0, ddof=1).mean()))
+    one = fits[0]
+    errors_px = one.gcv_px, one.leave_one_out_px, one.map.sigma_px
+    candidate = Candidate("tensor", degree, one.parameters, *errors_px)
+    assert noise_in_map_px(candidate, len(places), noise_px) == pytest.approx(expected_px, rel=0.05)
+
+
+def test_a_map_with_no_freedom_left_says_nothing_of_its_noise() -> None:
+    assert np.isnan(noise_in_map_px(Candidate("tensor", (5, 4), 60, 0.0, 0.0, 0.0), 30, 0.05))
