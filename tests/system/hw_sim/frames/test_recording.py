@@ -1,3 +1,5 @@
+"""Recordings of a simulated unit: of its beam, of a flat and of a plate."""
+
 import csv
 import json
 from pathlib import Path
@@ -9,14 +11,19 @@ from support.cli import altd_here, refusal
 from support.recordings import quiet
 
 from altd.errors import BadInputError
+from altd.recording.reader import open_recording
 from hw_sim import measure
 from hw_sim.__main__ import main
 from hw_sim.beam import BeamPose
 from hw_sim.faults import Fault
+from hw_sim.fisheye import FisheyeLens
+from hw_sim.flat import raster_mm, record_flat, record_laser_flat
+from hw_sim.lens import PIXEL_MM, rotation
 from hw_sim.measure import random_poses, record_measurement
+from hw_sim.plate import Plate, record_plate, with_plate
 from hw_sim.scan import record_scan
 from hw_sim.stage import Stage
-from hw_sim.unit import Unit
+from hw_sim.unit import Unit, UnitConfig
 
 
 def rows_of(folder: Path) -> list[dict[str, str]]:
@@ -140,21 +147,139 @@ def test_the_command_line_measures_the_same_twice(
     assert capsys.readouterr() == ("", "")
 
 
+def test_a_flat_is_the_dark_and_the_evenly_lit_targets_without_the_laser(tmp_path: Path, unit: Unit) -> None:
+    record_flat(tmp_path / "flat", unit, 2, lambda _done, _planned: None)
+    assert json.loads((tmp_path / "flat" / "recording.json").read_text())["kind"] == "flat"
+    rows = rows_of(tmp_path / "flat")
+    assert [row["leds"] for row in rows if row["camera"] == "front"] == ["off", "off", "on", "on"]
+    assert {row["x_mm"] for row in rows} == {""}
+    for camera, imager in unit.imagers.items():
+        pictures = [
+            cv2.imread(str(tmp_path / "flat" / row["file"]), cv2.IMREAD_UNCHANGED).astype(float)
+            for row in rows
+            if row["camera"] == camera
+        ]
+        light = (pictures[2] + pictures[3] - pictures[0] - pictures[1]).ravel()
+        dark = (pictures[0] + pictures[1]).ravel() / 2
+        usable = dark < 60  # no hot pixel
+        assert dark.mean() < 20
+        assert np.corrcoef(light[usable], imager.view.response.ravel()[usable])[0, 1] > 0.9
+        assert np.percentile(pictures[2], 99.9) < 255
+    assert Fault.NO_LASER not in unit.faults
+
+
+def test_a_flat_of_the_laser_has_the_dark_first_and_then_the_spot_at_each_place(
+    tmp_path: Path, unit: Unit
+) -> None:
+    stage = Stage(np.random.default_rng(1), sigma_mm=0.0)
+    record_laser_flat(tmp_path / "flat", unit, stage, 20.0, 2, lambda _done, _planned: None)
+    rows = [row for row in rows_of(tmp_path / "flat") if row["camera"] == "rear"]
+    places = [(float(row["x_mm"]), float(row["y_mm"])) for row in rows if row["x_mm"]]
+    assert [row["x_mm"] for row in rows[:3]] == ["", "", "-79.0000"]
+    assert places == [tuple(np.round(place, 4)) for place in raster_mm(20.0, 9.0)]
+    assert np.max(places, axis=0).tolist() == [79.0, 65.0]
+    for row in (rows[0], rows[2 + len(places) // 2]):
+        picture = cv2.imread(str(tmp_path / "flat" / row["file"]), cv2.IMREAD_UNCHANGED)
+        smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 4.0)
+        if not row["x_mm"]:
+            assert smooth.max() < 40
+            continue
+        v, u = np.unravel_index(smooth.argmax(), smooth.shape)
+        x_mm, y_mm = unit.imagers["rear"].view.lens.unproject(float(u), float(v))
+        assert np.hypot(x_mm - float(row["x_mm"]), y_mm - float(row["y_mm"])) < 1.5
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[Unit, Plate]:
+    plate = Plate(dark=((0, 0), (4, 2)))
+    return with_plate(Unit(UnitConfig(seed=5, lux=0.0, speckle_contrast=0.0, hot_pixels=0)), plate), plate
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, seen: tuple[Unit, Plate]) -> Path:
+    path = tmp_path_factory.mktemp("hw_sim") / "plate"
+    record_plate(path, *seen, 1, quiet)
+    return path
+
+
+def test_a_plates_recording_says_what_it_shows(folder: Path) -> None:
+    header = open_recording(folder).header
+    assert (header.kind, header.note) == ("plate", "hw_sim, seed 5, plate")
+    assert json.loads((folder / "recording.json").read_text())["plate"] == {
+        "columns": 7,
+        "rows": 5,
+        "pitch_mm": 23.0,
+        "origin_mm": [-69.0, -46.0],
+        "disc_mm": 5.0,
+    }
+    assert [(row["camera"], row["leds"], row["x_mm"]) for row in rows_of(folder)] == [
+        (camera, leds, "") for leds in ("off", "on") for camera in ("front", "rear")
+    ]
+
+
+@pytest.mark.parametrize("camera", ["front", "rear"])
+def test_leds_shine_where_the_drawing_has_them_and_dark_ones_do_not(
+    camera: str, folder: Path, seen: tuple[Unit, Plate]
+) -> None:
+    unit, plate = seen
+    off, on = (
+        cv2.imread(str(folder / camera / f"00000{n}.png"), cv2.IMREAD_UNCHANGED).astype(float) for n in (0, 1)
+    )
+    lens = unit.imagers[camera].view.lens
+    for row in range(5):
+        for column in range(7):
+            x, y = plate.origin_mm[0] + 23.0 * column, plate.origin_mm[1] + 23.0 * row
+            u, v = (round(float(at)) for at in lens.project(x, y))
+            light = (on - off)[v - 2 : v + 3, u - 2 : u + 3].mean()
+            assert (light > 60) == ((column, row) not in plate.dark), (column, row)
+            u, v = (round(float(at)) for at in lens.project(x + 5.0, y))
+            assert (on - off)[v - 2 : v + 3, u - 2 : u + 3].mean() < 5
+
+
+def fisheye(k1: float = -0.02, k2: float = 0.005) -> FisheyeLens:
+    turned = rotation(0.4, -0.2, 0.05)
+    return FisheyeLens(
+        3.6, (377.0, 238.0), (k1, k2, 0.0, 0.0, 0.0), turned, np.array([1.0, -2.0, 120.0]), True
+    )
+
+
+def test_a_fisheye_lens_puts_points_where_opencv_does() -> None:
+    lens, focal_px = fisheye(), 3.6 / PIXEL_MM
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-75, 75, 7), np.linspace(-50, 50, 5)))
+    face = np.column_stack([-x, -y, np.zeros_like(x)])[:, None, :]
+    matrix = np.array([[focal_px, 0.0, 377.0], [0.0, focal_px, 238.0], [0.0, 0.0, 1.0]])
+    turn, _ = cv2.Rodrigues(lens.rotation)
+    expected, _ = cv2.fisheye.projectPoints(
+        face, turn, lens.translation_mm, matrix, np.array([-0.02, 0.005, 0.0, 0.0])
+    )
+    assert np.abs(np.column_stack(lens.project(x, y)) - expected.reshape(-1, 2)).max() < 1e-8
+    back = np.column_stack(lens.unproject(*expected.reshape(-1, 2).T))
+    assert np.abs(back - np.column_stack([x, y])).max() < 1e-8
+
+
+def test_the_axis_of_a_fisheye_lens_is_no_special_place() -> None:
+    lens = fisheye()
+    assert np.column_stack(lens.project(*lens.unproject(377.0, 238.0))) == pytest.approx(
+        np.array([[377.0, 238.0]])
+    )
+
+
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("command", "arguments", "complaint"),
     [
-        (["--faults", "gremlins"], "unknown fault 'gremlins'"),
-        (["--truth", "/nowhere/truth.json"], "/nowhere/truth.json"),
-        (["--truth", "/dev/null"], "/dev/null: is a device, not a file that can be replaced"),
-        (["--poses", "0"], "'0' is not a whole number from 1 on"),
+        ("measure", ["--faults", "gremlins"], "unknown fault 'gremlins'"),
+        ("measure", ["--truth", "/nowhere/truth.json"], "/nowhere/truth.json"),
+        ("measure", ["--truth", "/dev/null"], "/dev/null: is a device, not a file that can be replaced"),
+        ("measure", ["--poses", "0"], "'0' is not a whole number from 1 on"),
+        ("plate", ["--tilt", "50"], "--tilt: 50 is not between 0 and 35 degrees"),
+        ("plate", ["--dark", "7,0"], "7,0 is not on the plate of 7 × 5 LEDs"),
+        ("plate", ["--dark", "middle"], "'middle' is not COLUMN,ROW"),
+        ("plate", ["--exposures", "0"], "'0' is not a whole number from 1 on"),
     ],
 )
 def test_a_wrong_argument_gives_one_line_and_status_2(
-    tmp_path: Path, arguments: list[str], complaint: str
+    tmp_path: Path, command: str, arguments: list[str], complaint: str
 ) -> None:
-    assert complaint in refusal(
-        altd_here(
-            "measure", "-o", tmp_path / "m", "--truth", tmp_path / "t.json", *arguments, module="hw_sim"
-        )
-    )
+    output = ["-o", tmp_path / "m", *(["--truth", tmp_path / "t.json"] if command == "measure" else [])]
+    assert complaint in refusal(altd_here(command, *output, *arguments, module="hw_sim"))
     assert list(tmp_path.iterdir()) == []
