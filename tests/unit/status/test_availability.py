@@ -29,6 +29,14 @@ class Watched:
         return cast("dict[str, Any]", self.availability.as_object()[name])
 
 
+def ran(*spans: tuple[int, str | None]) -> Watched:
+    """After so many seconds each, lost to this reason."""
+    watched = Watched()
+    for seconds, lost_to in spans:
+        watched.run(seconds, lost_to)
+    return watched
+
+
 def test_nothing_observed_is_no_share() -> None:
     assert Watched().span("last_hour") == {
         "share": None,
@@ -40,10 +48,7 @@ def test_nothing_observed_is_no_share() -> None:
 
 
 def test_half_valid_is_a_half_by_reason() -> None:
-    watched = Watched()
-    watched.run(600)
-    watched.run(400, "spot_missing")
-    watched.run(200, "camera_silent")
+    watched = ran((600, None), (400, "spot_missing"), (200, "camera_silent"))
     assert watched.span("since_start") == {
         "share": 0.5,
         "valid_s": 600.0,
@@ -54,17 +59,12 @@ def test_half_valid_is_a_half_by_reason() -> None:
 
 
 def test_an_interval_is_valid_only_when_it_is_so_at_both_ends() -> None:
-    watched = Watched()
-    watched.run(10)
-    watched.run(1, "spot_missing")
-    watched.run(10)
+    watched = ran((10, None), (1, "spot_missing"), (10, None))
     assert watched.span("since_start")["lost_s"] == {"spot_missing": 2.0}
 
 
 def test_the_hour_and_the_day_forget() -> None:
-    watched = Watched()
-    watched.run(1800, "spot_missing")
-    watched.run(1800)
+    watched = ran((1800, "spot_missing"), (1800, None))
     assert watched.span("last_hour")["share"] == pytest.approx(1799 / 3600, abs=1e-5)
     watched.run(1800 - 60)
     assert watched.span("last_hour")["lost_s"] == {"spot_missing": 61.0}
@@ -79,25 +79,21 @@ def test_the_hour_and_the_day_forget() -> None:
 
 
 def test_the_spans_hold_no_more_than_their_names_say() -> None:
-    watched = Watched()
-    watched.run(200_000)
+    watched = ran((200_000, None))
     assert 3540 < watched.span("last_hour")["observed_s"] <= 3600
     assert 86340 < watched.span("last_day")["observed_s"] <= 86400
     assert watched.span("since_start")["observed_s"] == 200_000.0
 
 
 def test_time_in_which_nobody_looked_is_lost() -> None:
-    watched = Watched()
-    watched.run(10)
+    watched = ran((10, None))
     watched.now_ns += round((MAX_GAP_S + 0.1) * SECOND)
     watched.availability.update(watched.now_ns, None)
     assert watched.span("since_start")["lost_s"] == {NOT_WATCHED: 5.1}
 
 
 def test_a_promise_that_is_just_missed_is_seen() -> None:
-    watched = Watched()
-    watched.run(97_999)
-    watched.run(2001, "spot_missing")
+    watched = ran((97_999, None), (2001, "spot_missing"))
     assert watched.span("since_start")["share"] == 0.97999
 
 
@@ -144,9 +140,7 @@ def test_the_hour_reaches_back_behind_the_start_as_far_as_is_known() -> None:
 def test_what_was_before_the_start_is_forgotten_as_time_goes_on() -> None:
     watched = Watched()
     watched.availability.before = half_an_hour_before()
-    watched.run(
-        3600 - 200
-    )  # of the time before the start, 200 s are left: 100 s stood still, 100 s half valid
+    watched.run(3600 - 200)  # 200 s before the start are left: 100 s stood still, 100 s half valid
     assert watched.span("last_hour")["lost_s"] == {NOT_RUNNING: 100.0, "spot_missing": 50.0}
     watched.run(150)
     assert watched.span("last_hour")["lost_s"] == {NOT_RUNNING: 50.0}

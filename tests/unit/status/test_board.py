@@ -13,16 +13,6 @@ from altd.status.board import Board
 from altd.status.proof import Identity, Stamps, crc32, unit_number
 
 
-@pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock()
-
-
-@pytest.fixture
-def board(clock: FakeClock) -> Board:
-    return Board(clock, 1.0, QUANTITIES)
-
-
 def test_an_empty_board_reads_nothing(board: Board) -> None:
     assert board.read() is None
     assert board.age_s() is None

@@ -6,7 +6,6 @@ import pytest
 from support.clock import FakeClock, stop
 from support.measurements import measurement
 from support.places import ROOT
-from support.status_fixtures import board, clock, health
 
 from altd.reasons import Reason
 from altd.records import Fault
@@ -22,8 +21,6 @@ from altd.status.event_log import (
 from altd.status.health import Health
 from altd.status.services import SelfCheckReport, SelfCheckService
 from altd.status.state import StateEvents, UnitState
-
-__all__ = ["board", "clock", "health"]
 
 
 @pytest.fixture

@@ -27,16 +27,6 @@ def at(x_mm: float, sigma_mm: float, t_ns: int, *status: Fault, **more: Any) -> 
 
 
 @pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock(10**10)
-
-
-@pytest.fixture
-def board(clock: FakeClock) -> Board:
-    return Board(clock, 1.0, QUANTITIES)
-
-
-@pytest.fixture
 def zero(clock: FakeClock) -> Zero:
     return Zero(EventLog(clock))
 
