@@ -26,15 +26,16 @@ class Tree:
     def machine(self) -> Machine:
         return Machine(self.root, self.account)
 
-    def write(self, path: str, text: object) -> None:
+    def _place(self, path: str) -> Path:
         place = self.root / path.lstrip("/")
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(f"{text}\n")
+        return place
+
+    def write(self, path: str, text: object) -> None:
+        self._place(path).write_text(f"{text}\n")
 
     def link(self, path: str, to: str | Path) -> None:
-        place = self.root / path.lstrip("/")
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.symlink_to(to)
+        self._place(path).symlink_to(to)
 
 
 @pytest.fixture

@@ -120,22 +120,22 @@ class TestCalibration:
         assert finding.verdict is Verdict.GOOD
         assert "real.json fits" in finding.text
 
-    def test_that_of_a_simulated_unit(self, unit: Path) -> None:
-        (finding,) = examined(unit, "window", "window")
-        assert finding.verdict is Verdict.WARNING
-        assert "cal.json fits" in finding.text
-        assert "SIMULATED" in finding.text
-
-    def test_that_of_another_unit(self, unit: Path) -> None:
-        (finding,) = examined(unit, 'serial = "', 'serial = "OTHER-')
-        assert finding.verdict is Verdict.ERROR
-        assert "cal.json" in finding.text
-        assert "altd calibrate" in finding.remedy
-
-    def test_one_that_is_not_there(self, unit: Path) -> None:
-        (finding,) = examined(unit, "cal.json", "none.json")
-        assert finding.verdict is Verdict.ERROR
-        assert "none.json" in finding.text
+    @pytest.mark.parametrize(
+        ("old", "by", "verdict", "words", "mend"),
+        [
+            ("window", "window", Verdict.WARNING, ("cal.json fits", "SIMULATED"), ""),
+            ('serial = "', 'serial = "OTHER-', Verdict.ERROR, ("cal.json",), "altd calibrate"),
+            ("cal.json", "none.json", Verdict.ERROR, ("none.json",), ""),
+        ],
+        ids=["simulated", "of another unit", "not there"],
+    )
+    def test_one_that_is_simulated_of_another_unit_or_not_there(
+        self, unit: Path, old: str, by: str, verdict: Verdict, words: tuple[str, ...], mend: str
+    ) -> None:
+        (finding,) = examined(unit, old, by)
+        assert finding.verdict is verdict
+        assert all(word in finding.text for word in words)
+        assert mend in finding.remedy
 
     def test_a_recording_that_is_not_there(self, unit: Path) -> None:
         findings = examined(unit, "/scan", "/nowhere")

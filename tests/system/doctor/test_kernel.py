@@ -1,11 +1,22 @@
-"""The doctor on a link of the kernel."""
+"""The doctor on chips and a link of the kernel."""
 
 import subprocess
 import sys
 from pathlib import Path
 
 from support.foreign import need, need_namespaces, need_program
+from support.guest import run_in_guest
 from support.unit_toml import unit_toml
+
+
+def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> None:
+    found = run_in_guest(tmp_path, "doctor_gpio.py").results
+    for chip in ("lamp-board", "gpiochip0", "/dev/gpiochip0"):
+        assert [finding["verdict"] for finding in found[chip]] == ["good"]
+    (finding,) = found["other-board"]
+    assert finding["verdict"] == "ERROR"
+    assert "existing: /dev/gpiochip0" in finding["text"]
+
 
 CONFIG = unit_toml(
     "ALT-0007",
