@@ -41,14 +41,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def back_to_back(folder: Path) -> tuple[object, ...]:
-    return "--calibration", folder / "cal.json", "--window", 4, "--every", 4
+def back_to_back(calibration: Path) -> tuple[object, ...]:
+    return "--calibration", calibration, "--window", 4, "--every", 4
 
 
 def test_a_calibrated_unit_measures_its_beams(folder: Path) -> None:
-    outcome = altd_here(
-        "replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
-    )
+    outcome = altd_here("replay", folder / "beams", *back_to_back(folder / "cal.json"))
     assert (outcome.status, outcome.err) == (0, "")
     assert len(outcome.objects) == len(BEAMS)
     for number, (line, (x, y, slope_x, slope_y)) in enumerate(zip(outcome.objects, BEAMS, strict=True)):
@@ -73,8 +71,7 @@ def test_the_sliding_mean_gives_a_line_after_every_exposure(folder: Path) -> Non
 
 
 def test_frames_that_stood_still_when_they_were_recorded_are_said_to(folder: Path, tmp_path: Path) -> None:
-    rec = tmp_path / "rec"
-    shutil.copytree(folder / "beams", rec)
+    rec = shutil.copytree(folder / "beams", tmp_path / "rec")
     for number in (5, 6, 7, 8):
         shutil.copy(rec / "rear0004.png", rec / f"rear{number:04d}.png")
     outcome = altd_here("replay", rec, "--calibration", folder / "cal.json", "--window", 4)
@@ -137,9 +134,7 @@ def test_a_flat_that_was_recorded_with_the_unit_goes_into_its_calibration(
     assert outcome.status == 0, outcome.err
     assert "\nrear: localised through its recorded flat" in outcome.out
     assert [target.flat is not None for target in load_calibration(output).targets] == [True, True]
-    lines = altd_here(
-        "replay", folder / "beams", "--calibration", output, "--window", 4, "--every", 4
-    ).objects
+    lines = altd_here("replay", folder / "beams", *back_to_back(output)).objects
     assert [line["valid"] for line in lines] == [True] * len(BEAMS)
 
 
@@ -208,8 +203,7 @@ class TestBadInput:
         assert "target 'front' was calibrated at 752 × 480, not 640 × 480" in self.replay(folder, small)
 
     def test_recording_with_a_row_twice_or_a_time_that_stands(self, folder: Path, tmp_path: Path) -> None:
-        rec = tmp_path / "rec"
-        shutil.copytree(folder / "beams", rec)
+        rec = shutil.copytree(folder / "beams", tmp_path / "rec")
         rows = (rec / "frames.csv").read_text().splitlines()
         twice = [*rows[:10], rows[8], rows[9], *rows[10:]]
         (rec / "frames.csv").write_text("\n".join(twice) + "\n")

@@ -1,6 +1,6 @@
 """Frames that are not new, or not of their time, in the chain that ``run`` and ``replay`` share."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -19,7 +19,6 @@ from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 WINDOW = 10
 PERIOD_NS = 50_000_000
 POSE = BeamPose(5.0, -4.0, 0.02, -0.03)
-Lie = Callable[[Frame, int], Frame]
 
 
 def chain(calibration: Calibration, installation: Installation | None = None) -> MeasuringChain:

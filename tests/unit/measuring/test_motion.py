@@ -222,17 +222,12 @@ def test_it_is_not_known_before_the_motion_was_seen_to_last() -> None:
     assert all(known[known.index(True) :])
 
 
-def test_every_quantity_with_a_sigma_has_one_of_now() -> None:
+def test_every_quantity_with_a_sigma_has_one_of_now_and_no_other() -> None:
     last = machine(1, 0.0, vibrates=False).measured(range(60), Measuring())[-1]
     with_sigma = {key for key, value in last.values.items() if value.sigma is not None}
     assert with_sigma == {each.key for each in last.quantities.of_unit if each.has_sigma} - {"roll_deg"}
     assert {key for key in last.values if last.sigma_at(key, 0.5) is not None} == with_sigma
-
-
-def test_what_has_no_sigma_has_none_of_now_either() -> None:
-    last = machine(1, 0.0, vibrates=False).measured(range(60), Measuring())[-1]
-    assert last.sigma_at("yaw_mm_per_m", 0.5) is None
-    assert last.sigma_at("roll_deg", 0.5) is None
+    assert last.sigma_at("yaw_mm_per_m", 0.5) is last.sigma_at("roll_deg", 0.5) is None
 
 
 def test_what_is_invalid_has_neither_rates_nor_sigma_of_now() -> None:

@@ -161,17 +161,16 @@ def test_leds_so_dim_in_noise_that_the_limit_is_not_known_are_unknown_not_good()
     assert check(Scene(), limits=tight).verdict is Verdict.UNKNOWN
 
 
-def test_all_dark_is_unknown_and_said() -> None:
-    found = check(Scene(levels=(0,) * 6))
+@pytest.mark.parametrize(
+    ("always_lit", "state"), [((0.0,) * 6, LedState.DARK), ((LEVEL,) * 6, LedState.ALWAYS_LIT)]
+)
+def test_all_dark_and_leds_that_cannot_be_switched_off_are_unknown_and_named(
+    always_lit: tuple[float, ...], state: LedState
+) -> None:
+    found = check(Scene(levels=(0,) * 6, always_lit=always_lit))
     assert found.verdict is Verdict.UNKNOWN
-    assert found.targets["front"].leds == (LedState.DARK,) * 6
+    assert found.targets["front"].leds == (state,) * 6
     assert "no LED can be used" in found.reasons[0]
-
-
-def test_leds_that_cannot_be_switched_off_are_named() -> None:
-    found = check(Scene(levels=(0,) * 6, always_lit=(LEVEL,) * 6))
-    assert found.verdict is Verdict.UNKNOWN
-    assert found.targets["front"].leds == (LedState.ALWAYS_LIT,) * 6
 
 
 def test_an_led_under_the_spot_is_hidden_and_does_no_harm() -> None:

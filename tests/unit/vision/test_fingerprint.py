@@ -147,17 +147,19 @@ def test_a_large_shift_since_then_is_another_view(moved: Fingerprint, beside_px:
     assert "from where the self-check found it" in found.reason
 
 
-def test_a_picture_that_went_back_to_where_it_was_calibrated_is_another_view_too(moved: Fingerprint) -> None:
-    assert verdict(moved, seen(Motion())).outcome is ViewOutcome.REFUTED
-
-
-@pytest.mark.parametrize("seed", [2, 3, 4])
-def test_another_print_stays_another_print(moved: Fingerprint, seed: int) -> None:
-    assert verdict(moved, seen(CHECKED, surface=DottedPrint(seed))).outcome is ViewOutcome.REFUTED
-
-
-def test_a_plate_without_print_stays_refused(moved: Fingerprint) -> None:
-    assert verdict(moved, seen(CHECKED, surface=DottedPrint(1, contrast=0.0))).outcome is ViewOutcome.REFUTED
+@pytest.mark.parametrize(
+    ("motion", "surface"),
+    [
+        (Motion(), PRINT),
+        *((CHECKED, DottedPrint(n)) for n in (2, 3, 4)),
+        (CHECKED, DottedPrint(1, contrast=0.0)),
+    ],
+    ids=["back where it was calibrated", "print 2", "print 3", "print 4", "no print"],
+)
+def test_a_picture_that_went_back_another_print_and_a_plate_without_stay_refused(
+    moved: Fingerprint, motion: Motion, surface: DottedPrint
+) -> None:
+    assert verdict(moved, seen(motion, surface=surface)).outcome is ViewOutcome.REFUTED
 
 
 def test_a_mirrored_picture_stays_refused(moved: Fingerprint) -> None:

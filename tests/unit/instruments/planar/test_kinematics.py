@@ -333,17 +333,17 @@ class TestGeometryFit:
             ratios.append((_parameters(fitted.machine) - _parameters(true)) / sigma)
         assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.12)
 
-    def test_poses_of_one_orientation_do_not_determine_it(self) -> None:
-        rng = np.random.default_rng(8)
-        poses, joints = self.measured(machine(), rng, 60)
-        poses[:, 2] = 20.0
-        with pytest.raises(NotIdentifiableError, match="edge_offset_mm of leg"):
-            fit_geometry(machine(), poses, joints, np.diag(self.SIGMAS**2), self.SIGMA_JOINT_MM)
-
-    def test_too_few_poses_do_not_determine_it(self) -> None:
-        rng = np.random.default_rng(9)
-        poses, joints = self.measured(machine(), rng, 5)
-        with pytest.raises(NotIdentifiableError):
+    @pytest.mark.parametrize(
+        ("count", "is_turned", "said"),
+        [(60, False, "edge_offset_mm of leg"), (5, True, "the poses do not determine")],
+    )
+    def test_poses_of_one_orientation_and_too_few_do_not_determine_it(
+        self, count: int, is_turned: bool, said: str
+    ) -> None:
+        poses, joints = self.measured(machine(), np.random.default_rng(8), count)
+        if not is_turned:
+            poses[:, 2] = 20.0
+        with pytest.raises(NotIdentifiableError, match=said):
             fit_geometry(machine(), poses, joints, np.diag(self.SIGMAS**2), self.SIGMA_JOINT_MM)
 
 

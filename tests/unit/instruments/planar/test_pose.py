@@ -166,20 +166,18 @@ def test_no_pose_is_measured_from(calibration: PlanarCalibration, case: str) -> 
     assert refused.reason is reason
 
 
-@pytest.mark.parametrize("diameter_mm", [DISC_MM, 12.0])
-def test_a_lamp_beside_the_leds_changes_nothing(calibration: PlanarCalibration, diameter_mm: float) -> None:
-    rng, pose = np.random.default_rng(4), (5.0, 695.0, 11.0)
-    lights = discs(placed(pose)[2:], rng) + discs(np.array([(60.0, 655.0)]), rng, diameter_mm)
+@pytest.mark.parametrize("lamp_mm", [DISC_MM, 12.0, None])
+def test_a_lamp_beside_the_leds_and_an_led_that_moved_on_its_plate_change_nothing(
+    calibration: PlanarCalibration, lamp_mm: float | None
+) -> None:
+    rng, pose = np.random.default_rng(4 if lamp_mm else 6), (5.0, 695.0, 11.0)
+    places = placed(pose)
+    if lamp_mm is None:
+        places[4] += (0.4, -0.3)
+        lights = discs(places, rng)
+    else:
+        lights = discs(places[2:], rng) + discs(np.array([(60.0, 655.0)]), rng, lamp_mm)
     values = measured(calibration, lights)
-    assert isinstance(values, dict)
-    assert np.abs(off_by_sigma(values, pose)).max() < 4.0
-
-
-def test_an_led_that_moved_on_its_plate_is_left_out(calibration: PlanarCalibration) -> None:
-    rng, pose = np.random.default_rng(6), (5.0, 695.0, 11.0)
-    moved = placed(pose)
-    moved[4] += (0.4, -0.3)
-    values = measured(calibration, discs(moved, rng))
     assert isinstance(values, dict)
     assert np.abs(off_by_sigma(values, pose)).max() < 4.0
 
