@@ -112,22 +112,28 @@ def test_reason_and_recovery_count_when_all_polled_wires_agree() -> None:
     assert judge.result.unanswered == 1
 
 
-@pytest.mark.parametrize(("before", "failed"), [(GOOD, True), (NO_SPOT, False)])
-def test_a_unit_is_to_measure_again_where_it_measured_before(before: dict[str, Any], failed: bool) -> None:
+def judge_after(*messages: tuple[int, dict[str, Any]]) -> Judge:
+    """After these messages on each wire, with their times in s; the fault lasts from 10 s to 12 s."""
+    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
+    for now_s, message in messages:
+        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
+    return judge
+
+
+@pytest.mark.parametrize(
+    ("unit", "messages", "failed"),
+    [
+        ("dusty", ((9, GOOD), (11, NO_SPOT), (20, NO_SPOT)), True),
+        ("dusty", ((9, NO_SPOT), (11, NO_SPOT), (20, NO_SPOT)), False),
+        ("plain", ((9, GOOD), (11, NO_SPOT), (13, GOOD), (14, NO_SPOT)), True),  # comes back and goes
+    ],
+)
+def test_a_unit_is_to_measure_again_where_it_measured_before(
+    unit: str, messages: tuple[tuple[int, dict[str, Any]], ...], failed: bool
+) -> None:
     """Dust lies where the beam meets a plate: there the unit refuses each spot, fault or no fault."""
-    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
-    for now_s, message in ((9, before), (11, NO_SPOT), (20, NO_SPOT)):
-        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
-    run = Run(0, "dusty", ("inverted",), "", "", False, judge.result)
+    run = Run(0, unit, ("inverted",), "", "", False, judge_after(*messages).result)
     assert failures(run) == (["back after inf s"] if failed else [])
-
-
-def test_a_value_that_comes_back_and_goes_is_no_recovery() -> None:
-    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
-    for now_s, message in ((9, GOOD), (11, NO_SPOT), (13, GOOD), (14, NO_SPOT)):
-        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
-    run = Run(0, "plain", ("inverted",), "", "", False, judge.result)
-    assert failures(run) == ["back after inf s"]
 
 
 @pytest.mark.parametrize(
@@ -143,9 +149,7 @@ def test_a_value_that_comes_back_and_goes_is_no_recovery() -> None:
 def test_a_refusal_counts_as_recovered_only_where_a_unit_without_the_fault_refuses(
     undisturbed: dict[int, list[str]], back_s: float
 ) -> None:
-    judge = Judge(lambda one, t_ns, now_ns: np.zeros(4), 10.0 * S, 12.0 * S)
-    for now_s, message in ((9, GOOD), (14, NO_SPOT), (15, NO_SPOT)):
-        judge.take([shown(wire, message) for wire in ("http", "local", "modbus")], now_s * S, ZERO)
+    judge = judge_after((9, GOOD), (14, NO_SPOT), (15, NO_SPOT))
     judge.time_recovery({now_s * S: frozenset(reasons) for now_s, reasons in undisturbed.items()})
     assert judge.result.back_s == back_s
 

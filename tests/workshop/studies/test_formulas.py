@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -115,17 +116,13 @@ def test_the_data_are_looked_for_beside_the_checkout() -> None:
     assert ROOT.parent / "shared" / "data" / "unit-a" / "scan" == budget.UNIT_A
 
 
-def test_without_photographs_the_chessboard_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("study", "data", "said"),
+    [(chessboard, "PHOTOGRAPHS", "holds no photographs"), (budget, "UNIT_A", "is not a recording")],
+)
+def test_without_its_data_a_study_is_refused_in_one_line_and_no_row_is_left_out(
+    study: ModuleType, data: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(chessboard, "PHOTOGRAPHS", tmp_path)
-    with pytest.raises(BadInputError, match="holds no photographs"):
-        chessboard.run(lambda _what: None)
-
-
-def test_without_the_rendered_scan_the_budget_is_refused_and_no_row_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(budget, "UNIT_A", tmp_path)
-    with pytest.raises(BadInputError, match="is not a recording"):
-        budget.run(lambda _what: None)
+    monkeypatch.setattr(study, data, tmp_path)
+    with pytest.raises(BadInputError, match=said):
+        study.run(lambda _what: None)
