@@ -21,8 +21,7 @@ from support.history import (
     write_seconds,
 )
 
-from altd.history import opening
-from altd.history import store as store_module
+from altd.history import open_store, opening
 from altd.history.opening import MAX_FILES_ASIDE, open_to_read
 from altd.history.reader import Reader
 from altd.history.schema import SECONDS, VERSION, MovedFileError, NewerFileError, UnusableFileError
@@ -343,7 +342,7 @@ def test_a_batch_that_was_refused_is_taken_whole_the_next_time(tmp_path: Path) -
 def test_a_reader_that_does_not_end_stops_the_writing_before_the_log_fills_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store_module, "MAX_LOG_BYTES", 100_000)
+    monkeypatch.setattr(open_store, "MAX_LOG_BYTES", 100_000)
     monkeypatch.setattr(opening, "WAL_PAGES", 10)
     writing = store(tmp_path)
     writing.write(batch(START_S, [sample(START_S)]))

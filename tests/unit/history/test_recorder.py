@@ -18,9 +18,8 @@ from support.clock import settle
 from support.history import ABOUT, MAX_BYTES, START_S, US, WallClock, at
 from support.measurements import measurement
 
-from altd.history import opening
+from altd.history import open_store, opening
 from altd.history import recorder as recorder_module
-from altd.history import store as store_module
 from altd.history.reader import Reader
 from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
 from altd.history.records import Batch, Written
@@ -204,9 +203,9 @@ def fail_after_commit(patches: pytest.MonkeyPatch, step: str, times: int) -> lis
             failed.append(step)
             raise sqlite3.OperationalError("database or disk is full")
 
-    place: Any = Retention if step in ("shrink", "used_bytes") else store_module._OpenStore  # noqa: SLF001
+    place: Any = Retention if step in ("shrink", "used_bytes") else open_store.OpenStore
     if step in ("touched", "COMMIT"):
-        place = store_module if step == "touched" else opening.transaction
+        place = open_store if step == "touched" else opening.transaction
     name = "__exit__" if step == "COMMIT" else step
     original = getattr(place, name)
 
