@@ -379,7 +379,7 @@ address) instead of the role.
 
 ## Echo
 
-Some two-wire adapters receive what the unit sends. The unit finds this out by itself, without a setting: once
+Some two-wire adapters receive what the unit sends. The unit detects this without a setting: once
 an answer comes back that no master sends, such as that of a read, the line echoes. Then bytes equal to the
 last answer are its echo, until an answer does not come back. On other lines equal requests are all answered,
 however fast they follow. As long as neither is known, a loopback is answered up to {MAX_UNCLEAR_LOOPBACKS}

@@ -1,4 +1,4 @@
-"""What is outside of the daemon and does not answer: it neither stops the rest nor delays the end."""
+"""Neighbours that do not answer: they neither stop the daemon nor delay its end."""
 
 from __future__ import annotations
 
