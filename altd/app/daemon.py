@@ -173,8 +173,8 @@ class Daemon:
     async def run(self, reload: asyncio.Event | None = None) -> None:
         """Measure and publish until cancelled; each time ``reload`` is set, reload the settings.
 
-        Raises BadInputError for an address in use. Any failure of the pipeline ends the daemon with that
-        failure; a failure of a publisher never does.
+        Raises BadInputError for an unusable file of an interface. Any failure of the pipeline ends the daemon
+        with that failure; a failure of a publisher never does.
         """
         async with self.past.recorded():
             await self._run(reload)

@@ -83,9 +83,10 @@ class Interfaces:
     _http: HttpSettings | None = None
 
     async def start(self, config: Config) -> None:
-        """Start all interfaces; raises BadInputError for an unusable file or address.
+        """Start all interfaces; raises BadInputError for an unusable file.
 
-        Every interface tries to start before the first frame, so that a mistake in the config is found first.
+        An interface whose address is taken is retried: it may be free later, and the others serve meanwhile.
+        Every interface tries to start before the first frame.
         """
         self._http = config.http
         self._running = await self._made(interfaces_of(config))
@@ -105,10 +106,10 @@ class Interfaces:
             self._check_addresses(new)
             await _end(old)
             try:
-                await self._begin(new)
+                await self._begin(new, refuses=True)
             except Exception:
                 await _end(new)
-                await self._begin(old, is_new=False)
+                await self._begin(old)
                 raise
             self._running = kept | new
         except BaseException:
@@ -142,15 +143,15 @@ class Interfaces:
                 if error.errno != errno.EADDRINUSE or address[1] not in held:
                     raise BadInputError(place, error.strerror or str(error)) from error
 
-    async def _begin(self, interfaces: Mapping[str, _Interface], *, is_new: bool = True) -> None:
+    async def _begin(self, interfaces: Mapping[str, _Interface], *, refuses: bool = False) -> None:
         """Start interfaces and wait for the first attempt of each, up to ``_FIRST_TRY_TIMEOUT_S``.
 
-        Raises BadInputError for an address of a new interface that is in use or forbidden.
+        ``refuses``: raises BadInputError for an address that is in use or forbidden.
         """
         tried: list[asyncio.Future[None]] = []
         for place, interface in interfaces.items():
             tried.append(first_try := asyncio.get_running_loop().create_future())
-            serving = self._serve(place, interface.publisher, first_try, is_new=is_new)
+            serving = self._serve(place, interface.publisher, first_try, refuses=refuses)
             interface.task = self.tasks.create_task(serving, name=place)
         if tried:
             await asyncio.wait(tried, timeout=_FIRST_TRY_TIMEOUT_S)
@@ -159,7 +160,7 @@ class Interfaces:
             raise error
 
     async def _serve(
-        self, place: str, publisher: Publisher, first_try: asyncio.Future[None], *, is_new: bool
+        self, place: str, publisher: Publisher, first_try: asyncio.Future[None], *, refuses: bool
     ) -> None:
         component, clock = self.health.component(place), self.clock
 
@@ -168,12 +169,12 @@ class Interfaces:
                 first_try.set_result(None)
 
         try:
-            await keep_running(place, publisher, component, clock, up, is_new=is_new)
+            await keep_running(place, publisher, component, clock, up, refuses=refuses)
         except BadInputError as error:
             if not first_try.done():
                 first_try.set_exception(error)
             else:  # too late to refuse the config
-                await keep_running(place, publisher, component, clock, is_new=False)
+                await keep_running(place, publisher, component, clock)
 
     def _publisher(self, settings: _Settings, component: Component) -> Publisher:
         """Return the publisher of a table; raises BadInputError for an unusable file in it."""

@@ -25,12 +25,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Report the result, and missing files; return 2 for settings that cannot be used."""
+    """Report the result, missing files and taken ports; return 2 for settings that cannot be used."""
     from altd.acquisition.glasses import round_s
     from altd.app.parts import check_files, missing_files
     from altd.app.self_check import fps_of
     from altd.app.settings import load_settings
     from altd.config import RecordingCameraSettings
+    from altd.doctor.machine import Machine
+    from altd.doctor.network import taken_ports
     from altd.records import counted
 
     config = load_settings(Path(options.config))
@@ -52,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
         print_lines(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
     for missing in missing_files(config):
         print_lines(f"{options.config}: {missing}")
+    for taken in taken_ports(config, Machine()):
+        print_lines(f"{options.config}: {taken.subject}: {taken.text}: end it, or choose another port")
     return 0
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from altd.config import AravisCameraSettings, Config, HttpSettings, ModbusTcpSettings
 from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import is_address
-from altd.doctor.finding import Finding
+from altd.doctor.finding import Finding, Verdict
 from altd.doctor.machine import Machine
 from altd.process.port_owner import bytes_of, from_kernel, listening_sockets, owner_of_socket
 
@@ -65,32 +65,44 @@ def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
 
 def listening(config: Config, machine: Machine) -> Iterator[Finding]:
     """Check the ports of interfaces: whether altd may use them, and whether another program does."""
-    places = [
-        (name, table.host, table.port_or_default if isinstance(table, ModbusTcpSettings) else table.port)
-        for name in ("modbus_tcp", "http", "opcua")
-        if (table := getattr(config, name)) is not None
-    ]
-    for name, host, port in places:
-        if port == 0:
-            continue
-        subject = f"{name} {host}:{port}"
+    for subject, host, port in _ports(config):
         refused = [*_low_port(subject, port, machine), *_missing_address(subject, host, machine)]
         yield from refused
-        taken = next(listening_sockets(host, port, machine.root), None)
-        if taken is not None:
-            owner = owner_of_socket(taken, machine.root)
-            if owner is not None and owner[1] == "altd":
-                yield Finding.good(subject, f"altd listens there (process {owner[0]})")
-                continue
-            remedy = f"sudo ss -ltnp 'sport = :{port}'"
-            if owner is None:
-                yield Finding.warning(subject, "another user's program listens there: altd itself?", remedy)
-            else:
-                yield Finding.error(subject, f"{owner[1]} (process {owner[0]}) listens there", remedy)
+        if (taken := _taken(subject, host, port, machine)) is not None:
+            yield taken
         elif not refused:
             yield Finding.good(subject, "the address is free")
     if config.http is not None:
         yield from _openness(config.http)
+
+
+def taken_ports(config: Config, machine: Machine) -> Iterator[Finding]:
+    """Yield an error for each port of an interface on which a program other than altd listens."""
+    found = (_taken(*place, machine) for place in _ports(config))
+    yield from (each for each in found if each is not None and each.verdict is Verdict.ERROR)
+
+
+def _ports(config: Config) -> Iterator[tuple[str, str, int]]:
+    """Yield subject, host and port of each interface with a fixed port."""
+    for name in ("modbus_tcp", "http", "opcua"):
+        if (table := getattr(config, name)) is not None:
+            port = table.port_or_default if isinstance(table, ModbusTcpSettings) else table.port
+            if port != 0:
+                yield f"{name} {table.host}:{port}", table.host, port
+
+
+def _taken(subject: str, host: str, port: int, machine: Machine) -> Finding | None:
+    """Return the finding about a program that listens there; None: none does."""
+    taken = next(listening_sockets(host, port, machine.root), None)
+    if taken is None:
+        return None
+    owner = owner_of_socket(taken, machine.root)
+    if owner is not None and owner[1] == "altd":
+        return Finding.good(subject, f"altd listens there (process {owner[0]})")
+    remedy = f"sudo ss -ltnp 'sport = :{port}'"
+    if owner is None:
+        return Finding.warning(subject, "another user's program listens there: altd itself?", remedy)
+    return Finding.error(subject, f"{owner[1]} (process {owner[0]}) listens there", remedy)
 
 
 def broker(config: Config) -> Iterator[Finding]:

@@ -22,8 +22,8 @@ MAX_DEVICE_BACKOFF_S = 1.0
 MIN_STEADY_S = 10.0
 """Minimum time of serving after which a failure is logged again and the back-off starts from its minimum."""
 
-_FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
-"""Errors not retried at the first start; a missing address (EADDRNOTAVAIL) may still appear during boot."""
+_REFUSED = {errno.EADDRINUSE, errno.EACCES}
+"""Errors for which a reload refuses a new interface; a missing address (EADDRNOTAVAIL) may still appear."""
 
 
 def _failure_text(error: Exception, place: str) -> str:
@@ -65,15 +65,15 @@ async def keep_running(
     clock: Clock,
     up: Callable[[], None] = lambda: None,
     *,
-    is_new: bool = True,
+    refuses: bool = False,
 ) -> None:
-    """Run a publisher indefinitely.
+    """Run a publisher indefinitely; one that cannot open, or fails, is started again.
 
-    An address in use or forbidden at the first start is a mistake in the config: raises BadInputError that
-    names ``place``, unless the publisher served before (not ``is_new``). A device (an OSError with the name
-    of its file) may be missing or still forbidden at the start, as udev sets the rights of a new device a
-    moment after it appears: the start is retried. ``up`` is called once, after the first attempt. The
-    component counts a failure each time the publisher stops serving, and if the first attempt fails.
+    ``refuses``: an address in use or forbidden at the first attempt raises BadInputError that names
+    ``place``, so that the settings of a reload can be refused. A device (an OSError with the name of its
+    file) may be missing or still forbidden then, as udev sets the rights of a new device a moment after it
+    appears: the start is retried. ``up`` is called once, after the first attempt. The component counts a
+    failure each time the publisher stops serving, and if the first attempt fails.
     """
     backoff_s = MIN_BACKOFF_S
     first, is_logged = True, False
@@ -94,8 +94,8 @@ async def keep_running(
             max_backoff_s = MAX_BACKOFF_S
         except Exception as error:
             device = isinstance(error, OSError) and error.filename is not None
-            refusable = is_new and first and not device
-            if refusable and isinstance(error, OSError) and error.errno in _FATAL_AT_START:
+            refusable = refuses and first and not device
+            if refusable and isinstance(error, OSError) and error.errno in _REFUSED:
                 raise BadInputError(place, _failure_text(error, place)) from error
             failure = _failure_text(error, place)
             max_backoff_s = MAX_DEVICE_BACKOFF_S if device else MAX_BACKOFF_S

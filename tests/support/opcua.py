@@ -18,7 +18,7 @@ from altd.config import OpcUaSettings
 from altd.history.history import History
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import Clock
-from altd.publish.opcua.__main__ import ServedUnit
+from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.publisher import OpcUaPublisher
 from altd.publish.opcua.quality import Status
 from altd.publish.opcua.server import LimitedServer

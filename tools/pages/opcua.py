@@ -5,7 +5,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua import server, sessions
-from altd.publish.opcua.__main__ import MAX_MEMORY_BYTES, NICE
+from altd.publish.opcua.process import MAX_MEMORY_BYTES, NICE
 from altd.publish.opcua.history import MAX_VALUES
 from altd.publish.opcua.live import LINK_TIMEOUT_S
 from altd.publish.opcua.nodes import OF_PLACE

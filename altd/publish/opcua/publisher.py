@@ -11,6 +11,7 @@ import fcntl
 import json
 import logging
 import math
+import os
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
@@ -100,7 +101,7 @@ class OpcUaPublisher:
             self.port = listener.getsockname()[1]
             listener.setblocking(False)
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "altd.publish.opcua", str(listener.fileno())),
+                *(sys.executable, "-m", "altd.publish.opcua", str(listener.fileno()), str(os.getpid())),
                 stdin=PIPE,
                 stdout=PIPE,
                 stderr=PIPE,

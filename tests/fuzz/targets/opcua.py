@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from support.opcua import OpcUaUnit, connected, read
 
 from altd.config import OpcUaSettings
-from altd.publish.opcua.__main__ import ServedUnit
+from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.quality import Status
 from altd.publish.opcua.server import MAX_SESSIONS
 

@@ -1,5 +1,6 @@
 """SIGHUP to the real daemon: what changed is applied alone, and what is wrong changes nothing."""
 
+import asyncio
 import contextlib
 import fcntl
 import json
@@ -10,6 +11,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import termios
 import threading
 import time
@@ -26,6 +28,7 @@ from support import proof_code
 from support.mqtt import mosquitto
 from support.played_unit import PlayedUnit, PlayingDaemon, playing
 from support.ports import free_port
+from support.unit_toml import write_config
 from support.wire import Wire
 
 from benchmarks.wire_errors.polled import RtuClient, TcpClient, raw_terminal, telegrams
@@ -279,6 +282,47 @@ FAULTS: dict[str, tuple[Callable[[Unit], str | None], str]] = {
         r"modbus_tcp 192\.0\.2\.1:\d+: Cannot assign requested address",
     ),
 }
+
+
+def test_each_address_that_is_taken_at_the_start_is_served_when_it_is_free(
+    own_unit: PlayedUnit, wire: Wire
+) -> None:
+    """What has its address works from the start."""
+    names = {name: free_port() for name in ("http", "modbus_tcp", "opcua")}
+    more = "".join(f'[{name}]\nhost = "127.0.0.1"\nport = {port}\n' for name, port in names.items())
+    more += f'[local]\nsocket = "{own_unit.folder}/s"\n'
+    more += f'[[serial]]\ndevice = "{wire.device}"\nspeaks = "telegram"\ninterval_s = 0.2\n'
+    config = write_config(own_unit.config, own_unit.calibration, own_unit.beams, more)
+    with contextlib.ExitStack() as taken:
+        for port in names.values():
+            taken.enter_context(socket.create_server(("127.0.0.1", port)))
+        local = taken.enter_context(socket.socket(socket.AF_UNIX))
+        local.bind(f"{own_unit.folder}/s")
+        local.listen()
+        command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE)
+        unit = Unit(PlayingDaemon(process, names["http"], names["modbus_tcp"]), config)
+        try:
+            measures = re.compile(rb"PALTM,[^\r]*,P,\d+,\d")
+            asyncio.run(wire.receive(lambda said: measures.search(said) is not None))
+            taken.close()
+            unit.daemon.wait_until_valid()
+            places = [f"{name} 127.0.0.1:{port}" for name, port in names.items()]
+            all_places, states = [*places, f"local {own_unit.folder}/s"], {}
+            deadline_s = time.monotonic() + 90.0
+            while set(states.values()) != {"ok"} and time.monotonic() < deadline_s:
+                components = unit.get("/api/status")["components"]
+                states = {place: components[place]["state"] for place in all_places}
+                time.sleep(0.2)
+            assert set(states.values()) == {"ok"}, states
+            unit.end()
+            for place in places:
+                assert any(f"{place}: Address already in use by " in line for line in unit.lines), unit.lines
+        finally:
+            process.kill()
+            process.wait()
+            if process.stderr is not None:
+                process.stderr.close()
 
 
 def test_what_is_wrong_changes_nothing(own_unit: PlayedUnit, played_unit: PlayedUnit) -> None:

@@ -9,11 +9,13 @@ from support.ports import free_port
 from support.unit_toml import ALL_FACES, played_toml
 
 from altd.app.daemon import daemon_of
+from altd.app.interfaces import interfaces_of
 from altd.app.parts import check_files
 from altd.app.settings import load_settings
+from altd.status.health import State
 
 STARTED_S = 1.5
-"""An interface whose address is refused ends the daemon within it: all of them are tried within 1 s."""
+"""All interfaces are tried within 1 s."""
 
 VARIANTS = (
     ("window = 4", "window = 1000"),
@@ -40,8 +42,12 @@ async def test_a_variant_that_passes_starts(
     path.write_text(text.replace(old, new))
     settings = load_settings(path)
     assert not check_files(settings)[1]
-    running = asyncio.create_task(daemon_of(settings, path).run())
+    daemon = daemon_of(settings, path)
+    running = asyncio.create_task(daemon.run())
     done, _ = await asyncio.wait([running], timeout=STARTED_S)
     assert not done, running.exception()
+    places = [place for place in interfaces_of(settings) if not place.startswith("serial ")]
+    states = {place: daemon.health.component(place).state for place in places}
+    assert states == dict.fromkeys(places, State.OK)
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)

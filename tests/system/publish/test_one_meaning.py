@@ -32,7 +32,7 @@ from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
-from altd.publish.opcua.__main__ import ServedUnit
+from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.quality import Status
 from altd.publish.serial.publisher import TelegramPublisher
 from altd.reasons import Reason, Scope

@@ -28,7 +28,7 @@ from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash
 from altd.errors import BadInputError
 from altd.history.history import History
-from altd.publish.opcua import __main__ as opcua_process
+from altd.publish.opcua import process as opcua_process
 from altd.publish.opcua import publisher
 from altd.publish.opcua.quality import Status
 from altd.reasons import Reason
@@ -289,13 +289,21 @@ def test_the_server_ends_with_its_daemon_however_that_ends() -> None:
         import asyncio, sys
         sys.path[:0] = ["tests", "."]
         from support.opcua import OpcUaUnit
+        async def said(unit):
+            while unit.publisher.process is None:
+                await asyncio.sleep(0)
+            print(unit.publisher.process.pid, flush=True)
         async def main():
             unit = OpcUaUnit()
             await unit.publisher.run(lambda: print(unit.publisher.process.pid, flush=True))
         asyncio.run(main())
     """)
-    for stop in (None, signal.SIGSTOP):
-        daemon = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE)
+    at_once = "asyncio.create_task(said(unit)); await unit.publisher.run(lambda: None)"
+    soon = script.replace(
+        "await unit.publisher.run(lambda: print(unit.publisher.process.pid, flush=True))", at_once
+    )
+    for stop, source in ((None, script), (signal.SIGSTOP, script), (None, soon)):
+        daemon = subprocess.Popen([sys.executable, "-c", source], cwd=ROOT, stdout=subprocess.PIPE)
         assert daemon.stdout is not None
         server = int(daemon.stdout.readline())
         if stop is not None:
@@ -309,12 +317,12 @@ def test_the_server_ends_with_its_daemon_however_that_ends() -> None:
             time.sleep(0.02)
 
 
-async def test_an_address_in_use_ends_the_daemon_with_one_line() -> None:
+async def test_a_reload_refuses_an_address_in_use() -> None:
     port = free_port()
     async with running(settings=OpcUaSettings(host="127.0.0.1", port=port)):
         second = OpcUaUnit(settings=OpcUaSettings(host="127.0.0.1", port=port))
         with pytest.raises(BadInputError, match="opcua: Address already in use"):
-            await keep_running("opcua", second.publisher, second.component, second.clock)
+            await keep_running("opcua", second.publisher, second.component, second.clock, refuses=True)
 
 
 def test_without_its_package_the_daemon_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,17 +70,20 @@ async def test_a_dead_publisher_is_started_again_more_and_more_rarely(
         assert component.state is State.OK
 
 
-async def test_an_address_in_use_at_the_start_is_a_mistake_in_the_config(clock: FakeClock) -> None:
-    taken = OSError(errno.EADDRINUSE, "Address already in use")
+async def test_a_new_interface_is_refused_for_an_address_in_use(clock: FakeClock) -> None:
+    taken, component = OSError(errno.EADDRINUSE, "Address already in use"), Health(clock).component("http")
     with pytest.raises(BadInputError, match=r"http 127\.0\.0\.1:80: Address already in use"):
-        await keep_running("http 127.0.0.1:80", Flaky(1, taken), Health(clock).component("http"), clock)
+        await keep_running("http 127.0.0.1:80", Flaky(1, taken), component, clock, refuses=True)
 
 
 @pytest.mark.parametrize(
-    ("error", "is_new"),
+    ("error", "refuses"),
     [
         pytest.param(
-            OSError(errno.EADDRINUSE, "Address already in use"), False, id="address that was served before"
+            OSError(errno.EADDRINUSE, "Address already in use"), False, id="address of another program"
+        ),
+        pytest.param(
+            OSError(errno.EACCES, "Permission denied"), False, id="address that this user may not use"
         ),
         pytest.param(
             OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address"),
@@ -93,8 +96,8 @@ async def test_an_address_in_use_at_the_start_is_a_mistake_in_the_config(clock: 
         ),
     ],
 )
-async def test_what_may_yet_come_is_waited_for(clock: FakeClock, error: OSError, is_new: bool) -> None:
-    async with supervised(Flaky(2, error), clock, is_new=is_new) as component:
+async def test_what_may_yet_come_is_waited_for(clock: FakeClock, error: OSError, refuses: bool) -> None:
+    async with supervised(Flaky(2, error), clock, refuses=refuses) as component:
         await settle()
         assert component.state is State.FAILED
         await clock.advance(2)

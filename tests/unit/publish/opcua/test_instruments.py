@@ -21,7 +21,7 @@ from altd.history.history import History
 from altd.history.records import About, Sample
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
-from altd.publish.opcua.__main__ import ServedUnit
+from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.quality import Status
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Value

@@ -22,7 +22,7 @@ from altd.config import OpcUaSettings
 from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash
 from altd.publish.opcua import server, sessions
-from altd.publish.opcua.__main__ import ServedUnit
+from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.quality import Status
 
 SECURE = "Basic256Sha256,SignAndEncrypt"
