@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from support.cli import altd
-from support.fleet import fleet_toml
+from support.fleet import fleet_toml, postgresql
 from support.played_unit import PlayedUnit, PlayingDaemon
 from support.ports import free_port
 from support.unit_toml import write_config
@@ -113,8 +113,11 @@ def test_a_neighbour_that_hangs_does_not_delay_the_end(
 @pytest.mark.waits
 @pytest.mark.parametrize("hangs", ["database", "broker"])
 def test_a_name_that_is_not_resolved_does_not_delay_the_end_of_the_ingest(tmp_path: Path, hangs: str) -> None:
-    database = "host=database.example" if hangs == "database" else f"host=127.0.0.1 port={free_port()}"
-    config = fleet_toml(tmp_path, free_port(), database)
-    config.write_text(config.read_text().replace('host = "127.0.0.1"', 'host = "broker.example"'))
-    with hanging("socket getaddrinfo", tmp_path, "ingest", "--config", config) as process:
+    with contextlib.ExitStack() as life:
+        database = "host=database.example"
+        if hangs == "broker":
+            database = life.enter_context(postgresql()).new_database()
+        config = fleet_toml(tmp_path, free_port(), database)
+        config.write_text(config.read_text().replace('host = "127.0.0.1"', 'host = "broker.example"'))
+        process = life.enter_context(hanging("socket getaddrinfo", tmp_path, "ingest", "--config", config))
         assert_hangs_and_ends(process)
