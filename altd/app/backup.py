@@ -27,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from altd import __version__
 from altd.app.keeping import FILE_NAME, history_to_read
-from altd.app.settings import load_settings, service_folder
+from altd.app.settings import check_restored, load_settings, service_folder
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, line_of
 from altd.files.reading import read_file
@@ -97,6 +97,7 @@ def back_up(settings: Path, output: Path) -> list[str]:
     The daemon may run meanwhile. Kept frames are not included. Raises BadInputError.
     """
     check_replaceable(output)
+    check_restored(settings)
     config, places = load_settings(settings), Places(settings)
     history = history_to_read(config, settings)
     state = places.folders["data"].glob(f"*-{unit_number(config.unit.serial):08X}.json")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import grp
 import gzip
 import hashlib
@@ -14,7 +15,7 @@ import shutil
 import socket
 import tarfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,15 +24,24 @@ from typing import Any, BinaryIO, cast
 from altd.app.backup import INDEX, MAX_FILE_BYTES, MODE, Entry, Index, Places, check_index
 from altd.app.keeping import FILE_NAME, history_to_read
 from altd.app.parts import check_files
-from altd.app.settings import SERVICE_SOCKET, load_settings, service_name, socket_to_ask
+from altd.app.settings import (
+    SERVICE_SOCKET,
+    load_settings,
+    restore_marker,
+    service_name,
+    socket_to_ask,
+)
 from altd.errors import BadInputError
 from altd.files.documents import parse_json, parse_toml
 from altd.files.reading import read_file
-from altd.files.writing import check_replaceable
+from altd.files.writing import check_replaceable, write_file
 from altd.history.opening import WriteLock
 from altd.history.schema import UnusableFileError
 
 BEFORE_RESTORE = ".before-restore"
+_STAGING = ".restore-"
+_ENDINGS = ("-wal", "-shm", "")
+"""Endings of the files of one history; an old log would be written into the restored history."""
 _MAX_INDEX_BYTES = 1 << 20
 _MAX_HEADER_BYTES = 1 << 16
 """Maximum number of bytes from one file of an archive to the next: a header may declare any length."""
@@ -42,11 +52,14 @@ def restore(source: Path, settings: Path) -> str:
     """Restore the files of an archive, the settings to ``settings``; return the unit's serial.
 
     All files are first read and checked in temporary folders: a refused archive changes nothing. A replaced
-    file is kept as ``….before-restore``. The settings are replaced last. Raises BadInputError.
+    file is kept as ``….before-restore``, with a number if there is one already. While files are replaced, a
+    marker keeps the daemon from starting; it remains if the restore is interrupted, until one is complete.
+    Raises BadInputError.
     """
     places = Places(settings)
     with ExitStack() as stack:
         _check_stopped(places, stack)
+        _remove_leftovers(places, stack)
         staged = Places(settings)
         try:
             index = _read(source, staged, places, stack)
@@ -58,16 +71,67 @@ def restore(source: Path, settings: Path) -> str:
             target = places.path(member)
             target.parent.mkdir(parents=True, exist_ok=True)
             check_replaceable(target)
+        marker, targets = restore_marker(settings), [places.path(member) for member in members]
+        number = _number_of(marker, targets)
+        write_file(marker, f"{number}\n".encode())
         os.sync()
-        for member in members:
-            target = places.path(member)
-            for ending in ("-wal", "-shm", ""):  # an old log would be written into the restored history
-                with suppress(FileNotFoundError):
-                    old = target.with_name(target.name + ending)
-                    old.replace(target.with_name(target.name + BEFORE_RESTORE + ending))
-            staged.path(member).replace(target)
-        os.sync()
+        try:
+            for member, target in zip(members, targets, strict=True):
+                _keep(target, index.files[member], number)
+                staged.path(member).replace(target)
+            os.sync()
+            marker.unlink()
+        except OSError as error:
+            raise BadInputError(error.filename, f"{error.strerror}: repeat the restore") from error
     return index.serial
+
+
+def _kept(target: Path, number: int, ending: str) -> Path:
+    """Return the place at which a replaced file is kept by the restore with this number."""
+    numbered = BEFORE_RESTORE if number == 1 else f"{BEFORE_RESTORE}.{number}"
+    return target.with_name(target.name + numbered + ending)
+
+
+def _number_of(marker: Path, targets: Sequence[Path]) -> int:
+    """Return the number of the interrupted restore, which is continued, or else one with no kept file."""
+    with suppress(FileNotFoundError, ValueError):
+        return int(marker.read_text())
+    number = 1
+    while any(os.path.lexists(_kept(target, number, ending)) for target in targets for ending in _ENDINGS):
+        number += 1
+    return number
+
+
+def _keep(target: Path, restored: Entry, number: int) -> None:
+    """Move a file with its logs away, unless its content is that to be restored; overwrite nothing.
+
+    Logs that an interrupted restore has moved stay beside their history: it gets the same number.
+    """
+    old = {ending: target.with_name(target.name + ending) for ending in _ENDINGS}
+    there = [ending for ending in _ENDINGS if os.path.lexists(old[ending])]
+    if there == [""] and target.is_file() and target.stat().st_size == restored.size:
+        with target.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() == restored.sha256:
+                return
+    while any(os.path.lexists(_kept(target, number, ending)) for ending in there):
+        number += 1
+    for ending in there:
+        old[ending].replace(_kept(target, number, ending))
+
+
+def _remove_leftovers(places: Places, stack: ExitStack) -> None:
+    """Remove the temporary folders of interrupted restores; raises BadInputError while another one runs."""
+    folder = places.settings.parent
+    if folder.is_dir():
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        stack.callback(os.close, lock)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BadInputError(folder, "another restore runs") from error
+    for each in places.folders.values():
+        for left in each.glob(f"{_STAGING}*"):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _check_stopped(places: Places, stack: ExitStack) -> None:
@@ -127,7 +191,7 @@ def _read(source: Path, staged: Places, places: Places, stack: ExitStack) -> Ind
                 _check_serial(index.serial, places.settings)
                 for folder in {member.partition("/")[0] for member in index.files}:
                     _make_folder(places.folders[folder])
-                    work = TemporaryDirectory(dir=places.folders[folder], prefix=".restore-")
+                    work = TemporaryDirectory(dir=places.folders[folder], prefix=_STAGING)
                     staged.folders[folder] = Path(stack.enter_context(work))
                 size = sum(entry.size for entry in index.files.values())
                 if size > shutil.disk_usage(places.settings.parent).free:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +35,17 @@ def local_socket_of(config: Config) -> Path | None:
         return config.local.socket
     folder = runtime_folder()
     return None if folder is None else folder / SERVICE_SOCKET.name
+
+
+def restore_marker(place: Path) -> Path:
+    """Return the file that exists while a restore replaces files of the unit with these settings."""
+    return place.parent / f".{place.name}.restoring"
+
+
+def check_restored(place: Path) -> None:
+    """Raise BadInputError if a restore was interrupted: files of two states of the unit are mixed."""
+    if os.path.lexists(restore_marker(place)):
+        raise BadInputError(place, "altd restore was interrupted: repeat it")
 
 
 def service_name(place: Path) -> str:

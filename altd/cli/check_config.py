@@ -29,12 +29,13 @@ def run(options: argparse.Namespace) -> int:
     from altd.acquisition.glasses import round_s
     from altd.app.parts import check_files, missing_files
     from altd.app.self_check import fps_of
-    from altd.app.settings import load_settings
+    from altd.app.settings import check_restored, load_settings
     from altd.config import RecordingCameraSettings
     from altd.doctor.machine import Machine
     from altd.doctor.network import taken_ports
     from altd.records import counted
 
+    check_restored(Path(options.config))
     config = load_settings(Path(options.config))
     calibration, errors = check_files(config)
     for error in errors:

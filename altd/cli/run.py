@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from altd.app.daemon import daemon_of
-    from altd.app.settings import load_settings
+    from altd.app.settings import check_restored, load_settings
 
     if options.rehearsal and "NOTIFY_SOCKET" in os.environ:  # systemd.exec(5): for services of Type=notify
         raise BadInputError("--rehearsal", "not possible in a service; start `altd run` by hand")
@@ -52,6 +52,7 @@ def _run(options: argparse.Namespace) -> int:
         logging.getLogger("altd.frames").setLevel(logging.DEBUG)
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal adds our name itself
     with logging_to_stderr(logging.INFO, prefix):
+        check_restored(options.config)
         daemon = daemon_of(load_settings(options.config), options.config, options.rehearsal)
         try:
             asyncio.run(until_signal(daemon.run(reload), reload))

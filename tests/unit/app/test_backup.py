@@ -1,11 +1,16 @@
 """A backup of a unit whose daemon writes; its restoration; damaged, forged and foreign archives."""
 
+import fcntl
 import gzip
 import io
+import itertools
 import json
+import os
 import random
 import shutil
 import socket
+import subprocess
+import sys
 import tarfile
 from collections.abc import Callable, Mapping
 from hashlib import sha256
@@ -13,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.cli import altd_here, refusal
 from support.history import START_S, event, store, write_seconds
 from support.history import batch as batch_of
 from support.played_unit import PlayedUnit
@@ -20,6 +26,7 @@ from support.unit_toml import write_config
 
 from altd.app.backup import back_up
 from altd.app.restore import BEFORE_RESTORE, restore
+from altd.app.settings import restore_marker
 from altd.credentials import hashes
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
@@ -261,12 +268,104 @@ def test_faulty_settings_of_the_same_unit_are_replaced(settings: Path, archive: 
     assert settings.read_text() == good
 
 
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from altd.app import restore
+left = int(sys.argv[3])
+def killed(call):
+    def wrapped(*arguments):
+        global left
+        returned = call(*arguments)
+        left -= 1
+        if left < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return returned
+    return wrapped
+restore._check_content = killed(restore._check_content)
+Path.replace, Path.unlink = killed(Path.replace), killed(Path.unlink)
+restore.restore(Path(sys.argv[1]), Path(sys.argv[2]))
+"""
+
+
+@pytest.mark.long
+def test_a_restore_that_is_killed_is_repeated_and_nothing_is_lost(
+    settings: Path, archive: Path, tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    files = settings.parent / "cal.json", data / "history.db"
+    restored = state(settings)
+    restored |= {str(data / "history.db"): (copy_in(archive, "data/history.db"), 0o100644)}
+    settings.write_text(f"# of before\n{settings.read_text()}")
+    (settings.parent / "cal.json").write_text("{}")
+    (data / "history.db-wal").write_bytes(b"the log of before")
+    (data / "history.db-shm").write_bytes(b"its index")
+    for folder in (settings.parent, data):
+        shutil.copytree(folder, tmp_path / "before" / folder.name)
+    before = [content for path, (content, _) in state(settings).items() if path in restored]
+    old = {path.name: path.read_bytes() for path in (settings, files[0], files[1])}
+    for steps in itertools.count():
+        for folder in (settings.parent, data):
+            shutil.rmtree(folder)
+            shutil.copytree(tmp_path / "before" / folder.name, folder)
+        (settings.parent / f"altd.toml{BEFORE_RESTORE}").write_text("of an earlier restore")
+        command = [sys.executable, "-c", KILLED, archive, settings, steps]
+        done = subprocess.run([*map(str, command)], check=False)
+        contents = [content for path, (content, _) in state(settings).items() if path in restored]
+        if restore_marker(settings).exists():
+            for arguments in (("run", "--config", settings), ("check-config", settings)):
+                assert "altd restore was interrupted: repeat it" in refusal(altd_here(*arguments)), steps
+        else:
+            assert contents in (before, [content for content, _ in restored.values()]), steps
+        assert restore(archive, settings) == "TEST-1"
+        now = state(settings)
+        kept = {path: now.pop(path)[0] for path in list(now) if BEFORE_RESTORE in path}
+        assert {path: now[path][0] for path in now} == {path: restored[path][0] for path in restored}, steps
+        assert kept == {
+            f"{settings}{BEFORE_RESTORE}": b"of an earlier restore",
+            f"{settings}{BEFORE_RESTORE}.2": old["altd.toml"],
+            f"{files[0]}{BEFORE_RESTORE}.2": old["cal.json"],
+            f"{files[1]}{BEFORE_RESTORE}.2": old["history.db"],
+        }, steps
+        log = files[1].with_name(f"history.db{BEFORE_RESTORE}.2-wal")
+        assert log.read_bytes() == b"the log of before"
+        assert not [path for folder in (settings.parent, data) for path in folder.glob(".*")], steps
+        if done.returncode == 0:
+            break
+    assert steps > 8
+
+
+def copy_in(archive: Path, member: str) -> bytes:
+    with tarfile.open(archive) as opened:
+        content = opened.extractfile(member)
+        assert content is not None
+        return content.read()
+
+
+def test_a_second_restore_overwrites_nothing_that_the_first_one_kept(settings: Path, archive: Path) -> None:
+    places = [settings.with_name(f"altd.toml{BEFORE_RESTORE}{end}") for end in ("", ".2", ".3")]
+    for number in range(3):
+        settings.write_text(f"# {number}\n{settings.read_text()}")
+        restore(archive, settings)
+        kept = [place.read_text()[:3] for place in places[: number + 1]]
+        assert kept == ["# 0", "# 1", "# 2"][: number + 1]
+    restore(archive, settings)  # nothing differs
+    assert len(list(settings.parent.glob(f"altd.toml{BEFORE_RESTORE}*"))) == 3
+
+
 def test_no_file_gets_more_rights_than_a_unit_needs(settings: Path, archive: Path) -> None:
     def enter(index: dict[str, Any]) -> None:
         index["files"]["settings/cal.json"]["mode"] = 0o104777
 
     restore(rewritten(archive, lambda members: with_index(members, enter)), settings)
     assert (settings.parent / "cal.json").stat().st_mode == 0o100664
+
+
+def test_it_waits_for_no_other_restore(settings: Path, archive: Path) -> None:
+    folder = os.open(settings.parent, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    assert "another restore runs" in refused(archive, settings)
+    os.close(folder)
 
 
 def test_it_waits_for_no_running_daemon(settings: Path, archive: Path, tmp_path: Path) -> None:
