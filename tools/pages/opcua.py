@@ -5,10 +5,10 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua import server, sessions
-from altd.publish.opcua.process import MAX_MEMORY_BYTES, NICE
 from altd.publish.opcua.history import MAX_VALUES
 from altd.publish.opcua.live import LINK_TIMEOUT_S
 from altd.publish.opcua.nodes import OF_PLACE
+from altd.publish.opcua.process import MAX_MEMORY_BYTES, NICE
 from altd.publish.opcua.publisher import ranges_of
 from altd.publish.opcua.quality import OF_REASON, OF_SENSOR, Status
 from altd.publish.opcua.types import DI_NAMESPACE, HEALTH, UNIT_NAMESPACE, UNITS, VARIABLES

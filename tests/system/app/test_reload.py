@@ -287,7 +287,7 @@ FAULTS: dict[str, tuple[Callable[[Unit], str | None], str]] = {
 def test_each_address_that_is_taken_at_the_start_is_served_when_it_is_free(
     own_unit: PlayedUnit, wire: Wire
 ) -> None:
-    """What has its address works from the start."""
+    """An interface with a free address works from the start."""
     names = {name: free_port() for name in ("http", "modbus_tcp", "opcua")}
     more = "".join(f'[{name}]\nhost = "127.0.0.1"\nport = {port}\n' for name, port in names.items())
     more += f'[local]\nsocket = "{own_unit.folder}/s"\n'
