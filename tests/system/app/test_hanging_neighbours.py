@@ -1,7 +1,5 @@
 """Neighbours that do not answer: they neither stop the daemon nor delay its end."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
