@@ -1,5 +1,7 @@
 """The loop's side: what is handed on, what is dropped, what is said; on a clock that the test drives."""
 
+from __future__ import annotations
+
 import asyncio
 import gc
 import shutil
