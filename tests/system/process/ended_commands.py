@@ -125,7 +125,10 @@ COMMANDS = {
     "devices": Command("devices", "altd.cli.devices:lines 1"),
     "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
     "ingest": Command(
-        "ingest --config {fleet}", "altd.fleet.ingest:Ingest.take 1", ends_with=0, says="(altd: .*\n)+"
+        "ingest --config {fleet}",
+        "altd.fleet.ingest:Ingest._open_database 1",
+        ends_with=0,
+        says="(altd: .*\n)*",
     ),
     "fleet": Command("fleet --config {fleet}", "altd.fleet.database:connect 1"),
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),
