@@ -13,6 +13,8 @@ from altd.records import PixelArray
 SATURATED_FROM = 0.995
 """Share of full scale from which a pixel counts as saturated."""
 _MIN_PLATEAU_SHARE, _MIN_PLATEAU_PX = 0.1, 9
+_MIN_PLATEAU_COUNTS = 64
+"""Minimum value of a plateau: the shot noise of darker pixels is less than a count, so many are equal."""
 _MIN_PLATEAU_RATIO = 3
 """Minimum number of pixels with the largest value, relative to that with the next value below. Of a spot that
 is not clipped the latter is the larger number: fewer pixels are the brighter."""
@@ -39,7 +41,8 @@ def clipped_from(bright: PixelArray, full_scale: int) -> float:
     """
     full, top = SATURATED_FROM * full_scale, bright.max(initial=0)
     at_top = np.count_nonzero(bright == top)
-    if top >= full or at_top < max(_MIN_PLATEAU_SHARE * bright.size, _MIN_PLATEAU_PX):
+    is_large = at_top >= max(_MIN_PLATEAU_SHARE * bright.size, _MIN_PLATEAU_PX)
+    if top >= full or top < _MIN_PLATEAU_COUNTS or not is_large:
         return full
     next_below = np.count_nonzero(bright == bright[bright < top].max(initial=0))
     return float(top) if at_top >= _MIN_PLATEAU_RATIO * next_below > 0 else full

@@ -74,7 +74,8 @@ class Diagnostics:
         self._metrics = metrics
         self._guard = guard
         self._downloads = downloads
-        self._further = SingleCall("diagnostics")
+        self._further: dict[str, SingleCall] = {}
+        """The threads of the further parts, by name: one that hangs is not asked again, and delays no other."""
 
     async def archive(self, request: Request) -> Response:
         """Return the zip archive."""
@@ -102,7 +103,8 @@ class Diagnostics:
         yield part_of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
         yield part_of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
         yield from history_parts(self._past.history, now)
-        yield from (further_part(part, self._further) for part in self._health.diagnostics)
+        for part in self._health.diagnostics:
+            yield further_part(part, self._further.setdefault(part.name, SingleCall("diagnostics")))
 
     def _measurement(self) -> bytes:
         measurement = self._board.read()
