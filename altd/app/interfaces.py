@@ -83,14 +83,16 @@ class Interfaces:
     _http: HttpSettings | None = None
 
     async def start(self, config: Config) -> None:
-        """Start all interfaces; raises BadInputError for an unusable file.
+        """Start all interfaces; raises BadInputError for an unusable file or if another daemon runs.
 
         An interface whose address is taken is retried: it may be free later, and the others serve meanwhile.
         Every interface tries to start before the first frame.
         """
         self._http = config.http
         self._running = await self._made(interfaces_of(config))
-        await self._begin(self._running)
+        local = {place: each for place, each in self._running.items() if isinstance(each.settings, Path)}
+        await self._begin(local, refuses=True)  # only another daemon listens at its socket
+        await self._begin({place: each for place, each in self._running.items() if place not in local})
 
     async def change_to(self, config: Config) -> None:
         """Restart only the interfaces whose tables differ.

@@ -63,8 +63,8 @@ DEFECTS = (
     Defect(
         "two messages of an interface have the same number",
         "altd/status/proof.py",
-        "        self._messages += 1\n",
-        "        self._messages |= 1\n",
+        "self._running.messages[self._interface] += 1",
+        "self._running.messages[self._interface] |= 1",
     ),
     Defect(
         "the CRC of the checked block leaves out the last register before it",

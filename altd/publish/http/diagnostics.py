@@ -75,7 +75,7 @@ class Diagnostics:
         self._guard = guard
         self._downloads = downloads
         self._further: dict[str, SingleCall] = {}
-        """The threads of the further parts, by name: one that hangs is not asked again, and delays no other."""
+        """The threads of the further parts by name: one that hangs is not asked again and delays no other."""
 
     async def archive(self, request: Request) -> Response:
         """Return the zip archive."""

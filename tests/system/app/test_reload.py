@@ -287,7 +287,7 @@ FAULTS: dict[str, tuple[Callable[[Unit], str | None], str]] = {
 def test_each_address_that_is_taken_at_the_start_is_served_when_it_is_free(
     own_unit: PlayedUnit, wire: Wire
 ) -> None:
-    """An interface with a free address works from the start."""
+    """One with a free address works from the start. At a taken local socket another daemon listens."""
     names = {name: free_port() for name in ("http", "modbus_tcp", "opcua")}
     more = "".join(f'[{name}]\nhost = "127.0.0.1"\nport = {port}\n' for name, port in names.items())
     more += f'[local]\nsocket = "{own_unit.folder}/s"\n'
@@ -296,9 +296,6 @@ def test_each_address_that_is_taken_at_the_start_is_served_when_it_is_free(
     with contextlib.ExitStack() as taken:
         for port in names.values():
             taken.enter_context(socket.create_server(("127.0.0.1", port)))
-        local = taken.enter_context(socket.socket(socket.AF_UNIX))
-        local.bind(f"{own_unit.folder}/s")
-        local.listen()
         command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE)
         unit = Unit(PlayingDaemon(process, names["http"], names["modbus_tcp"]), config)

@@ -71,7 +71,6 @@ async def port(
     async with serving(publisher):
         yield publisher.port
     await history.end()
-    await files.end()
 
 
 async def tried(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:

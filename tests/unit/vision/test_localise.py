@@ -10,6 +10,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot
+from altd.vision.image import SATURATED_FROM, clipped_from
 from altd.vision.localise import locate
 from altd.vision.search import coarse_image, fit_background
 from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
@@ -125,6 +126,20 @@ def test_a_spot_that_is_clipped_below_full_scale_is_saturated_too(bits: int, cei
     spot = found(locate(clipped(320)))
     assert math.hypot(spot.u_px - 300.3, spot.v_px - 200.2) < 3 * spot.sigma_px
     assert found(locate(clipped(200))).diameter_px == pytest.approx(40, abs=1)
+
+
+@pytest.mark.parametrize(("bits", "full_well"), [(8, 10_000), (8, 40_000), (12, 10_000)])
+def test_no_beam_with_shot_noise_counts_as_clipped_below_full_scale(bits: int, full_well: int) -> None:
+    """Gaussian, super-Gaussian and top hat, at four levels: equal values are few."""
+    rng, full = np.random.default_rng(bits + full_well), 2**bits - 1
+    v, u = np.mgrid[-30:31, -30:31] / 15
+    squared = u**2 + v**2
+    for shape in (np.exp(-2 * squared), np.exp(-(squared**4)), (squared < 1) * 1.0):
+        for level in (0.3, 0.5, 0.7, 0.9):
+            electrons = rng.poisson(shape * level * full_well)
+            counts = electrons * full / full_well + rng.normal(0, 1, electrons.shape)
+            pixels = np.clip(np.rint(counts), 0, full).astype(np.uint16)
+            assert clipped_from(pixels[pixels > 0.5 * level * full], full) == SATURATED_FROM * full
 
 
 @pytest.mark.parametrize(
