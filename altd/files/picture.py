@@ -33,7 +33,7 @@ _PGM_SPACE = rb"(?:\s|#[^\n]*\n)+"
 _PGM_HEAD = re.compile(rb"P[25]" + 2 * (_PGM_SPACE + rb"\d+") + _PGM_SPACE + rb"(\d{1,5})\s")
 _PGM_HEAD_BYTES = 1 << 16
 _TIFF_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
-_TIFF_ORIENTATION, _UPRIGHT = 274, 1
+_TIFF_BITS, _TIFF_PHOTOMETRIC, _TIFF_ORIENTATION = 258, 262, 274
 
 
 def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
@@ -95,19 +95,27 @@ def read_picture(path: Path) -> tuple[PixelArray, int]:
 
 
 def _check_tiff(data: bytes) -> None:
-    """Raise ValueError for a TIFF (6.0) that OpenCV would turn, or of whose pages it would show the first."""
+    """Raise ValueError for a TIFF (6.0) that OpenCV would turn or invert, or of which it would omit pages.
+
+    OpenCV inverts 8 bits whose zero is white (photometric interpretation 0), and not 16.
+    """
     if (order := _TIFF_ORDERS.get(data[:4])) is None:
         return
     try:
         (first,) = struct.unpack_from(order + "I", data, 4)
         (count,) = struct.unpack_from(order + "H", data, first)
-        for entry in range(first + 2, first + 2 + 12 * count, 12):
-            tag, _, _, value = struct.unpack_from(order + "HHIH", data, entry)
-            if tag == _TIFF_ORIENTATION and value != _UPRIGHT:
-                raise ValueError(f"its orientation tag is {value}: store the camera's pixels with tag 1")
+        entries = range(first + 2, first + 2 + 12 * count, 12)
+        tags = {
+            tag: value
+            for tag, _, _, value in (struct.unpack_from(order + "HHIH", data, at) for at in entries)
+        }
         (following,) = struct.unpack_from(order + "I", data, first + 2 + 12 * count)
     except struct.error:
         raise ValueError("it is torn or damaged") from None
+    if (orientation := tags.get(_TIFF_ORIENTATION, 1)) != 1:
+        raise ValueError(f"its orientation tag is {orientation}: store the camera's pixels with tag 1")
+    if tags.get(_TIFF_PHOTOMETRIC) == 0 and tags.get(_TIFF_BITS, 1) > 8:
+        raise ValueError("its zero is white (photometric tag 0): store it with tag 1, zero is black")
     if following:
         raise ValueError("it has several pages: store each as a file")
 

@@ -146,11 +146,13 @@ def test_a_torn_or_damaged_png_is_refused_and_libpng_says_nothing(capfd: pytest.
     assert capfd.readouterr().err == ""
 
 
-def tiff(order: str = "<", orientation: int = 1, following: int = 0) -> bytes:
+def tiff(
+    order: str = "<", orientation: int = 1, following: int = 0, bits: int = 8, photometric: int = 1
+) -> bytes:
     """An uncompressed grey TIFF of PIXELS, its directory at the end (TIFF 6.0, sections 2 and 4)."""
-    rows, columns = PIXELS.shape
-    fields = {256: columns, 257: rows, 258: 8, 259: 1, 262: 1, 273: 8, 274: orientation, 277: 1, 278: rows}
-    fields[279] = PIXELS.size
+    rows, columns = PIXELS.shape[0], PIXELS.shape[1] * 8 // bits
+    fields = {256: columns, 257: rows, 258: bits, 259: 1, 262: photometric, 273: 8, 274: orientation, 277: 1}
+    fields |= {278: rows, 279: PIXELS.size}
     entries = b"".join(struct.pack(order + "HHIHH", tag, 3, 1, value, 0) for tag, value in fields.items())
     head = (b"II" if order == "<" else b"MM") + struct.pack(order + "HI", 42, 8 + PIXELS.size)
     count = struct.pack(order + "H", len(fields))
@@ -163,6 +165,8 @@ def test_a_tiff_is_read_as_it_is_stored(order: str, tmp_path: Path) -> None:
     pixels, bits = read_picture(tmp_path / "picture")
     assert (pixels == PIXELS).all()
     assert bits == 8
+    (tmp_path / "picture").write_bytes(tiff(order, photometric=0))
+    assert (read_picture(tmp_path / "picture")[0] == 255 - PIXELS).all()
 
 
 @pytest.mark.parametrize(("largest", "bits"), [(255, 8), (199, 8), (1023, 10), (4095, 12), (65535, 16)])
@@ -196,6 +200,7 @@ def test_a_pgm_has_the_bits_of_the_largest_value_that_it_states(
         (tiff(orientation=6), "its orientation tag is 6"),
         (tiff(order=">", orientation=3), "its orientation tag is 3"),
         (tiff(following=8), "it has several pages"),
+        (tiff(bits=16, photometric=0), "its zero is white"),
         (tiff()[:200], "it is torn or damaged"),
     ],
 )
