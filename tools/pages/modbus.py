@@ -386,6 +386,9 @@ however fast they follow. As long as neither is known, a loopback is answered up
 times without a pause, and the next one, or a repeated command, with exception 6. The reply to that exception
 decides.
 
+On many two-wire lines a driver leaves a byte 00 or FF as it is switched off. A read is answered with such a
+byte after it, and with any bytes before it. A command needs a frame without them.
+
 ## Exceptions
 
 | code | when |

@@ -47,6 +47,10 @@ _BIT_READS, _REGISTER_READS, _SINGLE_WRITES, _MULTIPLE_WRITES = {1, 2}, {3, 4}, 
 
 _EXCEPTION_BIT = 0x80
 
+_GLITCHES = (b"", b"\x00", b"\xff")
+"""What may follow a read: on many two-wire lines a driver leaves a byte as it is switched off. A zero leaves
+the CRC correct."""
+
 _REQUESTS_AFTER_NOISE = ((8, bytes([2])), (8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
 """Length of each request that is searched for after noise, and its first bytes after the unit id."""
 
@@ -150,6 +154,8 @@ class Bus:
         self.reset()
         self.counters.messages += len(frames)
         if last[0] == self._unit_id:
+            if last[1] in _BIT_READS | _REGISTER_READS and len(last) == 9 and last[-1] == 0:
+                return last[1:6]  # see _GLITCHES
             return last[1:-2]
         is_answer = awaited is not None and awaited.is_begun_by(last) and len(last) == awaited.length
         if not (is_answer and len(frames) == 1):
@@ -183,12 +189,13 @@ def frames_of(received: bytes, unit_id: int) -> list[bytes] | None:
 
 def request_after_noise(received: bytes, unit_id: int) -> bytes | None:
     """Return the request to this unit, without id and CRC, at the end of bytes that are not frames."""
-    for length, head in _REQUESTS_AFTER_NOISE:
-        frame = received[-length:]
-        if frame.startswith(bytes([unit_id]) + head) and len(frame) == length:
-            crc = int.from_bytes(frame[-2:], "big")
-            if FramerRTU.check_CRC(frame[:-2], crc):
-                return frame[1:-2]
+    for glitch in _GLITCHES:
+        for length, head in _REQUESTS_AFTER_NOISE:
+            frame = received.removesuffix(glitch)[-length:]
+            if frame.startswith(bytes([unit_id]) + head) and len(frame) == length:
+                crc = int.from_bytes(frame[-2:], "big")
+                if FramerRTU.check_CRC(frame[:-2], crc):
+                    return frame[1:-2]
     return None
 
 

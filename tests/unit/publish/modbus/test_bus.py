@@ -66,10 +66,17 @@ def test_random_traffic_of_others_is_never_a_request() -> None:
             assert bus.receive(said, now_s) is None
 
 
-@given(st.binary(max_size=200), st.integers(1, 247))
-def test_a_read_behind_any_noise_is_heard(noise: bytes, unit: int) -> None:
+@given(st.binary(max_size=200), st.integers(1, 247), st.sampled_from([b"", b"\x00", b"\xff"]))
+def test_a_read_behind_any_noise_is_heard(noise: bytes, unit: int, glitch: bytes) -> None:
+    """And before the byte that a line driver leaves as it is switched off."""
     request = struct.pack(">BHH", 3, 10, 4)
-    assert Bus(unit).receive(noise + frame(request, unit), 0.0) == request
+    assert Bus(unit).receive(noise + frame(request, unit) + glitch, 0.0) == request
+
+
+@pytest.mark.parametrize("glitch", [b"\x00", b"\xff"])
+def test_a_command_before_a_stray_byte_is_none(glitch: bytes) -> None:
+    command = struct.pack(">BHH", 6, 100, 1)
+    assert Bus(UNIT).receive(frame(command, UNIT) + glitch, 0.0) != command
 
 
 STREAM_OF_TWO_READINGS = [
