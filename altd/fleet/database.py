@@ -18,6 +18,8 @@ MIGRATIONS = sorted((Path(__file__).parent / "migrations").glob("*.sql"))
 VERSION = len(MIGRATIONS)
 CONNECT_TIMEOUT_S = 10
 STATEMENT_TIMEOUT_S = 60
+LINK_TIMEOUT_S = 20
+"""Time after which a server whose host or cable is gone is given up; by default minutes or two hours."""
 _LOCK = 0x616C7464
 """Key of the advisory lock of migrations (``altd``); plus 1, that of maintenance."""
 
@@ -53,7 +55,15 @@ def connect(settings: FleetSettings) -> psycopg.Connection:
     text = settings.database.connection
     try:
         return psycopg.connect(
-            text, autocommit=True, connect_timeout=CONNECT_TIMEOUT_S, options=options, application_name="altd"
+            text,
+            autocommit=True,
+            connect_timeout=CONNECT_TIMEOUT_S,
+            options=options,
+            application_name="altd",
+            keepalives_idle=LINK_TIMEOUT_S // 2,
+            keepalives_interval=LINK_TIMEOUT_S // 4,
+            keepalives_count=2,
+            tcp_user_timeout=LINK_TIMEOUT_S * 1000,
         )
     except psycopg.ProgrammingError as error:
         raise BadInputError("database.connection", one_line(str(error).strip())) from error
