@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.config import AravisCameraSettings, Config, RecordingCameraSettings
+from altd.devices.aravis import remedy_of
 from altd.doctor.finding import Finding
 from altd.doctor.machine import Machine
 from altd.errors import BadInputError
@@ -125,18 +126,15 @@ def _library(name: str, module: str) -> Finding:
 
 def _aravis(needed: bool) -> Finding:
     """Check PyGObject and Aravis' typelib; only GigE Vision cameras need them."""
-    subject, remedy = (
-        "library aravis",
-        "sudo apt-get install python3-gi gir1.2-aravis-0.8   # see docs/install.md",
-    )
+    subject = "library aravis"
     try:
         gi = importlib.import_module("gi")
         gi.require_version("Aravis", "0.8")
         importlib.import_module("gi.repository.Aravis")
     except Exception as error:
-        return (Finding.error if needed else Finding.warning)(
-            subject, f"GigE Vision cameras need it: {_one_line(error)}", remedy
-        )
+        text = f"GigE Vision cameras need it: {_one_line(error)}"
+        remedy = f"{remedy_of(error)}   # see docs/cameras.md"
+        return (Finding.error if needed else Finding.warning)(subject, text, remedy)
     return Finding.good(subject, "installed")
 
 

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from altd.devices.aravis import remedy_of
 from altd.devices.aravis.packets import filter_new_sockets, open_sockets
 from altd.ports import CameraBusyError, CameraError, CameraLostError, CameraNotFoundError, CameraRefusedError
 
@@ -22,8 +23,7 @@ try:
     from gi.repository import Aravis, Gio, GLib
 except (ImportError, ValueError) as error:
     raise ImportError(
-        f"GigE Vision needs Aravis ({error}): sudo apt-get install python3-gi gir1.2-aravis-0.8, "
-        "see docs/install.md"
+        f"GigE Vision needs Aravis ({error}): {remedy_of(error)}, see docs/cameras.md"
     ) from error
 
 _LOST_CODES = (

@@ -6,6 +6,8 @@ import sys
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 from support.cli import altd_here, refusal
@@ -15,6 +17,7 @@ from support.unit_toml import write_config
 
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import load_config
+from altd.devices import aravis
 from altd.doctor import checks, system
 from altd.doctor.finding import Finding, Verdict, in_lines
 from altd.records import Origin
@@ -47,13 +50,28 @@ class TestLibraries:
 
     def test_aravis_is_wrong_only_for_who_needs_it(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "gi", None)
-        finding = says(list(system.libraries(None)), Verdict.WARNING, "GigE Vision")
-        assert finding.remedy.startswith("sudo apt-get")
+        says(list(system.libraries(None)), Verdict.WARNING, "GigE Vision")
         camera = {"driver": "aravis", "device": "192.168.77.20"}
         config = configured(cameras={"front": camera, "rear": camera})
         _, finding = system.libraries(config)
         assert finding.verdict is Verdict.ERROR
         assert [found.subject for found in system.libraries(configured())] == ["spot fit"]
+
+    def test_the_remedy_names_the_part_that_is_missing(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def remedy() -> str:
+            return says(list(system.libraries(None)), Verdict.WARNING, "GigE Vision").remedy
+
+        monkeypatch.setitem(sys.modules, "gi", None)
+        monkeypatch.setattr(aravis, "DEBIAN_GI", tmp_path / "none")
+        assert remedy().startswith("sudo apt-get install python3-gi gir1.2-aravis-0.8 ")
+        monkeypatch.setattr(aravis, "DEBIAN_GI", tmp_path)  # installed, but not for this Python
+        assert "apt-get" not in remedy()
+        assert "/usr/bin/python3 -m venv --system-site-packages" in remedy()
+        without_typelib = SimpleNamespace(require_version=Mock(side_effect=ValueError("not available")))
+        monkeypatch.setitem(sys.modules, "gi", without_typelib)
+        assert remedy().startswith("sudo apt-get install gir1.2-aravis-0.8 ")
 
 
 class TestClock:

@@ -39,7 +39,10 @@ class TestFoundCameras:
 def test_without_aravis_the_config_is_refused_with_the_remedy() -> None:
     program = """
 import sys
+from pathlib import Path
 sys.modules["gi"] = None
+from altd.devices import aravis
+aravis.DEBIAN_GI = Path("none")
 from altd.app.parts import live_camera
 from altd.config import AravisCameraSettings
 from altd.errors import BadInputError
@@ -50,4 +53,4 @@ except BadInputError as error:
 """
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert said.startswith("cameras.front: GigE Vision needs Aravis")
-    assert "apt-get install python3-gi gir1.2-aravis-0.8" in said
+    assert "apt-get install python3-gi gir1.2-aravis-0.8, see docs/cameras.md" in said
