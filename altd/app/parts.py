@@ -24,6 +24,7 @@ from altd.config import (
 )
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
+from altd.files.reading import check_rights
 from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, Switches, SwitchingCamera
@@ -158,6 +159,7 @@ def live_camera(name: str, settings: V4l2CameraSettings | AravisCameraSettings) 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
     """Load the config's calibration and check its unit, targets and cameras; raises BadInputError."""
     path = config.unit.calibration
+    check_rights(path)
     calibration = load_calibration(path, config.unit.serial)
     for target in config.targets:
         target_of(calibration, path, target.name)
@@ -176,6 +178,7 @@ def calibration_of_instrument(config: Config, cameras: Mapping[str, Camera]) -> 
     if config.unit.instrument != "planar":
         return calibration_of(config, cameras)
     path = config.unit.calibration
+    check_rights(path)
     calibration = load_planar_calibration(path, config.unit.serial)
     for name, settings in config.cameras.items():
         camera = cameras.get(name)

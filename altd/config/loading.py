@@ -18,7 +18,7 @@ from altd.config.whole import Config
 from altd.config.wording import Fault, converted_values, faults_of
 from altd.errors import BadInputError
 from altd.files.documents import TomlError, parse_toml
-from altd.files.reading import read_file
+from altd.files.reading import check_rights, read_file
 from altd.records import counted
 
 _MAX_BYTES = 1 << 16
@@ -35,7 +35,8 @@ def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
 
 
 def read_config(path: Path) -> bytes:
-    """Return the bytes of a config file; raises BadInputError with its name."""
+    """Return the bytes of a config file; raises BadInputError with its name, also if others may write it."""
+    check_rights(path)
     return read_file(path, _MAX_BYTES)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from altd.errors import BadInputError
-from altd.files.reading import os_reason
+from altd.files.reading import check_rights
 
 
 def server_context(
@@ -45,12 +45,11 @@ def client_context(ca: Path, certificate: Path | None, key: Path | None) -> ssl.
 
 
 def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
-    _check_readable(certificate)
-    mode = _check_readable(key)
+    check_rights(certificate)
+    check_rights(key, 0)
     if _holds_key(certificate) and not _holds_key(key):
         raise BadInputError(key, f"contains no private key, but {certificate} does: the two are swapped")
-    if mode & stat.S_IRWXO:
-        raise BadInputError(key, f"everybody may read it, and it is a key: chmod 640 {key}")
+    check_rights(key, stat.S_IRWXO)
     _load_authorities(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), certificate)
     try:
         context.load_cert_chain(certificate, key, password=_no_passphrase)
@@ -63,7 +62,7 @@ def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
 
 
 def _load_authorities(context: ssl.SSLContext, certificates: Path) -> None:
-    _check_readable(certificates)
+    check_rights(certificates)
     try:
         context.load_verify_locations(certificates)
     except ssl.SSLError as error:
@@ -85,20 +84,6 @@ def _why(error: ssl.SSLError) -> str:
     if error.reason in (None, "PEM_LIB", "NO_START_LINE", "PEM") or "pem" in reason:
         return "contains no usable private key (PEM)"
     return f"cannot be used with the certificate: {reason}"
-
-
-def _check_readable(path: Path) -> int:
-    """Return the file's mode; raises BadInputError if it is not a readable file."""
-    try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
-            raise BadInputError(path, "is not a file")
-        with path.open("rb"):
-            return mode
-    except OSError as error:
-        raise BadInputError(path, os_reason(error, path)) from error
-    except ValueError as error:
-        raise BadInputError(path, "is not a path") from error
 
 
 def _holds_key(path: Path) -> bool:

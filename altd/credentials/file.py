@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from altd.credentials.hashes import DUMMY_HASH, PasswordHash, token_digest
 from altd.errors import BadInputError
-from altd.files.reading import os_reason, read_file
+from altd.files.reading import check_rights, read_file
 from altd.files.writing import write_file
 
 Value = TypeVar("Value")
@@ -88,7 +88,7 @@ def load_credentials(path: Path) -> Credentials:
         if isinstance(error.__cause__, FileNotFoundError):
             raise BadInputError(path, f"{error.message}; `altd password {path} NAME` makes it") from error
         raise
-    _check_permissions(path)
+    check_rights(path, _TOO_OPEN)
     try:
         lines = content.decode("ascii").splitlines()
     except UnicodeDecodeError as error:
@@ -111,7 +111,7 @@ def load_credentials(path: Path) -> Credentials:
 def load_login(path: Path) -> tuple[str, str]:
     """Return user name and password for a broker, one line each; raises BadInputError that names the file."""
     content = read_file(path, MAX_BYTES)
-    _check_permissions(path)
+    check_rights(path, _TOO_OPEN)
     try:
         lines = content.decode().splitlines()
     except UnicodeDecodeError as error:
@@ -126,16 +126,6 @@ def save_credentials(path: Path, credentials: Credentials) -> None:
     if len(credentials.passwords) + len(credentials.tokens) > MAX_ENTRIES:
         raise BadInputError(path, f"has {MAX_ENTRIES} entries already")
     write_file(path, (_HEAD + "".join(f"{line}\n" for line in _lines(credentials))).encode())
-
-
-def _check_permissions(path: Path) -> None:
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        raise BadInputError(path, os_reason(error, path)) from error
-    if mode & _TOO_OPEN:
-        text = f"others than its owner may read or write it (mode {mode & 0o777:04o}): chmod 640 {path}"
-        raise BadInputError(path, text)
 
 
 def _lines(credentials: Credentials) -> Iterator[str]:

@@ -74,6 +74,16 @@ def read_head(path: Path, head_bytes: int) -> bytes:
         return _read(descriptor, head_bytes)
 
 
+def check_rights(path: Path, forbidden: int = stat.S_IWOTH) -> None:
+    """Raise BadInputError if the file cannot be read, or its mode has a bit of ``forbidden``."""
+    with _opened(path) as descriptor:
+        mode = os.fstat(descriptor).st_mode
+    if mode & forbidden:
+        may, repair = ("read or write", "640") if forbidden & stat.S_IROTH else ("write", "o-w")
+        text = f"others than its owner may {may} it (mode {stat.S_IMODE(mode):04o}): chmod {repair} {path}"
+        raise BadInputError(path, text)
+
+
 def kind_of(mode: int) -> str:
     """Return the type of a non-regular file in plain words, from its ``st_mode``."""
     return _KINDS.get(stat.S_IFMT(mode), "no regular file")

@@ -16,7 +16,7 @@ from altd.config.table import Table, shown
 from altd.config.wording import UNUSABLE, WHY
 from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import TomlError, parse_toml
-from altd.files.reading import read_file
+from altd.files.reading import check_rights, read_file
 
 _MAX_BYTES = 1 << 16
 
@@ -58,6 +58,7 @@ def load_fleet_settings(path: Path) -> FleetSettings:
 
     Raises BadInputError that names the file and, for each fault, line, column and key.
     """
+    check_rights(path)
     content = read_file(path, _MAX_BYTES)
     try:
         document = parse_toml(content)

@@ -97,6 +97,15 @@ def test_a_missing_file_and_a_binary_one_are_named(tmp_path: Path) -> None:
     assert "line 1, column 1: is not UTF-8 text" in complaint(tmp_path / "binary.toml")
 
 
+def test_a_file_that_every_user_may_write_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, GOOD)
+    path.chmod(0o666)
+    remedy = f"others than its owner may write it (mode 0666): chmod o-w {path}"
+    assert complaint(path) == f"{path}: {remedy}"
+    path.chmod(0o664)
+    load_config(path)
+
+
 def test_a_text_of_another_encoding_is_answered_by_what_to_save_it_as(tmp_path: Path) -> None:
     path = tmp_path / "altd.toml"
     for encoding, answer in (

@@ -155,6 +155,15 @@ class TestCalibration:
         assert all(word in finding.text for word in words)
         assert mend in finding.remedy
 
+    def test_one_that_every_user_may_write(self, unit: Path) -> None:
+        (unit / "cal.json").chmod(0o646)
+        try:
+            (finding,) = examined(unit, "cal.json", "cal.json")
+        finally:
+            (unit / "cal.json").chmod(0o644)
+        assert finding.verdict is Verdict.ERROR
+        assert f"chmod o-w {unit / 'cal.json'}" in finding.text
+
     def test_a_recording_that_is_not_there(self, unit: Path) -> None:
         findings = examined(unit, "/scan", "/nowhere")
         assert findings[0].subject == "recording"

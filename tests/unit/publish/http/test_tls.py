@@ -271,8 +271,13 @@ async def test_a_renewed_certificate_is_shown_without_a_restart(
         (lambda cert, key: key.unlink(), "key", "No such file"),
         (lambda cert, key: key.chmod(0o644), "key", "chmod 640"),
         (lambda cert, key: _swap(cert, key), "key", "unit.pem does: the two are swapped"),
-        (lambda cert, key: (key.unlink(), os.mkfifo(key, 0o600)), "key", "is not a file"),
-        (lambda cert, key: (cert.unlink(), cert.mkdir()), "cert", "is not a file"),
+        (lambda cert, key: (key.unlink(), os.mkfifo(key, 0o600)), "key", "is a pipe, not a file"),
+        (lambda cert, key: (cert.unlink(), cert.mkdir()), "cert", "is a folder, not a file"),
+        (
+            lambda cert, key: cert.chmod(0o646),
+            "cert",
+            "others than its owner may write it (mode 0646): chmod o-w ",
+        ),
     ],
 )
 def test_files_that_cannot_be_used_are_one_clear_line(
