@@ -183,6 +183,10 @@ async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
         (bytes.fromhex("20 03 00 84 00"), "the broker refuses the unit: Unsupported protocol version"),
         (bytes.fromhex("20 02 00 01"), "the broker refuses the unit: Unsupported protocol version"),
         (b"HTTP/1.1 400 Bad Request\r\n" + bytes(100), "the broker sent data that is not MQTT"),
+        (
+            bytes.fromhex("20 06 00 00 03 21 0000"),
+            "the broker sent data that is not MQTT",
+        ),
         (CONNECTED + PUBLISH_TO_UNIT, "the unit has no subscription"),
         (bytes.fromhex("20 03 00 95 00"), "the broker accepts only shorter messages"),
         (CONNECTED + bytes.fromhex("e0 02 8e 00"), "another client uses this identifier; check the serial"),
