@@ -2,9 +2,12 @@
 
 import importlib.util
 import json
+import queue
 import random
+import signal
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -13,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from paho.mqtt.client import CallbackAPIVersion, Client, MQTTv5
 from support import example_clients as clients
 from support.example_clients import Verdict
 from support.foreign import need_program
@@ -53,6 +57,16 @@ def message(
     return f'{line}, "crc32": "{zlib.crc32(line.encode()):08X}"}}'.encode()
 
 
+def reader(limit_ms: float, rehearsal: bool, unit: int = UNIT) -> Any:
+    """The example's ``Target``."""
+    spec = importlib.util.spec_from_file_location("read_mqtt", PROGRAM)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Target(f"{unit:08X}", limit_ms, rehearsal)
+
+
 def judged(
     polls: Sequence[tuple[float, bytes | None]],
     rehearsal: bool = False,
@@ -60,12 +74,7 @@ def judged(
     limit_ms: float = 500.0,
 ) -> list[Verdict]:
     """The verdict at each time in ms; ``ACKNOWLEDGED`` goes with the next message."""
-    spec = importlib.util.spec_from_file_location("read_mqtt", PROGRAM)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    target = module.Target(f"{UNIT:08X}", limit_ms, rehearsal)
+    target = reader(limit_ms, rehearsal)
     verdicts, acknowledged = [], False
     for now_ms, payload in polls:
         if payload != ACKNOWLEDGED:
@@ -214,6 +223,65 @@ def test_the_program_follows_a_unit_that_stops_and_restarts(played_unit: PlayedU
                     assert ("restarted", None) in told
                 finally:
                     again.kill()
+
+
+@pytest.mark.waits
+def test_a_broker_that_stands_still_lets_no_old_value_through(
+    played_unit: PlayedUnit, tmp_path: Path
+) -> None:
+    """The values are of a recording, so the reader has no UTC to compare: only the clocks' advance.
+
+    A further reader is acknowledged at each message, so that only the age of a value keeps it out.
+    """
+    limit_ms, still_s = 2000.0, 15.0
+    heard: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+    client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTv5)
+    client.on_connect = lambda *_: client.subscribe("altd/TEST-1/measurement")
+    client.on_message = lambda _client, _data, it: heard.put((time.monotonic() * 1e3, it.payload))
+    readers = [reader(limit_ms, True, zlib.crc32(b"TEST-1")) for _ in range(2)]
+    seen: list[tuple[float, float, float, list[str]]] = []
+
+    def read() -> list[str]:
+        """The verdicts on the next message; ``seen`` has when it came, the unit's clock, and its age then."""
+        now_ms, payload = heard.get(timeout=60)
+        told = json.loads(payload)
+        faults = [each.update(payload, False, now_ms, 0.0, bool(n)) for n, each in enumerate(readers)]
+        seen.append((now_ms, told["clock_ms"], 1e3 * told["age_s"], faults))
+        return faults
+
+    with mosquitto(tmp_path, "allow_anonymous true") as (port, broker):
+        more = f'[mqtt]\nhost = "127.0.0.1"\nport = {port}\nevery_measurement = true\n'
+        with playing(played_unit, tmp_path, subprocess.DEVNULL, more=more):
+            client.connect("127.0.0.1", port)
+            client.loop_start()
+            try:
+                while read() != [GOOD, GOOD]:
+                    pass
+                for _ in range(20):
+                    read()
+                broker.send_signal(signal.SIGSTOP)
+                time.sleep(still_s)
+                broker.send_signal(signal.SIGCONT)
+                again_ms = time.monotonic() * 1e3
+                while read()[1] != GOOD or seen[-1][0] < again_ms:
+                    pass
+                for _ in range(20):
+                    read()
+            finally:
+                broker.send_signal(signal.SIGCONT)
+                client.loop_stop()
+    started_ms = min(now_ms - clock_ms for now_ms, clock_ms, _, _ in seen)
+    ages_ms = [now_ms - started_ms - clock_ms + age_ms for now_ms, clock_ms, age_ms, _ in seen]
+    after = [
+        (age_ms, faults)
+        for age_ms, (now_ms, *_, faults) in zip(ages_ms, seen, strict=True)
+        if now_ms >= again_ms
+    ]
+    first_good_ms = next(now_ms for now_ms, *_, faults in seen if now_ms >= again_ms and GOOD in faults)
+    assert any(age_ms > 1e3 * still_s - limit_ms for age_ms, _ in after), "the broker held a message back"
+    assert all(age_ms <= limit_ms for age_ms, faults in after if GOOD in faults)
+    assert {faults[0] for _, faults in after} == {"silent"}, "until an operator acknowledges it"
+    assert first_good_ms - again_ms < 5000
 
 
 def _first_after(fault: str, told: Iterator[Verdict]) -> Verdict:
