@@ -89,6 +89,8 @@ def why_ended(reason: ReasonCode, *, is_by_server: bool, was_connected: bool) ->
         other = f"the broker ended the connection: {reason}"
     elif was_connected:
         other += "; if this continues, check whether another client uses this identifier"
+    else:
+        other += " before it answered; check TLS, certificate and how many connections and files it may have"
     return _SENTENCES.get(reason.value, other)
 
 

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import resource
 import signal
 import statistics
 import subprocess
@@ -201,7 +202,11 @@ async def test_a_broker_that_is_absent_comes_goes_and_is_restarted_again_and_aga
 
 def _left() -> tuple[int, int]:
     """Descriptors and tasks."""
-    return len(list(Path("/proc/self/fd").iterdir())), len(asyncio.all_tasks())
+    return _files(os.getpid()), len(asyncio.all_tasks())
+
+
+def _files(pid: int) -> int:
+    return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
 @pytest.fixture
@@ -251,6 +256,19 @@ async def test_a_broker_that_can_do_less_gets_no_more(
             for _ in range(20):
                 checked((await client.next("/summary"))[3], "Summary")
             assert unit.component.counters.get("failures", 0) <= 1
+
+
+async def test_a_broker_without_a_free_file_is_named_and_taken_once_it_has_one(tmp_path: Path) -> None:
+    """As Mosquitto for about the 1,016th unit, if systemd allows it 1,024 files."""
+    with mosquitto(tmp_path, OPEN) as (port, broker):
+        limit, most = resource.prlimit(broker.pid, resource.RLIMIT_NOFILE)
+        resource.prlimit(broker.pid, resource.RLIMIT_NOFILE, (_files(broker.pid), most))
+        unit = PublishingUnit.made(port)
+        async with unit.running():
+            said = await unit.until(State.FAILED, "the broker closed the connection before it answered")
+            assert "how many connections and files it may have" in said
+            resource.prlimit(broker.pid, resource.RLIMIT_NOFILE, (limit, most))
+            await unit.until(State.OK)
 
 
 async def test_two_units_with_one_serial_number_name_each_other(tmp_path: Path) -> None:
