@@ -17,6 +17,7 @@ from pathlib import Path
 
 from altd.app.keeping import DaemonHistory
 from altd.config import MqttSettings
+from altd.errors import BadInputError
 from altd.fleet.settings import FleetSettings
 from altd.fleet.table import as_text, units
 from altd.history.columns import columns_of
@@ -102,14 +103,18 @@ class DemoUnit:
                 await asyncio.sleep(0.5)
 
 
-async def _show(connection: str) -> None:
+async def show_units(connection: str) -> None:
+    """Print the table of `altd fleet` until cancelled; while there is none, the reason."""
     settings = FleetSettings.model_validate(
         {"broker": {"host": "127.0.0.1"}, "database": {"connection": connection}}
     )
     while True:
         await asyncio.sleep(_SHOWN_EVERY_S)
-        rows = await asyncio.to_thread(units, settings)
-        print("\n".join(["\x1b[2J\x1b[H" if sys.stdout.isatty() else "", *as_text(rows)]), flush=True)
+        try:
+            lines = as_text(await asyncio.to_thread(units, settings))
+        except BadInputError as error:  # the database restarts: units and ingest wait for it
+            lines = [str(error)]
+        print("\n".join(["\x1b[2J\x1b[H" if sys.stdout.isatty() else "", *lines]), flush=True)
 
 
 async def _demo(folder: Path, port: int, connection: str, seconds: float | None) -> None:
@@ -118,7 +123,7 @@ async def _demo(folder: Path, port: int, connection: str, seconds: float | None)
             work: list[Awaitable[None]] = [
                 DemoUnit(number, folder, port).run() for number in range(1, UNITS + 1)
             ]
-            await asyncio.gather(*work, _show(connection))
+            await asyncio.gather(*work, show_units(connection))
 
 
 def main() -> int:

@@ -1,13 +1,20 @@
 """The benchmarks of the fleet find all that was sent, and its demo shows units that fail."""
 
+import asyncio
 import os
+import signal
 import subprocess
 import sys
 
+import psycopg
+import pytest
 from support.cli import Outcome, altd
+from support.fleet import postgresql
 from support.foreign import need, need_program
 from support.places import ROOT
 
+from altd.fleet.database import migrate
+from benchmarks import demo_fleet
 from benchmarks.postgresql import programs
 
 
@@ -32,6 +39,30 @@ def test_twenty_units_are_shown() -> None:
     outcome = measured("benchmarks.demo_fleet", "--seconds", "20")
     assert outcome.status == 0, outcome
     assert outcome.out.rpartition("unit")[2].count("ALT-00") >= 19, outcome.out
+
+
+async def test_the_demo_waits_for_a_database_that_restarts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(demo_fleet, "_SHOWN_EVERY_S", 0.05)
+
+    async def shown(text: str) -> None:
+        async with asyncio.timeout(60):
+            while text not in capsys.readouterr().out:
+                assert not showing.done(), showing.exception()
+                await asyncio.sleep(0.01)
+
+    with postgresql() as cluster:
+        connection = cluster.new_database()
+        with psycopg.connect(connection) as opened:
+            migrate(opened)
+        showing = asyncio.create_task(demo_fleet.show_units(connection))
+        await shown("newest")
+        cluster.stop(signal.SIGINT)
+        await shown("database.connection: ")
+        cluster.start()
+        await shown("newest")
+        showing.cancel()
 
 
 def test_outages_lose_nothing() -> None:
