@@ -48,8 +48,8 @@ _BIT_READS, _REGISTER_READS, _SINGLE_WRITES, _MULTIPLE_WRITES = {1, 2}, {3, 4}, 
 _EXCEPTION_BIT = 0x80
 
 _GLITCHES = (b"", b"\x00", b"\xff")
-"""What may follow a read: on many two-wire lines a driver leaves a byte as it is switched off. A zero leaves
-the CRC correct."""
+"""Bytes that may follow a read: on many two-wire lines a driver leaves one as it is switched off. A zero
+leaves the CRC correct."""
 
 _REQUESTS_AFTER_NOISE = ((8, bytes([2])), (8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
 """Length of each request that is searched for after noise, and its first bytes after the unit id."""
