@@ -146,6 +146,7 @@ connection.
 | {ONLY_QOS_0} | it publishes with QoS 0, and waits for the answer to a ping instead |
 | only 1000 bytes in a message; not sent: … | they are too long; the others are sent. Allow 64 kB |
 | another client uses this identifier | each throws the other off the broker: their serial numbers are equal |
+| the broker closed the connection before it answered | it wants TLS, or has [no file left](fleet.md#set-up) |
 
 ## TLS and login
 
