@@ -243,7 +243,7 @@ def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize |
     peak, clipped = _brightness(patch)
     if clipped > settings.max_saturated:
         return NoSpot(Reason.SATURATED, f"{clipped:.0%} of the spot's bright pixels are saturated")
-    second = _second_piece_share(patch.core)
+    second = second_piece_share(patch.core)
     if second >= settings.like_size:
         return NoSpot(
             Reason.AMBIGUOUS, f"two spots touch, the second has {second:.0%} of the first one's area"
@@ -295,7 +295,7 @@ def _repeats_pixels(patch: Patch, noise: Noise) -> bool:
     return False
 
 
-def _second_piece_share(core: npt.NDArray[np.bool_]) -> float:
+def second_piece_share(core: npt.NDArray[np.bool_]) -> float:
     """Return the area of the second largest piece of the core, relative to the largest."""
     count, labels = cv2.connectedComponents(core.view(np.uint8))
     if count <= 2:
