@@ -33,6 +33,8 @@ light, so their distance has about twice the spot's sigma."""
 _MIN_FIELD_SHARE = 0.25
 """Minimum light of the darker field, relative to the other; on print it is above 0.8."""
 _MIN_SMALL_SIGMAS, _SMALL_SMOOTHING_PX = 8.0, 1.0
+_MAX_SMALL_PX = 1 << 25
+"""Maximum size of a picture in which a small spot is looked for: it takes 20 bytes of memory a pixel."""
 
 
 def answer(images: Iterable[Path], form: TextFormat, report_error: Callable[[str], object]) -> int:
@@ -114,6 +116,8 @@ def _too_small(analysis: FrameAnalysis) -> NoSpot | None:
     The search averages over cells, and its median removes what is smaller than a cell.
     """
     pixels, settings = analysis.frame.pixels, replace(analysis.settings, smoothing_px=_SMALL_SMOOTHING_PX)
+    if pixels.size > _MAX_SMALL_PX:
+        return None
     excess = without_hot_pixels(pixels) - analysis.found.background.at((0.0, 0.0), pixels.shape)
     excess = gaussian_blur(excess, settings.smoothing_px)
     _, peak, _, (u, v) = cv2.minMaxLoc(excess)
