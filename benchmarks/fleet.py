@@ -36,7 +36,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S
 from altd.status.outbox import MAX_NUMBERS, Second
 from altd.status.proof import sealed
-from benchmarks.harness import Parser, child, cpu_s, end, module_command, until
+from benchmarks.harness import Parser, child, cpu_s, end, meanwhile, module_command, until
 from benchmarks.postgresql import postgresql
 from hw_sim.ports import free_port
 
@@ -167,9 +167,8 @@ def hostile(port: int, connection: str, hz: int) -> Iterator[None]:
     client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
     client.connect("127.0.0.1", port)
     client.loop_start()
-    ended = threading.Event()
 
-    def send() -> None:
+    def send(ended: threading.Event) -> None:
         unit, number = Unit("HOSTILE", int(time.time()), 1, newest=10**9), 0
         while not ended.wait(1 / hz):
             number += 1
@@ -177,13 +176,10 @@ def hostile(port: int, connection: str, hz: int) -> Iterator[None]:
             unit.acknowledged = unit.sent
             client.publish(f"altd/{unit.serial}/outbox", unit.next_batch(), qos=1)
 
-    sender = threading.Thread(target=send)
-    sender.start()
     try:
-        yield
+        with meanwhile(send):
+            yield
     finally:
-        ended.set()
-        sender.join()
         client.disconnect()
         client.loop_stop()
 

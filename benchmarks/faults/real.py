@@ -24,7 +24,7 @@ from benchmarks.campaign.clips import place_of
 from benchmarks.campaign.units import calibrated
 from benchmarks.faults.judging import Judge, Result, exposures_ns
 from benchmarks.faults.wires import Published, TelegramLine, Wires
-from benchmarks.harness import Child, child, module_command
+from benchmarks.harness import Child, child, meanwhile, module_command
 from benchmarks.interfaces import Interfaces
 from hw_sim.gige.command import make_unit
 from hw_sim.ports import free_port
@@ -102,21 +102,15 @@ def disk_full(unit: _Process) -> Iterator[None]:
 @contextlib.contextmanager
 def cpu_quarter(unit: _Process) -> Iterator[None]:
     """The process, cameras included, gets a quarter of a processor: it is stopped for 75 of each 100 ms."""
-    over = threading.Event()
 
-    def limit() -> None:
+    def limit(over: threading.Event) -> None:
         while not over.wait(_SLICE_S * _SHARE):
             unit.running.send(signal.SIGSTOP)
             over.wait(_SLICE_S * (1 - _SHARE))
             unit.running.send(signal.SIGCONT)
 
-    thread = threading.Thread(target=limit)
-    thread.start()
-    try:
+    with meanwhile(limit):
         yield
-    finally:
-        over.set()
-        thread.join()
 
 
 FAULTS = {fault.__name__: fault for fault in (kill_9, stopped, memory, disk_full, cpu_quarter)}

@@ -29,12 +29,11 @@ from altd.publish.opcua.types import (
 from altd.records import Quantity
 
 OF_PLACE: Mapping[str, tuple[str, int, str]] = {
-    "valid": ("Valid", ua.ObjectIds.Boolean, "whether the spot on the target was measured"),
-    "status": (
-        "Reasons",
-        ua.ObjectIds.String,
-        "the codes of reasons and warnings, without the target's name",
-    ),
+    key: (*VARIABLES[key][:2], meaning)
+    for key, meaning in (
+        ("valid", "whether the spot on the target was measured"),
+        ("status", "the codes of reasons and warnings, without the target's name"),
+    )
 }
 """BrowseName, type and meaning of the corresponding nodes of each target of a row, by key."""
 
