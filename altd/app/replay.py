@@ -244,14 +244,12 @@ class Replay:
         yield from chain.flush()
 
 
-def open_replay(
-    recording_path: Path, calibration_path: Path, window: int | None = None, every: int | None = None
-) -> Replay:
+def open_replay(recording_path: Path, calibration_path: Path) -> Replay:
     """Open recording and calibration and check all that does not need a decoded frame.
 
     Raises BadInputError if recording or calibration cannot be read or they do not belong together.
     """
-    return replay_of(open_recording(recording_path), calibration_path, window, every)
+    return replay_of(open_recording(recording_path), calibration_path)
 
 
 def replay_of(

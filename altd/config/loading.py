@@ -25,13 +25,12 @@ _MAX_BYTES = 1 << 16
 _MAX_FAULTS = 100
 
 
-def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
+def load_config(path: Path) -> Config:
     """Read and check a config file; paths in it become relative to its folder.
 
-    ``further`` are rules beyond those of the settings alone. Raises BadInputError with the file and, for each
-    fault, line, column and key.
+    Raises BadInputError with the file and, for each fault, line, column and key.
     """
-    return config_of(read_config(path), path, further)
+    return config_of(read_config(path), path)
 
 
 def read_config(path: Path) -> bytes:
@@ -41,7 +40,10 @@ def read_config(path: Path) -> bytes:
 
 
 def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Config:
-    """Return the config of a file with this content and path; raises BadInputError as ``load_config``."""
+    """Return the config of a file with this content and path; raises BadInputError as ``load_config``.
+
+    ``further`` are rules beyond those of the settings alone.
+    """
     try:
         document = parse_toml(content)
     except TomlError as error:

@@ -135,14 +135,14 @@ def count_lit_leds(found: Search, leds_px: FloatArray) -> int:
     )
 
 
-def locate_leds(lit: Frame, dark: Frame, settings: SpotSettings = LED_SETTINGS) -> Leds:
+def locate_leds(lit: Frame, dark: Frame) -> Leds:
     """Return the positions of the LEDs that are lit in ``lit`` and not in ``dark``.
 
     Light that is the same in both frames cancels. An LED at the border of the picture is fitted on its
     visible part.
     """
     difference = replace(lit, pixels=cast("PixelArray", cv2.subtract(lit.pixels, dark.pixels)))
-    analysis = FrameAnalysis(difference, settings)
+    analysis = FrameAnalysis(difference, LED_SETTINGS)
     spots, rejected, at_border = [], [], []
     for region in analysis.found.regions:
         if _reaches_border(region, difference):

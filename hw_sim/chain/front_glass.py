@@ -9,6 +9,8 @@ import numpy as np
 from altd.records import Frame
 from hw_sim.unit import CAMERAS, FRONT, Unit
 
+_EXPOSURES, _SETTLE_S = 5, 0.5
+"""Exposures of a visit, and the time in which the glass settles."""
 MARGIN_S = 0.012
 """Minimum time between either end of a visit and the middle of an exposure that counts for it."""
 
@@ -33,9 +35,7 @@ class FrontGlass:
         self.show("")
 
 
-def switched_frames(
-    unit: Unit, frame_sets: int, chance: np.random.Generator, exposures: int = 5, settle_s: float = 0.5
-) -> Iterator[Frame]:
+def switched_frames(unit: Unit, frame_sets: int, chance: np.random.Generator) -> Iterator[Frame]:
     """Frames of both cameras while front and rear target are shown in turn, in random order in each round.
 
     A frame is marked with the opaque target once the glass has settled.
@@ -46,10 +46,10 @@ def switched_frames(
     while True:
         for target in chance.permutation(CAMERAS).tolist():
             unit.glass.switch(target == FRONT, begin_s)
-            end_s = begin_s + settle_s * (1.0 + 0.5 * chance.random()) + (exposures + 1) * period_s
+            end_s = begin_s + _SETTLE_S * (1.0 + 0.5 * chance.random()) + (_EXPOSURES + 1) * period_s
             while sequence * period_s < end_s:
                 t_s = sequence * period_s
-                is_settled = begin_s + settle_s + MARGIN_S <= t_s <= end_s - MARGIN_S
+                is_settled = begin_s + _SETTLE_S + MARGIN_S <= t_s <= end_s - MARGIN_S
                 for camera in CAMERAS:
                     frame = unit.expose(camera, sequence, sequence * unit.config.period_ns)
                     yield replace(frame, opaque=target if is_settled else "")

@@ -82,8 +82,8 @@ def _recorder(folder: Path, row: Row, kind: str, targets: Sequence[str], note: s
         recorder.close()
 
 
-def record_scans(folder: Path, row: Row, exposures: int = 2) -> list[Path]:
-    """Record one scan for each target, 7 × 5 nodes on 72 × 48 mm; return the folders in beam order."""
+def record_scans(folder: Path, row: Row) -> list[Path]:
+    """Record a scan of each target, 7 × 5 nodes of two exposures on 72 × 48 mm; folders in beam order."""
     rng = np.random.default_rng([row.config.seed, 28])
     paths = []
     for name in row.config.names:
@@ -93,7 +93,7 @@ def record_scans(folder: Path, row: Row, exposures: int = 2) -> list[Path]:
                 for x_mm in np.linspace(-36.0, 36.0, 7).tolist():
                     error_mm = rng.normal(0.0, STAGE_SIGMA_MM, 2)
                     spot_mm = (x_mm + float(error_mm[0]), y_mm + float(error_mm[1]))
-                    for _ in range(exposures):
+                    for _ in range(2):
                         pixels = row.picture(name, spot_mm, 1.0)
                         recorder.write(name, pixels, (f"{x_mm:.4f}", f"{y_mm:.4f}"), "")
                         recorder.advance()

@@ -175,17 +175,17 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
     return x + sum(term / degrees_of_freedom ** (n + 1) for n, term in enumerate(terms))
 
 
-def beams_of(calibration: Calibration, lines: int = _LINES) -> list[list[TargetPoint]]:
+def beams_of(calibration: Calibration) -> list[list[TargetPoint]]:
     """Points of beams spread evenly over the first target and the stated range that meet all targets.
 
     For a single target, its places are used. Raises ValueError when the targets have no common area.
     """
-    x_mm, y_mm = (np.linspace(axis[0], axis[-1], lines) for axis in common_area(calibration.targets))
+    x_mm, y_mm = (np.linspace(axis[0], axis[-1], _LINES) for axis in common_area(calibration.targets))
     places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     targets = calibration.targets
     if len(targets) == 1:
         return [[point] for point in points_of(targets[0], places_mm) if math.isfinite(point.x_mm)]
-    sx, sy = (np.linspace(-most, most, lines) * 1e-3 for most in (MAX_YAW_MM_PER_M, MAX_PITCH_MM_PER_M))
+    sx, sy = (np.linspace(-most, most, _LINES) * 1e-3 for most in (MAX_YAW_MM_PER_M, MAX_PITCH_MM_PER_M))
     slopes = np.stack(np.meshgrid(sx, sy), axis=-1).reshape(-1, 2)
     near, slope = (np.array(of) for of in zip(*itertools.product(places_mm, slopes), strict=True))
     along_mm = [near + slope * (target.z_mm - targets[0].z_mm) for target in targets]

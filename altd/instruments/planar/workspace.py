@@ -43,13 +43,12 @@ def slice_mm(machine: Machine, phi_deg: float) -> FloatArray:
     return polygon if area_mm2(polygon) >= 0 else polygon[::-1]
 
 
-def volume_mm2_deg(machine: Machine, first_deg: float, last_deg: float, order: int = 400) -> float:
+def volume_mm2_deg(machine: Machine, first_deg: float, last_deg: float) -> float:
     """Volume between two φ, in mm² · °: Gauss–Legendre over φ, exact in a and b.
 
-    The area has kinks where corners of the polygon meet, so the ``order`` points are split over twenty
-    pieces.
+    The area has kinks where corners of the polygon meet, so the 400 points are split over twenty pieces.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(order // 20)
+    nodes, weights = np.polynomial.legendre.leggauss(20)
     ends = np.linspace(first_deg, last_deg, 21)
     total = 0.0
     for low, high in pairwise(ends):
