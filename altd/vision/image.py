@@ -39,10 +39,11 @@ def clipped_from(bright: PixelArray, full_scale: int) -> float:
     It is ``SATURATED_FROM`` of full scale, or less where many of them share the largest value: a camera that
     delivers fewer bits than its pixels have room for, or that clips below their largest value.
     """
-    full, top = SATURATED_FROM * full_scale, bright.max(initial=0)
+    full, top = SATURATED_FROM * full_scale, int(cv2.minMaxLoc(bright)[1])  # faster than by numpy
+    if not _MIN_PLATEAU_COUNTS <= top < full:
+        return full
     at_top = np.count_nonzero(bright == top)
-    is_large = at_top >= max(_MIN_PLATEAU_SHARE * bright.size, _MIN_PLATEAU_PX)
-    if top >= full or top < _MIN_PLATEAU_COUNTS or not is_large:
+    if at_top < max(_MIN_PLATEAU_SHARE * bright.size, _MIN_PLATEAU_PX):
         return full
     next_below = np.count_nonzero(bright == bright[bright < top].max(initial=0))
     return float(top) if at_top >= _MIN_PLATEAU_RATIO * next_below > 0 else full
