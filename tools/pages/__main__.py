@@ -40,6 +40,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "http.md": http.page,
     "licences.md": lambda: licence_page.page(run_time_packages(FOLDER.parent)),
     "modbus.md": modbus.page,
+    "mqtt.asyncapi.json": mqtt_schema.asyncapi,
     "mqtt.md": mqtt.page,
     "mqtt.schema.json": mqtt_schema.page,
     "opcua.md": opcua.page,

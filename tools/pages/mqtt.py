@@ -11,18 +11,13 @@ from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S
 from altd.publish.mqtt.connecting import MAX_JITTER_S
 from altd.publish.mqtt.home_assistant import EXPIRE_AFTER_S, STATE_EXPIRE_AFTER_S, discovery_topic
 from altd.publish.mqtt.limits import NO_RETAIN, ONLY_QOS_0
-from altd.publish.mqtt.messages import Birth, Topics, summary_model, summary_of
-from altd.publish.mqtt.outbox import BATCH_EXPIRY_S
-from altd.publish.mqtt.publisher import (
-    DISCOVERY_EXPIRY_S,
-    NUMBERS_EXPIRY_S,
-    REFRESH_INTERVAL_S,
-    RETAINED_EXPIRY_S,
-)
+from altd.publish.mqtt.messages import OFFLINE, Birth, Topics, summary_model, summary_of
+from altd.publish.mqtt.publisher import DISCOVERY_EXPIRY_S, REFRESH_INTERVAL_S
 from altd.runtime.supervision import MAX_BACKOFF_S, MIN_BACKOFF_S
 from altd.status.measurement_json import with_proof
 from tools.markdown import wrapped
 from tools.pages.example import MEASURED, SERIAL, STAMP, board, clock
+from tools.pages.mqtt_schema import TOPICS
 
 _TOPICS = Topics.of("altd", SERIAL)
 _TYPES = {
@@ -40,8 +35,7 @@ def page() -> str:
     shared = set(summary_model(QUANTITIES).model_fields) & set(Birth.model_fields)
     summary = json.loads(with_proof(summary_of([MEASURED], shown, clock()), shown, STAMP))
     identifier = f"altd_{STAMP.identity.unit:08x}"
-    refresh, expiry = f"{REFRESH_INTERVAL_S:g} s", f"{RETAINED_EXPIRY_S} s"
-    lifetime = f"{BATCH_EXPIRY_S} s"
+    refresh = f"{REFRESH_INTERVAL_S:g} s"
     silent = f"{1.5 * KEEP_ALIVE_S:g} s"
     return wrapped(f"""\
 # MQTT
@@ -68,17 +62,11 @@ The QoS is 1.
 
 | topic | payload | when | retained | expires after |
 |---|---|---|---|---|
-| `{_TOPICS.availability}` | `online`, `offline` | at each connection, each {refresh} | yes | {
-        expiry
-    }; `offline` never |
-| `{_TOPICS.birth}` | identity of the unit | at each connection | yes | never |
-| `{_TOPICS.state}` | NE 107 signal and its causes | when it changes, and each {refresh} | yes | {expiry} |
-| `{_TOPICS.summary}` | the measurements of a second | each second | no | {NUMBERS_EXPIRY_S} s |
-| `{_TOPICS.measurement}` | one measurement | with `every_measurement = true` | no | {NUMBERS_EXPIRY_S} s |
-| `{_TOPICS.outbox}` | [batches](fleet.md#messages) | with `store_and_forward = true` | no | {lifetime} |
+{_topics()}
 
 Except for availability and outbox, payloads are JSON with the schema [mqtt.schema.json](mqtt.schema.json).
 `topics` in it has the schema of each topic, by its last level. Keys may be added.
+[mqtt.asyncapi.json](mqtt.asyncapi.json) has topics and payloads for tools, as an AsyncAPI 3.0 document.
 
 ## Use a number
 
@@ -195,6 +183,18 @@ retained message:
 
     mosquitto_pub -h broker.plant.example -r -n -t {discovery_topic("homeassistant", identifier)}
 """)
+
+
+def _topics() -> str:
+    """Rows of the table of topics."""
+    beginning = _TOPICS.birth.removesuffix("birth")
+    rows = []
+    for name, about in TOPICS.items():
+        expiry = "never" if about.expiry_s is None else f"{about.expiry_s} s"
+        expiry += f"; `{OFFLINE}` never" if name == "availability" else ""
+        retained = "yes" if about.is_retained else "no"
+        rows.append(f"| `{beginning}{name}` | {about.content} | {about.when} | {retained} | {expiry} |")
+    return "\n".join(rows)
 
 
 def _keys(model: type[BaseModel], without: Collection[str] = ()) -> str:

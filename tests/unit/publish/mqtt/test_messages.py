@@ -1,15 +1,28 @@
 """Topics and payloads, by hand and by formula."""
 
+import asyncio
 import json
 import math
+import re
 import statistics
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
+from referencing import Registry
+from referencing.jsonschema import DRAFT202012
 from support.clock import FakeClock
+from support.history import ABOUT, MAX_BYTES, START_S, batch, sample
 from support.measurements import BEAM, changed, measurement
+from support.mqtt import ChosenBroker, PublishingUnit
+from support.places import DOCS
 
+from altd.history.history import History
+from altd.history.outbox import Outbox
+from altd.history.store import Store
+from altd.publish.mqtt import connecting
 from altd.publish.mqtt.messages import Topics, birth_of, schema_of, summary_of
 from altd.publish.mqtt.sparkplug import measurement_metrics
 from altd.reasons import Reason
@@ -18,6 +31,7 @@ from altd.records.spots import Motion
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.measurement_json import checked_line, with_proof
+from altd.status.outbox import acknowledgement_of
 from altd.status.proof import Stamps
 
 
@@ -41,6 +55,53 @@ def test_each_payload_fits_the_schema_of_its_topic_and_no_other(
         for other, reference in schema["topics"].items():
             of_topic = Draft202012Validator({**reference, "$defs": schema["$defs"]})
             assert of_topic.is_valid(document) is (topic == other)
+
+
+async def test_what_a_unit_publishes_is_what_the_asyncapi_document_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The document has what AsyncAPI 3.0 requires, and no reference of it leads nowhere."""
+    monkeypatch.setattr(connecting, "INTERVAL_S", 0.02)
+    names = ("mqtt.asyncapi.json", "mqtt.schema.json")
+    read = [(name, json.loads((DOCS / name).read_text())) for name in names]
+    registry = Registry().with_resources((name, DRAFT202012.create_resource(each)) for name, each in read)
+    document: dict[str, Any] = read[0][1]
+    for reference in re.findall(r'"\$ref": "([^"]+)"', json.dumps(document)):
+        registry.resolver(names[0]).lookup(reference)
+    assert document["asyncapi"] == "3.0.0"
+    assert document["info"].keys() >= {"title", "version"}
+    assert [each["channel"]["$ref"] for each in document["operations"].values()] == [
+        f"#/channels/{name}" for name in document["channels"]
+    ]
+
+    def check(name: str, payload: str) -> None:
+        is_json = document["channels"][name]["messages"][name]["contentType"] == "application/json"
+        schema = {"$ref": f"{names[0]}#/channels/{name}/messages/{name}/payload"}
+        Draft202012Validator(schema, registry=registry).validate(json.loads(payload) if is_json else payload)
+
+    check("ack", acknowledgement_of("ALT-0007", "0" * 16, 1))
+    store = Store(tmp_path / "history.db", MAX_BYTES, ABOUT, has_outbox=True)
+    history = History(tmp_path / "history.db")
+    outbox = Outbox(history)
+    outbox.mark = store.write(batch(START_S + 5, [sample(START_S + 0.1, 10.0)])).outbox
+    values = {"topic": "plant/altd", "serial": "ALT-0007", "prefix": "ha", "identifier": "altd_1e4b2d8e"}
+    topics = {each["address"].format(**values): name for name, each in document["channels"].items()}
+    sent = {name for name, each in document["operations"].items() if each["action"] == "send"}
+    async with ChosenBroker() as broker:
+        settings = {"topic": values["topic"], "every_measurement": True, "home_assistant": values["prefix"]}
+        unit = PublishingUnit.made(broker.port, outbox=outbox, **settings)
+        unit.measure(1)
+        async with unit.running():
+            while sent:
+                told = await asyncio.wait_for(broker.published.get(), 20.0)
+                name = topics[told.topic]
+                check(name, told.payload)
+                binding = document["operations"][name]["bindings"]["mqtt"]
+                assert (told.qos, told.retain) == (binding["qos"], binding["retain"])
+                assert told.expiry_s == binding.get("messageExpiryInterval")
+                sent.discard(name)
+    await history.end()
+    store.end(None)
 
 
 @pytest.mark.parametrize(
