@@ -250,8 +250,10 @@ Each error is an object with `error`, one sentence.
 | 401, 403 | token or session are missing or over; the client may not do this |
 | 409 | not possible now, or not on this unit |
 | 421 | the name in `Host` is not a name of the unit |
+| 426 | pictures are sent over a WebSocket |
 | 429 | too many requests; `Retry-After` has the seconds to wait |
 | 503 | nothing to give yet, or too many clients wait or download |
+| 505 | another version than HTTP/1.0 or HTTP/1.1 |
 
 Limits of a connection or an address (an IPv6 address counts with its 64-bit network); the number of requests
 of the unit's own computer is not limited:

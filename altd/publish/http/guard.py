@@ -276,4 +276,4 @@ def _group(request: HTTPConnection) -> str:
 
 
 def _unknown(sentence: str) -> Refused:
-    return Refused(refusal(401, sentence, {"WWW-Authenticate": "Bearer"}))
+    return Refused(refusal(401, sentence, {"WWW-Authenticate": 'Bearer realm="altd"'}))

@@ -18,6 +18,9 @@ from altd.status.measurement_json import as_object_now
 
 CONTENT_TYPE = CONTENT_TYPE_PLAIN_0_0_4
 
+_LEVELS = {"clients"}
+"""Counters of components that also go down, which no counter of Prometheus does."""
+
 
 class Metrics:
     """Metrics of one unit, in a registry of their own, without metrics of the process itself."""
@@ -96,7 +99,7 @@ class _Unit(Collector):
             for state in State:
                 states.add_metric([component.name, str(state)], float(component.state is state))
             for event, count in component.counters.items():
-                events.add_metric([component.name, event], count)
+                (figures if event in _LEVELS else events).add_metric([component.name, event], count)
             for name, figure in component.figures.items():
                 if isinstance(figure, int | float):
                     figures.add_metric([component.name, name], figure)

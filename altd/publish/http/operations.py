@@ -74,5 +74,6 @@ COMMON_ERRORS = {
     421: "the name in `Host` is not a name of the unit",
     429: "too many requests; `Retry-After` is the time to wait in seconds",
     500: "a defect of the unit; its log has the details",
+    505: "another version than HTTP/1.0 or HTTP/1.1",
 }
 """Meanings of the errors that any path may return, by status."""

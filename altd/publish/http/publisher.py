@@ -6,6 +6,7 @@ import asyncio
 import errno
 import json
 import logging
+import re
 import socket
 from collections.abc import Awaitable, Callable
 from functools import cache, partial
@@ -50,6 +51,10 @@ _SINGLE_HEADERS = (b"authorization", b"content-length", b"content-type", b"cooki
 """Headers that must not be repeated: of two, one program reads the first and another one the last."""
 
 
+_HOST = re.compile(rb"(\[[0-9A-Fa-f:.]+\]|[^\s\[\]:/?#@]*)(:\d*)?")
+"""A valid value of ``Host``: name or address, and port (RFC 9110, 7.2)."""
+
+
 def application_of(
     answers: Answers, component: Component, requests: Buckets, names: OwnNames | None
 ) -> ASGIApp:
@@ -62,10 +67,14 @@ def application_of(
         Route(path.path, _handler(path, answers), methods=list(path.operations)) for path in PATHS
     ]
     routes.append(Route("/page/{file:path}", answers.page_file, methods=["GET"]))
-    routes.append(WebSocketRoute(PATH, answers.viewers.show))
+    routes += [WebSocketRoute(PATH, answers.viewers.show), Route(PATH, _needs_websocket, methods=["GET"])]
     routed = Starlette(routes=routes, exception_handlers=HANDLERS)
     routed.router.redirect_slashes = False
     return _Gate(routed, component, requests, names)
+
+
+async def _needs_websocket(_: Request) -> Response:
+    return refusal(426, "pictures are sent over a WebSocket", {"Upgrade": "websocket"})
 
 
 def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitable[Response]]:
@@ -156,6 +165,10 @@ def _malformed(scope: Scope) -> Response | None:
         return refusal(400, "its body has two lengths")
     if any(names.count(name) > 1 for name in _SINGLE_HEADERS):
         return refusal(400, "a header that must be unique occurs twice")
+    if not all(_HOST.fullmatch(value) for name, value in scope["headers"] if name == b"host"):
+        return refusal(400, "its Host is no name or address with a port")
+    if not scope["http_version"].startswith("1."):
+        return refusal(505, "only HTTP/1.1 and HTTP/1.0 are spoken")
     return None
 
 

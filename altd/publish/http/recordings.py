@@ -98,7 +98,8 @@ class Recordings:
         """Keep the last seconds as a recording, for clients that may act."""
         by = self._guard.requester(request)
         kept = await self._service.provider.keep(f"asked by {by}")
-        return JSONResponse(kept.as_object(), status_code=201)
+        place = {"Location": f"recordings/{kept.name}"}  # relative: a proxy may add a prefix
+        return JSONResponse(kept.as_object(), status_code=201, headers=place)
 
     async def mark(self, request: Request) -> Response:
         """Mark a recording (``PUT``), or remove its mark (``DELETE``), for clients that may act."""

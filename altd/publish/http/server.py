@@ -75,12 +75,6 @@ PING_INTERVAL_S = 10.0
 _SEND_BUFFER_BYTES = 16384
 """Size of the send buffer; small, so that slow clients of the stream skip measurements, not lag behind."""
 
-_HEADERS = [
-    ("Cache-Control", "no-store"),
-    ("Connection", "close"),  # one request per connection: idle clients cost nothing
-    ("X-Content-Type-Options", "nosniff"),
-]
-
 
 def listen(settings: HttpSettings) -> socket.socket:
     """Return the listening socket; raises OSError as ``altd.tcp_port.listen`` does."""
@@ -135,7 +129,12 @@ async def serve(
         access_log=False,
         proxy_headers=False,
         server_header=False,
-        headers=_HEADERS,
+        # one request per connection: idle clients cost nothing
+        headers=[
+            ("Cache-Control", "no-store"),
+            ("Connection", "close"),
+            ("X-Content-Type-Options", "nosniff"),
+        ],
         timeout_graceful_shutdown=2,
         h11_max_incomplete_event_size=MAX_HEADER_BYTES,
     )
@@ -249,6 +248,7 @@ class _BoundedProtocol(H11Protocol):
     """Bytes of the first header so far; None: it is complete."""
     _behind_bytes = 0
     """Number of bytes after the header that were forwarded."""
+    _is_head_request = False
     _early: bytes = b""
     """Bytes that TLS decrypted before the handshake ended, for ``connection_made``."""
 
@@ -276,11 +276,17 @@ class _BoundedProtocol(H11Protocol):
         if cast("object | None", self.transport) is None:
             self._early += data
             return
+        if self._head == b"":
+            data = data.removeprefix(b"\r\n")  # RFC 9112, 2.2: an empty line before a request is ignored
         behind = len(data)
         if self._head is not None:
             came = self._head + data
+            self._is_head_request = came.startswith(b"HEAD ")
             end = _BLANK_LINE.search(came)
             head = came if end is None else came[: end.end()]
+            if len(head) > MAX_HEADER_BYTES and b"\n" not in head[:MAX_HEADER_BYTES]:
+                self._refuse(414, "its path is too long")
+                return
             if len(head) > MAX_HEADER_BYTES or head.count(b"\n") > MAX_HEADER_LINES:
                 self._refuse(431, "its header is too large, or has too many lines")
                 return
@@ -325,11 +331,10 @@ class _BoundedProtocol(H11Protocol):
             self.transport.abort()
             return
         body = error_body(sentence)
-        headers = [*_HEADERS, ("Content-Type", "application/json"), ("Content-Length", str(len(body)))]
-        asked = cast("RequestResponseCycle | None", self.cycle)
-        sent = b"" if asked is not None and asked.scope["method"] == "HEAD" else body
-        events = (h11.Response(status_code=status, headers=headers), h11.Data(data=sent), h11.EndOfMessage())
-        self.transport.write(b"".join(self.conn.send(event) or b"" for event in events))
+        about = [(b"Content-Type", b"application/json"), (b"Content-Length", b"%d" % len(body))]
+        headers = [*self.server_state.default_headers, *about]
+        head = self.conn.send(h11.Response(status_code=status, headers=headers)) or b""
+        self.transport.write(head + (b"" if self._is_head_request else body))
         self.transport.close()
 
     def _should_upgrade_to_ws(self) -> bool:
@@ -343,6 +348,5 @@ class _BoundedProtocol(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def _give_up(self) -> None:
-        asked = cast("object | None", self.cycle)  # uvicorn's annotation lacks None
-        if asked is None:
+        if cast("object | None", self.cycle) is None:  # uvicorn's annotation lacks None
             self.transport.abort()

@@ -148,12 +148,16 @@ def test_vendored_files_are_those_of_their_releases() -> None:
         ("POST", "/api/measurement", 405),
         ("DELETE", "/api/stream", 405),
         ("OPTIONS", "/api/status", 405),
+        ("TRACE", "/api/status", 405),
+        ("get", "/api/status", 405),
+        ("PUT", "/page/main.js", 405),
     ],
 )
 async def test_refusals_are_json(unit: Unit, method: str, path: str, status: int) -> None:
     answer = await unit.ask(path, method)
     assert answer.status == status
     assert set(answer.json) == {"error"}
+    assert ("GET" in answer.headers.get("allow", "")) is (status == 405)
 
 
 async def test_a_misspelled_path_names_the_right_one(unit: Unit) -> None:

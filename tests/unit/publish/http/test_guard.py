@@ -44,7 +44,8 @@ async def test_a_token_may_act_and_a_wrong_one_may_not(unit: Unit, checked: list
     "wrong", [TOKEN[:-1], f"{TOKEN}x", "", PASSWORD, "\xe9" * 43, f"{TOKEN} {TOKEN}", "x" * 4000]
 )
 async def test_no_other_text_is_the_token(unit: Unit, checked: list[int], wrong: str) -> None:
-    assert (await check(unit, Authorization=f"Bearer {wrong}")).status == 401
+    answer = await check(unit, Authorization=f"Bearer {wrong}")
+    assert (answer.status, answer.headers["www-authenticate"]) == (401, 'Bearer realm="altd"')
     assert checked == []
 
 

@@ -1,5 +1,6 @@
 """/metrics, read by Prometheus' own parser, against the JSON of the same moment."""
 
+import itertools
 import math
 from collections.abc import Iterator
 
@@ -151,6 +152,28 @@ def test_names_from_outside_are_escaped(board: Board, health: Health) -> None:
     assert one(found, "altd_x_mm") is None
     assert one(found, "altd_self_check_verdict", verdict="good") == 1.0
     assert one(found, "altd_self_check_number") == 3.0
+
+
+def test_each_family_and_sample_comes_once_and_what_goes_down_is_no_counter(
+    board: Board, health: Health, measured: Measurement
+) -> None:
+    """Prometheus, exposition formats; OpenMetrics, counters."""
+    board.publish(measured)
+    health.component("modbus_tcp").count("clients")
+    health.component("modbus_tcp").count("requests")
+    text = Metrics(board, health).text().decode()
+    assert text.endswith("\n")
+    lines = text.splitlines()
+    types = dict(line.split()[2:4] for line in lines if line.startswith("# TYPE "))
+    assert len(types) == sum(line.startswith("# TYPE ") for line in lines)
+    names = [line.partition("{")[0].partition(" ")[0] for line in lines if not line.startswith("#")]
+    assert [name for name, _ in itertools.groupby(names)] == list(dict.fromkeys(names)), "one block each"
+    assert all(name.endswith("_total") is (types[name] == "counter") for name in names)
+    assert len(samples(text)) == len(names)
+    found = read(board, health)
+    assert one(found, "altd_component_figure", component="modbus_tcp", figure="clients") == 1.0
+    assert one(found, "altd_component_events_total", component="modbus_tcp", event="clients") is None
+    assert one(found, "altd_component_events_total", component="modbus_tcp", event="requests") == 1.0
 
 
 def test_nothing_of_the_process_itself_is_told(board: Board, health: Health) -> None:

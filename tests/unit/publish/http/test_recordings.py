@@ -89,7 +89,7 @@ async def test_a_unit_that_keeps_none_says_why(unit: Unit) -> None:
 
 async def test_who_may_act_keeps_the_last_seconds(unit: Unit, keeper: Keeper) -> None:
     answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
-    assert answer.status == 201
+    assert (answer.status, answer.headers["location"]) == (201, f"recordings/{answer.json['name']}")
     assert keeper.asked == ["asked by http 127.0.0.1"]
     assert answer.json["why"] == "asked by http 127.0.0.1"
     assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403

@@ -22,7 +22,7 @@ from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Component, Health
 
-from .conftest import Served, Unit
+from .conftest import Answer, Served, Unit
 
 
 async def test_a_taken_port_is_an_error(board: Board, health: Health, component: Component) -> None:
@@ -93,7 +93,7 @@ async def test_the_signals_stay_the_daemons(unit: Unit) -> None:
 )
 async def test_what_is_no_request_is_refused(unit: Unit, request_bytes: bytes) -> None:
     answer = await unit.send(request_bytes)
-    assert answer[:12] in (b"HTTP/1.1 400", b"HTTP/1.1 431", b"")
+    assert answer[:12] in (b"HTTP/1.1 400", b"HTTP/1.1 414", b"HTTP/1.1 431", b"")
     assert answer == b"" or set(json.loads(answer.partition(b"\r\n\r\n")[2])) == {"error"}
     assert (await unit.ask("/api/status")).status == 200
 
@@ -259,7 +259,7 @@ async def test_it_listens_on_ipv6_and_on_every_address_in_both_versions(
         ("http://unit", 200),
         ("http://unit/api/%73tatus", 404),
         ("http://stranger/api/status", 421),
-        ("http://stranger@unit.example/api/status", 421),
+        ("http://stranger@unit.example/api/status", 400),
         ("https://unit/healthz", 404),
         ("ftp://unit/healthz", 404),
         (f"http://unit/{'a' * 2048}", 414),
@@ -270,3 +270,72 @@ async def test_a_target_may_be_a_whole_url_and_counts_in_place_of_host(
 ) -> None:
     """RFC 9112, 3.2.2."""
     assert (await unit.ask(target, headers={"Host": "unit"})).status == status
+
+
+HEAD_OF = "GET /healthz HTTP/1.1\r\nHost: unit\r\n"
+
+
+@pytest.mark.parametrize(
+    ("request_text", "status"),
+    [
+        ("GET /healthz HTTP/1.0\r\n", 200),
+        ("GET /healthz HTTP/1.2\r\nHost: unit\r\n", 200),
+        ("GET /healthz HTTP/2.0\r\nHost: unit\r\n", 505),
+        ("PRI * HTTP/2.0\r\n", 505),
+        ("\r\n" + HEAD_OF, 200),
+        (HEAD_OF + "X: a\r\n b\r\n", 200),
+        ("GET /healthz HTTP/1.1\r\n Host: unit\r\n", 400),
+        ("GET /healthz HTTP/1.1\r\nHost : unit\r\n", 400),
+        (HEAD_OF + "X: a\0b\r\n", 400),
+        (HEAD_OF + "X: a\rb\r\n", 400),
+        ("GET /healthz HTTP/1.1\r\nHost:\r\n", 200),
+        ("GET /healthz HTTP/1.1\r\nHost: [::1]:80\r\n", 200),
+        ("GET /healthz HTTP/1.1\r\nHost: unit:abc\r\n", 400),
+        ("GET /healthz HTTP/1.1\r\nHost: unit unit\r\n", 400),
+        ("GET /healthz HTTP/1.1\r\nHost: unit/x\r\n", 400),
+        ("GET /healthz HTTP/1.1\r\nHost: [::1\r\n", 400),
+        (HEAD_OF + "Content-Length: 5, 6\r\n", 400),
+        (HEAD_OF + "Content-Length: +5\r\n", 400),
+        (HEAD_OF + "Content-Length: 2\r\nTransfer-Encoding: chunked\r\n", 411),
+        (f"GET /?{'x' * 3000} HTTP/1.1\r\nHost: unit\r\n", 414),
+        (f"GET /?{'x' * 9000} HTTP/1.1\r\nHost: unit\r\n", 414),
+        (f"{HEAD_OF}X: {'x' * 9000}\r\n", 431),
+        (HEAD_OF + "X: x\r\n" * 70, 431),
+        (f"HEAD{HEAD_OF[3:]}X: {'x' * 9000}\r\n", 431),
+        (f"HEAD{HEAD_OF[3:]}Transfer-Encoding: chunked\r\n", 411),
+        (HEAD_OF + "Expect: 100-continue\r\n", 200),
+        (HEAD_OF + 'Accept: image/png\r\nRange: bytes=0-1\r\nIf-None-Match: "x"\r\n', 200),
+        (HEAD_OF + "Connection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\n", 200),
+        ("GET /api/v1/pictures HTTP/1.1\r\nHost: unit\r\n", 426),
+    ],
+)
+async def test_each_form_of_a_request_has_its_status(unit: Unit, request_text: str, status: int) -> None:
+    """RFC 9110 and 9112; each answer has a date, and none to HEAD a body."""
+    answer = Answer.of(await unit.send(f"{request_text}\r\n".encode()))
+    assert answer.status == status
+    assert answer.headers["date"].endswith(" GMT")
+    assert answer.headers["connection"] == "close"
+    assert (answer.body == b"") is request_text.startswith("HEAD")
+    assert status != 426 or answer.headers["upgrade"] == "websocket"
+    assert status in {200, 426, *COMMON_ERRORS}
+
+
+async def test_a_client_that_waits_for_100_is_told_to_go_on(unit: Unit) -> None:
+    """RFC 9110, 10.1.1."""
+    reader, writer = await unit.connect()
+    head = "POST /api/v1/login HTTP/1.1\r\nHost: unit\r\nContent-Type: application/json\r\n"
+    writer.write(f"{head}Content-Length: 2\r\nExpect: 100-continue\r\n\r\n".encode())
+    assert await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60) == b"HTTP/1.1 100 Continue\r\n\r\n"
+    writer.write(b"{}")
+    assert (await asyncio.wait_for(reader.read(), 60)).startswith(b"HTTP/1.1 400 ")
+    writer.close()
+
+
+async def test_a_stream_for_http_1_0_is_not_chunked(unit: Unit) -> None:
+    """RFC 9112, 6.1."""
+    reader, writer = await unit.connect()
+    writer.write(b"GET /api/stream HTTP/1.0\r\n\r\n")
+    head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60)
+    assert head.startswith(b"HTTP/1.1 200 ")
+    assert b"transfer-encoding" not in head.lower()
+    writer.close()
