@@ -158,7 +158,8 @@ Nothing can be written. With `allow_self_check = true` the method `SelfCheck` re
 | memory of the process | {MAX_MEMORY_BYTES >> 20} MB of data |
 
 `ServerCapabilities` states these limits. Nodes of the standard that the server does not support are
-`BadNotSupported`. Deadbands are refused (`BadMonitoredItemFilterUnsupported`). The server is a process of low
+`BadNotSupported`. Deadbands are refused (`BadMonitoredItemFilterUnsupported`), and parts of arrays
+(`BadIndexRangeNoData`). The server is a process of low
 priority (nice {NICE}). It is restarted when it ends or hangs, and skips measurements when it is slow
 (`measurements_skipped`).
 """)

@@ -56,7 +56,9 @@ class StoredValues:
         try:
             span = _Span(details, node.ContinuationPoint)
         except ValueError:
-            return _failed(ua.StatusCodes.BadHistoryOperationInvalid)
+            codes = ua.StatusCodes
+            point, invalid = codes.BadContinuationPointInvalid, codes.BadHistoryOperationInvalid
+            return _failed(point if node.ContinuationPoint else invalid)
         try:
             rows = await self._history.ask(span.read)
         except NoHistoryError:

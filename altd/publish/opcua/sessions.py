@@ -1,20 +1,22 @@
 """Client sessions with limits for logins, for what a session holds, and for what it may access.
 
 asyncua 2.1 has the gaps that the class describes. Private parts of it are used in ``server.py`` and here:
-``MonitoredItemService._monitored_items``.
+``MonitoredItemService._monitored_items`` and ``InternalSubscription._not_acknowledged_results``.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import secrets
 import time
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TypeVar
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
+from asyncua.server.address_space import AddressSpace
 from asyncua.server.internal_session import InternalSession
 
 from altd.tcp_port import address_of
@@ -92,20 +94,32 @@ class Session(InternalSession):
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Read attributes; values that became stale while this process was held up are withdrawn first."""
         self._check_number(params.NodesToRead)
+        _check_timestamps(params.TimestampsToReturn)
+        if not params.MaxAge >= 0:
+            raise ServiceError(ua.StatusCodes.BadMaxAgeInvalid)
         await self.iserver.withdraw_stale()
-        return await super().read(params)
+        values = zip(params.NodesToRead, await super().read(params), strict=True)
+        return [_as_wanted(node, value, params.TimestampsToReturn) for node, value in values]
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
         """Browse nodes."""
         self._check_number(params.NodesToBrowse)
-        return await super().browse(params)
+        if params.View.ViewId != ua.NodeId():
+            raise ServiceError(ua.StatusCodes.BadViewIdUnknown)
+        results = await super().browse(params)
+        for wanted, result in zip(params.NodesToBrowse, results, strict=True):
+            if result.StatusCode.is_good() and not wanted.BrowseDirection <= ua.BrowseDirection.Both:
+                result.StatusCode = ua.StatusCode(ua.StatusCodes.BadBrowseDirectionInvalid)
+            elif result.StatusCode.is_good() and not _is_reference_type(self.aspace, wanted.ReferenceTypeId):
+                result.StatusCode = ua.StatusCode(ua.StatusCodes.BadReferenceTypeIdInvalid)
+        return _renamed(results)
 
     async def translate_browsepaths_to_nodeids(
         self, params: list[ua.BrowsePath]
     ) -> list[ua.BrowsePathResult]:
         """Find nodes by their paths."""
         self._check_number(params)
-        return await super().translate_browsepaths_to_nodeids(params)
+        return _renamed(await super().translate_browsepaths_to_nodeids(params))
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         """Refuse all writes of clients, whatever the standard's nodes declare."""
@@ -113,15 +127,32 @@ class Session(InternalSession):
         return [ua.StatusCode(ua.StatusCodes.BadNotWritable)] * len(params.NodesToWrite)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Call methods."""
+        """Call a method of the object that is named; none of ours has arguments."""
         self._check_number(params, MAX_METHODS)
+        wanted, refused = params[0], None
+        place = self.aspace.get(wanted.ObjectId)
+        if place is None:
+            refused = ua.StatusCodes.BadNodeIdUnknown
+        elif not any(
+            each.NodeId == wanted.MethodId and each.NodeClass == ua.NodeClass.Method
+            for each in place.references
+        ):
+            refused = ua.StatusCodes.BadMethodInvalid
+        elif wanted.InputArguments:
+            refused = ua.StatusCodes.BadTooManyArguments
+        if refused is not None:
+            return [ua.CallMethodResult(StatusCode=ua.StatusCode(refused))]
         caller.set(f"opcua {self.name[0]}" + (f", {self.user.name}" if self.user.name else ""))
         return await super().call(params)
 
     async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
         """Read stored values."""
         self._check_number(params.NodesToRead, MAX_HISTORY_NODES)
-        return await self.iserver.read_history(params)
+        _check_timestamps(params.TimestampsToReturn, ua.TimestampsToReturn.Both)
+        results = await self.iserver.read_history(params)
+        unknown = ua.HistoryReadResult(StatusCode=ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown))
+        nodes = zip(params.NodesToRead, results, strict=True)
+        return [result if node.NodeId in self.aspace else unknown for node, result in nodes]
 
     async def create_subscription(
         self,
@@ -148,6 +179,7 @@ class Session(InternalSession):
         """Monitor attributes of nodes."""
         self._check_own(params.SubscriptionId)
         self._check_number(params.ItemsToCreate)
+        _check_timestamps(params.TimestampsToReturn)
         held = sum(len(_items(self._own()[number])) for number in self._own())
         asked, results = params.ItemsToCreate, list[ua.MonitoredItemCreateResult]()
         for item in asked:
@@ -156,6 +188,8 @@ class Session(InternalSession):
                 refused = ua.StatusCodes.BadTooManyMonitoredItems
             elif not _is_possible(item.RequestedParameters.Filter, item.ItemToMonitor.AttributeId):
                 refused = ua.StatusCodes.BadMonitoredItemFilterUnsupported
+            elif (impossible := _impossible_part(item.ItemToMonitor)) is not None:
+                refused = impossible
             else:
                 params.ItemsToCreate = [item]
                 results += await super().create_monitored_items(params)
@@ -206,9 +240,13 @@ class Session(InternalSession):
         return await super().delete_subscriptions(ids)
 
     def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
-        """Send a message again."""
+        """Send a message again; asyncua forgets it then, and sends an empty one for any other number."""
         self._check_own(params.SubscriptionId)
-        return super().republish(params)
+        kept = self._own()[params.SubscriptionId]._not_acknowledged_results  # noqa: SLF001
+        if (found := kept.get(params.RetransmitSequenceNumber)) is None:
+            raise ServiceError(ua.StatusCodes.BadMessageNotAvailable)
+        message: ua.NotificationMessage = found.NotificationMessage
+        return message
 
     async def transfer_subscriptions(
         self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
@@ -229,6 +267,50 @@ class Session(InternalSession):
             self.iserver.refuse("operations")
             code = ua.StatusCodes.BadTooManyOperations if operations else ua.StatusCodes.BadNothingToDo
             raise ServiceError(code)
+
+
+def _is_reference_type(space: AddressSpace, node: ua.NodeId) -> bool:
+    """Whether it is a type of references, or null, which stands for all."""
+    about = space.get(node)
+    if about is None:
+        return node == ua.NodeId()
+    return about.attributes[ua.AttributeIds.NodeClass].value.Value.Value == ua.NodeClass.ReferenceType
+
+
+def _check_timestamps(wanted: int, last: int = ua.TimestampsToReturn.Neither) -> None:
+    if not wanted <= last:
+        raise ServiceError(ua.StatusCodes.BadTimestampsToReturnInvalid)
+
+
+def _impossible_part(wanted: ua.ReadValueId) -> int | None:
+    """Return why a part or an encoding of a value is refused: asyncua would give the whole one."""
+    if wanted.IndexRange:
+        return ua.StatusCodes.BadIndexRangeNoData
+    encoding, is_value = wanted.DataEncoding.Name, wanted.AttributeId == ua.AttributeIds.Value
+    if encoding and not (is_value and encoding == "Default Binary"):
+        return ua.StatusCodes.BadDataEncodingInvalid
+    return None
+
+
+def _as_wanted(wanted: ua.ReadValueId, value: ua.DataValue, stamps: ua.TimestampsToReturn) -> ua.DataValue:
+    """Return a value with the timestamps that are wanted, or the reason why there is none."""
+    if value.StatusCode.is_good() and (refused := _impossible_part(wanted)) is not None:
+        return ua.DataValue(StatusCode=ua.StatusCode(refused))
+    kinds = ua.TimestampsToReturn
+    left_out = {} if stamps in (kinds.Source, kinds.Both) else {"SourceTimestamp": None}
+    left_out |= {} if stamps in (kinds.Server, kinds.Both) else {"ServerTimestamp": None}
+    return dataclasses.replace(value, **left_out)
+
+
+Result = TypeVar("Result", ua.BrowseResult, ua.BrowsePathResult)
+
+
+def _renamed(results: list[Result]) -> list[Result]:
+    """Return results in which nodes that are not there are unknown; asyncua calls them invalid."""
+    for each in results:
+        if each.StatusCode.value == ua.StatusCodes.BadNodeIdInvalid:
+            each.StatusCode = ua.StatusCode(ua.StatusCodes.BadNodeIdUnknown)
+    return results
 
 
 def _is_possible(wanted: Any, attribute: int) -> bool:

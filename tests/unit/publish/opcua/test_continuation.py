@@ -53,7 +53,7 @@ async def test_only_an_id_that_may_exist_is_asked_for(point: bytes, is_asked: bo
     stored = StoredValues(cast("Any", history), start, lambda _: "x_mm")
     (result,) = await stored.read(wanted)
     assert history.asked == is_asked
-    expected = ua.StatusCodes.GoodNoData if is_asked else ua.StatusCodes.BadHistoryOperationInvalid
+    expected = ua.StatusCodes.GoodNoData if is_asked else ua.StatusCodes.BadContinuationPointInvalid
     assert result.StatusCode.value == expected
 
 

@@ -1,16 +1,19 @@
-"""The standard's own nodes: limits that hold, namespaces that are described, nothing null with Good."""
+"""The standard's own nodes and status codes: limits that hold, nothing null with Good, why not."""
 
 from __future__ import annotations
 
+import asyncio
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
+from datetime import UTC, datetime
+from typing import Any
 
 import pytest
 from asyncua import Client, ua
 from asyncua.common.node import Node
 from support.opcua import OpcUaUnit, connected
 
-from altd.config import Installation
+from altd.config import Installation, OpcUaSettings
 from altd.instruments.beam.instrument import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua.publisher import ranges_of
@@ -18,9 +21,132 @@ from altd.publish.opcua.publisher import ranges_of
 
 @pytest.fixture
 async def client() -> AsyncIterator[Client]:
-    unit = OpcUaUnit()
-    async with unit.served(), connected(unit.url) as client:
+    unit = OpcUaUnit(settings=OpcUaSettings(host="127.0.0.1", port=0, allow_self_check=True))
+    async with unit.served() as there, connected(unit.url) as client:
+        unit.measure()
+        await there.take(unit.line())
         yield client
+
+
+VALUE, NONE = ua.AttributeIds.Value, ua.NodeId("none", 2)
+X_MM, OBJECTS = ua.NodeId("x_mm", 2), ua.NodeId(ua.ObjectIds.ObjectsFolder)
+STAMPS = ua.TimestampsToReturn
+
+
+async def code_of(awaitable: Awaitable[Any]) -> str:
+    """The name of the status code of a request, or of its only operation."""
+    try:
+        (result,) = await awaitable
+    except ua.UaStatusCodeError as error:
+        return str(ua.StatusCode(error.code).name)
+    return str((result if isinstance(result, ua.StatusCode) else result.StatusCode).name)
+
+
+def item(of: ua.ReadValueId) -> ua.MonitoredItemCreateRequest:
+    return ua.MonitoredItemCreateRequest(of, ua.MonitoringMode.Reporting, ua.MonitoringParameters())
+
+
+async def test_a_read_that_cannot_be_met_says_why(client: Client) -> None:
+    """OPC 10000-4, 5.10.2, 5.12.2 and 7.22. asyncua would give the whole value, and all timestamps."""
+    async with connected(client.server_url.geturl()) as own:
+        to, name = own.uaclient, ua.AttributeIds.BrowseName
+        made = await to.create_subscription(ua.CreateSubscriptionParameters(100.0), lambda _: None)
+
+        async def codes(of: ua.ReadValueId, stamps: ua.TimestampsToReturn = STAMPS.Both) -> set[str]:
+            many = ua.CreateMonitoredItemsParameters(made.SubscriptionId, stamps, [item(of)])
+            reading = to.read(ua.ReadParameters(0.0, stamps, [of]))
+            return {await code_of(reading), await code_of(to.create_monitored_items(many))}
+
+        encoding = ua.QualifiedName("Default Binary")
+        assert await codes(ua.ReadValueId(X_MM, VALUE)) == {"Good"}
+        assert await codes(ua.ReadValueId(NONE, VALUE)) == {"BadNodeIdUnknown"}
+        for attribute in (99, ua.AttributeIds.Executable):
+            assert await codes(ua.ReadValueId(X_MM, attribute)) == {"BadAttributeIdInvalid"}
+        assert await codes(ua.ReadValueId(X_MM, VALUE, "0:1")) == {"BadIndexRangeNoData"}
+        assert await codes(ua.ReadValueId(X_MM, name, DataEncoding=encoding)) == {"BadDataEncodingInvalid"}
+        assert await codes(ua.ReadValueId(X_MM, VALUE), STAMPS.Invalid) == {"BadTimestampsToReturnInvalid"}
+        of_x = [ua.ReadValueId(X_MM, VALUE)]
+        assert await code_of(to.read(ua.ReadParameters(-1.0, STAMPS.Both, of_x))) == "BadMaxAgeInvalid"
+        for stamps, has_source, has_server in (
+            (STAMPS.Source, True, False),
+            (STAMPS.Server, False, True),
+            (STAMPS.Both, True, True),
+            (STAMPS.Neither, False, False),
+        ):
+            (data,) = await to.read(ua.ReadParameters(0.0, stamps, of_x))
+            assert (data.SourceTimestamp is not None, data.ServerTimestamp is not None) == (
+                has_source,
+                has_server,
+            )
+
+
+async def test_a_browse_that_cannot_be_met_says_why(client: Client) -> None:
+    """OPC 10000-4, 5.8.2 and 5.8.4."""
+
+    async def code(view: ua.NodeId = ua.NodeId(), **asked: Any) -> str:  # noqa: B008
+        wanted = ua.BrowseDescription(**{"NodeId": OBJECTS} | asked)
+        return await code_of(
+            client.uaclient.browse(ua.BrowseParameters(ua.ViewDescription(view), 0, [wanted]))
+        )
+
+    assert await code() == await code(ReferenceTypeId=ua.NodeId(ua.ObjectIds.References)) == "Good"
+    assert await code(NodeId=NONE) == "BadNodeIdUnknown"
+    assert await code(BrowseDirection=ua.BrowseDirection.Invalid) == "BadBrowseDirectionInvalid"
+    for kind in (NONE, OBJECTS):
+        assert await code(ReferenceTypeId=kind) == "BadReferenceTypeIdInvalid"
+    assert await code(view=NONE) == "BadViewIdUnknown"
+    path = ua.BrowsePath(NONE, ua.RelativePath([ua.RelativePathElement(TargetName=ua.QualifiedName("x"))]))
+    assert await code_of(client.uaclient.translate_browsepaths_to_nodeids([path])) == "BadNodeIdUnknown"
+
+
+async def test_a_call_that_cannot_be_met_says_why_and_calls_nothing(client: Client) -> None:
+    """OPC 10000-4, 5.11.2."""
+    (method,) = await client.get_node("ns=2;s=unit").get_methods()
+    unit = ua.NodeId("unit", 2)
+    for wanted, code in (
+        (ua.CallMethodRequest(unit, NONE), "BadMethodInvalid"),
+        (ua.CallMethodRequest(unit, ua.NodeId("valid", 2)), "BadMethodInvalid"),
+        (ua.CallMethodRequest(OBJECTS, method.nodeid), "BadMethodInvalid"),
+        (ua.CallMethodRequest(NONE, method.nodeid), "BadNodeIdUnknown"),
+        (ua.CallMethodRequest(unit, method.nodeid, [ua.Variant(1)]), "BadTooManyArguments"),
+    ):
+        assert await code_of(client.uaclient.call([wanted])) == code
+
+
+async def test_a_history_read_that_cannot_be_met_says_why(client: Client) -> None:
+    """OPC 10000-4, 5.10.3."""
+    span = ua.ReadRawModifiedDetails(False, datetime(2026, 11, 1, tzinfo=UTC), datetime.now(UTC), 10)
+    for node, stamps, code in (
+        (NONE, STAMPS.Source, "BadNodeIdUnknown"),
+        (ua.NodeId("valid", 2), STAMPS.Source, "BadHistoryOperationUnsupported"),
+        (X_MM, STAMPS.Neither, "BadTimestampsToReturnInvalid"),
+        (X_MM, STAMPS.Invalid, "BadTimestampsToReturnInvalid"),
+        (X_MM, STAMPS.Both, "BadNoDataAvailable"),
+    ):
+        wanted = ua.HistoryReadParameters(span, stamps, False, [ua.HistoryReadValueId(node)])
+        assert await code_of(client.uaclient.history_read(wanted)) == code
+
+
+async def test_notifications_are_numbered_and_kept_until_they_are_acknowledged(client: Client) -> None:
+    """OPC 10000-4, 5.13.1.1 and 5.13.6: an empty one has the number of the next."""
+    heard: asyncio.Queue[Any] = asyncio.Queue()
+    async with connected(client.server_url.geturl()) as own:
+        to, wanted = own.uaclient, ua.CreateSubscriptionParameters(50.0, 100, 1, PublishingEnabled=True)
+        made, numbers = await to.create_subscription(wanted, heard.put_nowait), list[int]()
+        for _ in range(2):
+            of_x = [item(ua.ReadValueId(X_MM, VALUE))]
+            await to.create_monitored_items(
+                ua.CreateMonitoredItemsParameters(made.SubscriptionId, STAMPS.Both, of_x)
+            )
+            while not (
+                told := (await asyncio.wait_for(heard.get(), 60)).NotificationMessage
+            ).NotificationData:
+                assert told.SequenceNumber == len(numbers) + 1
+            numbers.append(told.SequenceNumber)
+        assert numbers == [1, 2]
+        again = ua.RepublishRequest(Parameters=ua.RepublishParameters(made.SubscriptionId, 99))
+        with pytest.raises(ua.uaerrors.BadMessageNotAvailable):
+            await to.protocol.send_request(again)
 
 
 async def variables_below(node: Node, seen: set[ua.NodeId]) -> AsyncIterator[Node]:
