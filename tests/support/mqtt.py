@@ -65,6 +65,9 @@ class ChosenBroker:
     answers_pings: bool = True
     wills: list[tuple[int, bool]] = field(default_factory=list)
     """QoS and retain of the will of each connection."""
+    connects: list[bytes] = field(default_factory=list)
+    """The body of each CONNECT."""
+    pings: asyncio.Queue[None] = field(default_factory=asyncio.Queue)
     _writer: asyncio.StreamWriter | None = None
 
     async def __aenter__(self) -> Self:
@@ -94,6 +97,7 @@ class ChosenBroker:
                 if kind == CONNECT:
                     self._writer = writer
                     self.wills.append((body[7] >> 3 & 3, bool(body[7] & 0x20)))
+                    self.connects.append(body)
                     writer.write(self.greeting)
                 elif kind == PUBLISH:
                     number, message = published(flags, body)
@@ -102,8 +106,9 @@ class ChosenBroker:
                         writer.write(self.answer(number))
                 elif kind == SUBSCRIBE:
                     writer.write(b"\x90\x04" + body[:2] + bytes([0, self.granted]))
-                elif kind == PINGREQ and self.answers_pings:
-                    writer.write(b"\xd0\x00")
+                elif kind == PINGREQ:
+                    self.pings.put_nowait(None)
+                    writer.write(b"\xd0\x00" * self.answers_pings)
         finally:
             self.ends.put_nowait(kind)
 

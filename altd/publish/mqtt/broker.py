@@ -307,6 +307,9 @@ class Broker(aiomqtt.Client):
         reason_code: ReasonCode,
         properties: Properties | None = None,
     ) -> None:
+        if self._connected.done():  # a second CONNACK (MQTT 5, 3.2)
+            self._fail(BrokerError(NO_MQTT))
+            return
         self.limits.take(reason_code, properties)
         self._free = asyncio.Semaphore(getattr(properties, "ReceiveMaximum", MAX_UNACKNOWLEDGED))
         super()._on_connect(client, userdata, flags, reason_code, properties)

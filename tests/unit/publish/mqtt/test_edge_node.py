@@ -209,6 +209,7 @@ async def test_data_that_is_due_when_a_birth_is_asked_for_is_not_sent() -> None:
         (message(REBIRTH, "spBv1.0/STATE/host"), "on another topic"),
         (message(b"x", "#"), "on another topic"),
         (message(REBIRTH, flags=4), "with QoS 2"),
+        (bytes.fromhex("30 07 0000 03 23 0001 78"), "on another topic"),
         (message(b"x" * 12_000) * 10, "the broker sends more than acknowledgements"),
         (message(REBIRTH) * 3000, "the broker sends more than acknowledgements"),
         (b"\x30\xff\xff\xff\x7f" + bytes(100_000), "the broker sends more than acknowledgements"),

@@ -192,6 +192,10 @@ async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
         (CONNECTED + bytes.fromhex("e0 02 8e 00"), "another client uses this identifier; check the serial"),
         (CONNECTED + bytes.fromhex("e0 02 95 00"), "the broker accepts only shorter messages"),
         (CONNECTED + bytes.fromhex("e0 02 8b 00"), "the broker ended the connection: Server shutting down"),
+        (CONNECTED + bytes.fromhex("e0 02 9d 00"), "the broker ended the connection: Server moved"),
+        (bytes.fromhex("20 03 00 9c 00"), "the broker refuses the unit: Use another server"),
+        (CONNECTED * 2, "the broker sent data that is not MQTT"),
+        (CONNECTED + bytes.fromhex("f0 02 18 00"), "the broker sent data that is not MQTT"),
         (CONNECTED + b"\x30\xff\xff\xff\x7f" + bytes(300_000), "the broker sends more than acknowledgements"),
         (CONNECTED + bytes.fromhex("3408 000161 0001 00 7879") * 10_000, "more than acknowledgements"),
         (CONNECTED + bytes.fromhex("3605 0001 61 00 78"), "the broker sent data that is not MQTT"),
@@ -289,6 +293,24 @@ async def test_no_more_messages_wait_for_acknowledgement_than_the_broker_accepts
             for each in sending:
                 each.cancel()
             await asyncio.gather(*sending, return_exceptions=True)
+
+
+async def test_a_connection_begins_clean_keeps_no_session_and_takes_the_brokers_keep_alive() -> None:
+    """MQTT 5, 3.1.2, 3.2.2.3.14, and 3.4.2.1: 0x10, no subscriber, is no error."""
+    slow = greeting_with("13 0001")
+    async with ChosenBroker(slow, answer=lambda number: b"\x40\x03" + number.to_bytes(2) + b"\x10") as broker:
+        unit = PublishingUnit.made(broker.port)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(connecting, "INTERVAL_S", 1000.0)
+            async with unit.running():
+                await unit.until(State.OK)
+                for _ in range(2):
+                    await asyncio.wait_for(broker.pings.get(), 20)
+    head = b"\x00\x04MQTT\x05" + bytes([0b0010_1110]) + (10).to_bytes(2)
+    properties = b"\x08\x21\x00\x08\x27\x00\x00\x10\x00"  # Receive Maximum and Maximum Packet Size alone
+    topic, message = b"altd/ALT-0007/availability", b"offline"
+    will = b"\x00" + len(topic).to_bytes(2) + topic + len(message).to_bytes(2) + message
+    assert broker.connects == [head + properties + b"\x00\x0daltd_1e4b2d8e" + will]
 
 
 async def test_a_message_that_the_broker_refuses_is_a_failure_though_it_is_acknowledged() -> None:
