@@ -65,6 +65,14 @@ class Session(InternalSession):
         self.auth_token = ua.NodeId(secrets.token_bytes(32), 0)
         self.iserver.register_external_session(self)
 
+    async def create_session(
+        self, params: ua.CreateSessionParameters, *more: Any, **named: Any
+    ) -> ua.CreateSessionResult:
+        """Begin; with a timeout that is no number the session would never end."""
+        if math.isnan(params.RequestedSessionTimeout):
+            params.RequestedSessionTimeout = 1000 * SESSION_TIMEOUT_S
+        return await super().create_session(params, *more, **named)
+
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
@@ -270,7 +278,7 @@ class Session(InternalSession):
 
 
 def _is_reference_type(space: AddressSpace, node: ua.NodeId) -> bool:
-    """Whether it is a type of references, or null, which stands for all."""
+    """Whether it is a type of references, or null, which means all."""
     about = space.get(node)
     if about is None:
         return node == ua.NodeId()

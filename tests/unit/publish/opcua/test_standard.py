@@ -47,7 +47,7 @@ def item(of: ua.ReadValueId) -> ua.MonitoredItemCreateRequest:
 
 
 async def test_a_read_that_cannot_be_met_says_why(client: Client) -> None:
-    """OPC 10000-4, 5.10.2, 5.12.2 and 7.22. asyncua would give the whole value, and all timestamps."""
+    """OPC 10000-4, 5.11.2 and 5.13.2. asyncua would give the whole value, and all timestamps."""
     async with connected(client.server_url.geturl()) as own:
         to, name = own.uaclient, ua.AttributeIds.BrowseName
         made = await to.create_subscription(ua.CreateSubscriptionParameters(100.0), lambda _: None)
@@ -81,7 +81,7 @@ async def test_a_read_that_cannot_be_met_says_why(client: Client) -> None:
 
 
 async def test_a_browse_that_cannot_be_met_says_why(client: Client) -> None:
-    """OPC 10000-4, 5.8.2 and 5.8.4."""
+    """OPC 10000-4, 5.9.2 and 5.9.4."""
 
     async def code(view: ua.NodeId = ua.NodeId(), **asked: Any) -> str:  # noqa: B008
         wanted = ua.BrowseDescription(**{"NodeId": OBJECTS} | asked)
@@ -100,7 +100,7 @@ async def test_a_browse_that_cannot_be_met_says_why(client: Client) -> None:
 
 
 async def test_a_call_that_cannot_be_met_says_why_and_calls_nothing(client: Client) -> None:
-    """OPC 10000-4, 5.11.2."""
+    """OPC 10000-4, 5.12.2."""
     (method,) = await client.get_node("ns=2;s=unit").get_methods()
     unit = ua.NodeId("unit", 2)
     for wanted, code in (
@@ -114,7 +114,7 @@ async def test_a_call_that_cannot_be_met_says_why_and_calls_nothing(client: Clie
 
 
 async def test_a_history_read_that_cannot_be_met_says_why(client: Client) -> None:
-    """OPC 10000-4, 5.10.3."""
+    """OPC 10000-4, 5.11.3."""
     span = ua.ReadRawModifiedDetails(False, datetime(2026, 11, 1, tzinfo=UTC), datetime.now(UTC), 10)
     for node, stamps, code in (
         (NONE, STAMPS.Source, "BadNodeIdUnknown"),
@@ -128,7 +128,7 @@ async def test_a_history_read_that_cannot_be_met_says_why(client: Client) -> Non
 
 
 async def test_notifications_are_numbered_and_kept_until_they_are_acknowledged(client: Client) -> None:
-    """OPC 10000-4, 5.13.1.1 and 5.13.6: an empty one has the number of the next."""
+    """OPC 10000-4, 5.14.1.1 and 5.14.6: an empty one has the number of the next."""
     heard: asyncio.Queue[Any] = asyncio.Queue()
     async with connected(client.server_url.geturl()) as own:
         to, wanted = own.uaclient, ua.CreateSubscriptionParameters(50.0, 100, 1, PublishingEnabled=True)
@@ -147,6 +147,20 @@ async def test_notifications_are_numbered_and_kept_until_they_are_acknowledged(c
         again = ua.RepublishRequest(Parameters=ua.RepublishParameters(made.SubscriptionId, 99))
         with pytest.raises(ua.uaerrors.BadMessageNotAvailable):
             await to.protocol.send_request(again)
+
+
+async def test_a_session_has_a_timeout_and_a_nonce(client: Client) -> None:
+    """OPC 10000-4, 5.7.2."""
+    for wanted_ms, revised_ms in ((5e3, 5e3), (3.6e6, 6e4), (0.0, 5e3), (math.nan, 6e4)):
+        own = Client(client.server_url.geturl(), timeout=200)
+        await own.connect_sessionless()
+        asked = ua.CreateSessionParameters(
+            RequestedSessionTimeout=wanted_ms, EndpointUrl=own.server_url.geturl()
+        )
+        made = await own.uaclient.create_session(asked)
+        await own.disconnect_sessionless()
+        assert made.RevisedSessionTimeout == revised_ms
+        assert len(made.ServerNonce) >= 32
 
 
 async def variables_below(node: Node, seen: set[ua.NodeId]) -> AsyncIterator[Node]:
