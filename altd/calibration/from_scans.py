@@ -23,8 +23,14 @@ from altd.calibration.scan_nodes import (
     locate_nodes,
     printed_nodes,
 )
-from altd.calibration.spot_reference import Verdict, localiser_agreement, spot_reference, verdict
-from altd.calibration.target_frames import TargetFrames
+from altd.calibration.spot_reference import (
+    Verdict,
+    localiser_agreement,
+    refusal,
+    spot_reference,
+    verdict,
+)
+from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.grid import MIN_LINES
 from altd.mapping.inverse import InverseMap
@@ -37,6 +43,8 @@ from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _MIN_CORRELATION = 0.5
 """Minimum correlation with a flat: the right one has 0.8 to 1, below 0.5 shifted by 1 px, about 0 by more."""
+_MAX_UNMEASURED_SHARE = 0.25
+"""Maximum share of nodes whose spot the calibrated unit refuses: single ones have dirt or a reflection."""
 _MAX_FIDUCIAL_COST = 1.2
 """Maximum ratio of the leave-one-out rms with a print's fiducials to that without; above it, not used."""
 
@@ -48,6 +56,8 @@ class _Made:
     target: TargetCalibration
     evidence: TargetEvidence
     scatter: NodeScatter
+    used: tuple[FrameRow, ...]
+    """The first good exposure of each node that was used."""
     remark: str = ""
     doubts: tuple[str, ...] = ()
     must_agree: bool = False
@@ -68,12 +78,16 @@ def calibrate_scans(
     patterns_px = pattern_noise_px([target.scatter for target in made])
     verdicts = [_verdict(job, of, px) for job, of, px in zip(jobs, made, patterns_px, strict=True)]
     marked = [_with_camera(job, of) for job, of in zip(jobs, made, strict=True)]
-    evidence = tuple(of.evidence for of in made)
+    calibrated = tuple(
+        _with_pattern(job, target, of.scatter, pattern_px)
+        for job, (target, _), of, pattern_px in zip(jobs, marked, made, patterns_px, strict=True)
+    )
+    evidence = tuple(
+        replace(of.evidence, unmeasured=_unmeasured(job, target, of.used))
+        for job, target, of in zip(jobs, calibrated, made, strict=True)
+    )
     return TargetsResult(
-        tuple(
-            _with_pattern(job, target, of.scatter, pattern_px)
-            for job, (target, _), of, pattern_px in zip(jobs, marked, made, patterns_px, strict=True)
-        ),
+        calibrated,
         (
             *(f"{of.name} node x {x:g} y {y:g} mm: {why}" for of in evidence for (x, y), why in of.excluded),
             *(f"{of.name} {led}" for of in evidence for led in of.leds_dropped),
@@ -83,6 +97,11 @@ def calibrate_scans(
             *(doubt for of in made for doubt in of.doubts),
             *(doubt for _, doubt in marked if doubt is not None),
             *(of.doubt for of in verdicts if of.doubt is not None),
+            *(
+                f"{of.name} node x {x:g} y {y:g} mm: the unit would not measure its spot: {why}"
+                for of in evidence
+                for (x, y), why in of.unmeasured
+            ),
         ),
         (
             *(of.remark for of in made),
@@ -103,6 +122,28 @@ def _with_pattern(
     spot = reference or UNKNOWN_SPOT
     shape_mm = pattern_shape(np.array(list(scatter.residuals_mm.values())), spot.shape)
     return replace(target, map=target.map.with_noise(pattern_px, shape_mm), spot=spot)
+
+
+def _unmeasured(
+    job: Job, target: TargetCalibration, used: Sequence[FrameRow]
+) -> tuple[tuple[tuple[float, float], str], ...]:
+    """Return the nodes whose spot the calibrated unit refuses, with the reason.
+
+    Raises BadInputError if they are more than ``_MAX_UNMEASURED_SHARE`` of all: the unit measures no such
+    beam.
+    """
+    unmeasured = [
+        (frame_row.row.position_mm or (0.0, 0.0), why)
+        for frame_row in used
+        if (why := refusal(frame_row.frame(), target)) is not None
+    ]
+    if len(unmeasured) > _MAX_UNMEASURED_SHARE * len(used):
+        raise BadInputError(
+            job.frames.place,
+            f"{job.name}: the unit would not measure the spots of {len(unmeasured)} of {len(used)} nodes: "
+            f"{unmeasured[0][1]}",
+        )
+    return tuple(unmeasured)
 
 
 def _calibrate_target(job: Job, progress: Progress) -> _Made:
@@ -211,6 +252,7 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
         _target(job, scanned, fitted),
         _evidence(job, scanned, fitted),
         _scatter(scanned.usable, fitted),
+        tuple(node.good[0].located[0] for node in scanned.usable),
         doubts=(
             *(f"{job.name}: {line}" for line in grid.missing_ends(margin_mm)),
             *offset_doubts(job, scanned.usable, fitted.fit.map),

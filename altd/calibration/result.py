@@ -43,7 +43,8 @@ class TargetEvidence:
     ``scatter_px`` (n, 2) the standard deviation of single exposures at the node (NaN where it has one),
     ``exposures`` (n,) their number. ``relative_sigma`` (n,) is 1 for an ordinary node, more for one whose
     spot is less certain and has a lower weight. ``excluded`` lists the unused nodes (x, y) mm with the
-    reasons, ``leds_dropped`` describes the frame LEDs that shine but could not be located.
+    reasons, ``unmeasured`` the used ones whose spot the calibrated unit would refuse. ``leds_dropped``
+    describes the frame LEDs that shine but could not be located.
     """
 
     name: str
@@ -57,6 +58,7 @@ class TargetEvidence:
     excluded: tuple[tuple[tuple[float, float], str], ...]
     leds_dropped: tuple[str, ...]
     candidates: tuple[Candidate, ...]
+    unmeasured: tuple[tuple[tuple[float, float], str], ...] = ()
 
 
 _MAX_NODES = 256

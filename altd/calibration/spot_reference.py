@@ -12,8 +12,10 @@ import numpy as np
 from altd.calibration.scan_nodes import NodeCache
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
-from altd.measuring.spot_shape import shape_in_mm
-from altd.records import FloatArray, Frame, Spot, SpotShape
+from altd.measuring.calibration import TargetCalibration
+from altd.measuring.spot_shape import shape_in_mm, unlike_a_laser
+from altd.reasons import Reason
+from altd.records import FloatArray, Frame, NoSpot, Spot, SpotShape
 from altd.statistics import MAD_TO_SIGMA, median
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile, locate, locate_ellipse
@@ -146,6 +148,22 @@ def spot_reference(
         noise_px=noise_px,
         shape=_shape_reference(np.array(spots), fitted),
     )
+
+
+def refusal(frame: Frame, target: TargetCalibration) -> str | None:
+    """Return why the calibrated unit would not measure the spot of a frame; None if it would.
+
+    A spot that the picture's edge cuts is none of these: not its kind is refused, but its place.
+    """
+    spot = locate(frame, target.localiser, target.flat, target.spot)
+    if isinstance(spot, NoSpot):
+        if spot.reason is Reason.CUT_BY_EDGE:
+            return None
+        return f"{spot.reason}: {spot.detail}"
+    point = target.point(spot.u_px, spot.v_px)
+    if spot.shape is None or point is None:
+        return None
+    return unlike_a_laser(shape_in_mm(spot.shape, point.jacobian_mm_per_px), target.spot.shape)
 
 
 def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | None:

@@ -1,7 +1,7 @@
 """Small recordings with known truth, written here and not by altd."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,13 @@ Shot = tuple[tuple[float, float] | None, tuple[float, float] | None, tuple[float
 
 
 def write(
-    path: Path, kind: str, shots: Iterable[Shot], serial: str = "TEST-1", fps: float = 20.0, **more: object
+    path: Path,
+    kind: str,
+    shots: Iterable[Shot],
+    serial: str = "TEST-1",
+    fps: float = 20.0,
+    picture: Callable[[str, float, float, np.random.Generator], np.ndarray] = picture,
+    **more: object,
 ) -> Path:
     rng = np.random.default_rng(0)
     path.mkdir(parents=True)
@@ -64,8 +70,8 @@ def write(
     return path
 
 
-def write_scan(path: Path, serial: str = "TEST-1", columns: int = 6, rows: int = 5) -> Path:
-    return write(path, "scan", [(p, p, p) for p in grid(columns, rows)], serial)
+def write_scan(path: Path, serial: str = "TEST-1", columns: int = 6, rows: int = 5, **more: Any) -> Path:
+    return write(path, "scan", [(p, p, p) for p in grid(columns, rows)], serial, **more)
 
 
 def write_beams(

@@ -166,7 +166,20 @@ def _of_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
     outliers = [float(off.max() / np.sqrt(np.mean(np.square(off)) / 2)) for off in residuals]
     counts = [f"{len(seen.excluded)} of {len(seen.excluded) + len(seen.nodes_mm)}" for seen in evidence]
     share = max(shares)
+    measured = [len(seen.nodes_mm) - len(seen.unmeasured) for seen in evidence]
     return [
+        Check(
+            "Nodes whose spot the unit measures",
+            _each(
+                evidence,
+                [f"{count} of {len(seen.nodes_mm)}" for count, seen in zip(measured, evidence, strict=True)],
+                "",
+            ),
+            "all",
+            Level.USABLE if any(seen.unmeasured for seen in evidence) else Level.GOOD,
+            "The calibrated unit refuses the spot of a node: look for dirt and reflections at the places "
+            "that `altd calibrate` names, and repeat the scan.",
+        ),
         Check(
             "Nodes left out",
             _each(evidence, counts, ""),

@@ -4,14 +4,16 @@ import json
 import pickle
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from support.cross_checked import difference_px, fitted_unit
+from support.frames import HEIGHT, WIDTH
 from support.lenses import TABLE_3_2, LensKind
 from support.played_unit import PlayedUnit
 from support.recordings import Shot, grid, place_px, write, write_scan
@@ -230,3 +232,49 @@ def test_on_good_units_the_maps_agree_everywhere(kind: LensKind) -> None:
         assert apart.max() < 0.7 * fitted.cross_check.limit_px
         assert apart.max() <= fitted.cross_check.max_difference_px * 1.1
         assert fitted.cross_check.max_difference_px <= apart.max() * 2
+
+
+Light = Callable[[tuple[float, float], np.ndarray, np.ndarray], np.ndarray]
+"""Light of a beam at a place (mm), by the distance from its axis (px); the brightest is about 1."""
+
+
+def picture_of(beam: Light) -> Any:
+    """Pictures of beams, with the noise of a camera."""
+    v_px, u_px = np.mgrid[:HEIGHT, :WIDTH]
+
+    def picture(target: str, x_mm: float, y_mm: float, rng: np.random.Generator) -> np.ndarray:
+        u, v = place_px(target, x_mm, y_mm)
+        counts = 8 + 150 * beam((x_mm, y_mm), u_px - u, v_px - v)
+        noisy = rng.normal(counts, np.sqrt(1 + 0.02 * counts))
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+    return picture
+
+
+def test_a_beam_that_the_calibrated_unit_refuses_is_refused(tmp_path: Path) -> None:
+    """A donut (Laguerre-Gauss mode 0, 1) of 24 px: its ring is 17.6 mm wide."""
+
+    def donut(_: object, u_px: np.ndarray, v_px: np.ndarray) -> np.ndarray:
+        q = 2 * (u_px**2 + v_px**2) / 24**2
+        light: np.ndarray = np.e * q * np.exp(-q)
+        return light
+
+    scan = open_recording(write_scan(tmp_path / "scan", picture=picture_of(donut)))
+    with pytest.raises(BadInputError, match=r"spots of 30 of 30 nodes: the spot is 17\.6 mm wide"):
+        calibrate([scan])
+
+
+def test_a_node_that_the_calibrated_unit_refuses_is_named(tmp_path: Path) -> None:
+    """At one node film takes light of two opposite quadrants of a Gaussian beam, which does not move it."""
+    node = grid(6, 5)[8]
+
+    def beam(place: tuple[float, float], u_px: np.ndarray, v_px: np.ndarray) -> np.ndarray:
+        light = np.exp(-2 * (u_px**2 + v_px**2) / 20**2)
+        return np.where((u_px * v_px > 0) & (place == node), 0.6 * light, light)
+
+    result = calibrate([open_recording(write_scan(tmp_path / "scan", picture=picture_of(beam)))])
+    assert [[place for place, _ in of.unmeasured] for of in result.evidence] == 2 * [[node]]
+    assert [line.split(": ")[:3] for line in result.doubts] == [
+        [f"{name} node x -12.5 y -25 mm", "the unit would not measure its spot", "distorted"]
+        for name in ("front", "rear")
+    ]
