@@ -13,7 +13,7 @@ from altd.config import HttpSettings
 from altd.publish.http.publisher import HttpPublisher
 
 NAME = "http"
-STATUSES = {200, 400, 401, 403, 404, 405, 409, 411, 413, 414, 415, 421, 429, 431, 503}
+STATUSES = {200, 400, 401, 403, 404, 405, 409, 411, 413, 414, 415, 421, 426, 429, 431, 503, 505}
 
 _REQUESTS = tuple(
     text.encode("latin-1")

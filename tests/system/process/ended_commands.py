@@ -128,7 +128,7 @@ COMMANDS = {
         "ingest --config {fleet}",
         "altd.fleet.ingest:Ingest._open_database 1",
         ends_with=0,
-        says="(altd: .*\n)*",
+        says="(altd: .*\n)*(ingest: no database yet: .*\n)?",  # its thread continues until the end
     ),
     "fleet": Command("fleet --config {fleet}", "altd.fleet.database:connect 1"),
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),

@@ -54,6 +54,13 @@ def test_frames_that_come_twice_are_seen_once_each() -> None:
     assert repeats(doubled) == list(range(1, 40, 2))
 
 
+def test_a_few_equal_pixels_are_chance() -> None:
+    """Three blocks of 94 pixels are those of an earlier frame."""
+    frames = live(6)
+    frames[-1].pixels[0, :282] = frames[0].pixels[0, :282]
+    assert repeats(frames) == []
+
+
 def spoilt(kind: str, old: np.ndarray, new: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """An old picture of which only a part is new."""
     picture = old.copy()

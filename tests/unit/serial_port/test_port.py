@@ -14,7 +14,7 @@ from support.wire import Wire, socat_line
 
 from altd.config import SerialPortSettings
 from altd.serial_port import port
-from altd.serial_port.opening import LineSettings, close_serial, open_serial
+from altd.serial_port.opening import LineSettings, close_serial, has_hardware, open_serial
 from altd.serial_port.port import describe, opened, seconds_on_line
 
 GONE = "the port is gone"
@@ -172,3 +172,13 @@ class TestADeviceThatAnswersSlowly:
             began = time.perf_counter()
         assert 0.09 < time.perf_counter() - began < 30.0
         may_end.set()
+
+
+@pytest.mark.parametrize(("kind", "is_there"), [("0", False), ("4", True), (None, True)])
+def test_a_port_of_no_hardware_is_none_and_one_of_an_adapter_has_no_type(
+    kind: str | None, is_there: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "ttyS7").mkdir()
+    if kind is not None:
+        (tmp_path / "ttyS7" / "type").write_text(f"{kind}\n")
+    assert has_hardware(Path("/dev/ttyS7"), tmp_path) is is_there
