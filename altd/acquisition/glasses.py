@@ -80,6 +80,7 @@ class GlassCycle:
     fps: float
     chance: Callable[[], float] = random.random
     is_shuffled: bool = False
+    spare_frames: int = 1
 
     def _order(self) -> Iterator[str]:
         while True:
@@ -87,7 +88,7 @@ class GlassCycle:
 
     async def run(self) -> None:
         """Switch, settle and expose one target after the other until cancelled."""
-        exposing_s = (self.settings.exposures + 1) / self.fps
+        exposing_s = (self.settings.exposures + self.spare_frames) / self.fps
         for target in self._order():
             while not await self._switch(target):
                 await self.clock.sleep(_RETRY_S)
@@ -112,7 +113,13 @@ def glass_cycle(switches: LampController[str], config: Config, fps: float, clock
     period_ns = {target.camera: round(1e9 / fps) for target in config.targets}
     marks = OpaqueMarks(clock, settings.settle_s, period_ns)
     is_beam = config.unit.instrument == "beam"
-    return GlassCycle(switches, marks, clock, targets, settings, fps, is_shuffled=is_beam)
+    spare = _spare_frames(config)
+    return GlassCycle(switches, marks, clock, targets, settings, fps, is_shuffled=is_beam, spare_frames=spare)
+
+
+def _spare_frames(config: Config) -> int:
+    """Return the frame intervals of a visit besides its exposures; more where triggers are uneven."""
+    return 3 if any(getattr(each, "trigger", "") == "software" for each in config.cameras.values()) else 1
 
 
 def _visits(config: Config) -> ChainSettings | AnySwitchesSettings:
@@ -124,5 +131,5 @@ def _visits(config: Config) -> ChainSettings | AnySwitchesSettings:
 def round_s(config: Config, fps: float) -> tuple[float, float]:
     """Return the shortest and the longest duration of a round of all targets, s."""
     settings, targets = _visits(config), len(config.targets)
-    visit_s = settings.settle_s + (settings.exposures + 1) / fps
+    visit_s = settings.settle_s + (settings.exposures + _spare_frames(config)) / fps
     return targets * visit_s, targets * (visit_s + MAX_PAUSE_SHARE * settings.settle_s)

@@ -23,6 +23,7 @@ from altd.config import (
     V4l2CameraSettings,
 )
 from altd.devices.playback import Playback, PlaybackCamera
+from altd.devices.trigger_times import TriggerTimes
 from altd.errors import BadInputError
 from altd.files.reading import check_rights
 from altd.instruments.planar.instrument import PlanarCalibration
@@ -118,13 +119,27 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
         raise BadInputError(place, "cameras: no [cameras.…] table")
     playbacks = _Playbacks()
     cameras: dict[str, Camera] = {}
+    triggers = trigger_times_of(config)
     for name in config.measuring_cameras:
         settings = config.cameras[name]
         if isinstance(settings, RecordingCameraSettings):
             cameras[name] = playbacks.camera(name, settings)
         else:
-            cameras[name] = live_camera(name, settings)
+            cameras[name] = live_camera(name, settings, triggers)
     return cameras
+
+
+def trigger_times_of(config: Config) -> TriggerTimes | None:
+    """Return the instants at which software triggers the cameras, such as all can take; None: it does not."""
+    software = [
+        camera
+        for camera in config.cameras.values()
+        if isinstance(camera, AravisCameraSettings) and camera.trigger == "software"
+    ]
+    if not software:
+        return None
+    busy_ms = max(camera.busy_ms for camera in software)
+    return TriggerTimes(round(1e9 / software[0].fps), round(1e6 * busy_ms))
 
 
 class _Playbacks:
@@ -143,7 +158,9 @@ class _Playbacks:
         return PlaybackCamera(name, playback)
 
 
-def live_camera(name: str, settings: V4l2CameraSettings | AravisCameraSettings) -> Camera:
+def live_camera(
+    name: str, settings: V4l2CameraSettings | AravisCameraSettings, triggers: TriggerTimes | None = None
+) -> Camera:
     """Return the driver for a camera's table, imported only if used; BadInputError if the import fails."""
     if isinstance(settings, V4l2CameraSettings):
         from altd.devices.v4l2.camera import V4l2Camera
@@ -153,7 +170,7 @@ def live_camera(name: str, settings: V4l2CameraSettings | AravisCameraSettings) 
         from altd.devices.aravis.driver import AravisCamera
     except ImportError as error:
         raise BadInputError(f"cameras.{name}", str(error)) from error
-    return AravisCamera(name, settings)
+    return AravisCamera(name, settings, triggers)
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:

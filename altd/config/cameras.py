@@ -25,6 +25,10 @@ def _camera_name(name: str) -> str:
     return name
 
 
+READOUT_SHARE = 0.1
+"""Share of the time between two frames that a camera may need in addition to the exposure."""
+
+
 class RecordingCameraSettings(Table):
     """A camera that plays a recording; every output is marked ``playback``."""
 
@@ -89,6 +93,19 @@ class LiveCameraSettings(Table):
     """Exposure and gain, a separate table (below)."""
     serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     """The camera's serial number (`altd devices`). Another camera is ``wrong_camera``."""
+
+    @property
+    def longest_exposure_ms(self) -> float:
+        """Longest exposure time that the settings allow, ms; assumed if the camera controls it."""
+        exposure = self.exposure
+        if exposure.control == "fixed":
+            return exposure.exposure_ms
+        return min(exposure.longest_ms, (1 - READOUT_SHARE) * 1000 / self.fps)
+
+    @property
+    def busy_ms(self) -> float:
+        """Longest time from a trigger until the camera can take the next, ms."""
+        return self.longest_exposure_ms + READOUT_SHARE * 1000 / self.fps
 
 
 class V4l2CameraSettings(LiveCameraSettings):

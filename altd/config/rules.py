@@ -127,11 +127,19 @@ def _rates(draft: Draft) -> Iterator[Fault]:
     measuring, fps = draft.measuring, min(camera.fps for camera in live.values())
     if measuring is None:
         return
-    if measuring.silent_after_s <= 1 / fps:
-        text = f"{measuring.silent_after_s:g} is shorter than a frame interval; possible: above {1 / fps:g}"
+    triggered = [name for name, camera in live.items() if getattr(camera, "trigger", "") == "software"]
+    if triggered and (others := live.keys() - triggered):
+        text = (
+            f'"software" does not go with camera {shown(min(others))} at its own times; possible: all or none'
+        )
+        about = tuple(("cameras", name, "driver") for name in others)
+        yield Fault(("cameras", triggered[0], "trigger"), text, about=about)
+    longest_s = (1.5 if triggered else 1) / fps
+    if measuring.silent_after_s <= longest_s:
+        text = f"{measuring.silent_after_s:g} is shorter than a frame interval; possible: above {longest_s:g}"
         yield Fault(("measuring", "silent_after_s"), text, about=rates)
-    if measuring.stale_after_s <= measuring.every / fps:
-        next_s = measuring.every / fps
+    next_s = (measuring.every - 1) / fps + longest_s
+    if measuring.stale_after_s <= next_s:
         text = f"{measuring.stale_after_s:g} is shorter than a value interval; possible: above {next_s:g}"
         yield Fault(("measuring", "stale_after_s"), text, about=(("measuring", "every"), *rates))
 

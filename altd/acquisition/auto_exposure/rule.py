@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.config import ExposureSettings
+from altd.config.cameras import READOUT_SHARE
 from altd.ports import ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray, Spot
@@ -45,8 +46,6 @@ _MIN_LEVEL = 0.01
 """Minimum level used in divisions, so that a black frame does not request an infinite exposure."""
 _MIN_CHANGE = 1.05
 """Minimum factor of a change; smaller changes are not made."""
-_READOUT_SHARE = 0.1
-"""Share of the time between two frames that a camera may need in addition to the exposure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +124,7 @@ def _middle_of(spot: Spot, pixels: PixelArray) -> PixelArray:
 
 def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> ExposureRange:
     """Return the exposure limits set by the config, the camera, and the time between two frames."""
-    longest_ms = min(control.longest_ms, camera.longest_ms, (1 - _READOUT_SHARE) * 1000 / fps)
+    longest_ms = min(control.longest_ms, camera.longest_ms, (1 - READOUT_SHARE) * 1000 / fps)
     return ExposureRange(
         shortest_ms=min(max(control.shortest_ms, camera.shortest_ms), longest_ms),
         longest_ms=longest_ms,

@@ -23,6 +23,7 @@ from altd.devices.aravis.device_clock import DeviceClock
 from altd.devices.aravis.gvcp import DiscoveredCamera, is_address
 from altd.devices.aravis.open_camera import BITS, OpenCamera, release, set_up
 from altd.devices.counting import FrameCounter
+from altd.devices.trigger_times import TriggerTimes
 from altd.ports import (
     CameraBusyError,
     CameraError,
@@ -58,13 +59,17 @@ class AravisCamera:
 
     waits = False
 
-    def __init__(self, name: str, settings: AravisCameraSettings) -> None:
+    def __init__(
+        self, name: str, settings: AravisCameraSettings, triggers: TriggerTimes | None = None
+    ) -> None:
+        """``triggers`` is shared by all cameras that software triggers; None: this camera has its own."""
         self.name = name
         self.origin = Origin.CAMERA
         self.playback = False
         self.identity: CameraIdentity | None = None
         self._settings = settings
         self._period_ns = round(1e9 / settings.fps)
+        self._triggers = triggers or TriggerTimes(self._period_ns, round(1e6 * settings.busy_ms))
         self._opened: OpenCamera | None = None
         self._address: str | None = None
         self._outputs: dict[str, bool] = {}
@@ -97,6 +102,8 @@ class AravisCamera:
             self.origin = _origin(camera, device)
             self.identity = CameraIdentity(camera.serial or None, camera.model or None, "aravis")
             self._opened = set_up(device, self._settings, self.name, own_address, camera.address)
+            if self._settings.trigger == "software" and (rates := device.frame_rate_limits()) is not None:
+                self._triggers.lengthen(round(1e9 / rates[1]))
         except BaseException:
             release(device, None, threading.Lock(), stop=False, wait=ours)
             raise
@@ -111,7 +118,7 @@ class AravisCamera:
         self._answers = True
         self._answering_since_ns = None
         self._frame_ns = time.monotonic_ns()
-        self._trigger_due_ns = self._next_trigger_ns()
+        self._trigger_due_ns = self._triggers.after(self._frame_ns)
         self._changed_ns = self._settled_ns = 0
 
     def next_frame(self, timeout_s: float) -> Frame:
@@ -243,17 +250,14 @@ class AravisCamera:
     def _trigger_when_due(self, opened: OpenCamera, now_ns: int) -> float:
         """Trigger the camera if due; return the time until the next trigger, s.
 
-        A camera that does not answer is not triggered, because that would take 2.5 s.
+        A camera that does not answer is not triggered, because that would take 2.5 s. No trigger falls into
+        an exposure, even after a late one: most cameras would lose it.
         """
         if now_ns >= self._trigger_due_ns:
             if self._answers and now_ns - self._trigger_due_ns < self._period_ns / 2:
                 opened.trigger()
-            self._trigger_due_ns = self._next_trigger_ns()
+            self._trigger_due_ns = self._triggers.after(now_ns + round(1e6 * (opened.exposure_ms or 0.0)))
         return max(0.0, (self._trigger_due_ns - time.monotonic_ns()) * 1e-9)
-
-    def _next_trigger_ns(self) -> int:
-        """Next multiple of the period: all cameras of this computer are triggered at the same instants."""
-        return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
 
     def _frame(self, opened: OpenCamera, block: Block, t_ns: int | None) -> Frame:
         sequence = self._counter.number((block.frame_id - 1) % _MAX_BLOCK_ID + 1)

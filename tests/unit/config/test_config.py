@@ -121,7 +121,7 @@ LIVE = """
 [cameras.front]
 driver = "aravis"
 device = "192.0.2.1"
-trigger = "software"
+trigger = "free"
 
 [cameras.front.exposure]
 control = "fixed"
@@ -148,6 +148,21 @@ def test_live_cameras_are_paired_by_time_only(tmp_path: Path) -> None:
     assert load_config(write(tmp_path, live(""))).measuring.pair_by == "time"
     assert 'measuring.pair_by: "sequence" is for recordings; possible: "time"' in complaint(
         write(tmp_path, live('pair_by = "sequence"\n'))
+    )
+
+
+def test_software_triggers_all_cameras_or_none(tmp_path: Path) -> None:
+    software = live("").replace('"free"', '"software"')
+    assert 'cameras.front.trigger: "software" does not go with camera "rear"' in complaint(
+        write(tmp_path, software)
+    )
+    rear = 'driver = "aravis"\ndevice = "192.0.2.2"\ntrigger = "software"\n'
+    both = software.replace('driver = "v4l2"\ndevice = "/dev/video0"\npixel_format = "Y12"\n', rear)
+    assert load_config(write(tmp_path, both)).cameras["rear"].driver == "aravis"
+    short = both.replace("[measuring]", "[measuring]\nsilent_after_s = 0.07")
+    assert (
+        "measuring.silent_after_s: 0.07 is shorter than a frame interval; possible: above 0.075"
+        in complaint(write(tmp_path, short))
     )
 
 
