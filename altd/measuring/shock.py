@@ -13,6 +13,8 @@ JUMP_PX = 8.0
 """Maximum distance from the position predicted by steady motion, about 2 mm. Vibration of a machine at work
 moves no spot farther from one frame to the next."""
 TOGETHER_NS = 150_000_000
+_MAX_UNEVENNESS = 3.0
+"""Ratio of the longest interval between two frames to the shortest (``devices.trigger_times``)."""
 _GAP_NS = 400_000_000
 """Time without a spot after which its movement is unknown."""
 
@@ -60,4 +62,5 @@ class ShockWatch:
         ahead = (t_ns - last_ns) / (last_ns - before_ns)
         u_px = last.u_px + ahead * (last.u_px - before.u_px)
         v_px = last.v_px + ahead * (last.v_px - before.v_px)
-        return math.hypot(spot.u_px - u_px, spot.v_px - v_px) > JUMP_PX
+        longer = max(min(ahead, _MAX_UNEVENNESS), 1.0)  # of vibration, extrapolation makes 1 + ahead times
+        return math.hypot(spot.u_px - u_px, spot.v_px - v_px) > JUMP_PX * (1.0 + longer) / 2.0

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+import numpy.typing as npt
 
 from altd.records import FloatArray
 from altd.statistics import MAD_TO_SIGMA, median
@@ -48,6 +49,8 @@ class StartOfMotion:
         self._rest: deque[FloatArray] = deque(maxlen=_MAX_REST_FRAME_SETS)
         self._rest_sum = np.zeros(4)
         self._moving: list[FloatArray] = []
+        self._times_ns: list[int] = []
+        """Times of the frame sets in motion."""
 
     @property
     def is_open(self) -> bool:
@@ -59,14 +62,16 @@ class StartOfMotion:
         self._rest.clear()
         self._rest_sum = np.zeros(4)
         self._moving.clear()
+        self._times_ns.clear()
 
-    def add(self, places_px: FloatArray, noise_px: FloatArray) -> int | None:
-        """Add u, v of both spots (4,) and their noise.
+    def add(self, places_px: FloatArray, noise_px: FloatArray, t_ns: int) -> int | None:
+        """Add u, v of both spots (4,), their noise and the time of the frame set.
 
         Returns the second spot's lag in frame sets once this frame set decides it, 0: none; otherwise None.
         """
         if self._moving:
             self._moving.append(places_px)
+            self._times_ns.append(t_ns)
             moving = len(self._moving)
             is_due = moving <= _EACH_FRAME_SET_UP_TO or moving % _LATER_INTERVAL_FRAME_SETS == 0
             lag = self._lag(noise_px) if is_due else None
@@ -78,6 +83,7 @@ class StartOfMotion:
             if (np.abs(places_px - zero) > _DEPARTURE_SIGMAS * noise_px).any():
                 if len(self._rest) >= _MIN_REST_FRAME_SETS:
                     self._moving.append(places_px)
+                    self._times_ns.append(t_ns)
                     return None
                 self.restart()
         if len(self._rest) == _MAX_REST_FRAME_SETS:
@@ -92,9 +98,8 @@ class StartOfMotion:
         rest = np.array(self._rest)
         zero = rest[:-_LEAD_FRAME_SETS].mean(axis=0)
         if len(self._moving) >= _MIN_FOR_VIBRATION:
-            # third differences of a smooth motion are noise: 1 + 9 + 9 + 1 variances
-            rough = np.abs(np.diff(np.array(self._moving), 3, axis=0))
-            noise_px = np.maximum(noise_px, MAD_TO_SIGMA * median(rough, axis=0) / np.sqrt(20.0))
+            rough = np.abs(_third_differences(np.array(self._moving), np.array(self._times_ns)))
+            noise_px = np.maximum(noise_px, MAD_TO_SIGMA * median(rough, axis=0))
         rows = (np.concatenate([rest[-_LEAD_FRAME_SETS:], self._moving]) - zero) / noise_px
         excess, misfit = _chi2_by_half_lags(rows[:, :2], rows[:, 2:])
         whole = excess[::2].copy()
@@ -108,6 +113,17 @@ class StartOfMotion:
         others = np.delete(excess, 2 * best)
         is_late = whole[_TESTED_LAG_FRAMES] - at_best > _MIN_CHI2_DIFFERENCE
         return lag if is_late and others.min() - at_best > _MIN_CHI2_NEIGHBOUR else None
+
+
+def _third_differences(places_px: FloatArray, times_ns: npt.NDArray[np.int64]) -> FloatArray:
+    """Return the divided differences (n − 3, 4) in units of a place's noise: all of a smooth motion."""
+    places = np.lib.stride_tricks.sliding_window_view(places_px, 4, axis=0)
+    t_s = np.lib.stride_tricks.sliding_window_view((times_ns - times_ns[0]) * 1e-9, 4)
+    apart_s = t_s[:, :, None] - t_s[:, None, :] + np.eye(4)
+    weights = 1.0 / apart_s.prod(axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    differences: FloatArray = np.einsum("ncj,nj->nc", places, weights)
+    return differences
 
 
 def _chi2_by_half_lags(first: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,9 @@ autoregression fitted to the steps of the first spot leaves their unpredictable 
 applied to the steps of the other spot. Then m · ‖C_L‖², C_L the 2 × 2 correlation at lag L over m frame sets,
 follows a χ² with four degrees of freedom if the two are independent at that lag, whatever spectrum either
 has. A vibration at one frequency is predictable, so its phase has no effect.
+
+Between uneven exposures the filter predicts velocities. It leaves more of a vibration, but there a phase
+between the spots is not a lag of whole frame sets.
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ _MIN_CHI = 9.0
 """Minimum root of χ²: with four degrees of freedom a larger one has a probability of 1e-16."""
 _MIN_CHI_DIFFERENCE = 6.0
 _CLIP_SIGMAS = 4.0
-_MAX_INTERVAL_DEVIATION = 0.25
+_MAX_INTERVAL_PERIODS = 1.75
+"""Maximum interval between two frame sets, per mean interval: uneven triggers reach 1.5, a lost one 2."""
 _MAX_SKEW_PERIODS = 0.1
 """Maximum skew: between frames further apart vibration changes the motion, so that no lag compares them."""
 _COMMON_LAG_FRAME_SETS2 = 1 / 12
@@ -95,7 +99,7 @@ class SynchronyCheck:
                 frame_sets2[index if lag > 0 else 0] += lag**2
             elif lag is None and self._starts[target].is_open:
                 frame_sets2[[0, index]] += 0.5
-        step_px = mean.motion.rate_px_per_s * (self._rows[-1][0] - self._rows[-2][0]) * 1e-9
+        step_px = mean.motion.rate_px_per_s * self._period_ns() * 1e-9
         step_px2 = np.outer(step_px, step_px)
         lag_px2 = _COMMON_LAG_FRAME_SETS2 * step_px2
         if frame_sets2.any():
@@ -123,14 +127,12 @@ class SynchronyCheck:
         return self._complaint()
 
     def _inspect_starts(self, spots: list[Spot]) -> None:
-        """Process the newest row; an uneven interval restarts the detection."""
+        """Process the newest row; a gap before it restarts the detection."""
         if len(self._rows) < 3:
             return
-        (first_ns, _, _), (before_ns, _, _), (t_ns, places_px, behind_ns) = (
-            self._rows[place] for place in (-3, -2, -1)
-        )
-        period_ns = before_ns - first_ns
-        if abs(t_ns - before_ns - period_ns) > _MAX_INTERVAL_DEVIATION * period_ns:
+        (before_ns, _, _), (t_ns, places_px, behind_ns) = self._rows[-2], self._rows[-1]
+        period_ns = self._period_ns()
+        if t_ns - before_ns > _MAX_INTERVAL_PERIODS * period_ns:
             self._restart_starts()
             return
         noise_px = [math.hypot(spot.sigma_px, _PATTERN_DIAMETERS * spot.diameter_px) for spot in spots]
@@ -139,9 +141,14 @@ class SynchronyCheck:
                 start.restart()
                 continue
             pair = [0, index]
-            lag = start.add(places_px[pair].ravel(), np.repeat([noise_px[place] for place in pair], 2))
+            noise = np.repeat([noise_px[place] for place in pair], 2)
+            lag = start.add(places_px[pair].ravel(), noise, t_ns)
             if lag is not None:
                 self._late_at_start[target] = lag
+
+    def _period_ns(self) -> float:
+        """Mean interval between the rows, of which there are two at least."""
+        return (self._rows[-1][0] - self._rows[0][0]) / (len(self._rows) - 1)
 
     def _complaint(self) -> str:
         return "; ".join(
@@ -154,17 +161,18 @@ class SynchronyCheck:
         times_ns, positions_px, behind_ns = (np.array(column) for column in zip(*self._rows, strict=True))
         intervals_ns = np.diff(times_ns)
         period_ns = float(np.median(intervals_ns))
-        uneven = np.flatnonzero(np.abs(intervals_ns - period_ns) > _MAX_INTERVAL_DEVIATION * period_ns)
-        if uneven.size:
-            begin = int(uneven[-1]) + 1
+        gaps = np.flatnonzero(intervals_ns > _MAX_INTERVAL_PERIODS * period_ns)
+        if gaps.size:
+            begin = int(gaps[-1]) + 1
             times_ns, positions_px, behind_ns = times_ns[begin:], positions_px[begin:], behind_ns[begin:]
         if len(times_ns) < _MIN_FRAME_SETS:
             return
-        steps = np.diff(positions_px, axis=0)
-        whiten = _autoregression(steps[:, 0])
-        first = _normalised(_filtered(steps[:, 0], whiten))
+        periods = np.diff(times_ns)[:, None] / period_ns
+        velocities = np.diff(positions_px, axis=0) / periods[:, :, None]
+        whiten = _autoregression(velocities[:, 0], periods)
+        first = _normalised(_filtered(velocities[:, 0], periods, whiten))
         for index, target in enumerate(self._targets[1:], start=1):
-            other = _normalised(_filtered(steps[:, index], whiten))
+            other = _normalised(_filtered(velocities[:, index], periods, whiten))
             skew_ns = float((behind_ns[:, index] - behind_ns[:, 0]).mean())
             if first is None or other is None or abs(skew_ns) > _MAX_SKEW_PERIODS * period_ns:
                 continue
@@ -178,17 +186,24 @@ class SynchronyCheck:
                 self._late_at_start[target] = 0
 
 
-def _autoregression(steps: FloatArray) -> FloatArray:
-    """Return the filter (order + 1,) that leaves the part of steps (n, 2) not predicted by earlier ones."""
-    past = [steps[_AUTOREGRESSION_ORDER - lag : len(steps) - lag] for lag in range(_AUTOREGRESSION_ORDER + 1)]
-    design = np.column_stack([values.ravel() for values in past[1:]])
-    weights = np.linalg.lstsq(design, past[0].ravel(), rcond=1e-10)[0]
+def _autoregression(velocities: FloatArray, periods: FloatArray) -> FloatArray:
+    """Return the filter (order + 1,) that leaves the part of steps not predicted by velocities (n, 2) before.
+
+    ``periods`` (n, 1) are the intervals of the steps in mean intervals.
+    """
+    size = len(velocities) - _AUTOREGRESSION_ORDER
+    past = [
+        (velocities[_AUTOREGRESSION_ORDER - lag :][:size] * periods[_AUTOREGRESSION_ORDER:]).ravel()
+        for lag in range(_AUTOREGRESSION_ORDER + 1)
+    ]
+    weights = np.linalg.lstsq(np.column_stack(past[1:]), past[0], rcond=1e-10)[0]
     coefficients: FloatArray = np.concatenate([[1.0], -weights])
     return coefficients
 
 
-def _filtered(steps: FloatArray, coefficients: FloatArray) -> FloatArray:
-    filtered: FloatArray = np.column_stack([np.convolve(axis, coefficients, "valid") for axis in steps.T])
+def _filtered(velocities: FloatArray, periods: FloatArray, coefficients: FloatArray) -> FloatArray:
+    left = np.column_stack([np.convolve(axis, coefficients, "valid") for axis in velocities.T])
+    filtered: FloatArray = left * periods[_AUTOREGRESSION_ORDER:]
     return filtered
 
 
