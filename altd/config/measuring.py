@@ -41,6 +41,11 @@ class Measuring(Table):
     light."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """Limit of the scatter of yaw and pitch, mm/m, as for ``max_sigma_mm``."""
+    vibration_mm: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Amplitude of the machine's vibration in x and in y, mm; 0: none stated. It is in sigma while the unit
+    samples evenly, as a vibration near a multiple of the frame rate then shows no scatter (`accuracy.md`)."""
+    vibration_mrad: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """The same of yaw and pitch, mrad."""
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
     """Time without frames after which a camera is silent, s."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0

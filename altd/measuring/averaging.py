@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from altd.measuring.sampling import ScatterMemory
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot, SpotShape
 from altd.records.spots import SpotMotion
@@ -51,6 +52,8 @@ def spot_motion(
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 _OUTLIER_SIGMAS = 6.0
+_OUTLIER_USUAL = 4.0
+"""A vibration reaches 2.8 standard deviations from a median at its crest."""
 _MIN_FRAME_SETS_FOR_OUTLIERS = 4
 """Under vibration two of three frame sets are often close together; the third is then no outlier."""
 _MAX_OUTLIER_FRACTION = 0.3
@@ -88,7 +91,11 @@ class FrameSetWindow:
     window too, so a mean never reaches farther back because of them.
     """
 
-    def __init__(self, targets: tuple[str, ...], window: int, every: int) -> None:
+    def __init__(
+        self, targets: tuple[str, ...], window: int, every: int, memory: ScatterMemory | None = None
+    ) -> None:
+        """``memory``: what scatters no more than before is no outlier; None: nothing is known."""
+        self._memory = memory
         self._targets = targets
         self._window = window
         self._every = every
@@ -112,7 +119,8 @@ class FrameSetWindow:
         if self._since_mean < self._every:
             return None
         self._since_mean = 0
-        return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._skipped))
+        usual_px = None if self._memory is None else self._memory.scatter_px
+        return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._skipped), usual_px)
 
     def forget(self) -> None:
         """Drop the frame sets before a gap; the count to the next mean continues."""
@@ -128,18 +136,22 @@ class FrameSetWindow:
 
 
 def mean_spots(
-    frame_sets: Sequence[FrameSet], targets: tuple[str, ...], window: int, passed_over: int = 0
+    frame_sets: Sequence[FrameSet],
+    targets: tuple[str, ...],
+    window: int,
+    passed_over: int = 0,
+    usual_px: FloatArray | None = None,
 ) -> MeanSpots | tuple[Fault, ...]:
     """Return the mean of the usable frame sets of a window without outliers, or the faults that prevent it.
 
     A frame set is usable when every target has its spot. At least half a window must be usable, and at least
     one of the last three. If only the ``passed_over`` frame sets are missing for the half, the fault is
-    ``warming_up``. A frame set more than six MAD-based standard deviations off the median in any coordinate
-    is an outlier. With more than 30 % outliers, or two clusters of frame sets, the beam moved: ``unsteady``.
-    If one camera exposes later than another, the mean spots still refer to one instant: steady motion between
-    the two is subtracted. The excess of a spot's sigma by light that one spot does not explain is not
-    averaged down, since it is the same in all frame sets. With three frame sets or fewer the motion is
-    unknown.
+    ``warming_up``. A frame set more than six MAD-based standard deviations, and four ``usual_px`` (2 ·
+    targets,), off the median in any coordinate is an outlier. With more than 30 % outliers, or two clusters
+    of frame sets, the beam moved: ``unsteady``. If one camera exposes later than another, the mean spots
+    still refer to one instant: steady motion between the two is subtracted. The excess of a spot's sigma by
+    light that one spot does not explain is not averaged down, since it is the same in all frame sets. With
+    three frame sets or fewer the motion is unknown.
     """
     usable = [frame_set for frame_set in frame_sets if not frame_set.faults()]
     is_lost = len(frame_sets) >= _MAX_UNUSABLE_AT_END and all(
@@ -153,7 +165,7 @@ def mean_spots(
     spots = np.array([[_numbers_of(frame_set, target) for target in targets] for frame_set in usable])
     px = spots[:, :, :2].reshape(len(usable), 2 * len(targets))
     typical_noise = np.repeat(median(spots[:, :, _SIGMA], axis=0), 2)
-    is_inlier = _is_inlier(px, typical_noise)
+    is_inlier = _is_inlier(px, typical_noise, usual_px)
     count = int(np.count_nonzero(is_inlier))
     too_many = len(usable) - count > _MAX_OUTLIER_FRACTION * len(usable)
     if too_many or _has_two_clusters(px[is_inlier], typical_noise):
@@ -233,7 +245,7 @@ def _middle_ns(times_ns: Sequence[int]) -> int:
     return times_ns[0] + round(sum(t_ns - times_ns[0] for t_ns in times_ns) / len(times_ns))
 
 
-def _is_inlier(px: FloatArray, noise: FloatArray) -> BoolArray:
+def _is_inlier(px: FloatArray, noise: FloatArray, usual_px: FloatArray | None) -> BoolArray:
     """Return which rows of (n, coordinates) are near the median in every coordinate."""
     count = len(px)
     if count < _MIN_FRAME_SETS_FOR_OUTLIERS:
@@ -241,7 +253,10 @@ def _is_inlier(px: FloatArray, noise: FloatArray) -> BoolArray:
     distance = np.abs(px - median(px, axis=0))
     # n / (n − 0.8) removes most of the MAD's bias in small samples
     scale = MAD_TO_SIGMA * median(distance, axis=0) * count / (count - 0.8)
-    near: BoolArray = np.all(distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1)
+    limit = _OUTLIER_SIGMAS * np.maximum(scale, noise)
+    if usual_px is not None:
+        limit = np.maximum(limit, _OUTLIER_USUAL * usual_px)
+    near: BoolArray = np.all(distance <= limit, axis=1)
     return near
 
 

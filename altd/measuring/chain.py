@@ -15,6 +15,7 @@ from altd.measuring.instrument import Instrument
 from altd.measuring.light_balance import LightBalance
 from altd.measuring.motion_memory import MotionMemory
 from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.sampling import Sampling, SamplingCheck, ScatterMemory
 from altd.measuring.spot_locator import Located, SpotLocator
 from altd.measuring.synchrony import SynchronyCheck
 from altd.measuring.view_check import shift_fault
@@ -113,7 +114,10 @@ class MeasuringChain:
             measuring.max_lag_ns,
         )
         self._is_switched = switched is not None
-        self._window = switched or FrameSetWindow(self._targets, measuring.window, measuring.every)
+        self._scatter = ScatterMemory()
+        self._window = switched or FrameSetWindow(
+            self._targets, measuring.window, measuring.every, self._scatter
+        )
         self._provenance = provenance
         self._calibration_origin = calibration_faults(calibration.simulated)
         self._last_place: Place | None = None
@@ -130,6 +134,7 @@ class MeasuringChain:
         }
         self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
+        self._sampling = SamplingCheck()
         self._light_balance = LightBalance()
         self._changed_light: tuple[float, ...] = ()
         self._motion_memory = MotionMemory()
@@ -157,8 +162,8 @@ class MeasuringChain:
         return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
 
     def figures(self) -> dict[str, float | str | None]:
-        """Return synchronism, spots, light and views, for health."""
-        return self.step() | self.spots() | self.light() | self.views()
+        """Return sampling, synchronism, spots, light and views, for health."""
+        return {"sampling": self._sampling.found} | self.step() | self.spots() | self.light() | self.views()
 
     def step(self) -> dict[str, float | None]:
         """Return the cameras' synchronism: skew of the last frame set, and the lags that were subtracted, ms.
@@ -293,6 +298,7 @@ class MeasuringChain:
             self._synchrony.restart()
         self.frame_sets += since_last_ns > 0
         self._last_frame_set = frame_set
+        self._sampling.add(frame_set.t_ns)
         unsynchronised = "" if self._is_switched else self._synchrony.inspect(frame_set)
         mean = self._window.add(frame_set)
         if mean is None:
@@ -304,8 +310,7 @@ class MeasuringChain:
             return self._invalid(frame_set, mean.t_ns, (fault,))
         if (shifted := shift_fault(self._view_status.values())) is not None:
             return self._invalid(frame_set, mean.t_ns, (shifted,))
-        if not self._is_switched:
-            mean = self._synchrony.with_lag_in_sigma(mean)
+        mean = self._with_unseen(mean)
         self._changed_light = self._light_balance.changed_light(mean)
         mean = replace(mean, changed_light=self._changed_light)
         spots = mean.at_newest() if self._is_of_now else mean
@@ -331,6 +336,14 @@ class MeasuringChain:
         if not self._is_of_now:
             return measurement
         return measurement.with_motion_in_sigma() or self._invalid(frame_set, spots.t_ns, (_MOTION_UNKNOWN,))
+
+    def _with_unseen(self, mean: MeanSpots) -> MeanSpots:
+        """Return the mean spots with the scatter and the lags that this window alone does not show."""
+        if self._is_switched:
+            return mean
+        if self._sampling.found is Sampling.UNEVEN:
+            mean = self._scatter.widened(mean, self._sampling.excess(mean.frames))
+        return self._synchrony.with_lag_in_sigma(mean)
 
     def _motions(
         self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]

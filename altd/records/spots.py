@@ -172,7 +172,8 @@ class MeanSpots:
     logarithm of each spot's light per ms and its standard deviation, NaN if not known. ``changed_light`` is
     the relative change of each target's light against the first's (``LightBalance``). ``t_ns`` is the mean
     time of the ``frames`` averaged exposures; ``lost`` were not usable. ``motion`` is None if there were too
-    few to determine it.
+    few to determine it. ``is_even``: a vibration at a multiple of the frame rate would not show in the
+    covariance (``measuring.sampling``).
     """
 
     targets: tuple[str, ...]
@@ -187,6 +188,7 @@ class MeanSpots:
     log_lights: FloatArray | None = None
     changed_light: tuple[float, ...] = ()
     motion: SpotMotion | None = None
+    is_even: bool = True
 
     def at_newest(self) -> MeanSpots | None:
         """Return the spots at the newest exposure by the steady motion of all; None: motion not known.

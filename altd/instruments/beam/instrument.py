@@ -17,6 +17,7 @@ from altd.instruments.beam.solver import (
     joint_jacobian_mm_per_px,
     line_gain,
 )
+from altd.instruments.beam.systematics import vibration_mm
 from altd.measuring.calibration import Calibration
 from altd.measuring.instrument import Solution
 from altd.measuring.spot_shape import shape_doubts_mm
@@ -166,6 +167,7 @@ class BeamInstrument:
         self._installation = installation or Installation()
         self.quantities = quantities_of(self._installation)
         self._refraction = Refraction.of(calibration)
+        self._vibration = measuring.vibration_mm, measuring.vibration_mrad
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:
         """Return the beam through the window's mean spots, or the fault that prevents it."""
@@ -179,8 +181,9 @@ class BeamInstrument:
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
         z_mm = [target.z_mm for target in targets]
         plane_mm, refraction = self._installation.reference_plane_mm, self._refraction
+        hidden_mm = vibration_mm(z_mm, *self._vibration) if mean.is_even and any(self._vibration) else None
         try:
-            beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits, refraction)
+            beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits, refraction, hidden_mm)
         except np.linalg.LinAlgError:
             return Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
         if (unsteady := self._too_uncertain(beam)) is not None:

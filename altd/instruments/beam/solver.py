@@ -110,20 +110,22 @@ def line_gain(
     return covariance @ weighted.T, covariance
 
 
-def fit_beam(
+def fit_beam(  # noqa: PLR0913  what a beam is uncertain by
     z_mm: Sequence[float],
     points: Sequence[TargetPoint],
     covariance_mm2: FloatArray,
     reference_plane_mm: float = 0.0,
     limits: Limits = NO_LIMITS,
     refraction: Refraction | None = None,
+    vibration_mm: FloatArray | None = None,
 ) -> Beam:
     """Fit a straight line to T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
 
     x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (docs/conventions.md). The
     line passes exactly through two points. ``covariance_mm2`` is the random part; ``limits``, and thickness
     and index of glass, add errors that the calibration cannot show. Behind the glass of ``refraction`` the
-    points are displaced: the line is that of the beam in front of it.
+    points are displaced: the line is that of the beam in front of it. ``vibration_mm`` is from
+    ``systematics.vibration_mm``, where the scatter does not show it.
     """
     measured = np.array([(point.x_mm, point.y_mm) for point in points])
     if refraction is None:
@@ -142,6 +144,8 @@ def fit_beam(
     effects = {} if limits == NO_LIMITS else effects_mm(limits, z_mm, measured, (slope_x, slope_y))
     if refraction is not None:
         effects |= refraction.effects_mm(line[1::2], z_mm)
+    if vibration_mm is not None:
+        effects["vibration"] = vibration_mm
     for columns in effects.values():
         variances = variances + np.square(gain @ columns).sum(axis=1)
     sigma_x, sigma_yaw, sigma_y, sigma_pitch = _sigmas(variances, per_slope_deg)

@@ -1,7 +1,8 @@
-"""Effects of the limits of a calibration on the points of a beam (docs/budget.md)."""
+"""Effects on the points of a beam that its scatter does not show (docs/budget.md)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -41,3 +42,16 @@ def effects_mm(
             columns[2 * farther : 2 * farther + 2, farther - 1] = slopes
         effects["target_distance_mm"] = sigma * columns
     return effects
+
+
+def vibration_mm(z_mm: Sequence[float], amplitude_mm: float, amplitude_mrad: float) -> FloatArray:
+    """Displacements (2 T, 4) of the points, mm, by one sigma of a vibration with these amplitudes.
+
+    A sinusoid of unknown phase has a standard deviation of amplitude/√2. One column each for x, y, yaw and
+    pitch; the unit turns about the plane z = 0.
+    """
+    z = np.asarray(z_mm, dtype=np.float64)
+    columns = np.zeros((2 * len(z), 4))
+    columns[0::2, 0] = columns[1::2, 1] = amplitude_mm / math.sqrt(2.0)
+    columns[0::2, 2] = columns[1::2, 3] = amplitude_mrad * 1e-3 * z / math.sqrt(2.0)
+    return columns

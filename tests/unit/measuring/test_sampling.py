@@ -1,0 +1,99 @@
+"""Even or uneven: the fact that decides whether a stated vibration is in sigma."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.located import SPOT, located, paired
+from support.recordings import place_px
+
+from altd.config import Measuring
+from altd.devices.trigger_times import TriggerTimes
+from altd.instruments.beam.instrument import BeamInstrument
+from altd.measuring.averaging import FrameSetWindow
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.sampling import Sampling, SamplingCheck, ScatterMemory
+from altd.measuring.spot_locator import Located
+from altd.records import FrameSet, MeanSpots, Spot
+
+PERIOD_NS = 50_000_000
+
+
+def triggered(shortest_ns: int = 0, count: int = 400) -> list[int]:
+    triggers, times_ns = TriggerTimes(PERIOD_NS, shortest_ns), [0]
+    while len(times_ns) < count:
+        times_ns.append(triggers.after(times_ns[-1]))
+    return times_ns
+
+
+def of_grid(jitter_periods: float, count: int = 400, lost_every: int = 1000) -> list[int]:
+    rng = np.random.default_rng(count)
+    numbers = [number for number in range(count) if number % lost_every != lost_every - 1]
+    return [round((n + jitter_periods * rng.uniform()) * PERIOD_NS) for n in numbers]
+
+
+def spot_of(target: str, number: int, t_ns: int) -> Located:
+    u_px, v_px = place_px(target, 5.0, 3.0)
+    spot = replace(SPOT, u_px=u_px, v_px=v_px)
+    return replace(located(target, number, t_ns), spot=spot, found=spot)
+
+
+@pytest.mark.parametrize(
+    ("times_ns", "sampling"),
+    [
+        pytest.param(of_grid(0.0), Sampling.EVEN, id="a crystal"),
+        pytest.param(of_grid(0.1, lost_every=13), Sampling.EVEN, id="jitter of 5 ms, frames lost"),
+        pytest.param(triggered(), Sampling.UNEVEN, id="software triggers"),
+        pytest.param(triggered(45_000_000), Sampling.EVEN, id="of cameras that take 45 ms"),
+        pytest.param(of_grid(0.0, count=99), None, id="not known yet"),
+    ],
+)
+def test_the_times_of_the_exposures_show_it(times_ns: list[int], sampling: Sampling | None) -> None:
+    check = SamplingCheck()
+    found = []
+    for t_ns in times_ns:
+        check.add(t_ns)
+        found.append(check.found)
+    assert set(found[100:]) <= {sampling}
+    assert check.found is sampling
+
+
+@pytest.mark.parametrize("hertz", [20.0, 29.0, 40.0])
+def test_sigma_covers_a_vibration_although_phases_are_close_together_by_chance(hertz: float) -> None:
+    """Of 1 px, in 300 windows; the window's own scatter is up to ten times too small."""
+    rng, memory = np.random.default_rng(3), ScatterMemory()
+    window = FrameSetWindow(("front",), 20, 20, memory)
+    sampling, in_sigmas, least = SamplingCheck(), [], []
+    for number, t_ns in enumerate(triggered(count=6000)):
+        sampling.add(t_ns)
+        u_px = float(np.sin(2 * np.pi * hertz * t_ns * 1e-9) + rng.normal(0, 0.04))
+        mean = window.add(FrameSet(number, t_ns, {"front": Spot(u_px, 0.0, 0.04, 40.0, 150.0)}))
+        if isinstance(mean, MeanSpots):
+            widened = memory.widened(mean, sampling.excess(mean.frames))
+            least.append(np.linalg.eigvalsh(widened.covariance_px2 - mean.covariance_px2).min())
+            in_sigmas.append(mean.px[0, 0] / np.sqrt(widened.covariance_px2[0, 0]))
+    assert 0.8 < np.sqrt(np.square(in_sigmas).mean()) < 1.25
+    assert np.abs(in_sigmas).max() < 5.0
+    assert min(least) > -1e-12
+
+
+@pytest.mark.parametrize(("times_ns", "is_even"), [(of_grid(0.0, 120), True), (triggered(count=120), False)])
+def test_a_stated_vibration_is_in_sigma_while_the_exposures_are_even(
+    calibration: Calibration, times_ns: list[int], is_even: bool
+) -> None:
+    sigmas = []
+    for stated in ({}, {"vibration_mm": 0.3}, {"vibration_mrad": 0.2}):
+        measuring = Measuring.model_validate(stated)
+        views = (View("front", "front"), View("rear", "rear"))
+        chain = MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring))
+        for number, t_ns in enumerate(times_ns):
+            last = chain.add(paired(spot_of("front", number, t_ns), spot_of("rear", number, t_ns)))
+        assert last is not None
+        assert last.valid, last.status
+        assert chain.figures()["sampling"] == ("even" if is_even else "uneven")
+        sigmas.append([last.sigma(key) for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")])
+    alone, moved, turned = np.square(np.array(sigmas))
+    yaw = np.rad2deg(0.2e-3) ** 2 / 2
+    assert moved - alone == pytest.approx([0.3**2 / 2] * 2 + [0, 0] if is_even else [0] * 4, abs=1e-9)
+    assert turned - alone == pytest.approx([0, 0, yaw, yaw] if is_even else [0] * 4, rel=0.02, abs=1e-12)
