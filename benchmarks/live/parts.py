@@ -59,12 +59,19 @@ def calibrate(seed: int, folder: Path) -> Path:
     return calibration
 
 
-def write_config(
-    path: Path, serial: str, calibration: Path, addresses: Sequence[str], ports: Ports, more: str = ""
+def write_config(  # noqa: PLR0913  the parts of a unit
+    path: Path,
+    serial: str,
+    calibration: Path,
+    addresses: Sequence[str],
+    ports: Ports,
+    more: str = "",
+    trigger: str = "free",
 ) -> Path:
     """Write the settings of a unit with two GigE Vision cameras, front and rear, and ``more`` tables."""
     front, rear = (
-        f'driver = "aravis"\ndevice = "{address}"\nexposure.exposure_ms = {EXPOSURES_MS[name]}'
+        f'driver = "aravis"\ndevice = "{address}"\ntrigger = "{trigger}"\n'
+        f"exposure.exposure_ms = {EXPOSURES_MS[name]}"
         for name, address in zip(("front", "rear"), addresses, strict=True)
     )
     path.write_text(
@@ -146,11 +153,11 @@ def set_link(state: str) -> float:
 
 @contextlib.contextmanager
 def measuring_daemon(
-    folder: Path, calibration: Path, addresses: tuple[str, str], more: str = ""
+    folder: Path, calibration: Path, addresses: tuple[str, str], more: str = "", trigger: str = "free"
 ) -> Iterator[tuple[Child, Watch]]:
     """Run the daemon on the cameras at these addresses, with ``more`` tables, and a client that reads it."""
     ports = Ports.free()
-    config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, ports, more)
+    config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, ports, more, trigger)
     log = folder / "altd.log"
     log.write_bytes(b"")
     with child(daemon_command(config), log) as daemon:

@@ -67,6 +67,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drive", action="store_true", help="the machine follows a slow Lissajous figure and vibrates"
     )
     parser.add_argument(
+        "--line",
+        nargs=2,
+        type=float,
+        metavar=("HZ", "MM"),
+        help="the unit vibrates at one frequency, with this amplitude in x and in y",
+    )
+    parser.add_argument(
         "--pose",
         nargs=4,
         type=float,
@@ -98,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until the duration is over or a signal arrives; raises BadInputError."""
-    unit = make_unit(arguments.seed, arguments.fps, drive=arguments.drive)
+    unit = make_unit(arguments.seed, arguments.fps, drive=arguments.drive, line=arguments.line)
     x_mm, y_mm, yaw_deg, pitch_deg = arguments.pose
     unit.place(BeamPose(x_mm, y_mm, math.tan(math.radians(yaw_deg)), math.tan(math.radians(pitch_deg))))
     unit.inject(*parse_faults(filter(None, arguments.faults.split(","))))
@@ -142,8 +149,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def make_unit(seed: int, fps: float = 20.0, *, drive: bool = False) -> Unit:
-    """Make the served unit. Another one with the same arguments has the same truth at every instant."""
+def make_unit(
+    seed: int, fps: float = 20.0, *, drive: bool = False, line: tuple[float, float] | None = None
+) -> Unit:
+    """Make the served unit. Another one with the same arguments has the same truth at every instant.
+
+    ``line``: frequency, Hz, and amplitude, mm, of a vibration.
+    """
+    if line:
+        vibration = Vibration(line[1] / math.sqrt(2.0), 0.0, (line[0],), random_share=0.0)
+        return Unit(UnitConfig(seed=seed, fps=fps, vibration=vibration))
     if drive:
         return Unit(UnitConfig(seed=seed, fps=fps, drive=SLOW_DRIVE, vibration=Vibration()))
     return Unit(UnitConfig(seed=seed, fps=fps))

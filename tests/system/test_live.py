@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fuzz.hostile.spray import spray
 from support.cli import altd_here
@@ -27,6 +28,7 @@ from benchmarks.live.parts import (
     REAR,
     SEED,
     Camera,
+    both_cameras,
     camera_behind_link,
     daemon_command,
     measuring_daemon,
@@ -213,6 +215,28 @@ class TestFrameLedsOnTheirOutputs:
         with measuring_daemon(tmp_path, calibration, (FRONT, REAR), unchecked) as (_, watch):
             await_outputs([0, 0])
             watch.first(lambda seen: seen.valid, time.monotonic(), 60.0)
+
+
+def test_a_vibration_at_the_frame_rate_scatters_where_software_triggers(
+    calibration: Path, tmp_path: Path
+) -> None:
+    """Of 0.3 mm at 20 Hz: with even triggers it would look like rest, some 30 sigma away."""
+    with (
+        both_cameras(tmp_path, "--line", "20", "0.3"),
+        measuring_daemon(tmp_path, calibration, (FRONT, REAR), trigger="software") as (_, watch),
+    ):
+        watch.first(lambda seen: seen.valid, 0.0, 60.0)
+        begun_s = time.monotonic() + 1.0  # a full window
+        last = watch.first(lambda seen: seen.valid, begun_s + 6.0, 60.0)
+        assert watch.status()["components"]["measuring"]["sampling"] == "uneven"
+    values = [
+        seen.measurement for seen in watch.seen if seen.valid and begun_s < seen.arrived_s <= last.arrived_s
+    ]
+    in_sigmas = np.array([[one[key] / one["sigma"][key] for key in ("x_mm", "y_mm")] for one in values])
+    assert len(values) > 100
+    assert np.sqrt(np.square(in_sigmas).mean()) < 1.6
+    assert np.abs(in_sigmas).max() < 5.0
+    assert min(one["sigma"]["x_mm"] for one in values) > 0.03
 
 
 def test_datagrams_from_forged_sources_leave_it_alive_and_right_or_invalid(
