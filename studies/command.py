@@ -39,6 +39,7 @@ STUDIES = {
     "kinematics": 10,
     "chain": 29,
     "switched": 269,
+    "vibration": 15,
 }
 """Names, and about the seconds of CPU that each takes, by which they are dealt out to turns."""
 
