@@ -49,15 +49,21 @@ class LiveInstrument:
     stale_after_s: float
 
 
-def live_instrument(config: Config, calibration: AnyCalibration) -> LiveInstrument:
-    """Return the instrument of a config; the calibration was checked against the config."""
+def live_instrument(
+    config: Config, calibration: AnyCalibration, celsius: Callable[[], float | None] = lambda: None
+) -> LiveInstrument:
+    """Return the instrument of a config; the calibration was checked against the config.
+
+    ``celsius`` returns the temperature of a beam's frame, °C; None: not known.
+    """
     if isinstance(calibration, PlanarCalibration):
         return _planar(config, calibration)
     for target in calibration.targets:
         _ = target.inverse  # computed now: in the first measurement it would block the loop
     by_name = {target.name: target for target in calibration.targets}
     is_row = config.unit.instrument == "chain"
-    quantities, chain, stale_after_s = (_row if is_row else _beam)(config, calibration)
+    parts = _row(config, calibration) if is_row else _beam(config, calibration, celsius)
+    quantities, chain, stale_after_s = parts
     summary = summary_of(
         calibration, [target.name for target in config.targets], config.unit.calibration.name
     )
@@ -77,9 +83,9 @@ _Parts = tuple[Quantities, Callable[[Provenance], Chain], float]
 """Quantities, chain factory, and the age at which a measurement is stale, s."""
 
 
-def _beam(config: Config, calibration: Calibration) -> _Parts:
+def _beam(config: Config, calibration: Calibration, celsius: Callable[[], float | None]) -> _Parts:
     measuring = config.measuring
-    instrument = BeamInstrument(calibration, measuring, config.installation)
+    instrument = BeamInstrument(calibration, measuring, config.installation, celsius)
     stale_after_s, is_switched = measuring.stale_after_s, bool(config.switched_targets)
     if config.switches is not None:  # no measurement while the glasses settle
         stale_after_s += config.switches.settle_s * (1.0 + MAX_PAUSE_SHARE)

@@ -18,6 +18,7 @@ from altd.calibration.target_frames import TargetFrames, target_frames
 from altd.errors import BadInputError
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.header import RecordingHeader
 from altd.recording.reader import Recording
 from altd.records import FloatArray, Limits
 from altd.records.limits import LIMIT_KEYS
@@ -39,7 +40,9 @@ def calibrate(
         raise BadInputError(flat.path, "is for a scan; a plate shows no laser spot")
     flats = {} if flat is None else flats_of(flat, scanned, progress)
     of_scans = calibrate_scans(scanned, flats, progress)
-    limits = _limits([recording for recording in recordings if recording.header.kind == "scan"])
+    headers = [recording.header for recording in recordings if recording.header.kind == "scan"]
+    limits = _limits(headers)
+    celsius = [header.temperature_c for header in headers if header.temperature_c is not None]
     if turned:
         tilt = beam_tilt(of_scans.targets, turned, progress)
         of_scans = without_tilt(of_scans, tilt)
@@ -53,6 +56,7 @@ def calibrate(
         recording_sha256=sha256_of_all([recording.sha256() for recording in recordings]),
         targets=tuple(sorted((target for of in both for target in of.targets), key=lambda of: of.z_mm)),
         limits=limits,
+        temperature_c=float(np.mean(celsius)) if celsius else None,
     )
     evidence = {seen.name: seen for of in both for seen in of.evidence}
     return CalibrationResult(
@@ -83,9 +87,9 @@ def _by_turn(scanned: Sequence[TargetFrames]) -> tuple[list[TargetFrames], list[
     return as_it_is, turned
 
 
-def _limits(scans: Sequence[Recording]) -> Limits:
+def _limits(scans: Sequence[RecordingHeader]) -> Limits:
     """Limits that the scans state; the larger value if several state the same one."""
-    stated = [scan.header.limits for scan in scans if scan.header.limits is not None]
+    stated = [scan.limits for scan in scans if scan.limits is not None]
     of_all = {key: [sigma for of in stated if (sigma := getattr(of, key)) is not None] for key in LIMIT_KEYS}
     return Limits(**{key: max(sigmas) for key, sigmas in of_all.items() if sigmas})
 

@@ -31,7 +31,7 @@ from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, CalibrationFile, TargetCalibration
 from altd.measuring.cross_check import CrossCheck
 from altd.recording.header import RecordingHeader
-from altd.records import CameraIdentity, FloatArray, Glass, utc_text
+from altd.records import CameraIdentity, FloatArray, Glass, Limits, utc_text
 from altd.vision.flat import Flat
 from altd.vision.settings import UNKNOWN_SPOT
 
@@ -43,9 +43,15 @@ def document_of(calibration: Calibration) -> dict[str, Any]:
         "unit": {"serial": calibration.unit_serial},
         "created": utc_text(calibration.created),
         "recording": {"note": calibration.recording_note, "sha256": calibration.recording_sha256},
-        "limits": asdict(calibration.limits),
+        "limits": _limits_document(calibration.limits),
+        **({} if calibration.temperature_c is None else {"temperature_c": calibration.temperature_c}),
         "targets": [_target_document(target) for target in calibration.targets],
     }
+
+
+def _limits_document(limits: Limits) -> dict[str, float | None]:
+    """Return the limits; without ``temperature_k`` where it is not stated, for releases that lack it."""
+    return {key: of for key, of in asdict(limits).items() if key != "temperature_k" or of is not None}
 
 
 def _target_document(target: TargetCalibration) -> dict[str, Any]:
@@ -119,6 +125,7 @@ def calibration_of(content: CalibrationTable) -> Calibration:
         recording_note=content.recording.note,
         recording_sha256=content.recording.sha256,
         limits=content.limits,
+        temperature_c=content.temperature_c,
         targets=tuple(_from_target(target) for target in content.targets),
     )
 

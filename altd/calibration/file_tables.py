@@ -20,6 +20,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
+from altd.config.table import Celsius
 from altd.files.picture import decode_png
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import ROUND, Model
@@ -135,10 +136,11 @@ class Table(BaseModel):
 def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
     """Read a dataclass from a table that has exactly its fields.
 
-    ``narrower`` contains the types of the fields whose values are limited in a file.
+    ``narrower`` contains the types of the fields whose values are limited in a file; with a default, of those
+    that a file may lack.
     """
     types = get_type_hints(record) | narrower
-    fields: dict[str, Any] = {name: (type_, ...) for name, type_ in types.items()}
+    fields = {name: type_ if isinstance(type_, tuple) else (type_, ...) for name, type_ in types.items()}
     table = create_model(f"{record.__name__}Table", __base__=Table, **fields)
 
     def schema(_: object, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -274,7 +276,9 @@ class TargetTable(Table):
 
 
 _Limit = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None
-_Limits = Annotated[Limits, _table_of(Limits, **dict.fromkeys(LIMIT_KEYS, _Limit))]
+_Limits = Annotated[
+    Limits, _table_of(Limits, **dict.fromkeys(LIMIT_KEYS, _Limit) | {"temperature_k": (_Limit, None)})
+]
 
 
 class UnitTable(Table):
@@ -298,4 +302,5 @@ class CalibrationTable(Table):
     created: datetime
     recording: RecordingTable
     limits: _Limits = NO_LIMITS
+    temperature_c: Celsius | None = None
     targets: Annotated[list[TargetTable], Field(min_length=1)]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from altd.config.table import Device, GpioLineName, Name, StageMillimetres, Table, complaint
+from altd.config.table import Celsius, Device, GpioLineName, Name, StageMillimetres, Table, complaint
 from altd.records.limits import MAX_LIMIT, Limits
 
 
@@ -187,6 +187,8 @@ class ScanLimits(Table):
     """Direction of the beam relative to the normal of the targets, mm/m."""
     target_distance_mm: Uncertainty = None
     """Distance from the first target to another one, mm."""
+    temperature_k: Uncertainty = None
+    """Temperature of the frame in service, against that of the scan, K."""
 
     @property
     def record(self) -> Limits | None:
@@ -222,6 +224,8 @@ class Scan(Table):
     """Repetitions of a node with a bad spot."""
     turned_deg: Literal[0, 180] = 0
     """Turn of the unit about its own z axis, degrees. For 180, stage and beam are as in the scan before."""
+    temperature_c: Celsius | None = None
+    """Temperature of the frame in the scan, °C, if it is known."""
     limits: ScanLimits = ScanLimits()
     """Uncertainties that the scan cannot measure."""
     flat_pitch_mm: Annotated[float, Field(ge=1, le=20)] = 2.5

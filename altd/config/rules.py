@@ -317,6 +317,10 @@ def _thermometers(draft: Draft) -> Iterator[Fault]:
             )
             yield Fault(("thermometers", number, "name"), text, about=(("thermometers", other, "name"),))
         yield from _celsius(settings, ("thermometers", number))
+    of_frame = None if draft.installation is None else draft.installation.thermometer
+    if of_frame is not None and of_frame not in first and None not in draft.thermometers:
+        text = f"{shown(of_frame)} is not the name of a thermometer{did_you_mean(of_frame, first)}"
+        yield Fault(("installation", "thermometer"), text, about=(("thermometers",),))
     for name, camera in draft.cameras.items():
         if isinstance(camera, AravisCameraSettings):
             yield from _celsius(camera, ("cameras", name))

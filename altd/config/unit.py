@@ -124,6 +124,9 @@ class Installation(Table):
     offset_y_mm: Millimetres = 0.0
     offset_yaw_deg: OffsetDegrees = 0.0
     offset_pitch_deg: OffsetDegrees = 0.0
+    thermometer: Name | None = None
+    """Thermometer on the frame between the targets, a name in ``[[thermometers]]``: with the calibration's
+    temperature, its expansion enters sigma."""
 
     @property
     def signs(self) -> dict[str, Literal[-1, 1]]:

@@ -106,8 +106,9 @@ class CalibrationFile:
 class Calibration:
     """Targets of one unit in beam order, and the origin of the data.
 
-    ``limits`` are the uncertainties that its recordings do not show. ``file`` is None if the calibration was
-    computed and not read from a file.
+    ``limits`` are the uncertainties that its recordings do not show. ``temperature_c`` is the temperature of
+    the frame in its scans; None: not known. ``file`` is None if the calibration was computed and not read
+    from a file.
     """
 
     unit_serial: str
@@ -116,6 +117,7 @@ class Calibration:
     recording_sha256: str
     targets: tuple[TargetCalibration, ...]
     limits: Limits = NO_LIMITS
+    temperature_c: float | None = None
     file: CalibrationFile | None = None
 
     @property

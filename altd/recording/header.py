@@ -21,7 +21,7 @@ from pydantic import (
 
 from altd import __version__
 from altd.config import Target
-from altd.config.table import NAME_PATTERN
+from altd.config.table import NAME_PATTERN, Celsius
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.reading import read_file
@@ -237,6 +237,8 @@ class RecordingHeader(_Header):
     """Turn of the unit about its own z axis in a ``scan``, degrees; stage and beam were not moved."""
     limits: Limits | None = None
     """Uncertainties of a ``scan`` that it cannot measure."""
+    temperature_c: Celsius | None = None
+    """Temperature of the frame in a ``scan``, °C."""
     targets: Annotated[tuple[TargetHeader, ...], Field(min_length=1)] | None = None
     """Targets in beam order; None: those of ``shown_targets``."""
 

@@ -13,7 +13,8 @@ class Limits:
     ``stage_mm`` is independent from node to node, each of the others is one value for the whole scan:
     ``stage_scale_ppm`` of the stage's length, ``stage_square_mrad`` of the angle between its axes,
     ``beam_normal_mm_per_m`` of the beam against the targets' normal, ``target_distance_mm`` of the distance
-    from the first target to another one. Raises ValueError for a number that is not a possible uncertainty.
+    from the first target to another one, ``temperature_k`` of the frame's temperature against that of the
+    scan. Raises ValueError for a number that is not a possible uncertainty.
     """
 
     stage_mm: float | None = None
@@ -21,6 +22,7 @@ class Limits:
     stage_square_mrad: float | None = None
     beam_normal_mm_per_m: float | None = None
     target_distance_mm: float | None = None
+    temperature_k: float | None = None
 
     def __post_init__(self) -> None:
         for key in LIMIT_KEYS:

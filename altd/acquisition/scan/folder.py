@@ -179,6 +179,7 @@ class ScanFolder:
             self_check=state.self_check,
             turned_deg=self._scan.turned_deg,
             limits=self._scan.limits.record,
+            temperature_c=self._scan.temperature_c,
             note=note,
             made_by=MADE_BY,
             start=start,

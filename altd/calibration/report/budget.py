@@ -45,6 +45,7 @@ _TERMS = {
     "stage_square_mrad": "angle between the stage's axes",
     "beam_normal_mm_per_m": "calibrating beam against the normal",
     "target_distance_mm": "distance of the targets",
+    "temperature_k": "temperature of the frame",
     "glass_mm": "thickness of the window's glass",
     "glass_index": "refractive index of the glass",
 }
@@ -53,6 +54,7 @@ _UNITS = {
     "stage_square_mrad": "mrad",
     "beam_normal_mm_per_m": "mm/m",
     "target_distance_mm": "mm",
+    "temperature_k": "K",
     "glass_mm": "mm",
     "glass_index": "",
 }

@@ -23,6 +23,7 @@ _LIMITS = {
     "stage_square_mrad": ("angle between the stage's axes", "mrad"),
     "beam_normal_mm_per_m": ("beam against the targets' normal", "mm/m"),
     "target_distance_mm": ("distance of the targets", "mm"),
+    "temperature_k": ("temperature of the frame", "K"),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.instrument import Solution
 from altd.measuring.spot_shape import shape_doubts_mm
 from altd.reasons import Reason
-from altd.records import Fault, FloatArray, MeanSpots, Quantities, Quantity, TargetPoint, Value
+from altd.records import Fault, FloatArray, Limits, MeanSpots, Quantities, Quantity, TargetPoint, Value
 from altd.records.spots import Motion, SpotMotion
 
 QUANTITIES = Quantities(
@@ -147,22 +147,30 @@ MAX_PITCH_MM_PER_M = 250.0
 _MARGIN_SIGMAS = 3.0
 _MAX_MARGIN_MM_PER_M = 1.0
 """Required accuracy, mm/m (App. A.1): a beam may exceed a range by its uncertainty, up to this limit."""
+_THERMOMETER_K = 1.0
+"""Standard uncertainty of the difference of two temperatures of the frame: its parts are not equally warm."""
 
 
 class BeamInstrument:
     """Solver without state; see ``measuring.instrument.Instrument``.
 
     A beam whose scatter exceeds ``measuring.max_sigma_…`` is a fault. ``installation`` converts the beam from
-    the unit frame to the coordinates of the controller.
+    the unit frame to the coordinates of the controller. ``celsius`` returns the frame's temperature, None if
+    it is not known; its difference from that of the calibration replaces the stated ``temperature_k``.
     """
 
     min_targets = 2
 
     def __init__(
-        self, calibration: Calibration, measuring: Measuring, installation: Installation | None = None
+        self,
+        calibration: Calibration,
+        measuring: Measuring,
+        installation: Installation | None = None,
+        celsius: Callable[[], float | None] = lambda: None,
     ) -> None:
         self._calibration = {target.name: target for target in calibration.targets}
-        self._limits = calibration.limits
+        self._stated = calibration.limits
+        self._calibrated_c, self._celsius = calibration.temperature_c, celsius
         self._measuring = measuring
         self._installation = installation or Installation()
         self.quantities = quantities_of(self._installation)
@@ -201,6 +209,14 @@ class BeamInstrument:
             {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
             motions,
         )
+
+    @property
+    def _limits(self) -> Limits:
+        """The stated limits, with the frame's temperature now if it is known."""
+        now_c = None if self._calibrated_c is None else self._celsius()
+        if now_c is None or self._calibrated_c is None:
+            return self._stated
+        return replace(self._stated, temperature_k=math.hypot(now_c - self._calibrated_c, _THERMOMETER_K))
 
     def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
         points = []

@@ -11,6 +11,8 @@ from altd.records import FloatArray, Limits
 
 _TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_per_m": 1e-3}
 """Factors from the unit of each limit to a dimensionless number."""
+ALUMINIUM_PER_K = 23.6e-6
+"""Linear expansion of aluminium 6061 (Callister, Materials Science and Engineering, Table B.6)."""
 
 
 def effects_mm(
@@ -23,7 +25,9 @@ def effects_mm(
     stage whose scale is long by s puts the beam at (1 + s) times the stated position on every target. Axes
     out of square by q move x by q · y. A beam tilted from the normal by t meets the target at z with an error
     of t · z. A target farther away by d is met d · slope further along. These errors have one column for x
-    and one for y; the distance has one column per target after the first.
+    and one for y; the distance has one column per target after the first. A frame that is warmer moves the
+    cameras from their targets, which shrinks all pictures about the zero of the unit frame (first column),
+    and the targets from each other (second column).
     """
     z, x, y = np.asarray(z_mm, dtype=np.float64), points_mm[:, 0], points_mm[:, 1]
     effects = {}
@@ -41,6 +45,9 @@ def effects_mm(
         for farther in range(1, len(z)):
             columns[2 * farther : 2 * farther + 2, farther - 1] = slopes
         effects["target_distance_mm"] = sigma * columns
+    if sigma := limits.temperature_k:
+        columns = np.column_stack([points_mm.ravel(), np.outer(z, slopes).ravel()])
+        effects["temperature_k"] = sigma * ALUMINIUM_PER_K * columns
     return effects
 
 

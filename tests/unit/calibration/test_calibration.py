@@ -18,7 +18,7 @@ from altd.errors import BadInputError
 from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
-from altd.records import CameraIdentity, Glass
+from altd.records import CameraIdentity, Glass, Limits
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.hot_pixels import HotPixels, places_of
@@ -106,6 +106,18 @@ def test_a_file_gives_back_what_was_saved(calibration: Calibration, file: Path) 
         place = np.array([[3.0, 4.0]])
         assert read.map.to_px(place) == pytest.approx(saved.map.to_px(place))
         assert (read.residual_max_mm, read.z_mm) == (saved.residual_max_mm, saved.z_mm)
+
+
+def test_a_file_keeps_the_temperature_and_has_no_key_of_it_without(
+    calibration: Calibration, file: Path, tmp_path: Path
+) -> None:
+    document = json.loads(file.read_text())
+    assert "temperature_c" not in document
+    assert "temperature_k" not in document["limits"]
+    limits = Limits(temperature_k=8.0)
+    save_calibration(replace(calibration, temperature_c=21.5, limits=limits), tmp_path / "warm.json")
+    read = load_calibration(tmp_path / "warm.json")
+    assert (read.temperature_c, read.limits) == (21.5, limits)
 
 
 def test_a_file_keeps_the_map_that_checks_and_its_bound(calibration: Calibration, file: Path) -> None:

@@ -71,6 +71,7 @@ offset_yaw_deg = «90                 # 90 is too large
 offset_yaw_deg = «90.0               # 90.0 is too large; possible: number from -45 to 45
 reference_plane_mm = «inf            # inf is not a finite number
 offset_y_mm = «1e200                 # 1e+200 is too large; possible: number from -100000 to 100000
+thermometer = «"hosing"              # "hosing" is not the name of a thermometer; did you mean `housing`?
 [modbus_tcp]
 host = «"224.0.0.1"                  # address of groups
 host = «"fe80::1"                    # name its interface

@@ -39,6 +39,7 @@ stale_after_s = 1.0
 sign_x = -1
 offset_x_mm = 12.5
 offset_yaw_deg = 0.25
+thermometer = "housing"
 
 [modbus_tcp]
 host = "0.0.0.0"

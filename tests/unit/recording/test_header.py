@@ -194,7 +194,7 @@ def test_limits_are_read_and_those_that_are_absent_are_known_as_not_stated() -> 
     limits = {"stage_scale_ppm": 50, "beam_normal_mm_per_m": 0.3, "colour": "red"}
     read = RecordingHeader.model_validate(header("scan") | {"limits": limits, "turned_deg": 180})
     assert read.limits == Limits(stage_scale_ppm=50.0, beam_normal_mm_per_m=0.3)
-    assert read.limits.not_stated == ("stage_mm", "stage_square_mrad", "target_distance_mm")
+    assert read.limits.not_stated == ("stage_mm", "stage_square_mrad", "target_distance_mm", "temperature_k")
     assert read.turned_deg == 180.0
 
 

@@ -25,7 +25,7 @@ from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import Glass, Limits
 
-LIMITS = Limits(0.005, 50.0, 0.05, 0.3, 0.05)
+LIMITS = Limits(0.005, 50.0, 0.05, 0.3, 0.05, 8.0)
 EVIDENCE = (evidence("front"), evidence("rear", 2))
 
 
@@ -90,6 +90,7 @@ def test_limits_that_are_not_stated_are_named(budget: Budget) -> None:
     none = budget_of(calibration(), EVIDENCE)
     assert none.not_stated == (
         *("stage_mm", "stage_scale_ppm", "stage_square_mrad", "beam_normal_mm_per_m", "target_distance_mm"),
+        "temperature_k",
         "glass_mm",
     )
     assert [each.key for each in none.terms] == ["pattern", "map", "scatter"]
@@ -128,7 +129,7 @@ def test_json_and_table_have_the_same_numbers(budget: Budget) -> None:
 def test_a_single_target_has_the_budget_of_its_spot() -> None:
     one = budget_of(replace(calibration(target("front")), limits=LIMITS), EVIDENCE[:1])
     assert one.quantities == ("x_mm", "y_mm")
-    keys = {"pattern", "map", "scatter", "stage_scale_ppm", "stage_square_mrad"}
+    keys = {"pattern", "map", "scatter", "stage_scale_ppm", "stage_square_mrad", "temperature_k"}
     assert {each.key for each in one.terms} == keys
 
 

@@ -1,10 +1,14 @@
 """The beam through two points, and limits of a calibration in its uncertainty."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.evidence import calibration
 
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.solver import Beam, fit_beam, joint_covariance_mm2
 from altd.records import Limits, MeanSpots, TargetPoint
 
@@ -111,6 +115,36 @@ def test_each_limit_adds_the_error_that_it_makes(key: str) -> None:
     scatter = np.array(right.sigma_random)
     added = np.sqrt(np.square(sigmas(right)) - np.square(scatter))
     assert added == pytest.approx(np.abs(errors), rel=2e-3, abs=1e-9)
+
+
+def test_a_warmer_frame_adds_its_smaller_pictures_and_its_longer_distance() -> None:
+    """Aluminium, 23.6 ppm/K: pictures shrink about the zero, and the rear target is farther away."""
+    longer = 1 + 40 * 23.6e-6
+    right = beam_through(true_places(), Limits(temperature_k=40.0))
+    shrunk = beam_through([(x / longer, y / longer) for x, y in true_places()], Limits())
+    farther = beam_through([(X_MM + SX * z, Y_MM + SY * z) for z in (0.0, Z_MM[1] * longer)], Limits())
+    errors = np.hypot(*(np.subtract(numbers(wrong), numbers(right)) for wrong in (shrunk, farther)))
+    added = np.sqrt(np.square(sigmas(right)) - np.square(right.sigma_random or ()))
+    assert added == pytest.approx(errors, rel=2e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize(("now_c", "warmer_k"), [(61.0, 40.0), (21.0, 0.0), (None, 5.0)])
+def test_a_thermometer_on_the_frame_replaces_the_stated_temperature(
+    now_c: float | None, warmer_k: float
+) -> None:
+    limits = Limits(stage_scale_ppm=50.0, temperature_k=5.0)
+    made = replace(calibration(), limits=limits, temperature_c=21.0)
+    front, rear = (
+        target.map.to_px(np.array([place]))[0]
+        for target, place in zip(made.targets, [(40, 0), (40, 0)], strict=True)
+    )
+    spots = MeanSpots(
+        ("front", "rear"), np.array([front, rear]), 1e-4 * np.eye(4), 0, 20, 0, (None, None), (0.0, 0.0)
+    )
+    x = BeamInstrument(made, Measuring(), celsius=lambda: now_c).solve(spots).values["x_mm"]
+    unsure_k = warmer_k if now_c is None else math.hypot(warmer_k, 1.0)
+    of_limits = math.hypot(50e-6, 23.6e-6 * unsure_k) * 40
+    assert math.sqrt(x.sigma**2 - x.sigma_random**2) == pytest.approx(of_limits, rel=1e-3)
 
 
 def test_limits_do_not_move_the_beam_and_leave_its_scattering_part() -> None:
