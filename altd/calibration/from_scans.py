@@ -13,7 +13,7 @@ from altd.calibration.pattern import NodeScatter, pattern_noise_px, pattern_shap
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
 from altd.calibration.result import Progress, TargetEvidence, TargetsResult, residual_distances_mm
-from altd.calibration.scan_grid import cut_sides, offset_doubts, relative_sigmas, scan_grid
+from altd.calibration.scan_grid import cut_sides, offset_doubts, refuse_ended, relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import (
     Job,
     Node,
@@ -149,7 +149,9 @@ def _unmeasured(
 def _calibrate_target(job: Job, progress: Progress) -> _Made:
     """Calibrate one target through its recorded flat, else the model of its print, else neither."""
     if job.flat is not None:
-        made = _fit_target(job, locate_nodes(job, progress), None)
+        scanned = locate_nodes(job, progress)
+        refuse_ended(job, job.flat, scanned.usable)
+        made = _fit_target(job, scanned, None)
         by_laser = job.flat.source == "laser"
         doubts = () if by_laser else _flat_doubts(flat_correlation(first_frames(job), job.flat), job.name)
         remark = (

@@ -15,8 +15,10 @@ from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import FloatArray, Frame, Spot
 from altd.statistics import MAD_TO_SIGMA
+from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis, Patch
-from altd.vision.localise import locate_in
+from altd.vision.localise import fitted_profile, hidden_px, locate_in
+from altd.vision.misfit import misfit_of
 from altd.vision.settings import SpotSettings
 
 _MAX_SIGMA_RATIO = 1.5
@@ -115,6 +117,29 @@ def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[s
             f"from where {first.recording.path} does: something was moved between the scans"
         )
     return tuple(doubts)
+
+
+_MAX_HIDDEN_PX = 0.05
+"""Maximum displacement of a node by the hidden part of its spot; print and speckle displace as much."""
+
+
+def refuse_ended(job: Job, flat: Flat, nodes: Sequence[Node]) -> None:
+    """Refuse the nodes where the end of the surface hides a part of an asymmetric spot.
+
+    A whole spot is displaced by its asymmetry like all others, a part of it is not. A flat shows the end, but
+    not the hidden light. A symmetric spot is located as well by a part of it, with a larger sigma.
+    """
+    profiles = [fitted_profile(node.good[0].located[0].frame(), job.localiser, flat) for node in nodes]
+    seen = [(n, p, m) for n, p in zip(nodes, profiles, strict=True) if p and (m := misfit_of(p.residuals))]
+    hidden = [flat.hidden(p.centre.u_px, p.centre.v_px, p.diameter_px) for _, p, _ in seen]
+    if not any(hidden):
+        return
+    ratio = float(np.median([misfit.chi2 / misfit.degrees_of_freedom for _, _, misfit in seen]))
+    for (node, _, misfit), share in zip(seen, hidden, strict=True):
+        if hidden_px(misfit, ratio, share) > _MAX_HIDDEN_PX:
+            node.refusal = (
+                "print or surface ends within its spot, which is not symmetric: scan a smaller area"
+            )
 
 
 _MOMENT = SpotSettings(method="moment")

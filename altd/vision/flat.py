@@ -18,6 +18,16 @@ Source = Literal["recording", "laser", "print"]
 BLOCK_PX = 4
 """Side of the blocks over which a spot is summed before it is fitted, px."""
 
+_EVEN_BLOCKS = 2.0
+"""Sigma of the Gaussian that averages the dots of a print out, blocks."""
+_LOCAL_BLOCKS = 37
+"""Side of the surroundings whose largest response counts as that of the surface, blocks: 15 mm either way."""
+_MAX_END_SHARE = 0.5
+"""Share of that response from which there is no surface: glass beyond a print, a frame, nothing recorded."""
+_HIDDEN_FROM = 1.35
+"""Distance from the end of the surface, in 1/e² radii, below which a beam's asymmetry displaces a spot; below
+a quarter of a radius all of it does (drawn beams with coma and skew)."""
+
 _FULL_SCALE = 255
 _BRIGHTEST_PERCENT = 99.99
 
@@ -48,6 +58,27 @@ class Flat:
         response = self.levels.astype(np.float32)
         response /= max(float(self.levels.mean()), 1e-6)
         return response
+
+    @cached_property
+    def _inside_px(self) -> Image:
+        """Distance of each block from the end of the surface, px; 0 beyond it."""
+        even = cv2.GaussianBlur(block_sum(self.response, BLOCK_PX), (0, 0), _EVEN_BLOCKS)
+        surface = cv2.dilate(even, np.ones((_LOCAL_BLOCKS, _LOCAL_BLOCKS), np.uint8))
+        is_surface = (even > _MAX_END_SHARE * np.asarray(surface)).astype(np.uint8)
+        inside = np.asarray(cv2.distanceTransform(is_surface, cv2.DIST_L2, 5), np.float32)
+        return np.minimum(inside, np.float32(max(even.shape))) * np.float32(BLOCK_PX)
+
+    def hidden(self, u_px: float, v_px: float, diameter_px: float) -> float:
+        """Return which part of a beam's asymmetry displaces a spot at (u, v), since the surface ends in it.
+
+        A spot that is seen whole is displaced as all spots are, so the map contains it: 0. Of one that is
+        seen in part, another shape is fitted: up to 1.
+        """
+        row, column = (
+            min(max(int(at) // BLOCK_PX, 0), size - 1)
+            for at, size in zip((v_px, u_px), self._inside_px.shape, strict=True)
+        )
+        return min(max(_HIDDEN_FROM - 2 * float(self._inside_px[row, column]) / diameter_px, 0.0), 1.0)
 
     @cached_property
     def blocks(self) -> BlockSums:

@@ -122,13 +122,22 @@ def spot_in(
     )
     if profile is None:
         return spot if reference is None else NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
-    return _compared_with_reference(reference, analysis, patch, profile, spot)
+    hidden = 0.0 if flat is None else flat.hidden(spot.u_px, spot.v_px, profile.diameter_px)
+    return _compared_with_reference(reference, analysis, patch, profile, spot, hidden)
 
 
 def _compared_with_reference(
-    reference: SpotReference | None, analysis: FrameAnalysis, patch: Patch, profile: Profile, spot: Spot
+    reference: SpotReference | None,
+    analysis: FrameAnalysis,
+    patch: Patch,
+    profile: Profile,
+    spot: Spot,
+    hidden: float,
 ) -> Spot | NoSpot:
-    """Return the spot with its shape and its unexplained excess, or why it is rejected."""
+    """Return the spot with its shape and its unexplained excess, or why it is rejected.
+
+    ``hidden`` is from ``Flat.hidden``.
+    """
     settings = analysis.settings
     shape = SpotShape(*profile.form, profile.order)
     if reference is None and not patch.is_cut:
@@ -147,12 +156,14 @@ def _compared_with_reference(
                 Reason.DISTORTED, f"its light misses that of one spot by {ratio:.0f} times the usual"
             )
     excess_px = math.hypot(excess_px, _excess_texture_px(misfit, reference, patch.is_cut))
+    if reference is not None and hidden:
+        excess_px = math.hypot(excess_px, hidden_px(misfit, reference.misfit_ratio, hidden))
     if patch.is_cut:
         rows, columns = analysis.frame.pixels.shape
         is_inside = 0 <= spot.u_px <= columns - 1 and 0 <= spot.v_px <= rows - 1
         if not is_inside or math.hypot(spot.sigma_px, excess_px) > settings.max_sigma_px:
             return NoSpot(Reason.CUT_BY_EDGE, "too much of the spot lies beyond the edge of the image")
-        spot = replace(spot, diameter_px=_profile_diameter_px(profile))
+        spot = replace(spot, diameter_px=profile.diameter_px)
     return replace(spot, excess_px=excess_px, shape=shape)
 
 
@@ -190,10 +201,13 @@ def _excess_texture_px(misfit: Misfit, reference: SpotReference | None, cut: boo
     return reference.noise_px * math.sqrt(max((misfit.pattern_px / known_px) ** 2 - 1, 0.0))
 
 
-def _profile_diameter_px(profile: Profile) -> float:
-    """Return the 1/e² diameter of the circle with the profile's area at that height."""
-    a, b, c = profile.form
-    return 2 * math.sqrt(2 * 2 ** (1 / profile.order) / math.sqrt(a * c - b * b))
+def hidden_px(misfit: Misfit, usual_ratio: float, hidden: float) -> float:
+    """Return the possible displacement of a spot by the asymmetry of its beam, one sigma.
+
+    ``usual_ratio`` is the ratio of usual spots' chi-square to that of noise, ``hidden`` from ``Flat.hidden``.
+    """
+    unexplained = max(usual_ratio - 1, 0.0) * misfit.degrees_of_freedom
+    return _BIAS_PER_EXCESS * hidden * misfit.centre_px * math.sqrt(unexplained)
 
 
 def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> Profile | None:

@@ -109,6 +109,12 @@ class Profile:
     background_offset: float
     residuals: Residuals
 
+    @property
+    def diameter_px(self) -> float:
+        """1/e² diameter of the circle with the spot's area at that height."""
+        a, b, c = self.form
+        return 2 * math.sqrt(2 * 2 ** (1 / self.order) / math.sqrt(a * c - b * b))
+
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
         """Return E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
         a, b, c = self.form
