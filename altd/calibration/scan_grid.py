@@ -119,8 +119,8 @@ def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[s
     return tuple(doubts)
 
 
-_MAX_HIDDEN_PX = 0.05
-"""Maximum displacement of a node by the hidden part of its spot; print and speckle displace as much."""
+_MAX_HIDDEN_PX = 0.1
+"""Maximum displacement of a node by the hidden part of its spot; print and speckle displace by 0.05."""
 
 
 def refuse_ended(job: Job, flat: Flat, nodes: Sequence[Node]) -> None:
