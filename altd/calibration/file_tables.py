@@ -140,7 +140,9 @@ def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
     that a file may lack.
     """
     types = get_type_hints(record) | narrower
-    fields = {name: type_ if isinstance(type_, tuple) else (type_, ...) for name, type_ in types.items()}
+    fields: dict[str, Any] = {
+        name: type_ if isinstance(type_, tuple) else (type_, ...) for name, type_ in types.items()
+    }
     table = create_model(f"{record.__name__}Table", __base__=Table, **fields)
 
     def schema(_: object, handler: GetCoreSchemaHandler) -> CoreSchema:

@@ -10,6 +10,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot
+from altd.vision.flat import Flat
 from altd.vision.image import SATURATED_FROM, clipped_from
 from altd.vision.localise import locate
 from altd.vision.search import coarse_image, fit_background
@@ -219,3 +220,18 @@ def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
     assert np.sqrt(np.mean(np.square(off))) < 0.15
     assert np.abs(off).max() < 0.8  # in a corner
     assert background[HEIGHT // 2, WIDTH // 2] - background[0, 0] > 10
+
+
+def test_a_flat_tells_how_much_of_a_spot_lies_at_the_end_of_a_print() -> None:
+    """Dots of 4 px, 9 px apart, that end at u 400; the light falls off to a half towards the borders."""
+    v, u = np.mgrid[:480, :752].astype(float)
+    dots = (np.hypot(u % 9 - 4, v % 9 - 4) < 3) & (u < 400)
+    fall_off = 1 - 0.5 * ((u - 375) ** 2 + (v - 240) ** 2) / (375**2 + 240**2)
+    flat = Flat.of((0.1 + dots) * fall_off, "recording")
+    at = {inside: flat.hidden(400.0 - inside, 200.0, 56.0) for inside in (300, 45, 28, 14, 4, -20)}
+    assert at[300] == at[45] == 0
+    assert at[28] == pytest.approx(0.35, abs=0.2)
+    assert at[14] == pytest.approx(0.85, abs=0.3)
+    assert at[4] == at[-20] == 1
+    whole = Flat.of((0.1 + (np.hypot(u % 9 - 4, v % 9 - 4) < 3)) * fall_off, "recording")
+    assert not any(whole.hidden(*place, 56.0) for place in ((0, 0), (400, 200), (751, 479)))
