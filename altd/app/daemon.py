@@ -86,7 +86,7 @@ class Daemon:
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
-        instrument = live_instrument(config, calibration, self._celsius)
+        instrument = live_instrument(config, calibration, lambda: self._maintenance.frame_celsius())
         identity = Identity.drawn(config.unit.serial)
         self.health = Health(self.clock)
         self.health.facts |= {
@@ -143,14 +143,6 @@ class Daemon:
             for name, settings in config.cameras.items()
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
-
-    def _celsius(self) -> float | None:
-        """Return the temperature of the frame; None: not known."""
-        if self.config.installation.thermometer is None:
-            return None
-        component = self.health.component(f"temperature {self.config.installation.thermometer}")
-        celsius = component.figures.get("celsius")
-        return celsius if isinstance(celsius, float) else None
 
     def _self_checks(self, calibration: AnyCalibration) -> SelfChecks | None:
         """Return the checks with the frame LEDs of a beam's targets; None: the unit cannot make them."""

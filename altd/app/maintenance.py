@@ -27,6 +27,7 @@ class MaintenanceWatches:
         clock: Clock,
     ) -> None:
         self._health = health
+        self._thermometer_of_frame = config.installation.thermometer
         self._clock = clock
         self._thermometers: list[Thermometer] = []
         limits: dict[str, TemperatureLimits] = {}
@@ -47,6 +48,13 @@ class MaintenanceWatches:
             Temperatures(limits, health.component),
             self.trends,
         )
+
+    def frame_celsius(self) -> float | None:
+        """Return the temperature of the frame, °C; None: not known."""
+        if self._thermometer_of_frame is None:
+            return None
+        celsius = self._health.component(f"temperature {self._thermometer_of_frame}").figures.get("celsius")
+        return celsius if isinstance(celsius, float) else None
 
     def start(self, tasks: asyncio.TaskGroup) -> None:
         """Read the thermometers until cancelled."""

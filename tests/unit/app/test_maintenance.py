@@ -87,6 +87,18 @@ async def test_a_camera_without_a_temperature_or_that_is_away_is_no_cause(answer
     assert (component.state, component.figures) == ("ok", {"celsius": None})
 
 
+def test_the_thermometer_of_the_frame_is_the_named_one() -> None:
+    named = {"driver": "hwmon", "name": "frame", "chip": "tmp102"}
+    settings = config().model_dump() | {"thermometers": [named], "installation": {"thermometer": "frame"}}
+    health = Health(SystemClock())
+    parts = evidence.calibration(), cameras(), health, SystemClock()
+    watches = MaintenanceWatches(Config.model_validate(settings), *parts)
+    assert watches.frame_celsius() is None, "not read yet"
+    health.component("temperature frame").observe({"celsius": 31.5})
+    assert watches.frame_celsius() == 31.5
+    assert MaintenanceWatches(config(), *parts).frame_celsius() is None
+
+
 def test_dust_under_the_spots_of_a_camera_is_told_of_its_target() -> None:
     health = Health(SystemClock())
     watches = MaintenanceWatches(config(), evidence.calibration(), cameras(), health, SystemClock())
