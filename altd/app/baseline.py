@@ -120,8 +120,9 @@ class BaselineFile:
         names = self.calibration.target_names
         if unknown := sorted((content.own.keys() | content.stable.keys()) - set(names)):
             raise ValueError(f"has target {unknown[0]!r}, which is not in the calibration")
+        stable = [name for name in self.settings.stable if name in content.own]  # others were left out
         for name in content.own:
-            if missing := [of for of in self.settings.stable if of not in content.stable.get(name, {})]:
+            if missing := [of for of in stable if of not in content.stable.get(name, {})]:
                 raise ValueError(
                     f"{missing[0]!r} was not a stable target then: make a new one, altd baseline"
                 )

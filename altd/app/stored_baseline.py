@@ -53,7 +53,9 @@ def store_baseline(
         rounds = counted(settings.baseline_rounds, "round")
         return [*lines, f"restart altd: its first {rounds} make the baseline, {path}"]
     file.save(means, recording.header.start or datetime.now(UTC), replay.is_simulated)
-    return [*lines, f"{path}: baseline of {counted(len(means.own), 'target')} from {recording_path}"]
+    left_out = [name for name in settings.stable if name not in means.own]
+    without = f", without stable {', '.join(left_out)}: not measured" if left_out else ""
+    return [*lines, f"{path}: baseline of {counted(len(means.own), 'target')} from {recording_path}{without}"]
 
 
 def _played(config: Config) -> Path | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -14,6 +15,10 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
 
 _MIN_BASELINE_SHARE = 0.5
+_PATIENCE = 3
+"""Number of baselines' lengths after which stable targets that are not measured are left out."""
+_MIN_CREEP_SIGMAS = 3.0
+"""Minimum speed of a place during the baseline that counts as motion; less is the scatter of its visits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +81,9 @@ class _Movement:
 class BaselineMeans:
     """Mean of each spot over the baseline's rounds; ``random_mm2`` of these places is that of the mean.
 
-    ``own`` holds the targets that were measured in at least half of the rounds. ``stable`` holds, by target
-    and stable target, the means of the stable target at the instants of the target's visits. ``simulated``:
-    the means were stored, and made from simulated frames.
+    ``own`` holds the targets that were measured in at least half of the rounds, without the stable targets
+    that were left out. ``stable`` holds, by target and stable target, the means of the stable target at the
+    instants of the target's visits. ``simulated``: the means were stored, and made from simulated frames.
     """
 
     own: Mapping[str, Place]
@@ -100,7 +105,7 @@ class Baseline:
         self._limits = calibration.limits
         self._stable = tuple(stable)
         self._rounds = rounds
-        self._taken: list[Mapping[str, Place]] = []
+        self._seen: deque[Mapping[str, Place]] = deque(maxlen=_PATIENCE * rounds)
         self.means = means
         """Means of the baseline; None while it is not complete."""
 
@@ -114,23 +119,60 @@ class Baseline:
         return self.means is not None and target in self.means.own
 
     def take(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> None:
-        """Add a round to the baseline; a round in which a stable target was not measured is ignored."""
-        if places and all(name in places for name in self._stable):
-            self._taken.append(places)
-        if len(self._taken) == self._rounds:
-            self.means = self._means([self._epochs_of(of_round, history) for of_round in self._taken])
-            self._taken = []
+        """Add a round; complete the baseline with the first rounds in which all stable targets were measured.
 
-    def _means(self, rounds: Sequence[Mapping[str, _Epoch]]) -> BaselineMeans:
-        of = {name: [epochs[name] for epochs in rounds if name in epochs] for name in self._targets}
+        If there are too few in ``_PATIENCE`` times as many rounds, the stable targets that were measured
+        least are left out, but not all of them: the others determine the beam.
+        """
+        if not places:
+            return
+        self._seen.append(places)
+        stable = sorted(self._stable, key=lambda name: -sum(name in of_round for of_round in self._seen))
+        least = len(stable) if len(self._seen) < _PATIENCE * self._rounds else min(len(stable), 1)
+        for count in range(len(stable), least - 1, -1):
+            known = [of_round for of_round in self._seen if of_round.keys() >= set(stable[:count])]
+            if len(known) >= self._rounds:
+                epochs = [self._epochs_of(of_round, history) for of_round in known[: self._rounds]]
+                self.means = self._means(epochs, [name for name in self._stable if name in stable[:count]])
+                self._seen.clear()
+                return
+
+    def _means(self, rounds: Sequence[Mapping[str, _Epoch]], stable: Sequence[str]) -> BaselineMeans:
+        names = [name for name in self._targets if name in stable or name not in self._stable]
+        of = {name: [epochs[name] for epochs in rounds if name in epochs] for name in names}
         known = {name: epochs for name, epochs in of.items() if _is_enough(len(epochs), self._rounds)}
         return BaselineMeans(
-            {name: _mean([epoch.place for epoch in epochs]) for name, epochs in known.items()},
+            {name: self._mean_of_place(name, epochs, stable) for name, epochs in known.items()},
             {
-                name: {other: _mean([epoch.stable[other] for epoch in epochs]) for other in self._stable}
+                name: {other: _mean([epoch.stable[other] for epoch in epochs]) for other in stable}
                 for name, epochs in known.items()
             },
         )
+
+    def _mean_of_place(self, name: str, epochs: Sequence[_Epoch], stable: Sequence[str]) -> Place:
+        """Mean of a place. Its variance contains steady motion of the place, but not of the beam.
+
+        A displacement counts from the baseline's start, middle or end alike: their mean square is twice that
+        of all its moments.
+        """
+        mean = _mean([epoch.place for epoch in epochs])
+        reference = _reference(name, stable)
+        if len(reference) < 2 or len(epochs) < 2:  # the beam's motion is not known
+            return mean
+        z_mm = [self._targets[other].z_mm for other in reference]
+        gain = gain_at(z_mm, [np.eye(2)] * len(z_mm), self._targets[name].z_mm)
+        mm, variances = np.zeros((2, len(epochs), 2))
+        for index, epoch in enumerate(epochs):
+            spots = [epoch.stable[other] for other in reference]
+            mm[index] = epoch.place.mm - gain @ np.concatenate([spot.mm for spot in spots])
+            of_beam = np.concatenate([spot.random_mm2.diagonal() for spot in spots])
+            variances[index] = epoch.place.random_mm2.diagonal() + gain**2 @ of_beam
+        since_s = np.array([(epoch.place.t_ns - mean.t_ns) * 1e-9 for epoch in epochs])
+        since_s -= since_s.mean()
+        square_s2 = since_s @ since_s
+        rate, variance = since_s @ mm / square_s2, since_s**2 @ variances / square_s2**2
+        moved_mm2 = (rate**2 - variance) * (rate**2 > _MIN_CREEP_SIGMAS**2 * variance)
+        return replace(mean, random_mm2=mean.random_mm2 + np.diag(moved_mm2) * 2.0 * square_s2 / len(epochs))
 
     def displaced(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> Displaced:
         """Displacements of a round; ``history`` holds each target's visits, before and after it too."""
@@ -144,7 +186,7 @@ class Baseline:
         unknown_mm2 = _unknown_beam_mm2(own, {name: self._targets[name].z_mm for name in own}, stable)
         found = {}
         for name, epoch in epochs.items():
-            reference = [other for other in stable if other != name] if len(stable) > 2 else stable
+            reference = _reference(name, stable)
             found[name] = self._displacement(name, epoch, own[name], reference, unknown_mm2[name])
         return Displaced(found, moved, beam=("nothing", "offset", "line")[min(len(stable), 2)])
 
@@ -212,6 +254,11 @@ class Baseline:
     def _since(self, name: str, mean: Place, now: Place) -> _Movement:
         lasting = systematic_mm2(self._targets[name], self._limits, now, mean)
         return _Movement(now.mm - mean.mm, now.random_mm2, mean.random_mm2, lasting)
+
+
+def _reference(name: str, stable: Sequence[str]) -> Sequence[str]:
+    """Stable targets that show the beam at a target: of three or more, each is measured by the others."""
+    return [other for other in stable if other != name] if len(stable) > 2 else stable
 
 
 def _is_enough(rounds: int, of_rounds: int) -> bool:

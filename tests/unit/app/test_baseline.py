@@ -104,6 +104,18 @@ def test_what_does_not_fit_is_refused(
     assert str(refused.value).startswith(f"{file.path}: {said}")
 
 
+def test_a_stable_target_that_was_left_out_is_no_reason_to_refuse(file: BaselineFile) -> None:
+    def leave_out(document: dict[str, Any]) -> None:
+        del document["own"]["t5"], document["stable"]["t5"]
+        for of in document["stable"].values():
+            del of["t5"]
+
+    edited(file, leave_out)
+    means = file.load()
+    assert "t5" not in means.own
+    assert set(means.stable["t3"]) == {"t1"}
+
+
 def test_damage_is_refused(file: BaselineFile) -> None:
     file.save(MEANS, MADE, simulated=False)
     whole = file.path.read_text()

@@ -1,6 +1,6 @@
 """The beam's movement: interpolation in time, the weighted line, stable targets that moved; the rate."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -153,11 +153,11 @@ def test_a_visits_last_exposures_count_and_unbelievable_light_is_not_known() -> 
         assert only.visits["a"].brightness("a", 4) == light
 
 
-ROW_Z_MM = {"t1": 0.0, "t2": 30e3, "t3": 60e3}
+ROW_Z_MM = {"t1": 0.0, "t2": 30e3, "t3": 60e3, "t4": 45e3}
 
 
 def row_calibration() -> Calibration:
-    """Three targets whose maps agree with the truth: what is left of a displacement's error is random."""
+    """Targets whose maps agree with the truth: what is left of a displacement's error is random."""
     targets = (
         replace(target("rear", pattern_px=0.0, shift_px=0.0), name=name, z_mm=z_mm)
         for name, z_mm in ROW_Z_MM.items()
@@ -198,3 +198,78 @@ def test_a_displacements_covariance_is_that_of_monte_carlo_with_few_rounds_in_th
     assert one.covariance_mm2 == pytest.approx(now_mm2 * (1 + 1 / baseline_rounds) * np.eye(2), rel=1e-9)
     assert one.random_mm2 == pytest.approx(now_mm2 * np.eye(2), rel=1e-9)
     assert np.mean(squares) == pytest.approx(2.0, rel=0.25)
+
+
+@dataclass
+class Row:
+    """Rounds of a row as its baseline takes them; a place creeps by ``creep_mm`` a round along x."""
+
+    rng: np.random.Generator
+    sigmas_mm: dict[str, float]
+    creep_mm: float = 0.0
+    history: dict[str, list[Place]] = field(default_factory=dict)
+    rounds: int = 0
+
+    def taken(self, baseline: Baseline) -> dict[str, Place]:
+        """One more round, with t2 where its creep has brought it."""
+        found = visits(self.rng, self.rounds, self.sigmas_mm)
+        found["t2"].mm[0] -= self.rounds * self.creep_mm
+        self.rounds += 1
+        for name, place_ in found.items():
+            self.history.setdefault(name, []).append(place_)
+        if not baseline.is_complete:
+            baseline.take(found, self.history)
+        return found
+
+
+@pytest.mark.parametrize(
+    ("stable", "beam", "of_beam_mm2"),
+    [(("t1", "t4", "t3"), "line", (0.02**2 + 0.03**2) / 4), (("t4", "t1"), "offset", None)],
+)
+def test_a_stable_target_that_is_never_measured_is_left_out_of_the_baseline(
+    stable: tuple[str, ...], beam: str, of_beam_mm2: float | None
+) -> None:
+    """t4 is refused in all rounds; sigma is that of a beam known by the others alone."""
+    baseline = Baseline(row_calibration(), stable, 4)
+    row = Row(np.random.default_rng(3), {"t1": 0.02, "t2": 0.01, "t3": 0.03})
+    for _ in range(11):
+        row.taken(baseline)
+        assert not baseline.is_complete
+    row.taken(baseline)
+    assert baseline.is_complete
+    assert [name for name in ROW_Z_MM if not baseline.has(name)] == ["t4"]
+    row.sigmas_mm["t4"] = 0.01  # when it is measured again, it has no displacement, and shows no beam
+    found = baseline.displaced(row.taken(baseline), row.history)
+    assert (found.beam, found.places.keys()) == (beam, {"t1", "t2", "t3"})
+    if of_beam_mm2 is not None:
+        expected_mm2 = (0.01**2 + of_beam_mm2) * (1 + 1 / 4)
+        assert found.places["t2"].covariance_mm2 == pytest.approx(expected_mm2 * np.eye(2), rel=1e-9)
+
+
+def test_a_seldom_measured_stable_target_is_waited_for() -> None:
+    """Measured in every second round it is in the baseline, at the first rounds that show it."""
+    baseline = Baseline(row_calibration(), ("t1", "t3"), 4)
+    row = Row(np.random.default_rng(3), {"t1": 0.02, "t2": 0.01})
+    for number in range(8):
+        assert not baseline.is_complete
+        row.sigmas_mm = row.sigmas_mm | {"t3": 0.03} if number % 2 else {"t1": 0.02, "t2": 0.01}
+        row.taken(baseline)
+    assert baseline.has("t3")
+
+
+@pytest.mark.parametrize(("creep_mm", "most"), [(0.004, 1.7), (0.02, 1.25), (0.1, 1.25)])
+def test_motion_within_the_baseline_is_in_sigma(creep_mm: float, most: float) -> None:
+    """The displacement counts from the start, the middle or the end of the baseline's five rounds alike."""
+    rng, squares, worst = np.random.default_rng(11), list[float](), 0.0
+    for _ in range(60):
+        baseline = Baseline(row_calibration(), ("t1", "t3"), 5)
+        row = Row(rng, {"t1": 0.004, "t2": 0.004, "t3": 0.004}, creep_mm)
+        for _ in range(8):
+            now = row.taken(baseline)
+        one = baseline.displaced(now, row.history).places["t2"]
+        errors_mm = one.mm[0] - creep_mm * (row.rounds - 1 - np.array([-0.5, 2.0, 4.5]))
+        ratios = errors_mm / np.sqrt(one.covariance_mm2[0, 0])
+        squares += np.square(ratios).tolist()
+        worst = max(worst, float(np.abs(ratios).max()))
+    assert 0.8 < np.sqrt(np.mean(squares)) < most  # the slowest is within the scatter of the visits
+    assert worst < 5.0
