@@ -13,7 +13,8 @@ from altd.records import Fault, FloatArray, MeanSpots, SpotShape, TargetPoint
 from altd.vision.settings import ShapeReference
 
 _MAX_DIAMETER_MM = 17.0
-"""Maximum diameter. Spots of up to 15 mm are measured (App. A.1); an oblique beam makes a longer one."""
+"""Maximum diameter at the targets of a unit. Spots of up to 15 mm are measured (App. A.1); an oblique beam
+makes a longer one."""
 _MAX_ORDER_RATIO = 2.0
 """Maximum ratio of the profile's order to that of the calibration's laser; a lamp's disc is far steeper."""
 _MAX_SIZE_RATIO = 1.25
@@ -22,7 +23,7 @@ _STRETCH_SIGMA = 0.001
 """Sigma of a stretch by targets not quite parallel, added to the scatter of the calibration's nodes."""
 _BIAS_PER_STRETCH = 2.0
 """Displacement of a spot by additional light, one sigma in radii, per stretch caused by the light."""
-_BIAS_PER_MM2 = 7.5e-5
+BIAS_PER_MM2 = 7.5e-5
 """Displacement per difference of squared diameters, mm/mm², on simulated lenses of 5.7 and 8 mm. A map holds
 for spots of the calibrated size: its curvature and the lens' fall-off displace others by that square."""
 _BIAS_PER_LOSS = 1 / 8
@@ -60,11 +61,13 @@ def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
     return np.array([(logs[0, 0] + logs[1, 1]) / 2, (logs[0, 0] - logs[1, 1]) / 2, logs[0, 1], shape.order])
 
 
-def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str | None:
+def unlike_a_laser(
+    shape: FloatArray, known: ShapeReference | None, max_diameter_mm: float = _MAX_DIAMETER_MM
+) -> str | None:
     """Return as text why a shape (4,) is not that of a spot which this unit measures; None if it is."""
     diameter_mm = _diameter_mm(shape[0])
-    if diameter_mm > _MAX_DIAMETER_MM:
-        return f"the spot is {diameter_mm:.1f} mm wide, up to {_MAX_DIAMETER_MM:g} mm are measured"
+    if diameter_mm > max_diameter_mm:
+        return f"the spot is {diameter_mm:.1f} mm wide, up to {max_diameter_mm:g} mm are measured"
     if known is None:
         return None
     order_ratio = float(shape[3]) / known.mean[3]
@@ -119,7 +122,7 @@ def shape_doubts_mm(
             return Fault(Reason.DISTORTED, target, why)
     for index, (shape, reference) in enumerate(zip(shapes, known, strict=True)):
         if shape is not None and reference is not None:
-            doubts_mm[index] = _BIAS_PER_MM2 * abs(
+            doubts_mm[index] = BIAS_PER_MM2 * abs(
                 _diameter_mm(shape[0]) ** 2 - _diameter_mm(reference.mean[0]) ** 2
             )
     first, first_known = shapes[0], known[0]
