@@ -53,6 +53,7 @@ class _Spot(_Table):
     mm_per_px: _Matrix
     excess_mm2: _Positive
     spot_sigma_mm: Annotated[float, Field(allow_inf_nan=False, gt=0, le=1e3)]
+    stretch: tuple[_Number, _Number] | None = None
 
 
 class _Content(_Table):
@@ -217,6 +218,7 @@ def _spot(place: Place) -> dict[str, Any]:
         "mm_per_px": place.mm_per_px.tolist(),
         "excess_mm2": place.excess_mm2,
         "spot_sigma_mm": place.spot_sigma_mm,
+        "stretch": place.stretch,
     }
 
 
@@ -231,6 +233,7 @@ def _place(spot: _Spot) -> Place:
         excess_mm2=spot.excess_mm2,
         spot_sigma_mm=spot.spot_sigma_mm,
         mm_per_px=np.array(spot.mm_per_px),
+        stretch=spot.stretch,
     )
 
 

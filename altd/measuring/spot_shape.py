@@ -19,9 +19,9 @@ _MAX_ORDER_RATIO = 2.0
 """Maximum ratio of the profile's order to that of the calibration's laser; a lamp's disc is far steeper."""
 _MAX_SIZE_RATIO = 1.25
 """Maximum size ratio of two targets' spots, relative to calibration: a beam widens less on its way."""
-_STRETCH_SIGMA = 0.001
+STRETCH_SIGMA = 0.001
 """Sigma of a stretch by targets not quite parallel, added to the scatter of the calibration's nodes."""
-_BIAS_PER_STRETCH = 2.0
+BIAS_PER_STRETCH = 2.0
 """Displacement of a spot by additional light, one sigma in radii, per stretch caused by the light."""
 BIAS_PER_MM2 = 7.5e-5
 """Displacement per difference of squared diameters, mm/mm², on simulated lenses of 5.7 and 8 mm. A map holds
@@ -29,7 +29,7 @@ for spots of the calibrated size: its curvature and the lens' fall-off displace 
 _BIAS_PER_LOSS = 1 / 8
 """Displacement in radii per share of the light that a film takes: a film that is a ramp over the spot does
 not change its shape, and shifts it by at most a quarter."""
-_EXPLAINED_SIGMAS = 3.0
+EXPLAINED_SIGMAS = 3.0
 _MIN_DISTORTION_SIGMAS = 6.0
 _MIN_DISTORTION_STRETCH = 0.015
 """Minimum stretch of a distorted spot; a disturbance that displaces a spot by less adds to its sigma."""
@@ -93,10 +93,10 @@ def shape_agreement(
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
     stretch = float(np.hypot(difference[1], difference[2]))
-    stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, _STRETCH_SIGMA)
-    unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
+    stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, STRETCH_SIGMA)
+    unexplained = math.sqrt(max(stretch**2 - (EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
     added = math.sqrt(changed_light * math.hypot(stretch, stretch_sigma))
-    bias = math.hypot(_BIAS_PER_STRETCH * unexplained, added, _BIAS_PER_LOSS * changed_light)
+    bias = math.hypot(BIAS_PER_STRETCH * unexplained, added, _BIAS_PER_LOSS * changed_light)
     sigma_mm = bias * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
     if size_ratio > _MAX_SIZE_RATIO + _MIN_DISTORTION_SIGMAS * float(sigma[0]):

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from altd.instruments.chain.rounds import Visit
 from altd.measuring.averaging import mean_spots
 from altd.measuring.calibration import TargetCalibration
-from altd.measuring.spot_shape import BIAS_PER_MM2, shape_in_mm, unlike_a_laser
+from altd.measuring.spot_shape import (
+    BIAS_PER_MM2,
+    BIAS_PER_STRETCH,
+    EXPLAINED_SIGMAS,
+    STRETCH_SIGMA,
+    shape_in_mm,
+    unlike_a_laser,
+)
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, Limits, MeanSpots, TargetPoint
 
@@ -36,7 +43,7 @@ class Place:
     ``random_mm2`` (2, 2) is the part that scatters from visit to visit, ``covariance_mm2`` the whole
     covariance. ``excess_mm2`` is the variance by light that one spot does not explain. ``spot_sigma_mm`` is
     the standard deviation of the light's profile: two places closer than that share most of the target's
-    texture.
+    texture. ``stretch`` is the two components of ``shape_in_mm``; None: not known.
     """
 
     t_ns: int
@@ -47,6 +54,7 @@ class Place:
     excess_mm2: float
     spot_sigma_mm: float
     mm_per_px: FloatArray
+    stretch: tuple[float, float] | None = None
 
 
 def place_of(
@@ -68,11 +76,13 @@ def place_of(
     if why := calibration.implausible(point, u_px, v_px):
         return (Fault(Reason.IMPLAUSIBLE, name, why),)
     shape = mean.shapes[0] if mean.shapes else None
+    stretch = None
     if shape is not None:
         shape_mm = shape_in_mm(shape, point.jacobian_mm_per_px)
+        stretch = float(shape_mm[1]), float(shape_mm[2])
         if why := unlike_a_laser(shape_mm, calibration.spot.shape, _MAX_DIAMETER_MM):
             return (Fault(Reason.DISTORTED, name, why),)
-    return _place(mean, point, calibration, limits)
+    return replace(_place(mean, point, calibration, limits), stretch=stretch)
 
 
 def _place(mean: MeanSpots, point: TargetPoint, calibration: TargetCalibration, limits: Limits) -> Place:
@@ -140,5 +150,22 @@ def systematic_mm2(calibration: TargetCalibration, limits: Limits, now: Place, b
     wider_mm2, before_mm2 = (_wider_mm2(calibration, of.spot_sigma_mm) for of in (now, before))
     shares = math.hypot(1.0, *now.mm / _FALL_OFF_REACH_MM), math.hypot(*moved / _FALL_OFF_REACH_MM)
     changed += BIAS_PER_MM2**2 * math.hypot((wider_mm2 - before_mm2) * shares[0], wider_mm2 * shares[1]) ** 2
+    changed += _stretched_mm2(calibration, now, before, shared)
     covariance: FloatArray = of_map + changed * np.eye(2) + np.diag(stage_variances_mm2(limits, moved))
     return covariance
+
+
+def _stretched_mm2(calibration: TargetCalibration, now: Place, before: Place, shared: float) -> float:
+    """Variance (mm²) by light that has stretched a spot since; ``shape_agreement`` compares two targets so.
+
+    The texture stretches a spot too, and alike where the spot stays.
+    """
+    known = calibration.spot.shape
+    if known is None or now.stretch is None or before.stretch is None:
+        return 0.0
+    radius2_mm2 = 4.0 * now.spot_sigma_mm**2
+    by_texture = 0.5 * (known.sigma[1] + known.sigma[2]) ** 2 * (1.0 - shared)
+    by_noise = float(np.trace(now.random_mm2 + before.random_mm2)) / radius2_mm2
+    variance = by_texture + by_noise + 2.0 * STRETCH_SIGMA**2
+    unexplained = math.dist(now.stretch, before.stretch) ** 2 - EXPLAINED_SIGMAS**2 * variance
+    return BIAS_PER_STRETCH**2 * radius2_mm2 * max(unexplained, 0.0)

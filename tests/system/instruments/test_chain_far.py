@@ -139,3 +139,28 @@ def test_a_wide_spot_that_is_partly_shaded_is_in_sigma_or_refused(target: Target
         found = visited(target, at(mm, z_m), rng, film)
         if isinstance(found, Place):
             assert (np.abs(found.mm - mm) < 5.0 * np.sqrt(found.covariance_mm2.diagonal())).all()
+
+
+@pytest.mark.parametrize("z_m", [0.0, 50.0, 100.0])
+def test_a_reflection_that_appears_beside_the_spot_is_in_the_displacements_sigma(
+    target: TargetCalibration, z_m: float
+) -> None:
+    """0.6 radii and more aside; one that is much nearer does not stretch the spot, and is not detected."""
+    rng = np.random.default_rng(64)
+    before = visited(target, at((5.0, 3.0), z_m), rng)
+    assert isinstance(before, Place)
+    for share, aside in ((0.05, 0.6), (0.1, 0.6), (0.3, 0.6), (0.1, 0.8), (0.4, 0.8)):
+
+        def twice(
+            along: np.ndarray, across: np.ndarray, share: float = share, aside: float = aside
+        ) -> np.ndarray:
+            main, second = (np.exp(-2 * ((along - off) ** 2 + across**2)) for off in (0.0, aside))
+            return main + share * second
+
+        now = visited(target, at((5.0, 3.0), z_m, field_of=twice), rng)
+        if isinstance(now, Place):
+            covariance_mm2 = (
+                now.random_mm2 + before.random_mm2 + systematic_mm2(target, NO_LIMITS, now, before)
+            )
+            off_mm = np.abs(now.mm - before.mm)
+            assert (off_mm < 3.0 * np.sqrt(covariance_mm2.diagonal())).all()

@@ -37,7 +37,9 @@ SETTINGS = ChainSettings(stable=("t1", "t5"))
 
 def place(x_mm: float) -> Place:
     matrix = np.array([[4e-6, 1e-6], [1e-6, 9e-6]])
-    return Place(77, 4, np.array([x_mm, -2.5]), matrix, 3.0 * matrix, 1e-6, 2.5, 0.28 * np.eye(2))
+    return Place(
+        77, 4, np.array([x_mm, -2.5]), matrix, 3.0 * matrix, 1e-6, 2.5, 0.28 * np.eye(2), (0.01, -0.02)
+    )
 
 
 MEANS = BaselineMeans(
@@ -64,7 +66,7 @@ def test_a_stored_baseline_comes_back_whole(file: BaselineFile, simulated: bool)
     assert means.simulated is simulated
     assert list(means.own) == list(NAMES)
     back, stored = means.stable["t3"]["t5"], MEANS.stable["t3"]["t5"]
-    assert (back.frames, back.excess_mm2, back.spot_sigma_mm) == (4, 1e-6, 2.5)
+    assert (back.frames, back.excess_mm2, back.spot_sigma_mm, back.stretch) == (4, 1e-6, 2.5, (0.01, -0.02))
     for key in ("mm", "random_mm2", "covariance_mm2", "mm_per_px"):
         assert np.array_equal(getattr(back, key), getattr(stored, key))
 
