@@ -29,7 +29,7 @@ from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat, Source
 from altd.vision.hot_pixels import MAX_PIXELS, HotPixels, places_of
-from altd.vision.settings import ShapeReference, SpotReference, SpotSettings
+from altd.vision.settings import LightReference, ShapeReference, SpotReference, SpotSettings
 from altd.vision.texture import Texture
 
 _ZERO_LEVEL = 128
@@ -190,6 +190,7 @@ _Shape = Annotated[
         sigma=tuple[_Scatter, _Scatter, _Scatter, _Scatter],
     ),
 ]
+_Light = Annotated[LightReference, _table_of(LightReference, sigma=Annotated[float, Field(gt=0, le=10)])]
 _Spot = Annotated[
     SpotReference,
     _table_of(
@@ -199,6 +200,7 @@ _Spot = Annotated[
         pattern_px=Annotated[float, Field(ge=0, le=100)] | None,
         noise_px=Annotated[float, Field(ge=0, le=100)],
         shape=_Shape | None,
+        light=(_Light | None, None),
     ),
 ]
 

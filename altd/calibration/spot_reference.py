@@ -20,7 +20,13 @@ from altd.statistics import MAD_TO_SIGMA, median
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile, locate, locate_ellipse
 from altd.vision.misfit import misfit_of
-from altd.vision.settings import ShapeReference, ShapeVector, SpotReference, SpotSettings
+from altd.vision.settings import (
+    LightReference,
+    ShapeReference,
+    ShapeVector,
+    SpotReference,
+    SpotSettings,
+)
 
 _MIN_NODES = 6
 _LIMIT_SIGMAS = 3.0
@@ -106,6 +112,10 @@ def verdict(name: str, method: str, both: Agreement | None, pattern_px: float | 
 
 _MIN_SPOTS = 8
 """Minimum number of spots; fewer are not representative."""
+_MIN_LIGHTS = 12
+"""Minimum number of spots for the six terms of the light."""
+_MIN_LIGHT_SIGMA = 0.004
+"""Minimum scatter of the light: steps of the exposure time change the ratio of two by 0.01 at most."""
 
 
 def spot_reference(
@@ -147,7 +157,19 @@ def spot_reference(
         pattern_px=float(np.median([misfit.pattern_px for misfit in misfits])),
         noise_px=noise_px,
         shape=_shape_reference(np.array(spots), fitted),
+        light=_light_reference(frame_of(profiles.nodes[0]), [p.light for p in profiles], np.array(spots)),
     )
+
+
+def _light_reference(frame: Frame, lights: list[float], spots: FloatArray) -> LightReference | None:
+    """Fit the light, counts · px², of spots at (n, 2+) px, exposed as ``frame``; None if it is not known."""
+    per_ms = frame.per_ms
+    if per_ms is None or len(lights) < _MIN_LIGHTS:
+        return None
+    terms, logs = LightReference.powers(spots[:, :2]), np.log(np.array(lights) * per_ms)
+    of_terms = np.linalg.lstsq(terms, logs, rcond=None)[0]
+    rest = np.square(logs - terms @ of_terms).sum() / (len(logs) - len(of_terms))
+    return LightReference(tuple(of_terms.tolist()), max(math.sqrt(float(rest)), _MIN_LIGHT_SIGMA))
 
 
 def refusal(frame: Frame, target: TargetCalibration) -> str | None:

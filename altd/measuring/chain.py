@@ -135,7 +135,7 @@ class MeasuringChain:
         self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
         self._sampling = SamplingCheck()
-        self._light_balance = LightBalance()
+        self._light_balance = LightBalance([self._calibration[target].spot.light for target in self._targets])
         self._changed_light: tuple[float, ...] = ()
         self._motion_memory = MotionMemory()
         self._gate = Gate()

@@ -76,6 +76,16 @@ class Frame:
     opaque: str = ""
 
     @property
+    def per_ms(self) -> float | None:
+        """Factor from counts to those for 1 ms and 0 dB of gain; None if the exposure is not known.
+
+        A gain of g dB multiplies counts by 10^(g/20). A camera without a gain of its own has 0 dB.
+        """
+        if not self.exposure_ms:
+            return None
+        return 1 / (self.exposure_ms * 10 ** ((self.gain_db or 0.0) / 20))
+
+    @property
     def full_scale(self) -> int:
         """Largest grey value of a pixel."""
         return (1 << self.bits) - 1

@@ -170,19 +170,13 @@ def _compared_with_reference(
 def _light_per_ms(frame: Frame, size: _SpotSize, profile: Profile | None) -> float | None:
     """Return the light of a spot: counts × px² for 1 ms of exposure and 0 dB of gain.
 
-    The integral of the profile, peak · 2π Γ(1 + 1/order) / √(ac − b²); without one that of a Gaussian of the
-    spot's peak and 1/e² diameter d, peak · π d²/8. A gain of g dB multiplies counts by 10^(g/20). None if the
-    exposure is not known. A camera without a gain of its own has 0 dB.
+    Without a profile it is that of a Gaussian of the spot's peak and 1/e² diameter d, peak · π d²/8. None if
+    the exposure is not known.
     """
-    if not frame.exposure_ms:
+    if frame.per_ms is None:
         return None
-    if profile is None:
-        light = size.peak * math.pi * size.diameter_px**2 / 8
-    else:
-        a, b, c = profile.form
-        area_px2 = 2 * math.pi * math.gamma(1 + 1 / profile.order) / math.sqrt(a * c - b * b)
-        light = profile.peak * area_px2
-    return light / (frame.exposure_ms * 10 ** ((frame.gain_db or 0.0) / 20))
+    light = size.peak * math.pi * size.diameter_px**2 / 8 if profile is None else profile.light
+    return light * frame.per_ms
 
 
 def _unexplained(misfit: Misfit, reference: SpotReference) -> float:

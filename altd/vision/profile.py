@@ -115,6 +115,12 @@ class Profile:
         a, b, c = self.form
         return 2 * math.sqrt(2 * 2 ** (1 / self.order) / math.sqrt(a * c - b * b))
 
+    @property
+    def light(self) -> float:
+        """Integral of the profile, peak · 2π Γ(1 + 1/order) / √(ac − b²), counts · px²."""
+        a, b, c = self.form
+        return self.peak * 2 * math.pi * math.gamma(1 + 1 / self.order) / math.sqrt(a * c - b * b)
+
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
         """Return E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
         a, b, c = self.form

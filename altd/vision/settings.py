@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from altd.records import FloatArray
+
 Method = Literal["auto", "moment", "profile"]
 
 
@@ -61,6 +65,24 @@ class ShapeReference:
 
 
 @dataclass(frozen=True, slots=True)
+class LightReference:
+    """Logarithm of the light of the scan's spots over a target, counts · px² / ms.
+
+    ``log_light`` holds the coefficients of 1, u, v, u², uv and v², with u and v in units of 1000 px;
+    ``sigma`` is the scatter of single spots about it.
+    """
+
+    log_light: tuple[float, float, float, float, float, float]
+    sigma: float
+
+    @staticmethod
+    def powers(px: FloatArray) -> FloatArray:
+        """Return the terms (n, 6) at places (n, 2) px."""
+        u, v = np.moveaxis(px / 1000.0, -1, 0)
+        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
 class SpotReference:
     """Figures of a target's calibrated spots.
 
@@ -68,7 +90,8 @@ class SpotReference:
     known, each spot's own is used); ``misfit_ratio`` the usual chi-square of a good spot's residuals over its
     expectation, above 1 if the texture is coarser than a block; ``pattern_px`` the standard deviation of a
     centre by the texture, predicted from the fit, ``noise_px`` the one observed about the map. ``pattern_px``
-    None: not known, nothing is added to the map's noise. The names are the calibration file's.
+    None: not known, nothing is added to the map's noise. ``light`` is None if the exposure of
+    the scan is not known. The names are the calibration file's.
     """
 
     grain: float | None
@@ -76,6 +99,7 @@ class SpotReference:
     pattern_px: float | None
     noise_px: float
     shape: ShapeReference | None
+    light: LightReference | None = None
 
 
 UNKNOWN_SPOT = SpotReference(grain=None, misfit_ratio=2.0, pattern_px=None, noise_px=0.0, shape=None)

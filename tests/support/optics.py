@@ -249,7 +249,14 @@ Row = tuple[float, str, Array, tuple[float, float] | None]
 """Time, camera, picture and, in a scan, the stage's place."""
 
 
-def write(path: Path, kind: str, rows: Iterable[Row], serial: str = "OPTICS-1", fps: float = FPS) -> Path:
+def write(
+    path: Path,
+    kind: str,
+    rows: Iterable[Row],
+    serial: str = "OPTICS-1",
+    fps: float = FPS,
+    exposure_ms: float | None = None,
+) -> Path:
     """Write an altd-recording/1 (DESIGN, section 4); frames of one time are one exposure."""
     lines, seen = ["sequence,t_s,camera,file,leds,x_mm,y_mm"], dict[float, int]()
     for t_s, name, picture, place in rows:
@@ -260,7 +267,7 @@ def write(path: Path, kind: str, rows: Iterable[Row], serial: str = "OPTICS-1", 
         at = ",".join(f"{mm:.6f}" for mm in place) if place else ","
         lines.append(f"{number},{t_s:.6f},{name},{file},off,{at}")
     (path / "frames.csv").write_text("\n".join(lines) + "\n")
-    size = {"width": WIDTH, "height": HEIGHT, "bits": 8}
+    size = {"width": WIDTH, "height": HEIGHT, "bits": 8, "exposure_ms": exposure_ms}
     unit: Mapping[str, object] = {"serial": serial, "target_distance_mm": DISTANCE_MM}
     header = {
         "format": "altd-recording/1",

@@ -11,6 +11,7 @@ from altd.measuring.light_balance import LightBalance
 from altd.measuring.spot_trend import BUCKET_NS, RECENT_BUCKETS, REFERENCE_BUCKETS, Trend, residual_share
 from altd.records import FloatArray, Frame, MeanSpots, Spot, SpotShape
 from altd.vision.localise import locate
+from altd.vision.settings import LightReference
 
 SECOND = 10**9
 
@@ -197,6 +198,43 @@ def test_a_lens_that_darkens_towards_the_edge_changes_nothing_while_the_machine_
     for t_s in np.arange(0.0, 60.0, 0.5):
         at = 0.4 * t_s  # radii
         assert after(balance, mean(t_s, rear=800.0 * math.exp(-0.015 * at), at_radii=(at, 0.0))) == 0.0
+
+
+FALL_OFF = (0.0, 0.3, 0.0, -0.8, 0.0, -0.5)
+
+
+def calibrated_light() -> list[LightReference]:
+    """Of targets whose lenses darken towards the edge."""
+    return [LightReference((math.log(light), *FALL_OFF[1:]), 0.006) for light in (1000.0, 800.0)]
+
+
+def fallen_off(at_radii: float) -> float:
+    px = np.array([300.0 + RADIUS_PX * at_radii, 300.0])
+    return math.exp(float(LightReference.powers(px) @ FALL_OFF))
+
+
+@pytest.mark.parametrize("loss", [0.03, 0.1])
+def test_a_film_that_was_there_from_the_start_is_seen_against_the_calibration(loss: float) -> None:
+    light = fallen_off(0.0)
+    balance = LightBalance(calibrated_light())
+    assert after(balance, mean(0.0, 1000.0 * light, 800.0 * light)) == 0.0
+    for seconds in (1.0, 60.0):  # and it is not forgotten
+        film = mean(seconds, 1000.0 * light * (1 - loss), 800.0 * light)
+        assert after(balance, film) == pytest.approx(loss, rel=0.4)
+    assert after(LightBalance(calibrated_light()), film) == pytest.approx(loss, rel=0.4)
+
+
+def test_a_film_that_the_beam_drives_behind_is_seen_and_the_lens_is_not() -> None:
+    balance = LightBalance(calibrated_light())
+    for at in np.arange(0.0, 8.0, 0.2):  # radii
+        front, rear = 1000.0 * fallen_off(at), 800.0 * fallen_off(at)
+        film = 0.95 if at > 6 else 1.0
+        changed = after(balance, mean(at, front * film, rear, at_radii=(at, 0.0)))
+        assert changed > 0.02 if film < 1 else changed == 0.0, at
+
+
+def test_one_target_without_calibrated_light_leaves_the_start_unknown() -> None:
+    assert after(LightBalance([*calibrated_light()[:1], None]), mean(0.0, 100.0)) == 0.0
 
 
 def test_dust_of_weeks_is_no_change() -> None:
