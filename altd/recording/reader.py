@@ -45,7 +45,11 @@ class Recording:
             raise BadInputError(self.rows.place(row), f"{row.file}: {error.message}") from error
         pixels.flags.writeable = False
         t_ns = round(row.t_s * 1e9)
-        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on, opaque=row.opaque)
+        return Frame(
+            *(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on),
+            *(camera.exposure_ms, camera.gain_db),
+            opaque=row.opaque,
+        )
 
     def sha256(self) -> str:
         """Return the hash over header, rows and all frame files, in the rows' order."""
