@@ -38,7 +38,7 @@ from altd.mapping.nodes import Fiducials, Nodes
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 from altd.vision.flat import Flat
-from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
+from altd.vision.settings import UNKNOWN_SPOT, SpotReference, SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _MIN_CORRELATION = 0.5
@@ -75,12 +75,18 @@ def calibrate_scans(
     """
     jobs = [Job(frames, _PROFILE, flats.get(frames.name)) for frames in targets]
     made = [_calibrate_target(job, progress) for job in jobs]
-    patterns_px = pattern_noise_px([target.scatter for target in made])
+    references = [_reference(job, of.target) for job, of in zip(jobs, made, strict=True)]
+    patterns_px = pattern_noise_px(
+        [
+            of.scatter if spot is None else replace(of.scatter, texture_px=spot.texture_px)
+            for of, spot in zip(made, references, strict=True)
+        ]
+    )
     verdicts = [_verdict(job, of, px) for job, of, px in zip(jobs, made, patterns_px, strict=True)]
     marked = [_with_camera(job, of) for job, of in zip(jobs, made, strict=True)]
     calibrated = tuple(
-        _with_pattern(job, target, of.scatter, pattern_px)
-        for job, (target, _), of, pattern_px in zip(jobs, marked, made, patterns_px, strict=True)
+        _with_pattern(target, spot, of.scatter, pattern_px)
+        for (target, _), spot, of, pattern_px in zip(marked, references, made, patterns_px, strict=True)
     )
     evidence = tuple(
         replace(of.evidence, unmeasured=_unmeasured(job, target, of.used))
@@ -111,15 +117,19 @@ def calibrate_scans(
     )
 
 
+def _reference(job: Job, target: TargetCalibration) -> SpotReference | None:
+    """Return the reference of a target's good spots, with the noise about the map still to be set."""
+    first = first_of_nodes(job)
+    return spot_reference(
+        lambda node: first[node].frame(), len(first), target.localiser, target.flat, target.map
+    )
+
+
 def _with_pattern(
-    job: Job, target: TargetCalibration, scatter: NodeScatter, pattern_px: float
+    target: TargetCalibration, spot: SpotReference | None, scatter: NodeScatter, pattern_px: float
 ) -> TargetCalibration:
     """Return the target with the noise of print and speckle, and the reference of its good spots."""
-    first = first_of_nodes(job)
-    reference = spot_reference(
-        lambda node: first[node].frame(), len(first), target.localiser, target.flat, target.map, pattern_px
-    )
-    spot = reference or UNKNOWN_SPOT
+    spot = UNKNOWN_SPOT if spot is None else replace(spot, noise_px=pattern_px)
     shape_mm = pattern_shape(np.array(list(scatter.residuals_mm.values())), spot.shape)
     return replace(target, map=target.map.with_noise(pattern_px, shape_mm), spot=spot)
 

@@ -40,7 +40,8 @@ class NodeScatter:
 
     ``noise_px`` is their standard deviation about the map, which has ``parameters`` for both coordinates.
     ``residuals_mm`` (2,) are measured minus mapped, ``exposures_mm`` (2,) an exposure's distance from the
-    mean of its recording's exposures at the node, and ``mm_per_px`` the scale of both.
+    mean of its recording's exposures at the node, and ``mm_per_px`` the scale of both. ``texture_px`` is the
+    pattern that the texture within the nodes' spots predicts; 0: not known.
     """
 
     noise_px: float
@@ -48,6 +49,7 @@ class NodeScatter:
     mm_per_px: float
     residuals_mm: Mapping[Key, FloatArray]
     exposures_mm: Mapping[ExposureKey, FloatArray]
+    texture_px: float = 0.0
 
     @property
     def exposures_per_node(self) -> float:
@@ -87,11 +89,16 @@ def pattern_shape(residuals_mm: FloatArray, spot: ShapeReference | None) -> Floa
 
 
 def _pattern_px(target: NodeScatter, stage_mm2: float, vibration_mm2: float) -> float:
-    """Pattern without the stage and each exposure's own noise; vibration, in both, is subtracted once."""
+    """Pattern without the stage and each exposure's own noise; vibration, in both, is subtracted once.
+
+    Speckle of the laser displaces both targets' spots alike, as the stage does: the texture within the spots
+    shows how much of it recurs.
+    """
     per_node = target.exposures_per_node
     own_mm2 = max(_vibration_mm2(target, target) - vibration_mm2, 0.0) / per_node
     other_px2 = (max(stage_mm2, vibration_mm2 / per_node) + own_mm2) / target.mm_per_px**2
-    return float(np.sqrt(max(target.noise_px**2 - other_px2, (_MIN_SHARE * target.noise_px) ** 2)))
+    least_px = max(_MIN_SHARE * target.noise_px, min(target.texture_px, target.noise_px))
+    return float(np.sqrt(max(target.noise_px**2 - other_px2, least_px**2)))
 
 
 def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:

@@ -124,12 +124,11 @@ def spot_reference(
     localiser: SpotSettings,
     flat: Flat | None,
     fitted: TensorMap,
-    noise_px: float,
 ) -> SpotReference | None:
     """Compute the reference of a target from one frame per node; None if too few show a whole spot.
 
-    ``frame_of`` returns the frame of a node by its number. ``noise_px`` is the scatter of a centre about the
-    map ``fitted`` by print and speckle. Values are medians over the nodes: single bad spots do not count.
+    ``frame_of`` returns the frame of a node by its number, ``fitted`` is the target's map. ``noise_px`` is
+    left to the caller. Values are medians over the nodes: single bad spots do not count.
     """
     profiles = NodeCache(
         nodes,
@@ -155,7 +154,7 @@ def spot_reference(
         grain=grain,
         misfit_ratio=max(float(np.median(chi2 / medians)), 1.0),
         pattern_px=float(np.median([misfit.pattern_px for misfit in misfits])),
-        noise_px=noise_px,
+        noise_px=0.0,
         shape=_shape_reference(np.array(spots), fitted),
         light=_light_reference(frame_of(profiles.nodes[0]), [p.light for p in profiles], np.array(spots)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -100,6 +101,11 @@ class SpotReference:
     noise_px: float
     shape: ShapeReference | None
     light: LightReference | None = None
+
+    @property
+    def texture_px(self) -> float:
+        """Standard deviation of a centre by the texture, fine and coarse; 0: not known."""
+        return (self.pattern_px or 0.0) * math.sqrt(self.misfit_ratio)
 
 
 UNKNOWN_SPOT = SpotReference(grain=None, misfit_ratio=2.0, pattern_px=None, noise_px=0.0, shape=None)

@@ -1,5 +1,6 @@
 """Scatter made by known parts, which must come apart again; the truth is what the test put in."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,19 @@ def test_what_one_beam_does_to_both_targets_is_not_their_pattern() -> None:
     front, rear = found_mm(patterns_mm=(0.010, 0.006), stage_mm=0.008)
     assert 0.0098 < front < 0.0120  # with the stage it would be 0.0128, and chance stays in
     assert 0.0058 < rear < 0.0085  # 0.010
+
+
+def test_what_the_light_itself_shows_is_pattern_though_both_targets_share_it() -> None:
+    """Speckle of the laser moves both spots alike; the texture within them tells it from the stage."""
+    rng = np.random.default_rng(2)
+    speckle_px = 0.016 / 0.25
+    found = [
+        pattern_noise_px([replace(of, texture_px=speckle_px) for of in scatters(rng, (0.008, 0.006), 0.016)])
+        for _ in range(100)
+    ]
+    assert np.mean(found, axis=0) == pytest.approx([speckle_px] * 2, rel=0.15)
+    (rear,) = pattern_noise_px([replace(scatters(rng, (0.006,), 0.0)[0], texture_px=1.0)])
+    assert rear * 0.25 < 0.0085  # never more than the nodes scatter
 
 
 def test_what_exposures_scatter_is_not_pattern() -> None:
