@@ -23,7 +23,7 @@ _STEP_RADII = 0.5
 _NOISE_SIGMAS = 6.0
 _MAP_SIGMAS, _MAP_NOISE_SIGMAS = 1.5, 2.0
 """Change that needs no cause where the calibration contains the light over the targets, in sigmas of a place
-and of the noise: with them the errors behind films are 1.3 sigmas rms, and undisturbed sigmas hardly grow."""
+and of the noise: with them the errors behind films are 1.1 sigmas rms, and undisturbed sigmas hardly grow."""
 _PER_RADIUS_OF_MAP = 0.004
 """Change per radius that is followed there: the light that a target scatters depends on the beam's angle."""
 _RESTART_S = 10.0
@@ -43,10 +43,8 @@ class LightBalance:
         known = [reference for reference in references if reference is not None]
         self._maps = np.array([reference.log_light for reference in known if len(known) == len(references)])
         sigma = np.array([reference.sigma for reference in known])
-        self._usual, self._noise_sigmas, self._per_radius = _USUAL, _NOISE_SIGMAS, _PER_RADIUS
-        if len(self._maps):
-            self._usual = _MAP_SIGMAS * np.hypot(sigma[1:], sigma[:1])
-            self._noise_sigmas, self._per_radius = _MAP_NOISE_SIGMAS, _PER_RADIUS_OF_MAP
+        self._usual = _MAP_SIGMAS * np.hypot(sigma[1:], sigma[:1])
+        self._per_radius = _PER_RADIUS_OF_MAP if len(self._maps) else _PER_RADIUS
         self._seen: _Seen | None = None
         """Last window that was measured, with the ratios as followed up to then."""
 
@@ -61,16 +59,21 @@ class LightBalance:
         logs, sigmas = np.moveaxis(lights, 2, 0)
         differences = logs[:, 1:] - logs[:, :1]
         noise = np.hypot(sigmas[:, 1:], sigmas[:, :1]).mean(axis=0)
-        usual = self._usual + self._noise_sigmas * noise
+        if len(self._maps):
+            usual = np.hypot(self._usual, _MAP_NOISE_SIGMAS * noise)
+        else:
+            usual = _USUAL + _NOISE_SIGMAS * noise
         seen = self._seen
         if seen is not None and not seen.is_of_another_run(mean):
             differences = differences - seen.ratios
             usual = usual + self._per_radius * seen.moved_radii(mean) + seen.by_time(mean)
         elif not len(self._maps):
             return (0.0,) * len(mean.targets)
-        largest = np.maximum(np.abs(differences).max(axis=0), usual)
-        share = np.sqrt(1 - np.square(usual / largest))
-        changed = np.expm1(np.abs(differences.mean(axis=0))) * share
+        mean_change, largest = np.abs(differences.mean(axis=0)), np.abs(differences).max(axis=0)
+        if len(self._maps):  # the limit is near the noise of single exposures
+            largest = np.maximum(largest - _NOISE_SIGMAS * noise, mean_change)
+        share = np.sqrt(1 - np.square(usual / np.maximum(largest, usual)))
+        changed = np.expm1(mean_change) * share
         return (0.0, *changed.tolist())
 
     def update(self, mean: MeanSpots) -> None:
