@@ -1,7 +1,7 @@
 """An Active Laser Target drawn from the optics alone: nothing of altd or of the simulator.
 
 The window at z 0 has white dots that scatter the beam. Its camera looks at it from behind, so the picture is
-mirrored; the rear plate stands 280 mm behind it. Lenses are Brown's (Brown 1971). x is right and y is up as
+mirrored; the rear plate is 280 mm behind it. Lenses are Brown's (Brown 1971). x is right and y is up as
 the beam sees them, mm; slopes are tangents.
 """
 
@@ -22,7 +22,7 @@ _SUBTIMES = 12
 """Instants of an exposure whose pictures are averaged: 0.8 ms at 10 ms."""
 Array = np.ndarray
 Light = Callable[[Array, Array, float], Array]
-"""What multiplies or adds to the light at x, y mm at the time t s."""
+"""Factor or addend of the light at x, y mm at the time t s."""
 
 
 def even(x: Array, _y: Array, _t_s: float) -> Array:
@@ -66,7 +66,7 @@ class Beam:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is around the beam.
+    """Surroundings of the beam.
 
     ``film`` takes light at the window, ``rear_film`` at the plate; ``twinkle`` is a factor in the beam, at mm
     from its middle; ``ambient`` is added, in parts of the full scale.
@@ -77,7 +77,7 @@ class Scene:
     twinkle: Light = even
     ambient: Light = lambda x, y, _t_s: 0.02 + 1e-4 * x + 0.5e-4 * y
     moves: Callable[[float], Sequence[float]] = lambda _t_s: (0.0, 0.0, 0.0, 0.0)
-    """What is added to the beam's x, y and slopes at the time t s."""
+    """Motion of the beam: x, y and slopes to add at the time t s."""
     exposure_ms: float = 10.0
 
 
@@ -112,7 +112,7 @@ class _Camera:
     x_mm: Array
     y_mm: Array
     z_mm: Array
-    """How far behind the untilted target the place lies, along the beam."""
+    """Distance of the place behind the untilted target, along the beam."""
     response: Array
     """Light of each pixel for even light on the target."""
 
@@ -171,7 +171,7 @@ class Unit:
     window_tilt_deg: float = 0.0
     warm_k: float = 0.0
     rear_shift_mm: tuple[float, float] = (0.0, 0.0)
-    """What the rear camera sees moved, at the plate."""
+    """Shift of the rear camera's view, at the plate."""
     _cameras: dict[str, _Camera] = field(default_factory=dict, repr=False, compare=False)
 
     def camera(self, name: str) -> _Camera:
