@@ -116,19 +116,21 @@ class Reason(StrEnum):
         "wrong_size", _TARGET, 5, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot has a wrong size",
         "clean the window and check the focus of the laser",
-        "the diameter is not that of a laser spot",
+        "the diameter is not that of a spot which the unit measures: 8 px to 17 mm",
     )  # fmt: skip
     WRONG_SHAPE = (
         "wrong_shape", _TARGET, 6, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot has a wrong shape",
         _CLEAN_AND_LOOK,
-        "the elongation or the outline is not that of a laser spot",
+        "the elongation or the outline is not that of a laser spot, or its profile is not that of the "
+        "calibrated beam: a top hat, a ring",
     )  # fmt: skip
     DISTORTED = (
         "distorted", _TARGET, 10, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is distorted",
         "clean the window, look for reflections and other light",
-        "the light is not that of one spot as calibrated: a reflection, dirt, a torn or enlarged picture",
+        "the light is not that of one spot as calibrated: a reflection, dirt, the edge of a lamp's light or "
+        "of a shadow, a torn or enlarged picture",
     )  # fmt: skip
     CAMERA_SILENT = (
         "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT, _FAILURE,

@@ -177,14 +177,14 @@ def refusal(frame: Frame, target: TargetCalibration) -> str | None:
     A spot that the picture's edge cuts is none of these: not its kind is refused, but its place.
     """
     spot = locate(frame, target.localiser, target.flat, target.spot)
-    if isinstance(spot, NoSpot):
-        if spot.reason is Reason.CUT_BY_EDGE:
-            return None
-        return f"{spot.reason}: {spot.detail}"
-    point = target.point(spot.u_px, spot.v_px)
-    if spot.shape is None or point is None:
+    refused = spot if isinstance(spot, NoSpot) else None
+    if isinstance(spot, Spot) and spot.shape is not None:
+        point = target.point(spot.u_px, spot.v_px)
+        if point is not None:
+            refused = unlike_a_laser(shape_in_mm(spot.shape, point.jacobian_mm_per_px), target.spot.shape)
+    if refused is None or refused.reason is Reason.CUT_BY_EDGE:
         return None
-    return unlike_a_laser(shape_in_mm(spot.shape, point.jacobian_mm_per_px), target.spot.shape)
+    return f"{refused.reason}: {refused.detail}"
 
 
 def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | None:

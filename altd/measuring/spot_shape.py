@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.reasons import Reason
-from altd.records import Fault, FloatArray, MeanSpots, SpotShape, TargetPoint
+from altd.records import Fault, FloatArray, MeanSpots, NoSpot, SpotShape, TargetPoint
 from altd.vision.settings import ShapeReference
 
 _MAX_DIAMETER_MM = 17.0
@@ -63,16 +63,18 @@ def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
 
 def unlike_a_laser(
     shape: FloatArray, known: ShapeReference | None, max_diameter_mm: float = _MAX_DIAMETER_MM
-) -> str | None:
-    """Return as text why a shape (4,) is not that of a spot which this unit measures; None if it is."""
+) -> NoSpot | None:
+    """Return why a shape (4,) is not that of a spot which this unit measures; None if it is."""
     diameter_mm = _diameter_mm(shape[0])
     if diameter_mm > max_diameter_mm:
-        return f"the spot is {diameter_mm:.1f} mm wide, up to {max_diameter_mm:g} mm are measured"
+        limit = f"up to {max_diameter_mm:g} mm are measured"
+        return NoSpot(Reason.WRONG_SIZE, f"the spot is {diameter_mm:.1f} mm wide, {limit}")
     if known is None:
         return None
     order_ratio = float(shape[3]) / known.mean[3]
     if max(order_ratio, 1 / order_ratio) > _MAX_ORDER_RATIO:
-        return f"the profile's order is {shape[3]:.1f}, that of the calibrated spots {known.mean[3]:.1f}"
+        orders = f"{shape[3]:.1f}, that of the calibrated spots {known.mean[3]:.1f}"
+        return NoSpot(Reason.WRONG_SHAPE, f"the profile's order is {orders}")
     return None
 
 
@@ -92,6 +94,9 @@ def shape_agreement(
     """
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
+    smaller = math.exp(float(first_known.mean[0] - first[0]))
+    if smaller > _MAX_SIZE_RATIO:  # texture displaces the edges of all spots by as much
+        sigma[1:3] *= smaller
     stretch = float(np.hypot(difference[1], difference[2]))
     stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, STRETCH_SIGMA)
     unexplained = math.sqrt(max(stretch**2 - (EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
@@ -119,7 +124,7 @@ def shape_doubts_mm(
     shapes = _in_mm(mean.shapes, points)
     for target, shape, reference in zip(mean.targets, shapes, known, strict=True):
         if shape is not None and (why := unlike_a_laser(shape, reference)):
-            return Fault(Reason.DISTORTED, target, why)
+            return why.fault(target)
     for index, (shape, reference) in enumerate(zip(shapes, known, strict=True)):
         if shape is not None and reference is not None:
             doubts_mm[index] = BIAS_PER_MM2 * abs(

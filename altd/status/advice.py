@@ -35,11 +35,17 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
             "keep daylight and lamps off the window or shorten the exposure",
         ),
     },
+    Reason.WRONG_SIZE: {
+        "mm wide": Advice("the spot is too wide", "check the focus of the laser and clean the window"),
+    },
     Reason.WRONG_SHAPE: {
+        "profile": Advice(
+            "the beam has another profile than the calibrated one",
+            "check the laser and its focus, look for lamps, or calibrate with this laser",
+        ),
         "too little of it": Advice("too little is seen of the spot", "bring the beam nearer to the middle"),
     },
     Reason.DISTORTED: {
-        "mm wide": Advice("the spot is too wide", "check the focus of the laser and clean the window"),
         "the spots differ": Advice(
             "the spots of the targets are unlike",
             "look for objects in the beam, for reflections, and clean both targets",

@@ -46,6 +46,9 @@ _MIN_PRINT_GAIN = 0.8
 """Minimum gain of a print. Dust on the window adds contrast of its own, but leaves the print its gain: with 3
 to 10 % of the window covered 0.5 to 0.8 is explained at a gain of 0.92 to 0.97. For another print in about
 the same place both are low."""
+_MIN_AREA_PX2 = 850.0
+"""Minimum area of a smoothed spot that shows its print, that of 24 px: six sigmas of the smoothing that
+separates texture from shape. Spots of four sigmas have a contrast of 0.5 on even surfaces too."""
 _MIN_STRENGTH = 50.0
 _MIN_GAIN = 0.4
 _MISMATCH_SIGMAS = 5.0
@@ -134,15 +137,16 @@ class Fingerprint:
         sample = sample_of(analysis)
         if sample is None:
             return ViewVerdict.undecided(_NO_SPOT)
-        is_patterned = self.texture.contrast > _MIN_PRINT_CONTRAST
-        if not is_patterned and sample.contrast > _MIN_SEEN_PRINT_CONTRAST:
+        is_small, is_printed = _is_small(analysis), self.texture.contrast > _MIN_PRINT_CONTRAST
+        is_patterned = is_printed and not is_small
+        if not (is_printed or is_small) and sample.contrast > _MIN_SEEN_PRINT_CONTRAST:
             reason = f"print is seen (contrast {sample.contrast:.2f}) on a target without"
             return replace(ViewVerdict.refuted(reason), is_print_seen=True)
         verdict = self._compare(sample, self.texture, is_patterned)
         if verdict.faint is not None and earlier:
             verdict = self._compare(stacked([*earlier, sample]), self.texture, is_patterned)
             verdict = replace(verdict, faint=sample)
-        return replace(verdict, is_print_seen=False)
+        return replace(verdict, is_print_seen=None if is_small else False)
 
     def _compare(self, sample: Sample, texture: Texture, is_patterned: bool) -> ViewVerdict:
         found = match(sample, texture, self.moved)
@@ -191,6 +195,11 @@ class Fingerprint:
         if self.moved is not None:
             return _MODEL_DOUBLED_PX
         return min(_DOUBLED_PER_SHIFT * found.shift_px, _MODEL_DOUBLED_PX)
+
+
+def _is_small(analysis: FrameAnalysis) -> bool:
+    patch = analysis.brightest_patch
+    return patch is not None and patch.outline.area < _MIN_AREA_PX2
 
 
 def _mismatch(found: Match, is_patterned: bool) -> str | None:

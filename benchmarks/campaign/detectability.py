@@ -102,9 +102,9 @@ def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Undetectable:
 
 def two_lamps_like_a_laser(widths_mm: Iterable[float]) -> Undetectable:
     """Two lamps without an edge, at two places that one beam can hit."""
-    are_like = all(4 < width_mm < 18 for width_mm in widths_mm)
+    are_like = all(3 <= width_mm < 18 for width_mm in widths_mm)
     return _wherever(
         lambda subject: are_like,
-        "two lamps without an edge, 4 to 18 mm wide, at two places that one beam can hit, look like its "
+        "two lamps without an edge, 3 to 18 mm wide, at two places that one beam can hit, look like its "
         "spots",
     )

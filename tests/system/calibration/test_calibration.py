@@ -260,7 +260,9 @@ def test_a_beam_that_the_calibrated_unit_refuses_is_refused(tmp_path: Path) -> N
         return light
 
     scan = open_recording(write_scan(tmp_path / "scan", picture=picture_of(donut)))
-    with pytest.raises(BadInputError, match=r"spots of 30 of 30 nodes: the spot is 17\.6 mm wide"):
+    with pytest.raises(
+        BadInputError, match=r"spots of 30 of 30 nodes: wrong_size: the spot is 17\.6 mm wide"
+    ):
         calibrate([scan])
 
 

@@ -124,16 +124,24 @@ def test_a_second_spot_that_hardly_stretches_the_first_is_in_sigma_by_its_light(
 
 
 @pytest.mark.parametrize(
-    ("front", "rear", "words"),
+    ("front", "rear", "reason", "words"),
     [
-        (gaussian(12, 12), with_second_spot(0.5, 4.0), "elongation"),
-        (gaussian(12, 12), with_second_spot(1.0, 4.0), "elongation"),
-        (gaussian(12, 12), gaussian(8, 8), "size"),
-        (gaussian(20, 20), gaussian(20, 20), "wide"),
-        (gaussian(12, 12), SpotShape(0.0044, 0, 0.0044, 4.0), "order"),
+        (gaussian(12, 12), with_second_spot(0.5, 4.0), Reason.DISTORTED, "elongation"),
+        (gaussian(12, 12), with_second_spot(1.0, 4.0), Reason.DISTORTED, "elongation"),
+        (gaussian(12, 12), gaussian(8, 8), Reason.DISTORTED, "size"),
+        (gaussian(4, 4), gaussian(4, 4.4), Reason.DISTORTED, "elongation"),
+        (gaussian(4, 4), gaussian(3, 3), Reason.DISTORTED, "size"),
+        (gaussian(20, 20), gaussian(20, 20), Reason.WRONG_SIZE, "wide"),
+        (gaussian(12, 12), SpotShape(0.0044, 0, 0.0044, 4.0), Reason.WRONG_SHAPE, "order"),
     ],
 )
-def test_spots_that_no_laser_makes_together_are_distorted(front, rear, words: str) -> None:
+def test_spots_that_are_not_measured_are_named(front, rear, reason: Reason, words: str) -> None:
     fault = doubts(front, rear)
     assert isinstance(fault, Fault)
-    assert (fault.reason, words in fault.detail) == (Reason.DISTORTED, True), fault
+    assert (fault.reason, words in fault.detail) == (reason, True), fault
+
+
+def test_the_elongation_of_smaller_spots_scatters_more() -> None:
+    """By a texture that displaces the edges of all spots by as much."""
+    assert isinstance(doubts(gaussian(12, 12), gaussian(12, 12.42)), Fault)
+    assert isinstance(doubts(gaussian(4, 4), gaussian(4, 4.14)), np.ndarray)

@@ -101,7 +101,8 @@ def test_another_camera_is_told_from_one_that_has_moved() -> None:
 
 def test_a_spot_that_is_too_wide_is_one_of_focus() -> None:
     wide = unlike_a_laser(np.array([np.log(20.0), 0.0, 0.0, 1.0]), None)
-    fault = Fault(Reason.DISTORTED, "front", wide)
+    assert wide is not None
+    fault = wide.fault("front")
     assert "focus" in advice(fault, [fault]).remedy
 
 
