@@ -13,8 +13,8 @@ import numpy.typing as npt
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray
 from altd.vision.flat import BLOCK_PX
-from altd.vision.image import Image, Mask, Noise, clipped_from, gaussian_blur
-from altd.vision.search import Region, Search, pixel_noise, search
+from altd.vision.image import SATURATED_FROM, Image, Mask, Noise, clipped_from, gaussian_blur
+from altd.vision.search import Region, Search, pixel_noise, search, search_around
 from altd.vision.settings import SpotSettings
 
 _MARGIN_SIGMAS = 3.0
@@ -51,6 +51,8 @@ class Patch:
     smooth: Image
     background_counts: float
     """Background in the middle."""
+    uneven_counts: float
+    """``Background.uneven_counts``."""
     peak: float
     """Peak of the smoothed excess."""
     mask: Mask
@@ -86,9 +88,9 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
             outline = outline_of(mask)
             core = (smooth > 0.5 * peak) & (mask > 0)
             clipped = clipped_from(pixels[core], frame.full_scale)
-            return Patch(
-                left, top, pixels, excess, smooth, middle, peak, mask, core, clipped, outline, at_image_edge
-            )
+            uneven = found.background.uneven_counts
+            surroundings = left, top, pixels, excess, smooth, middle, uneven
+            return Patch(*surroundings, peak, mask, core, clipped, outline, at_image_edge)
         margin *= 2
 
 
@@ -178,8 +180,40 @@ class FrameAnalysis:
             patch = self._patches[region] = patch_around(self.frame, region, self.found, self.settings)
         return patch
 
+    def around_spot(self) -> FrameAnalysis | None:
+        """Return the analysis over the background around the brightest spot.
+
+        None if that is no other one, or if the edge of the image cuts the spot.
+        """
+        found = search_around(self.frame.pixels, self.found)
+        other = FrameAnalysis(self.frame, self.settings, found)
+        if found is None or (patch := other.brightest_patch) is None or patch.is_cut:
+            return None
+        other.noise = self.noise
+        return other
+
+    def become(self, other: FrameAnalysis) -> None:
+        """Take over the search of another analysis of the same frame."""
+        self._found, self._patches = other.found, other._patches
+
     @property
     def brightest_patch(self) -> Patch | None:
         """Surroundings of the brightest region; None if there is none, or only single pixels shine."""
         patch = self.patch(self.found.regions[0]) if self.found.regions else None
         return patch if isinstance(patch, Patch) else None
+
+
+def brightest_region(analysis: FrameAnalysis) -> Region | NoSpot:
+    """Return the region of most light, or why none is the one spot of the frame."""
+    frame, found = analysis.frame, analysis.found
+    if found.background.level >= SATURATED_FROM * frame.full_scale:
+        return NoSpot(Reason.SATURATED, "the whole frame is saturated")
+    if not found.regions:
+        return NoSpot(Reason.SPOT_MISSING, "nothing is brighter than the background")
+    first, *others = found.regions
+    second = max((other.light for other in others), default=0.0)
+    if second >= analysis.settings.like_size * first.light:
+        return NoSpot(
+            Reason.AMBIGUOUS, f"a second spot has {second / first.light:.0%} of the first one's light"
+        )
+    return first

@@ -13,11 +13,11 @@ from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot, SpotShape
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
-from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch
-from altd.vision.image import SATURATED_FROM, Centre, Noise
-from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
+from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch, brightest_region
+from altd.vision.image import Centre, Noise
+from altd.vision.misfit import Misfit, excess_sigmas, misfit_of, radial_chi2
 from altd.vision.profile import Profile, fit_profile, moment
-from altd.vision.search import Region
+from altd.vision.search import Region, is_wide
 from altd.vision.settings import SpotReference, SpotSettings
 
 _EXPLAINED_SIGMAS = 1.5
@@ -31,11 +31,23 @@ _MIN_DISTORTION_SIGMAS = 5.5
 MIN_DISTORTION_DIAMETERS = 0.015
 """Minimum possible displacement; a smaller one only adds to the spot's sigma, as dust on the window does."""
 
+_MIN_RADIAL_SHARE = 0.6
+"""Minimum part of the misfit in rings around the centre from which the beam has another profile."""
+
 _MAX_EQUAL_SHARE = 0.97
 """Maximum share of a spot's bright pixels with an equal neighbour in their row, or in their column: 0.01
 to 0.26 in photographs and recordings, 1 in a picture enlarged by repeating pixels."""
 _MIN_SHOT_NOISE_COUNTS = 0.6
 """Minimum shot noise at half the peak at which equal neighbours are counted; the recordings have 0.64."""
+
+_BY_LIGHT_AROUND = frozenset(
+    (Reason.AMBIGUOUS, Reason.CUT_BY_EDGE, Reason.WRONG_SIZE, Reason.WRONG_SHAPE, Reason.DISTORTED)
+)
+"""Reasons of a spot that light around it may cause."""
+_MAX_UNEVEN = 0.01
+"""Maximum rms of what a smooth background leaves around a spot, in parts of its peak: no edge of a shadow."""
+_BIAS_PER_UNEVEN = 0.25
+"""Displacement in diameters by a background that varies over a diameter, per share of the peak."""
 
 _E_MINUS_2 = math.exp(-2.0)
 _MIN_PRINT_CONTRAST = 0.35
@@ -71,19 +83,25 @@ def locate(
 def locate_in(
     analysis: FrameAnalysis, flat: Flat | None = None, reference: SpotReference | None = None
 ) -> Spot | NoSpot:
-    """Run ``locate`` for a frame whose analysis is shared with other steps."""
-    frame, found = analysis.frame, analysis.found
-    if found.background.level >= SATURATED_FROM * frame.full_scale:
-        return NoSpot(Reason.SATURATED, "the whole frame is saturated")
-    if not found.regions:
-        return NoSpot(Reason.SPOT_MISSING, "nothing is brighter than the background")
-    first, *others = found.regions
-    second = max((other.light for other in others), default=0.0)
-    if second >= analysis.settings.like_size * first.light:
-        return NoSpot(
-            Reason.AMBIGUOUS, f"a second spot has {second / first.light:.0%} of the first one's light"
-        )
-    return spot_in(analysis, first, flat, reference)
+    """Run ``locate`` for a frame whose analysis is shared with other steps.
+
+    Where light around the spot may be the cause of a refusal, the spot is located over the background there.
+    """
+    first = brightest_region(analysis)
+    if isinstance(first, NoSpot):
+        return first
+    spot = spot_in(analysis, first, flat, reference)
+    is_clear = isinstance(spot, Spot) and not is_wide(first, analysis.frame.pixels)
+    if reference is None or is_clear or (isinstance(spot, NoSpot) and spot.reason not in _BY_LIGHT_AROUND):
+        return spot
+    around = analysis.around_spot()
+    if around is None or isinstance(region := brightest_region(around), NoSpot):
+        return spot
+    again = spot_in(around, region, flat, reference)
+    if isinstance(again, NoSpot):
+        return again if isinstance(spot, Spot) else spot
+    analysis.become(around)
+    return again
 
 
 def spot_in(
@@ -152,10 +170,15 @@ def _compared_with_reference(
         limit_px = MIN_DISTORTION_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
         if sigmas > _MIN_DISTORTION_SIGMAS and excess_px > limit_px:
             ratio = misfit.chi2 / reference.misfit_ratio / misfit.degrees_of_freedom
-            return NoSpot(
-                Reason.DISTORTED, f"its light misses that of one spot by {ratio:.0f} times the usual"
-            )
-    excess_px = math.hypot(excess_px, _excess_texture_px(misfit, reference, patch.is_cut))
+            usual = f"by {ratio:.0f} times the usual"
+            if radial_chi2(profile.residuals, reference.grain) > _MIN_RADIAL_SHARE * misfit.chi2:
+                return NoSpot(Reason.WRONG_SHAPE, f"its profile misses the calibrated one {usual}")
+            return NoSpot(Reason.DISTORTED, f"its light misses that of one spot {usual}")
+    uneven = patch.uneven_counts / patch.peak
+    if uneven > _MAX_UNEVEN:
+        return NoSpot(Reason.DISTORTED, f"the light around it is uneven by {uneven:.1%} of its peak")
+    uneven_px = _BIAS_PER_UNEVEN * spot.diameter_px * uneven
+    excess_px = math.hypot(excess_px, uneven_px, _excess_texture_px(misfit, reference, patch.is_cut))
     if reference is not None and hidden:
         excess_px = math.hypot(excess_px, hidden_px(misfit, reference.misfit_ratio, hidden))
     if patch.is_cut:

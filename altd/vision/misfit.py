@@ -195,3 +195,20 @@ def _patterns(residuals: Residuals) -> FloatArray:
         np.multiply(harmonic_rows[harmonics], light, out=patterns[rows])
         filled = rows.stop
     return patterns[:filled]
+
+
+_RADIAL_LEVELS = 0.02, 0.05, 0.12, 0.3, 0.5, 0.7, 0.9
+"""Shares of the peak between which the rings are."""
+
+
+def radial_chi2(residuals: Residuals, grain: float | None) -> float:
+    """Return the part of the misfit that depends on the distance from the centre alone, as of a ring."""
+    solution, blocks = residuals.solution, residuals.blocks.rows
+    weights = 1 / solution.variance(grain**2 if grain else solution.contrast2)
+    light = solution.rows[SPOT] * blocks[F2]
+    ring = np.digitize(solution.peak_shares, _RADIAL_LEVELS)
+    scores, information = (
+        np.bincount(ring, weights * light * of, len(_RADIAL_LEVELS) + 1)
+        for of in (solution.rows[RESIDUAL], light)
+    )
+    return float(np.sum(scores**2 / np.maximum(information, 1e-12)))

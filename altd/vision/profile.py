@@ -92,6 +92,8 @@ _SLOPE_SHARE_PER_PX = 2e-5
 """Prior standard deviation of the local background slope, as a share of the background. A wider prior costs
 precision: on speckle a slope is correlated with a shift of the centre (1.5e-4: a tenth more scatter)."""
 _MIN_SLOPE_COUNTS_PER_PX = 2e-5
+_RISE_PER_UNEVEN = 0.35
+"""Slope over a quarter of the diameter, per rms of a background that varies over a diameter: √2 / 4."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +154,7 @@ def fit_profile(
         patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _MIN_BLOCK_DIAMETER_PX else 1
     )
     rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _MIN_SLOPE_COUNTS_PER_PX) * sigma_px
+    rise += _RISE_PER_UNEVEN * patch.uneven_counts
     # second moments of a uniform ellipse: those of the spot except for a factor
     scale = 1 / math.sqrt(max(outline.uu * outline.vv - outline.uv**2, 1e-12))
     form = scale * outline.vv, -scale * outline.uv, scale * outline.uu

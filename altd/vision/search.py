@@ -29,42 +29,32 @@ _ROUNDING_BIAS_COUNTS = 0.125
 """Mean error of the mean of four whole numbers, rounded half up: it is off by 0, −1/4, 1/2 or 1/4."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """Smooth background over a frame, counts: even or sloping light behind the fall-off of a lens.
+    """Smooth background over a frame or around a spot, counts.
 
-    Fall-off depends on the square of the distance r from the middle, so there are, beside the terms of second
-    degree, terms in which r² multiplies a slope or itself: ``coefficients`` belong to 1, u, v, u², uv, v²,
-    r²u, r²v, r⁴, with (u, v) from ``middle_px`` in units of ``scale_px``.
+    ``by_power`` (5, 5) multiplies the powers of v, row by row, and of u, with (u, v) from ``middle_px`` in
+    units of ``scale_px``.
     """
 
-    coefficients: tuple[float, ...]
+    by_power: Image
     middle_px: tuple[float, float]
     scale_px: float
+    uneven_counts: float = 0.0
+    """Rms of what a background around a spot leaves unexplained there; 0 for that of a whole frame."""
 
     @property
     def level(self) -> float:
         """Background in the middle of the frame."""
-        return self.coefficients[0]
+        return float(self.by_power[0, 0])
 
     def at(
         self, first_px: tuple[float, float], shape: tuple[int, int], step_px: tuple[int, int] = (1, 1)
     ) -> Image:
         """Return the background: ``shape`` (rows, columns) points by ``step_px`` (u, v) from ``first_px``."""
-        c, cu, cv, cuu, cuv, cvv, ru, rv, rr = self.coefficients
         u = _powers(first_px[0] - self.middle_px[0], shape[1], step_px[0], self.scale_px)
         v = _powers(first_px[1] - self.middle_px[1], shape[0], step_px[1], self.scale_px)
-        by_power = np.array(  # powers of v downwards, of u to the right
-            (
-                (c, cu, cuu, ru, rr),
-                (cv, cuv, rv, 0.0, 0.0),
-                (cvv, ru, 2 * rr, 0.0, 0.0),
-                (rv, 0.0, 0.0, 0.0, 0.0),
-                (rr, 0.0, 0.0, 0.0, 0.0),
-            ),
-            dtype=np.float32,
-        )
-        background: Image = v.T @ (by_power @ u)
+        background: Image = v.T @ (self.by_power @ u)
         return background
 
 
@@ -102,7 +92,11 @@ def _halved(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def fit_background(coarse: Image) -> Background:
-    """Fit the medians of 6 × 8 tiles by robust least squares; tiles that a light fills are outliers."""
+    """Fit the medians of 6 × 8 tiles by robust least squares; tiles that a light fills are outliers.
+
+    The background is even or sloping light behind the fall-off of a lens, which depends on the square of the
+    distance r from the middle: terms up to second degree, and r²u, r²v, r⁴.
+    """
     rows, columns = coarse.shape
     tile_rows, tile_columns = min(_TILE_ROWS, rows), min(_TILE_COLUMNS, columns)
     height, width = rows // tile_rows, columns // tile_columns
@@ -128,8 +122,15 @@ def fit_background(coarse: Image) -> Background:
         kept_before, kept = kept, residuals <= limit
         if (kept == kept_before).all():
             break
-    coefficients = (*solution.tolist(), *[0.0] * (9 - terms))
-    return Background(coefficients, middle_px, scale_px)
+    c, cu, cv, cuu, cuv, cvv, ru, rv, rr = np.pad(solution, (0, 9 - terms)).tolist()
+    by_power = (
+        (c, cu, cuu, ru, rr),
+        (cv, cuv, rv, 0.0, 0.0),
+        (cvv, ru, 2 * rr, 0.0, 0.0),
+        (rv, 0.0, 0.0, 0.0, 0.0),
+        (rr, 0.0, 0.0, 0.0, 0.0),
+    )
+    return Background(np.array(by_power, np.float32), middle_px, scale_px)
 
 
 @lru_cache(maxsize=8)
@@ -197,7 +198,7 @@ class Region:
     peak: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Search:
     """Result of the coarse search: the background and the bright regions, most light first."""
 
@@ -214,13 +215,74 @@ def search(pixels: PixelArray) -> Search:
     coarse = coarse_image(pixels)
     background = fit_background(coarse)
     excess = excess_over(coarse, background)
-    detection = max(_DETECTION_SIGMAS * robust_sigma(excess), _DETECTION_COUNTS)
+    return _found(background, excess, max(_DETECTION_SIGMAS * robust_sigma(excess), _DETECTION_COUNTS))
+
+
+def _found(background: Background, excess: Image, detection: float) -> Search:
     brightest = float(excess.max())
     if brightest < detection:
         return Search(background, ())
     regions = _regions(excess, max(detection / 2, _REGION_PEAK_SHARE * brightest))
     distinct = [region for region in regions if region.peak >= max(detection, _MIN_PEAK_SHARE * brightest)]
     return Search(background, tuple(sorted(distinct, key=lambda region: -region.light)))
+
+
+_RING_RADII = 2.6, 5.0
+"""Limits of the ring around a spot, in radii of its area above half its peak: a Gaussian has 1 % left."""
+_MIN_RING_SHARE = 0.5
+_MIN_UNEVEN_SHARE = 0.01
+_MIN_WIDE_SHARE, _MIN_WIDE_RATIO = 0.06, 12.0
+"""Minimum area of a region that may be a lamp's: in parts of the frame, where a spot of 17 mm takes 0.03; in
+those of the brightest spot above half its peak, where a Gaussian takes 4."""
+
+
+def search_around(pixels: PixelArray, found: Search) -> Search | None:
+    """Find the brightest spot over the background of its own surroundings, such as a headlight's patch.
+
+    The background is a polynomial of fourth degree, fitted to a ring around the spot. Returns None if that
+    of ``found`` holds in the ring, or if too much of the ring is beyond the edge of the image.
+    """
+    coarse = coarse_image(pixels)
+    excess = excess_over(coarse, found.background)
+    _, brightest, _, at = cv2.minMaxLoc(excess)
+    labels = cv2.connectedComponents((excess > brightest / 2).view(np.uint8))[1]
+    rows, columns = np.nonzero(labels == labels[at[1], at[0]])
+    inner, outer = (radii * math.sqrt(rows.size / math.pi) + 0.5 for radii in _RING_RADII)
+    by_row, by_column = np.indices(coarse.shape)
+    u, v = (by_column - columns.mean()) / outer, (by_row - rows.mean()) / outer
+    distance = np.hypot(u, v)
+    ring = (distance > inner / outer) & (distance <= 1)
+    around = excess[ring]
+    if around.size < _MIN_RING_SHARE * math.pi * (outer**2 - inner**2):
+        return None
+    first = found.regions[0]
+    is_other = _area(first) > _MIN_WIDE_RATIO * CELL_PX**2 * rows.size
+    if not (is_other if is_wide(first, pixels) else _rms(around) > _MIN_UNEVEN_SHARE * brightest):
+        return None
+    powers = [(of_v, of_u) for of_v in range(5) for of_u in range(5 - of_v)]
+    terms = np.column_stack([v[ring] ** of_v * u[ring] ** of_u for of_v, of_u in powers])
+    solution = np.linalg.lstsq(terms, coarse[ring], rcond=None)[0]
+    by_power = np.zeros((5, 5), np.float32)
+    for place, of_term in zip(powers, solution, strict=True):
+        by_power[place] = of_term
+    offset = (CELL_PX - 1) / 2
+    middle_px = CELL_PX * float(columns.mean()) + offset, CELL_PX * float(rows.mean()) + offset
+    own = Background(by_power, middle_px, outer * CELL_PX, _rms(coarse[ring] - terms @ solution))
+    over_own = np.where(distance <= 1, excess_over(coarse, own), np.float32(0))
+    return _found(own, over_own, max(_DETECTION_SIGMAS * own.uneven_counts, _DETECTION_COUNTS))
+
+
+def is_wide(region: Region, pixels: PixelArray) -> bool:
+    """Return whether a region of a frame is larger than any spot that is measured."""
+    return _area(region) > _MIN_WIDE_SHARE * pixels.size
+
+
+def _area(region: Region) -> int:
+    return (region.right - region.left) * (region.bottom - region.top)
+
+
+def _rms(values: npt.NDArray[Any]) -> float:
+    return math.sqrt(float(values @ values) / values.size)
 
 
 def _regions(excess: Image, level: float) -> list[Region]:

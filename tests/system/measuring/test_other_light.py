@@ -1,0 +1,134 @@
+"""Light around the spot, and beams of other sizes and profiles than calibrated, drawn from the optics."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from support.made_once import loaded_once
+from support.optics import Array, Beam, Light, Scene, Unit, poses, random_beams, scan, write
+
+from altd.calibration.calibrating import calibrate
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
+from altd.recording.reader import open_recording
+from altd.records import Frame, Measurement
+
+SEED, BEAMS = 2, 4
+
+
+def _calibrated() -> Calibration:
+    with TemporaryDirectory() as folder:
+        path = write(Path(folder) / "scan", "scan", scan(Unit(SEED), SEED))
+        return calibrate([open_recording(path)]).calibration
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return loaded_once(f"optics-{SEED}", _calibrated)
+
+
+@pytest.fixture(scope="module")
+def unit() -> Unit:
+    return Unit(SEED)
+
+
+def measured(calibration: Calibration, unit: Unit, beam: Beam, scene: Scene) -> Measurement:
+    settings = Measuring(window=2)
+    views = [View(target.name, target.name) for target in calibration.targets]
+    chain = MeasuringChain(views, calibration, settings, BeamInstrument(calibration, settings))
+    measurements: list[Measurement] = []
+    for t_s, camera, pixels, _ in poses(unit, [beam], scene, SEED):
+        pixels.flags.writeable = False
+        number = round(t_s * 20)
+        measurements += chain.push(Frame(camera, number, round((1 + t_s) * 1e9), pixels, exposure_ms=10.0))
+    return measurements[-1]
+
+
+def errors(measurement: Measurement, beam: Beam) -> Iterator[tuple[float, float]]:
+    """Error of x and y at the window, mm, and of the angles, degrees × 5, each with its sigma."""
+    slopes = np.degrees(np.arctan([beam.slope_x, beam.slope_y]))
+    for scale, keys, truth in (
+        (1.0, ("x_mm", "y_mm"), (beam.x, beam.y)),
+        (5.0, ("yaw_deg", "pitch_deg"), slopes),
+    ):
+        for key, value in zip(keys, truth, strict=True):
+            known = measurement.values[key]
+            assert known.sigma is not None
+            yield scale * abs(known.value - float(value)), scale * known.sigma
+
+
+def is_right(measurement: Measurement, beam: Beam) -> bool:
+    return all(error < min(0.15, 5 * sigma) for error, sigma in errors(measurement, beam))
+
+
+def glow(beam: Beam, aside_mm: float, diameter_mm: float, level: float) -> Light:
+    """A lamp's patch beside the spot on the window, on even light."""
+    return lambda x, y, _t_s: (
+        0.02 + level * np.exp(-8 * ((x - beam.x - aside_mm) ** 2 + (y - beam.y) ** 2) / diameter_mm**2)
+    )
+
+
+@pytest.mark.parametrize(("aside_mm", "level"), [(10.0, 0.1), (22.0, 0.1), (30.0, 0.07), (55.0, 0.1)])
+def test_a_spot_in_or_beside_the_patch_of_a_headlight_is_measured(
+    calibration: Calibration, unit: Unit, aside_mm: float, level: float
+) -> None:
+    for beam in random_beams(BEAMS, SEED, (30.0, 25.0)):
+        measurement = measured(calibration, unit, beam, Scene(ambient=glow(beam, aside_mm, 60.0, level)))
+        assert measurement.valid, [f"{fault} {fault.detail}" for fault in measurement.status]
+        assert is_right(measurement, beam)
+
+
+def edge(beam: Beam) -> Light:
+    """The edge of a shadow of a lamp's light, through the spot on the window."""
+    return lambda x, _y, _t_s: 0.02 + 0.05 / (1 + np.exp(np.clip(x - beam.x - 2, -50, 50)))
+
+
+@pytest.mark.parametrize("light", [partial(glow, aside_mm=12.0, diameter_mm=15.0, level=0.1), edge])
+def test_light_that_changes_over_the_width_of_a_spot_is_refused(
+    calibration: Calibration, unit: Unit, light: Callable[[Beam], Light]
+) -> None:
+    for beam in random_beams(BEAMS, SEED):
+        measurement = measured(calibration, unit, beam, Scene(ambient=light(beam)))
+        assert not measurement.valid or is_right(measurement, beam)
+
+
+@pytest.mark.parametrize("diameter_mm", [3.0, 4.0, 8.0, 15.0])
+def test_spots_of_other_sizes_than_calibrated_are_measured(
+    calibration: Calibration, unit: Unit, diameter_mm: float
+) -> None:
+    for beam in random_beams(BEAMS, SEED, radius_mm=(diameter_mm / 2, 0.46 * diameter_mm)):
+        measurement = measured(calibration, unit, beam, Scene())
+        assert measurement.valid, [f"{fault} {fault.detail}" for fault in measurement.status]
+        assert is_right(measurement, beam)
+
+
+def top_hat(along: Array, across: Array) -> Array:
+    return 1 / (1 + np.exp(np.clip((np.hypot(along, across) - 0.85) / 0.05, -50, 50)))
+
+
+def rings(along: Array, across: Array) -> Array:
+    radii = np.hypot(along, across)
+    return np.exp(-2 * radii**2) * (1 + np.cos(18 * radii)) / 2
+
+
+@pytest.mark.parametrize(
+    ("beam", "reasons"),
+    [
+        (Beam(radius_mm=(9.0, 9.0)), {"wrong_size"}),
+        (Beam(radius_mm=(1.0, 1.0)), {"wrong_size", "spot_missing"}),
+        (Beam(field_of=top_hat), {"wrong_shape"}),
+        (Beam(field_of=rings), {"wrong_shape"}),
+    ],
+    ids=["18 mm", "2 mm", "top hat", "rings"],
+)
+def test_a_beam_that_is_not_measured_is_refused_by_its_size_or_profile(
+    calibration: Calibration, unit: Unit, beam: Beam, reasons: set[str]
+) -> None:
+    measurement = measured(calibration, unit, beam, Scene())
+    assert not measurement.valid
+    assert {str(fault.reason) for fault in measurement.status} <= reasons
