@@ -80,8 +80,8 @@ def place_of(
     if shape is not None:
         shape_mm = shape_in_mm(shape, point.jacobian_mm_per_px)
         stretch = float(shape_mm[1]), float(shape_mm[2])
-        if why := unlike_a_laser(shape_mm, calibration.spot.shape, _MAX_DIAMETER_MM):
-            return (Fault(Reason.DISTORTED, name, why),)
+        if (unlike := unlike_a_laser(shape_mm, calibration.spot.shape, _MAX_DIAMETER_MM)) is not None:
+            return (unlike.fault(name),)
     return replace(_place(mean, point, calibration, limits), stretch=stretch)
 
 
