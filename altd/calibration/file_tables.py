@@ -190,7 +190,15 @@ _Shape = Annotated[
         sigma=tuple[_Scatter, _Scatter, _Scatter, _Scatter],
     ),
 ]
-_Light = Annotated[LightReference, _table_of(LightReference, sigma=Annotated[float, Field(gt=0, le=10)])]
+_LogLight = Annotated[float, Field(ge=-1000, le=1000)]
+_Light = Annotated[
+    LightReference,
+    _table_of(
+        LightReference,
+        log_light=tuple[_LogLight, _LogLight, _LogLight, _LogLight, _LogLight, _LogLight],
+        sigma=Annotated[float, Field(gt=0, le=10)],
+    ),
+]
 _Spot = Annotated[
     SpotReference,
     _table_of(

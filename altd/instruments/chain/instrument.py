@@ -20,7 +20,13 @@ _ROUNDS_BEFORE = 3
 """Number of earlier rounds that show whether the beam moved smoothly."""
 _MAX_ROUNDS = 1000
 """Maximum number of rounds kept while the baseline is not complete."""
-_UNLIKE_THE_BEAM = (Reason.DISTORTED, Reason.IMPLAUSIBLE, Reason.OUT_OF_RANGE)
+_UNLIKE_THE_BEAM = (
+    Reason.DISTORTED,
+    Reason.WRONG_SIZE,
+    Reason.WRONG_SHAPE,
+    Reason.IMPLAUSIBLE,
+    Reason.OUT_OF_RANGE,
+)
 _BEAM_KNOWN = {
     "line": (),
     "offset": (Reason.BEAM_ANGLE_UNKNOWN,),
