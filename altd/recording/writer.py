@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from altd.errors import BadInputError
+from altd.files.writing import replace_file
 from altd.recording.frames_table import COLUMNS, OPAQUE, POSE_COLUMNS
 from altd.recording.header import (
     FRAMES_FILE,
@@ -41,6 +42,13 @@ def _comparable(header: RecordingHeader) -> dict[str, CameraHeader]:
     return {name: camera.model_copy(update=free) for name, camera in header.cameras.items()}
 
 
+def _encoded(header: RecordingHeader) -> bytes:
+    document = header.model_dump(mode="json", exclude_none=True)
+    if header.start is not None:
+        document["start"] = utc_text(header.start)
+    return (json.dumps(document, indent=1) + "\n").encode()
+
+
 class RecordingWriter:
     """Writes a recording frame by frame; the files are readable after each frame.
 
@@ -59,6 +67,7 @@ class RecordingWriter:
         has_opaque: bool = False,
     ) -> None:
         self._path = path
+        self._header = header
         self._has_opaque = has_opaque
         is_planar = header.kind == "planar"
         self._pose: tuple[object, ...] = (pose or ("", "", "")) if is_planar else ()
@@ -73,10 +82,7 @@ class RecordingWriter:
         except OSError as error:
             raise BadInputError(path, error.strerror or "cannot be written") from error
         try:
-            document = header.model_dump(mode="json", exclude_none=True)
-            if header.start is not None:
-                document["start"] = utc_text(header.start)
-            (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
+            (path / HEADER_FILE).write_bytes(_encoded(header))
             self._file = (path / FRAMES_FILE).open("ab", buffering=0)
             self._append((*COLUMNS, *(POSE_COLUMNS if is_planar else ()), *((OPAQUE,) if has_opaque else ())))
         except OSError as error:
@@ -94,6 +100,7 @@ class RecordingWriter:
                 self._path / HEADER_FILE,
                 "is of another unit, of other targets, of other cameras, or of cameras of another size",
             )
+        self._header = there
         try:
             self._file = (self._path / FRAMES_FILE).open("ab", buffering=0)
             self._file.truncate(resume_at)
@@ -120,6 +127,7 @@ class RecordingWriter:
         done, data = cv2.imencode(".png", np.asarray(frame.pixels))
         if not done:
             raise OSError(f"{name} cannot be encoded")
+        self._check_exposure(frame)
         at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
         try:
             (self._path / name).write_bytes(data.tobytes())
@@ -130,6 +138,17 @@ class RecordingWriter:
             (self._path / name).unlink(missing_ok=True)
             raise
         return self._path / name
+
+    def _check_exposure(self, frame: Frame) -> None:
+        """Remove exposure and gain from the header unless all frames without LEDs have them."""
+        camera = self._header.cameras[frame.camera]
+        stated, own = (camera.exposure_ms, camera.gain_db), (frame.exposure_ms, frame.gain_db)
+        if frame.leds_on or stated in ((None, None), own):
+            return
+        free = camera.model_copy(update={"exposure_ms": None, "gain_db": None})
+        cameras = {**self._header.cameras, frame.camera: free}
+        self._header = self._header.model_copy(update={"cameras": cameras})
+        replace_file(self._path / HEADER_FILE, _encoded(self._header))
 
     def synced(self) -> int:
         """Write the table to the disk; returns its length, bytes."""

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -189,6 +190,25 @@ def test_what_is_written_is_read_back(tmp_path: Path, bits: int) -> None:
     read = opened.frame(opened.rows.first)
     assert np.array_equal(read.pixels, kept.pixels)
     assert (read.sequence, read.t_ns) == (3, 150_000_000)
+
+
+def test_the_header_states_only_an_exposure_that_all_frames_have(tmp_path: Path) -> None:
+    camera = CameraHeader(width=752, height=480, bits=8, exposure_ms=10.0, gain_db=0.0)
+    wanted = RecordingHeader(
+        format="altd-recording/1",
+        kind="measurement",
+        fps=20.0,
+        cameras={"front": camera},
+        unit=UnitHeader(serial="A", target_distance_mm=280.0),
+    )
+    exposed = replace(frame(light(Blob(300, 200, 40))), camera="front", exposure_ms=10.0, gain_db=0.0)
+    writer = RecordingWriter(tmp_path / "out", wanted)
+    for number, ms, leds_on, stated in ((0, 10.0, False, 10.0), (1, 4.0, True, 10.0), (2, 12.0, False, None)):
+        writer.write(replace(exposed, exposure_ms=ms, leds_on=leds_on), number, number / 20)
+        opened = open_recording(tmp_path / "out")
+        assert opened.header.cameras["front"].exposure_ms == stated
+        assert {opened.frame(row).exposure_ms for row in opened.rows} == {stated}
+    writer.close()
 
 
 def test_a_folder_in_use_is_not_written_into(recording: Path) -> None:
