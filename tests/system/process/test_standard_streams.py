@@ -68,7 +68,15 @@ def test_what_needs_no_input_and_says_nothing_on_standard_error_runs_without_the
 ) -> None:
     whole = run(played_unit, tmp_path, READ_AND_SAID[command])
     without = run(played_unit, tmp_path, READ_AND_SAID[command], "<&- 2>&-")
-    assert (without.returncode, without.stdout) == (0, whole.stdout)
+    assert without.returncode == 0
+    if command == "devices":  # other tests may have connected some in between
+        assert _headings(without.stdout) == _headings(whole.stdout)
+    else:
+        assert without.stdout == whole.stdout
+
+
+def _headings(devices: str) -> list[str]:
+    return [line for line in devices.splitlines() if not line.startswith(" ")]
 
 
 @pytest.mark.parametrize("redirected", ["2>&-", "2>/dev/full", "<&- >&- 2>&-"])
