@@ -225,8 +225,9 @@ def test_a_vibration_at_the_frame_rate_scatters_where_software_triggers(
         both_cameras(tmp_path, "--line", "20", "0.3"),
         measuring_daemon(tmp_path, calibration, (FRONT, REAR), trigger="software") as (_, watch),
     ):
-        watch.first(lambda seen: seen.valid, 0.0, 60.0)
-        begun_s = time.monotonic() + 1.0  # a full window
+        while watch.status()["components"]["measuring"]["sampling"] is None:  # sigma remembers no scatter yet
+            watch.first(lambda seen: seen.valid, time.monotonic(), 60.0)
+        begun_s = time.monotonic()
         last = watch.first(lambda seen: seen.valid, begun_s + 6.0, 60.0)
         assert watch.status()["components"]["measuring"]["sampling"] == "uneven"
     values = [
