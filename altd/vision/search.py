@@ -122,7 +122,7 @@ def fit_background(coarse: Image) -> Background:
         kept_before, kept = kept, residuals <= limit
         if (kept == kept_before).all():
             break
-    c, cu, cv, cuu, cuv, cvv, ru, rv, rr = np.pad(solution, (0, 9 - terms)).tolist()
+    c, cu, cv, cuu, cuv, cvv, ru, rv, rr = solution.tolist() + [0.0] * (9 - terms)
     by_power = (
         (c, cu, cuu, ru, rr),
         (cv, cuv, rv, 0.0, 0.0),
