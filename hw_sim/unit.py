@@ -143,10 +143,10 @@ class Unit:
             for name, view in self._views.items()
         }
         self._pool = NoisePool(next(rngs))
-        motion_rng = next(rngs)
-        drive, vibration = self.config.drive, self.config.vibration
-        self._drive = make_path(drive, motion_rng) if drive else None
-        self._vibration = make_vibration(vibration, motion_rng) if vibration else None
+        self._motion_rng = next(rngs)
+        drive = self.config.drive
+        self._drive = make_path(drive, self._motion_rng) if drive else None
+        self.vibrate(self.config.vibration)
         self._dust_seeds = next(streams).spawn(len(CAMERAS))
         self._window_dust: Dust | None = None
         if self.config.dust:
@@ -200,6 +200,10 @@ class Unit:
     def place(self, pose: BeamPose) -> None:
         """Point the reference laser; drive and vibration are added to it."""
         self._pose_at = _constant_path(pose)
+
+    def vibrate(self, vibration: Vibration | None) -> None:
+        """Replace the vibration by another one, with new phases; None: by none."""
+        self._vibration = make_vibration(vibration, self._motion_rng) if vibration else None
 
     def follow(self, path: Callable[[int], BeamPose]) -> None:
         """Let the reference laser follow a path, given as its pose at ``t_ns``."""

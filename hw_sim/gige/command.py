@@ -87,7 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--listen",
         action="store_true",
-        help="each line on standard input is the new list of faults; an empty line ends all",
+        help="each line on standard input is the new list of faults, and an empty one ends all; `line HZ MM` "
+        "is another vibration",
     )
     parser.add_argument(
         "--celsius",
@@ -157,19 +158,26 @@ def make_unit(
     ``line``: frequency, Hz, and amplitude, mm, of a vibration.
     """
     if line:
-        vibration = Vibration(line[1] / math.sqrt(2.0), 0.0, (line[0],), random_share=0.0)
-        return Unit(UnitConfig(seed=seed, fps=fps, vibration=vibration))
+        return Unit(UnitConfig(seed=seed, fps=fps, vibration=_one_line(*line)))
     if drive:
         return Unit(UnitConfig(seed=seed, fps=fps, drive=SLOW_DRIVE, vibration=Vibration()))
     return Unit(UnitConfig(seed=seed, fps=fps))
 
 
+def _one_line(hertz: float, amplitude_mm: float) -> Vibration:
+    return Vibration(amplitude_mm / math.sqrt(2.0), 0.0, (hertz,), random_share=0.0)
+
+
 def _listen(unit: Unit) -> None:
-    """Set the faults from each line on standard input; an empty line clears them."""
-    for line in sys.stdin:
+    """Set the faults, or the vibration, from each line on standard input; an empty line clears the faults."""
+    for text in sys.stdin:
         try:
-            faults = parse_faults(line.strip().split(",") if line.strip() else ())
-        except BadInputError as error:
+            if text.startswith("line "):
+                hertz, amplitude_mm = map(float, text.split()[1:])
+                unit.vibrate(_one_line(hertz, amplitude_mm))
+                continue
+            faults = parse_faults(text.strip().split(",") if text.strip() else ())
+        except (BadInputError, ValueError) as error:
             print(f"hw_sim: {error}", file=sys.stderr, flush=True)
         else:
             unit.clear(*unit.faults - faults)

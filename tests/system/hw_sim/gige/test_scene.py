@@ -144,7 +144,13 @@ def spot_light(unit: Unit, camera: str, pixels: np.ndarray) -> float:
     return float(part.max()) - float(np.median(part))
 
 
-def test_faults_come_and_go_by_lines_on_standard_input(driven_unit: Unit) -> None:
+def peaks_apart_px(frames: list[np.ndarray]) -> float:
+    """Largest distance of the frames' smoothed peaks."""
+    peaks = [cv2.minMaxLoc(cv2.GaussianBlur(pixels, (0, 0), 8.0))[3] for pixels in frames]
+    return float(np.ptp(peaks, axis=0).max())
+
+
+def test_faults_and_a_vibration_come_and_go_by_lines_on_standard_input(driven_unit: Unit) -> None:
     with (
         served("--seed", str(SEED), "--faults", "front_spot_missing", "--listen") as cameras,
         client(cameras.front) as front,
@@ -168,6 +174,10 @@ def test_faults_come_and_go_by_lines_on_standard_input(driven_unit: Unit) -> Non
         assert (lit(front, FRONT), lit(rear, REAR)) == (False, False)
         fault("")
         assert (lit(front, FRONT), lit(rear, REAR)) == (True, True)
+        at_rest = [frame.pixels for frame in front.take(3)]
+        fault("line 3.3 8")
+        vibrating = [frame.pixels for frame in front.take(8)][-3:]
+        assert [peaks_apart_px(frames) > 3.0 for frames in (at_rest, vibrating)] == [False, True]
         fault("rear_silent")
         front.start()
         rear.start()
