@@ -211,7 +211,7 @@ class Reason(StrEnum):
         "warming_up", _UNIT, 23, StatusGroup.WARMING_UP, _CHECK_FUNCTION,
         "too few exposures so far",
         "wait some seconds",
-        "fewer exposures than half a window",
+        "fewer exposures than half a window or, at uneven times, than 18",
     )  # fmt: skip
     STALE = (
         "stale", _UNIT, 24, StatusGroup.STALE, _FAILURE,

@@ -15,7 +15,7 @@ from altd.measuring.instrument import Instrument
 from altd.measuring.light_balance import LightBalance
 from altd.measuring.motion_memory import MotionMemory
 from altd.measuring.pairing import Pair, Pairer
-from altd.measuring.sampling import Sampling, SamplingCheck, ScatterMemory
+from altd.measuring.sampling import MIN_EXPOSURES, SamplingCheck, ScatterMemory
 from altd.measuring.spot_locator import Located, SpotLocator
 from altd.measuring.synchrony import SynchronyCheck
 from altd.measuring.view_check import shift_fault
@@ -33,6 +33,9 @@ from altd.records import (
 from altd.records.spots import Motion
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
+_SCATTER_UNKNOWN = Fault(
+    Reason.WARMING_UP, detail=f"{MIN_EXPOSURES} exposures at uneven times are needed first"
+)
 _MOTION_UNKNOWN = Fault(Reason.WARMING_UP, detail="how the beam moves is not known yet")
 
 
@@ -310,7 +313,8 @@ class MeasuringChain:
             return self._invalid(frame_set, mean.t_ns, (fault,))
         if (shifted := shift_fault(self._view_status.values())) is not None:
             return self._invalid(frame_set, mean.t_ns, (shifted,))
-        mean = self._with_unseen(mean)
+        if (mean := self._with_unseen(mean)) is None:
+            return self._invalid(frame_set, frame_set.t_ns, (_SCATTER_UNKNOWN,))
         self._changed_light = self._light_balance.changed_light(mean)
         mean = replace(mean, changed_light=self._changed_light)
         spots = mean.at_newest() if self._is_of_now else mean
@@ -337,12 +341,18 @@ class MeasuringChain:
             return measurement
         return measurement.with_motion_in_sigma() or self._invalid(frame_set, spots.t_ns, (_MOTION_UNKNOWN,))
 
-    def _with_unseen(self, mean: MeanSpots) -> MeanSpots:
-        """Return the mean spots with the scatter and the lags that this window alone does not show."""
+    def _with_unseen(self, mean: MeanSpots) -> MeanSpots | None:
+        """Return the mean spots with the scatter and the lags that this window alone does not show.
+
+        None: the scatter is not known yet.
+        """
         if self._is_switched:
             return mean
-        if self._sampling.found is Sampling.UNEVEN:
-            mean = self._scatter.widened(mean, self._sampling.excess(mean.frames))
+        if excess := self._sampling.excess(mean.frames):
+            widened = self._scatter.widened(mean, excess)
+            if widened is None:
+                return None
+            mean = replace(widened, is_even=self._sampling.found is None)
         return self._synchrony.with_lag_in_sigma(mean)
 
     def _motions(

@@ -12,7 +12,6 @@ from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
 from altd.measuring.motion_memory import MEMORY_S
 from altd.records import FloatArray, MeanSpots
@@ -27,6 +26,13 @@ _FREQUENCIES = np.arange(0.9, 6.5, 0.025)
 """Frequencies, per mean rate, at which the phases of a window are compared: two in the width of a line."""
 _USUAL_EXCESS = 6.5
 """Of the worst of these frequencies in an uneven window of 20; few windows exceed it."""
+_UNEVEN_BY = 0.08
+"""Mean distance of the intervals from multiples of the usual one, above which they are uneven before this is
+known: 0.25 of software triggers, 0.03 of a crystal with a jitter of a tenth of the period."""
+MIN_EXPOSURES = 18
+"""Number of exposures at uneven times below which a mean may err by twenty times what they show."""
+_HIDING_EXPOSURES = 10.0
+"""Number of exposures whose phases may all be close together by chance."""
 
 
 class Sampling(StrEnum):
@@ -44,9 +50,6 @@ class SamplingCheck:
     def __init__(self) -> None:
         self._times_ns: deque[int] = deque(maxlen=_MAX_GROUPS * _GROUP_FRAME_SETS)
         self._since_check = 0
-        self._first_ns, self._period_ns = 0, 1.0
-        self._phasors: deque[npt.NDArray[np.complex128]] = deque(maxlen=_MAX_GROUPS * _GROUP_FRAME_SETS)
-        """Of the frame sets at uneven times, exp(2πi f t/T) at the frequencies."""
         self.found: Sampling | None = None
 
     def add(self, t_ns: int) -> None:
@@ -55,25 +58,27 @@ class SamplingCheck:
         self._since_check += 1
         if self._since_check >= _GROUP_FRAME_SETS and len(self._times_ns) >= _MIN_GROUPS * _GROUP_FRAME_SETS:
             self._since_check = 0
-            before, self.found = self.found, self._judged()
-            if self.found is not before:
-                self._phasors.clear()
-                self._first_ns, self._period_ns = t_ns, float(np.median(np.diff(self._times_ns)))
-        if self.found is Sampling.UNEVEN:
-            turns = _FREQUENCIES * ((t_ns - self._first_ns) / self._period_ns)
-            self._phasors.append(np.exp(2j * np.pi * turns))
+            self.found = self._judged()
 
     def excess(self, frames: int) -> float:
-        """Return n |mean exp(2πi f t/T)|² of the last n frame sets at the worst frequency; 0: not known."""
-        last = list(self._phasors)[-frames:]
-        if not last:
+        """Return n |mean exp(2πi f t/T)|² of the last n frame sets at the worst frequency; 0: even times."""
+        if self.found is Sampling.EVEN or len(self._times_ns) <= 1:
             return 0.0
-        return float(np.square(np.abs(np.add.reduce(last))).max()) / len(last)
+        periods = self._periods()
+        intervals = np.diff(periods)
+        if self.found is None and np.abs(intervals - np.round(intervals)).mean() < _UNEVEN_BY:
+            return 0.0
+        phasors = np.exp(2j * np.pi * _FREQUENCIES[:, None] * periods[-frames:])
+        return float(np.square(np.abs(phasors.sum(axis=1))).max() / phasors.shape[1])
+
+    def _periods(self) -> FloatArray:
+        """Return the times since the first one, in median intervals."""
+        times_ns = np.array(self._times_ns, dtype=np.float64)
+        return np.asarray((times_ns - times_ns[0]) / np.median(np.diff(times_ns)))
 
     def _judged(self) -> Sampling:
         """Return whether n |mean exp(2πi k t/T)|² is small at all multiples k, T the median interval."""
-        times_ns = np.array(self._times_ns, dtype=np.float64)
-        periods = (times_ns - times_ns[0]) / np.median(np.diff(times_ns))
+        periods = self._periods()
         groups = periods[: len(periods) // _GROUP_FRAME_SETS * _GROUP_FRAME_SETS]
         groups = groups.reshape(-1, _GROUP_FRAME_SETS)
         means = np.exp(2j * np.pi * _MULTIPLES[:, None, None] * groups).mean(axis=2)
@@ -82,7 +87,7 @@ class SamplingCheck:
 
 
 class ScatterMemory:
-    """The scatter of single exposures, averaged over the windows of the last seconds.
+    """The scatter of single exposures, averaged over those of the last seconds.
 
     At uneven times the phases of a vibration are random. Where those of a window are close together by
     chance, its mean errs most, and its own scatter is smallest.
@@ -90,34 +95,51 @@ class ScatterMemory:
 
     def __init__(self) -> None:
         self._scatter_px2: FloatArray | None = None
-        self._t_ns = 0
+        self._exposures = 0.0
+        """Number of exposures remembered, each with a weight that decreases with its age."""
+        self._newest_ns = 0
+
+    @property
+    def _known_share(self) -> float:
+        """Share of the scatter that few exposures show if their phases are close together by chance."""
+        return 1.0 - _HIDING_EXPOSURES / self._exposures
 
     @property
     def scatter_px(self) -> FloatArray | None:
-        """Average standard deviation of single exposures at uneven times, (2 · targets,); None: not known."""
-        return None if self._scatter_px2 is None else np.sqrt(np.diag(self._scatter_px2))
+        """Largest likely standard deviation of exposures at uneven times, (2 · targets,); None: not known."""
+        if self._scatter_px2 is None or self._exposures <= _HIDING_EXPOSURES:
+            return None
+        return np.asarray(np.sqrt(np.diag(self._scatter_px2) / self._known_share))
 
-    def widened(self, mean: MeanSpots, excess: float) -> MeanSpots:
+    def widened(self, mean: MeanSpots, excess: float) -> MeanSpots | None:
         """Return the mean spots of uneven times with at least the average scatter in each direction.
 
         ``excess`` is that of the window (``SamplingCheck``): beyond the usual one the scatter counts more, so
-        that a vibration at the worst frequency errs by less than four sigma.
+        that a vibration at the worst frequency errs by less than four sigma. The fewer exposures are
+        remembered, the earlier it does. None: too few for a sigma.
         """
         motion = mean.motion
         if motion is None:
             return mean
         of_window_px2 = motion.rate_covariance * motion.spread_s2 * mean.frames
-        if self._scatter_px2 is None:
-            self._scatter_px2 = of_window_px2
-        kept = math.exp(-max(mean.t_ns - self._t_ns, 0) * 1e-9 / MEMORY_S)
-        self._t_ns = mean.t_ns
-        self._scatter_px2 = kept * self._scatter_px2 + (1.0 - kept) * of_window_px2
-        expected_px2 = self._scatter_px2 * max(excess / _USUAL_EXCESS, 1.0)
+        newest_ns = mean.t_ns + round(motion.newest_s * 1e9)
+        since_s, self._newest_ns = max(newest_ns - self._newest_ns, 0) * 1e-9, newest_ns
+        new = mean.frames * min(since_s / motion.span_s, 1.0)
+        self._exposures = self._exposures * math.exp(-since_s / MEMORY_S) + new
+        scatter_px2 = of_window_px2 if self._scatter_px2 is None else self._scatter_px2
+        if self._exposures >= mean.frames + 2:
+            scatter_px2 = scatter_px2 + new / self._exposures * (of_window_px2 - scatter_px2)
+        elif np.trace(of_window_px2) > np.trace(scatter_px2):
+            scatter_px2 = of_window_px2  # of all exposures so far
+        self._scatter_px2 = scatter_px2
+        if self._exposures < MIN_EXPOSURES:
+            return None
+        usual = _USUAL_EXCESS * self._known_share
+        expected_px2 = scatter_px2 * max(excess / usual, 1.0)
         variances, axes = np.linalg.eigh(expected_px2 - of_window_px2)
         more_px2 = axes * np.maximum(variances, 0.0) @ axes.T
         return replace(
             mean,
-            is_even=False,
             covariance_px2=mean.covariance_px2 + more_px2 / mean.frames,
             motion=replace(
                 motion,
