@@ -21,6 +21,7 @@ from altd.config import (
     LiveCameraSettings,
     RecordingCameraSettings,
     V4l2CameraSettings,
+    software_triggered,
 )
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.devices.trigger_times import TriggerTimes
@@ -131,11 +132,7 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
 
 def trigger_times_of(config: Config) -> TriggerTimes | None:
     """Return the instants at which software triggers the cameras, such as all can take; None: it does not."""
-    software = [
-        camera
-        for camera in config.cameras.values()
-        if isinstance(camera, AravisCameraSettings) and camera.trigger == "software"
-    ]
+    software = list(software_triggered(config.cameras).values())
     if not software:
         return None
     busy_ms = max(camera.busy_ms for camera in software)

@@ -11,6 +11,7 @@ from altd.config.cameras import (
     LiveCameraSettings,
     RecordingCameraSettings,
     V4l2CameraSettings,
+    software_triggered,
 )
 from altd.config.devices import (
     AnyLampsSettings,
@@ -90,4 +91,5 @@ __all__ = [
     "Unit",
     "V4l2CameraSettings",
     "load_config",
+    "software_triggered",
 ]

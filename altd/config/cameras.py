@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -151,3 +152,9 @@ class AravisCameraSettings(LiveCameraSettings):
 AnyCameraSettings = Annotated[
     RecordingCameraSettings | V4l2CameraSettings | AravisCameraSettings, Field(discriminator="driver")
 ]
+
+
+def software_triggered(cameras: Mapping[str, Table]) -> dict[str, AravisCameraSettings]:
+    """Return the cameras that altd triggers, by name."""
+    aravis = {name: camera for name, camera in cameras.items() if isinstance(camera, AravisCameraSettings)}
+    return {name: camera for name, camera in aravis.items() if camera.trigger == "software"}

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from altd.config.addresses import overlap
-from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
+from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings, software_triggered
 from altd.config.devices import (
     CameraLampsSettings,
     GpiodLampsSettings,
@@ -127,13 +127,13 @@ def _rates(draft: Draft) -> Iterator[Fault]:
     measuring, fps = draft.measuring, min(camera.fps for camera in live.values())
     if measuring is None:
         return
-    triggered = [name for name, camera in live.items() if getattr(camera, "trigger", "") == "software"]
+    triggered = software_triggered(live)
     if triggered and (others := live.keys() - triggered):
         text = (
             f'"software" does not go with camera {shown(min(others))} at its own times; possible: all or none'
         )
         about = tuple(("cameras", name, "driver") for name in others)
-        yield Fault(("cameras", triggered[0], "trigger"), text, about=about)
+        yield Fault(("cameras", next(iter(triggered)), "trigger"), text, about=about)
     longest_s = (1.5 if triggered else 1) / fps
     if measuring.silent_after_s <= longest_s:
         text = f"{measuring.silent_after_s:g} is shorter than a frame interval; possible: above {longest_s:g}"
