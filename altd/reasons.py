@@ -130,7 +130,7 @@ class Reason(StrEnum):
         "the spot is distorted",
         "clean the window, look for reflections and other light",
         "the light is not that of one spot as calibrated: a reflection, dirt, the edge of a lamp's light or "
-        "of a shadow, a torn or enlarged picture",
+        "of a shadow, a torn or enlarged picture, strongly turbulent air",
     )  # fmt: skip
     CAMERA_SILENT = (
         "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT, _FAILURE,

@@ -17,8 +17,8 @@ from altd.records import FloatArray, Frame, Spot
 from altd.statistics import MAD_TO_SIGMA
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis, Patch
-from altd.vision.localise import fitted_profile, hidden_px, locate_in
-from altd.vision.misfit import misfit_of
+from altd.vision.localise import fitted_profile, locate_in
+from altd.vision.misfit import hidden_px, misfit_of
 from altd.vision.settings import SpotSettings
 
 _MAX_SIGMA_RATIO = 1.5

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from altd.measuring.sampling import ScatterMemory
+from altd.measuring.scintillation import averaged_residuals
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot, SpotShape
 from altd.records.spots import SpotMotion
@@ -120,7 +121,11 @@ class FrameSetWindow:
             return None
         self._since_mean = 0
         usual_px = None if self._memory is None else self._memory.scatter_px
-        return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._skipped), usual_px)
+        frame_sets, passed_over = tuple(self._frame_sets), len(self._skipped)
+        mean = mean_spots(frame_sets, self._targets, self._window, passed_over, usual_px)
+        if (steadied := averaged_residuals(frame_sets, mean)) is None:
+            return mean
+        return mean_spots(steadied, self._targets, self._window, passed_over, usual_px)
 
     def forget(self) -> None:
         """Drop the frame sets before a gap; the count to the next mean continues."""

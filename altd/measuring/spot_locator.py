@@ -170,6 +170,8 @@ class SpotLocator:
         if (objection := check.objection(analysis, spot, self._identity())) is not None:
             self._breaks += 1  # the frames before it are not reliable either
             return objection
-        if check.displaced_px and isinstance(spot, Spot):
-            return replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))
-        return spot
+        if not check.displaced_px:
+            return spot
+        if isinstance(spot, NoSpot):
+            return replace(spot, spot=None)
+        return replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))

@@ -7,6 +7,7 @@ it since then.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -98,6 +99,25 @@ class SpotShape:
     order: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Unexplained:
+    """The light of a spot that one spot does not explain.
+
+    ``scores`` (2, patterns) are the projections of the fit's residuals onto patterns of the spot and their
+    amplitudes. The sum of their products is a chi-square, up to ``usual`` in good spots; ``bias_px`` is the
+    possible displacement, one sigma, per root of the rest.
+    """
+
+    scores: FloatArray
+    usual: float
+    bias_px: float
+
+    @property
+    def displacement_px(self) -> float:
+        """Possible displacement of the spot, one sigma."""
+        return self.bias_px * math.sqrt(max(float(self.scores[0] @ self.scores[1]) - self.usual, 0.0))
+
+
 @dataclass(frozen=True, slots=True)
 class Spot:
     """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts.
@@ -105,7 +125,8 @@ class Spot:
     ``excess_px`` is the standard deviation, in u and in v, added to that of a good spot by light that does
     not fit one spot and by a picture that moved; averaging does not reduce it. ``shape`` is None if no
     profile was fitted. ``light_per_ms`` is the light of the whole spot for 1 ms of exposure and 0 dB of gain,
-    counts · px² / ms; None: not known.
+    counts · px² / ms; None: not known. ``unexplained`` is the part of ``excess_px`` by the residuals of the
+    fit; None: good spots have as much.
     """
 
     u_px: float
@@ -116,6 +137,7 @@ class Spot:
     excess_px: float = 0.0
     shape: SpotShape | None = None
     light_per_ms: float | None = None
+    unexplained: Unexplained | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         """Return a description for the technician who aims the beam."""
@@ -127,10 +149,15 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class NoSpot:
-    """Reason why a frame gives no spot."""
+    """Reason why a frame gives no spot.
+
+    ``spot`` is the spot of a distorted frame that may be measured together with others
+    (``measuring.scintillation``).
+    """
 
     reason: Reason
     detail: str = ""
+    spot: Spot | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         """Return a description for the technician who searches for the fault."""

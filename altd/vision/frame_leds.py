@@ -195,4 +195,4 @@ def with_leds_as_cause(refused: NoSpot, lit: int, leds: int) -> NoSpot:
     """Return the rejection, with the lit frame LEDs as the cause if they are the visible light."""
     if lit < 2 or 2 * lit < leds:
         return refused
-    return replace(refused, detail=f"{LEDS_LIT}, {lit} of {leds} shine at their places")
+    return replace(refused, detail=f"{LEDS_LIT}, {lit} of {leds} shine at their places", spot=None)

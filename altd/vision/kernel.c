@@ -188,7 +188,7 @@ struct rings {
     int first[RINGS], last[RINGS], min_blocks;
 };
 
-struct misfit { double chi2, degrees_of_freedom, uu, uv, vv, pattern_variance; };
+struct misfit { double chi2, degrees_of_freedom, uu, uv, vv, pattern_variance, scores[2 * MAX_PATTERNS]; };
 
 static int ring_of(const struct rings *rings, double irradiance) { /* -1: none */
     int ring = -1;
@@ -279,8 +279,11 @@ int altd_misfit(const struct rings *rings, int n, const double *blocks, const do
     if (!size || !invert(size, ridged))
         return 0;
     to->chi2 = 0, to->degrees_of_freedom = size;
+    memset(to->scores, 0, sizeof to->scores);
     for (int r = 0; r < size; r++) {
-        to->chi2 += score[r] * dot(size, ridged + r * size, score);
+        double amplitude = dot(size, ridged + r * size, score);
+        to->scores[used[r]] = score[r], to->scores[MAX_PATTERNS + used[r]] = amplitude;
+        to->chi2 += score[r] * amplitude;
         to->degrees_of_freedom -= rings->ridge_share * ridged[r * size + r];
     }
     to->uu = equations[U * P + U], to->uv = equations[U * P + V], to->vv = equations[V * P + V];

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 FILE = Path(__file__).with_name("libkernel.so")
 _FIT_ROWS = 14
 _RINGS = 5
+_MAX_PATTERNS = 27
 
 
 class FitLimits(ctypes.Structure):
@@ -70,7 +71,13 @@ class FoundMisfit(ctypes.Structure):
         ("centre_uv", c_double),
         ("centre_vv", c_double),
         ("pattern_variance", c_double),
+        ("score", c_double * (2 * _MAX_PATTERNS)),
     ]
+
+    @property
+    def scores(self) -> FloatArray:
+        """Scores and amplitudes of the patterns, (2, patterns)."""
+        return np.frombuffer(self.score).reshape(2, -1)
 
 
 def _loaded() -> tuple[ctypes.CDLL | None, str]:

@@ -15,21 +15,18 @@ from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch, brightest_region
 from altd.vision.image import Centre, Noise
-from altd.vision.misfit import Misfit, excess_sigmas, misfit_of, radial_chi2
+from altd.vision.misfit import Misfit, excess_sigmas, hidden_px, misfit_of, radial_chi2, unexplained_of
 from altd.vision.profile import Profile, fit_profile, moment
 from altd.vision.search import Region, is_wide
 from altd.vision.settings import SpotReference, SpotSettings
 
-_EXPLAINED_SIGMAS = 1.5
-"""Number of sigmas above its mean up to which a chi-square adds nothing to a spot's sigma."""
-_BIAS_PER_EXCESS = 1.2
-"""Possible effect of unexplained light on a centre, one sigma, in its sigmas per root of the chi-square. Dust
-displaces a spot by half of that, grease by as much, weak reflections by two to four times: those near five
-times stretch the spot too, which the comparison of the targets adds."""
 _MIN_DISTORTION_SIGMAS = 5.5
 """Minimum excess of a distorted spot; by noise and texture alone one spot in fifty million exceeds it."""
 MIN_DISTORTION_DIAMETERS = 0.015
 """Minimum possible displacement; a smaller one only adds to the spot's sigma, as dust on the window does."""
+_MAX_DISTORTIONS = 3.0
+"""Maximum distortion of a spot that may be measured with others, in limits. Air that makes the light scatter
+by 35 % rms over 6 mm reaches 2.6."""
 
 _MIN_RADIAL_SHARE = 0.6
 """Minimum part of the misfit in rings around the centre from which the beam has another profile."""
@@ -163,17 +160,15 @@ def _compared_with_reference(
     misfit = misfit_of(profile.residuals, reference.grain if reference else None)
     if misfit is None:
         return NoSpot(Reason.WRONG_SHAPE, "too little of it is visible to decide whether it is one spot")
-    excess_px = 0.0
-    if reference is not None:
-        excess_px = _BIAS_PER_EXCESS * misfit.centre_px * math.sqrt(_unexplained(misfit, reference))
-        sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.degrees_of_freedom)
+    unexplained = None if reference is None else unexplained_of(misfit, reference.misfit_ratio)
+    excess_px, distorted = 0.0, None
+    if reference is not None and unexplained is not None:
+        excess_px = unexplained.displacement_px
         limit_px = MIN_DISTORTION_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
-        if sigmas > _MIN_DISTORTION_SIGMAS and excess_px > limit_px:
-            ratio = misfit.chi2 / reference.misfit_ratio / misfit.degrees_of_freedom
-            usual = f"by {ratio:.0f} times the usual"
-            if radial_chi2(profile.residuals, reference.grain) > _MIN_RADIAL_SHARE * misfit.chi2:
-                return NoSpot(Reason.WRONG_SHAPE, f"its profile misses the calibrated one {usual}")
-            return NoSpot(Reason.DISTORTED, f"its light misses that of one spot {usual}")
+        distorted = _distortion(reference, misfit, profile) if excess_px > limit_px else None
+        is_alone = patch.is_cut or excess_px > _MAX_DISTORTIONS * limit_px
+        if distorted is not None and (is_alone or distorted.reason is Reason.WRONG_SHAPE):
+            return distorted
     uneven = patch.uneven_counts / patch.peak
     if uneven > _MAX_UNEVEN:
         return NoSpot(Reason.DISTORTED, f"the light around it is uneven by {uneven:.1%} of its peak")
@@ -187,7 +182,19 @@ def _compared_with_reference(
         if not is_inside or math.hypot(spot.sigma_px, excess_px) > settings.max_sigma_px:
             return NoSpot(Reason.CUT_BY_EDGE, "too much of the spot lies beyond the edge of the image")
         spot = replace(spot, diameter_px=profile.diameter_px)
-    return replace(spot, excess_px=excess_px, shape=shape)
+    spot = replace(spot, excess_px=excess_px, shape=shape, unexplained=unexplained)
+    return spot if distorted is None else replace(distorted, spot=spot)
+
+
+def _distortion(reference: SpotReference, misfit: Misfit, profile: Profile) -> NoSpot | None:
+    """Return why a spot's light is not that of one calibrated spot; None if it may be."""
+    chi2 = misfit.chi2 / reference.misfit_ratio
+    if excess_sigmas(chi2, misfit.degrees_of_freedom) <= _MIN_DISTORTION_SIGMAS:
+        return None
+    usual = f"by {chi2 / misfit.degrees_of_freedom:.0f} times the usual"
+    if radial_chi2(profile.residuals, reference.grain) > _MIN_RADIAL_SHARE * misfit.chi2:
+        return NoSpot(Reason.WRONG_SHAPE, f"its profile misses the calibrated one {usual}")
+    return NoSpot(Reason.DISTORTED, f"its light misses that of one spot {usual}")
 
 
 def _light_per_ms(frame: Frame, size: _SpotSize, profile: Profile | None) -> float | None:
@@ -202,12 +209,6 @@ def _light_per_ms(frame: Frame, size: _SpotSize, profile: Profile | None) -> flo
     return light * frame.per_ms
 
 
-def _unexplained(misfit: Misfit, reference: SpotReference) -> float:
-    """Return by how much the chi-square exceeds that of good spots."""
-    usual = misfit.degrees_of_freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.degrees_of_freedom)
-    return max(misfit.chi2 / reference.misfit_ratio - usual, 0.0)
-
-
 def _excess_texture_px(misfit: Misfit, reference: SpotReference | None, cut: bool) -> float:
     """Return the displacement by texture beyond that of usual spots, which the map's covariance contains."""
     known_px = reference.pattern_px if reference else None
@@ -216,15 +217,6 @@ def _excess_texture_px(misfit: Misfit, reference: SpotReference | None, cut: boo
     if cut:
         return misfit.worst_px * max(reference.noise_px / known_px, 1.0)
     return reference.noise_px * math.sqrt(max((misfit.pattern_px / known_px) ** 2 - 1, 0.0))
-
-
-def hidden_px(misfit: Misfit, usual_ratio: float, hidden: float) -> float:
-    """Return the possible displacement of a spot by the asymmetry of its beam, one sigma.
-
-    ``usual_ratio`` is the ratio of usual spots' chi-square to that of noise, ``hidden`` from ``Flat.hidden``.
-    """
-    unexplained = max(usual_ratio - 1, 0.0) * misfit.degrees_of_freedom
-    return _BIAS_PER_EXCESS * hidden * misfit.centre_px * math.sqrt(unexplained)
 
 
 def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> Profile | None:

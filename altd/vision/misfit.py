@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.records import FloatArray
+from altd.records.spots import Unexplained
 from altd.vision import kernel
 from altd.vision.blocks import F1, F2, MONOMIALS, Blocks
 from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, RESIDUAL, RISE_X, SPOT, TEXTURE, Solution, U, V
@@ -39,6 +40,13 @@ _MIN_TEXTURE_CONTRAST = 0.02
 """Minimum contrast: no surface and no laser is known better than a hundredth of the light over 2 × 2 px."""
 _MAX_CONTRAST_RATIO = 1.3
 """Maximum ratio by which texture contrast differs over a target; higher contrast is not texture."""
+
+_EXPLAINED_SIGMAS = 1.5
+"""Number of sigmas above its mean up to which a chi-square adds nothing to a spot's sigma."""
+_BIAS_PER_EXCESS = 1.2
+"""Possible effect of unexplained light on a centre, one sigma, in its sigmas per root of the chi-square. Dust
+displaces a spot by half of that, grease by as much, weak reflections by two to four times: those near five
+times stretch the spot too, which the comparison of the targets adds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +78,15 @@ class Misfit:
     """Statistic ``chi2`` with its degrees of freedom, and the uncertainty of the fit.
 
     ``centre_covariance_px2`` (2, 2) is that of the centre for noise and texture together, ``pattern_px`` the
-    standard deviation for texture alone (root mean square of both axes).
+    standard deviation for texture alone (root mean square of both axes). ``scores`` (2, patterns) are the
+    projections onto the patterns and the patterns' amplitudes; the sum of their products is ``chi2``.
     """
 
     chi2: float
     degrees_of_freedom: float
     centre_covariance_px2: FloatArray
     pattern_px: float
+    scores: FloatArray
 
     @property
     def centre_px(self) -> float:
@@ -109,7 +119,7 @@ def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misf
     uv = found.centre_uv
     covariance = np.array(((found.centre_uu, uv), (uv, found.centre_vv))) * residuals.sigma_px**2
     pattern_px = residuals.sigma_px * math.sqrt(found.pattern_variance)
-    return Misfit(found.chi2, found.degrees_of_freedom, covariance, pattern_px)
+    return Misfit(found.chi2, found.degrees_of_freedom, covariance, pattern_px, found.scores)
 
 
 def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | None:
@@ -154,7 +164,28 @@ def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | N
         degrees_of_freedom=float(np.trace(solved[:, 1:])),
         centre_covariance_px2=covariance[U : V + 1, U : V + 1] * residuals.sigma_px**2,
         pattern_px=residuals.sigma_px * math.sqrt(pattern_variance),
+        scores=np.stack([score, solved[:, 0]]),
     )
+
+
+def unexplained_of(misfit: Misfit, usual_ratio: float) -> Unexplained | None:
+    """Return the light that one spot does not explain; None if it is no more than in good spots.
+
+    ``usual_ratio`` is the ratio of usual spots' chi-square to that of noise.
+    """
+    usual = misfit.degrees_of_freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.degrees_of_freedom)
+    if misfit.chi2 <= usual * usual_ratio:
+        return None
+    return Unexplained(misfit.scores / math.sqrt(usual_ratio), usual, _BIAS_PER_EXCESS * misfit.centre_px)
+
+
+def hidden_px(misfit: Misfit, usual_ratio: float, hidden: float) -> float:
+    """Return the possible displacement of a spot by the asymmetry of its beam, one sigma.
+
+    ``usual_ratio`` is the ratio of usual spots' chi-square to that of noise, ``hidden`` from ``Flat.hidden``.
+    """
+    unexplained = max(usual_ratio - 1, 0.0) * misfit.degrees_of_freedom
+    return _BIAS_PER_EXCESS * hidden * misfit.centre_px * math.sqrt(unexplained)
 
 
 def excess_sigmas(chi2: float, degrees_of_freedom: float) -> float:

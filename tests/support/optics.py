@@ -105,6 +105,20 @@ def grains(seed: object, size_mm: float, contrast: float, extent_mm: float = 120
     return factor
 
 
+def scintillation(seed: object, cell_mm: float, rms: float) -> Light:
+    """Light in turbulent air: log-normal, of mean 1 and that relative rms, in other cells at each ``t_s``."""
+    sigma = np.sqrt(np.log1p(rms**2))
+    cells: dict[float, Light] = {}
+
+    def factor(x: Array, y: Array, t_s: float) -> Array:
+        if t_s not in cells:  # both cameras see the same light
+            cells.clear()
+            cells[t_s] = grains([seed, round(1e6 * t_s)], cell_mm, 0.1, 30.0)
+        return np.exp(sigma * 10 * (cells[t_s](x, y, t_s) - 1) - sigma**2 / 2)
+
+    return factor
+
+
 @dataclass(frozen=True)
 class _Camera:
     """A camera before a plane target: ``x_mm``, ``y_mm`` the place that each pixel (or part of one) sees."""

@@ -1,4 +1,4 @@
-"""Light around the spot, and beams of other sizes and profiles than calibrated, drawn from the optics."""
+"""Light around the spot, turbulent air, and beams of other sizes and profiles, drawn from the optics."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from support.made_once import loaded_once
-from support.optics import Array, Beam, Light, Scene, Unit, poses, random_beams, scan, write
+from support.optics import Array, Beam, Light, Scene, Unit, poses, random_beams, scan, scintillation, write
 
 from altd.calibration.calibrating import calibrate
 from altd.config import Measuring
@@ -37,12 +37,14 @@ def unit() -> Unit:
     return Unit(SEED)
 
 
-def measured(calibration: Calibration, unit: Unit, beam: Beam, scene: Scene) -> Measurement:
-    settings = Measuring(window=2)
+def measured(
+    calibration: Calibration, unit: Unit, beam: Beam, scene: Scene, exposures: int = 2
+) -> Measurement:
+    settings = Measuring(window=exposures)
     views = [View(target.name, target.name) for target in calibration.targets]
     chain = MeasuringChain(views, calibration, settings, BeamInstrument(calibration, settings))
     measurements: list[Measurement] = []
-    for t_s, camera, pixels, _ in poses(unit, [beam], scene, SEED):
+    for t_s, camera, pixels, _ in poses(unit, [beam], scene, SEED, exposures):
         pixels.flags.writeable = False
         number = round(t_s * 20)
         measurements += chain.push(Frame(camera, number, round((1 + t_s) * 1e9), pixels, exposure_ms=10.0))
@@ -64,6 +66,34 @@ def errors(measurement: Measurement, beam: Beam) -> Iterator[tuple[float, float]
 
 def is_right(measurement: Measurement, beam: Beam) -> bool:
     return all(error < min(0.15, 5 * sigma) for error, sigma in errors(measurement, beam))
+
+
+@pytest.mark.parametrize("cell_mm", [3.0, 6.0])
+def test_turbulent_air_makes_sigma_larger(calibration: Calibration, unit: Unit, cell_mm: float) -> None:
+    """The light scatters by 35 % rms in cells that differ from exposure to exposure."""
+    for number, beam in enumerate(random_beams(3, SEED, (30.0, 25.0))):
+        air = scintillation(number, cell_mm, 0.35)
+        measurement = measured(calibration, unit, beam, Scene(twinkle=air), exposures=20)
+        assert measurement.valid, [f"{fault} {fault.detail}" for fault in measurement.status]
+        assert is_right(measurement, beam)
+
+
+def reflection(beam: Beam, share: float, mm_per_s: float) -> Light:
+    """A second spot on the window, 7 mm beside the first when 20 exposures begin; it moves past it."""
+
+    def light(x: Array, y: Array, t_s: float) -> Array:
+        return 0.02 + share * beam.light(x - beam.x - 7 + mm_per_s * t_s, y - beam.y - 2)
+
+    return light
+
+
+@pytest.mark.parametrize("mm_per_s", [0.0, 14.0])
+def test_air_hides_no_reflection(calibration: Calibration, unit: Unit, mm_per_s: float) -> None:
+    for number, beam in enumerate(random_beams(3, SEED, (30.0, 25.0))):
+        air = scintillation(number, 6.0, 0.2)
+        scene = Scene(twinkle=air, ambient=reflection(beam, 0.1, mm_per_s))
+        measurement = measured(calibration, unit, beam, scene, exposures=20)
+        assert not measurement.valid or is_right(measurement, beam)
 
 
 def glow(beam: Beam, aside_mm: float, diameter_mm: float, level: float) -> Light:

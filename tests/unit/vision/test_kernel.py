@@ -158,6 +158,8 @@ def assert_same_misfit(residuals: Residuals, usual_contrast: float | None) -> bo
         return False
     for name in ("chi2", "degrees_of_freedom", "centre_covariance_px2", "pattern_px"):
         assert is_close(getattr(found, name), getattr(known, name), scale=1e-3), name
+    used = found.scores.any(axis=0)
+    assert is_close(found.scores[:, used], known.scores, scale=1e-3)
     return True
 
 
