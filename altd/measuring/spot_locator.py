@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from altd.measuring.calibration import TargetCalibration
 from altd.measuring.freshness import FreshnessCheck
+from altd.measuring.spot_trend import SuddenResidual
 from altd.measuring.view_check import ViewCheck, ViewStatus
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
@@ -90,6 +91,7 @@ class SpotLocator:
         """Whether the last frame was a repeat."""
         self._breaks = 0
         self._dust_ns: int | None = None
+        self._sudden = SuddenResidual()
         cameras = (target.camera, expected or CameraIdentity())
         self._view_check = ViewCheck(target, cameras, other_place_of)
 
@@ -170,6 +172,7 @@ class SpotLocator:
         if (objection := check.objection(analysis, spot, self._identity())) is not None:
             self._breaks += 1  # the frames before it are not reliable either
             return objection
+        spot = self._sudden.checked(spot)
         if not check.displaced_px:
             return spot
         if isinstance(spot, NoSpot):

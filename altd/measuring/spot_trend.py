@@ -1,4 +1,4 @@
-"""Changes of a target's spots over hours: their light and the residual of their fit; pure numbers.
+"""Changes of a target's spots: light and residual of the fit over hours, and sudden growth of the residual.
 
 An ageing laser, a window that gathers dust and a target that gets dirty appear here long before a spot is
 rejected as too dim or ``distorted``.
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.records import Spot
+from altd.reasons import Reason
+from altd.records import NoSpot, Spot
 from altd.statistics import median
 from altd.vision.dust import DustCount
 from altd.vision.localise import MIN_DISTORTION_DIAMETERS
@@ -40,6 +41,53 @@ def residual_share(spot: Spot) -> float:
     It is based on ``excess_px``, the possible displacement of the spot by unexplained light, one sigma.
     """
     return spot.excess_px / (MIN_DISTORTION_DIAMETERS * spot.diameter_px)
+
+
+_BEFORE, _AFTER = 6, 4
+"""Numbers of exposures before and after a step."""
+_STEP = 0.4
+"""Minimum step of the residual from one exposure to the next, as a share of the limit of ``distorted``. Dust
+of simulated dusty units, which the beam drives over, makes steps of up to 0.26."""
+_MAX_JUMP_DIAMETERS = 0.05
+"""Maximum motion of a spot between two exposures, beyond which it may reach other dust."""
+
+
+class SuddenResidual:
+    """Rejects the spots of one target after its residual has grown suddenly.
+
+    Dust grows in hours, or while the beam moves. What comes from one exposure to the next is a splash or
+    another light; it may displace the spot by more than its residual shows. The spots are rejected until the
+    residual is as before, or until the beam jumps.
+    """
+
+    def __init__(self) -> None:
+        self._shares: deque[float] = deque(maxlen=_BEFORE + _AFTER)
+        self._usual: float | None = None
+        """Residual before the step; None: there was none."""
+        self._last: Spot | None = None
+
+    def checked(self, spot: Spot | NoSpot) -> Spot | NoSpot:
+        """Return the spot of the next exposure, or why it is rejected."""
+        if isinstance(spot, NoSpot):
+            self._shares.clear()
+            return spot
+        last, self._last = self._last or spot, spot
+        moved_px = math.hypot(spot.u_px - last.u_px, spot.v_px - last.v_px)
+        if moved_px > _MAX_JUMP_DIAMETERS * spot.diameter_px:
+            self._shares.clear()
+            self._usual = None
+        self._shares.append(residual_share(spot))
+        shares = list(self._shares)
+        if self._usual is not None and max(shares[-_AFTER:]) < self._usual + _STEP / 2:
+            self._usual = None
+        elif len(shares) == _BEFORE + _AFTER and shares[_BEFORE] - shares[_BEFORE - 1] > _STEP:
+            before, after = shares[:_BEFORE], shares[_BEFORE:]
+            scatter = max(max(part) - min(part) for part in (before, after))
+            if min(after) - max(before) > _STEP and scatter < _STEP / 2:  # turbulent air scatters more
+                self._usual = max(before)
+        if self._usual is None:
+            return spot
+        return NoSpot(Reason.DISTORTED, "other light or a film has come over it suddenly")
 
 
 @dataclass(frozen=True, slots=True)

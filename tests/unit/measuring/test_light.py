@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from altd.measuring.light_balance import LightBalance
-from altd.measuring.spot_trend import BUCKET_NS, RECENT_BUCKETS, REFERENCE_BUCKETS, Trend, residual_share
+from altd.measuring.spot_trend import (
+    BUCKET_NS,
+    RECENT_BUCKETS,
+    REFERENCE_BUCKETS,
+    SuddenResidual,
+    Trend,
+    residual_share,
+)
 from altd.records import FloatArray, Frame, MeanSpots, Spot, SpotShape
-from altd.vision.localise import locate
+from altd.vision.localise import MIN_DISTORTION_DIAMETERS, locate
 from altd.vision.settings import LightReference
 
 SECOND = 10**9
@@ -287,3 +294,43 @@ def test_a_window_whose_middle_is_set_back_by_outliers_is_compared_and_teaches_n
 
 def test_a_recording_that_begins_again_has_another_reference() -> None:
     assert after(LightBalance(), mean(100.0), mean(0.0, rear=1100.0)) == 0.0
+
+
+def rejected(shares: FloatArray, px_per_exposure: float = 0.5) -> list[bool]:
+    """Which exposures are rejected, for residuals as shares of the limit, of a beam that drives."""
+    sudden, diameter_px = SuddenResidual(), 40.0
+    limit_px = MIN_DISTORTION_DIAMETERS * diameter_px
+    return [
+        not isinstance(
+            sudden.checked(
+                Spot(300.0 + px_per_exposure * number, 200.0, 0.02, diameter_px, 150.0, share * limit_px)
+            ),
+            Spot,
+        )
+        for number, share in enumerate(shares)
+    ]
+
+
+def test_a_residual_that_grows_from_one_exposure_to_the_next_is_rejected_until_it_is_gone() -> None:
+    noise = np.random.default_rng(5).uniform(0.0, 0.1, 60)
+    shares = noise + np.where((np.arange(60) >= 20) & (np.arange(60) < 40), 0.6, 0.0)
+    is_rejected = rejected(shares)
+    assert is_rejected == [23 <= number < 43 for number in range(60)]
+
+
+@pytest.mark.parametrize(
+    "shares",
+    [
+        np.linspace(0.0, 0.9, 60),
+        np.where(np.arange(60) < 30, 0.1, 0.4),
+        np.random.default_rng(6).uniform(0.0, 1.0, 2000),
+        np.where(np.arange(60) == 30, 0.8, 0.0),
+    ],
+    ids=["dust that the beam reaches", "dust of a dusty unit", "turbulent air", "one exposure"],
+)
+def test_a_residual_that_grows_otherwise_is_not_rejected(shares: FloatArray) -> None:
+    assert not any(rejected(shares))
+
+
+def test_other_dust_after_a_jump_of_the_beam_is_not_rejected() -> None:
+    assert not any(rejected(np.where(np.arange(60) < 30, 0.0, 0.6), px_per_exposure=3.0))
