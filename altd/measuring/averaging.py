@@ -123,9 +123,8 @@ class FrameSetWindow:
         usual_px = None if self._memory is None else self._memory.scatter_px
         frame_sets, passed_over = tuple(self._frame_sets), len(self._skipped)
         mean = mean_spots(frame_sets, self._targets, self._window, passed_over, usual_px)
-        if (steadied := averaged_residuals(frame_sets, mean)) is None:
-            return mean
-        return mean_spots(steadied, self._targets, self._window, passed_over, usual_px)
+        more = averaged_residuals(frame_sets, mean)
+        return mean if more is None else mean_spots(more, self._targets, self._window, passed_over, usual_px)
 
     def forget(self) -> None:
         """Drop the frame sets before a gap; the count to the next mean continues."""

@@ -1,7 +1,7 @@
 """Scintillation: turbulent air moves the light within the beam, at random from exposure to exposure.
 
-Each exposure has another distortion, and their mean has nearly none. Dirt, reflections and lamps are the same
-in all exposures, or change slowly. So distorted exposures are measured if what they have in common is small.
+Each exposure has another distortion, and their mean nearly none. Dirt, reflections and lamps are the same in
+all exposures, or change slowly.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from altd.vision.localise import MIN_DISTORTION_DIAMETERS
 _MIN_EXPOSURES = 10
 _MIN_SHARE = 0.5
 """Minimum share of the exposures with unexplained light; with fewer the others alone are measured."""
-_MIN_EXCESS = 0.2
-"""Minimum excess of the mean, in limits of ``distorted``, that is worth an examination."""
+_MIN_EXCESS_DIAMETERS = 0.2 * MIN_DISTORTION_DIAMETERS
+"""Minimum excess of the mean that is worth an examination."""
 _MIN_SCATTER = 0.5
 """Minimum scatter of the exposures, a chi-square, as a share of the usual one. At rest it is 0.2 to 0.3, in
 air that makes the light scatter by 10 % over 6 mm 0.7 to 1.4."""
 _MAX_COMMON = 0.15
 """Maximum chi-square of what the exposures have in common, beyond the usual one, as a share of scatter."""
 _MAX_CORRELATION = 0.25
-"""Maximum correlation of successive exposures: a drop, a smear or a reflection that moves has more. By chance
-0.1 is usual with 20 exposures."""
+"""Maximum correlation of successive exposures; what moves has more. By chance 0.1 is usual."""
 
 
 def averaged_residuals(
@@ -37,10 +36,15 @@ def averaged_residuals(
     """Return the frame sets of a window with distorted spots too; None if there is no scintillation.
 
     The excess of each spot is then that of what the exposures have in common; the scatter of the centres
-    shows the rest. ``mean`` is that of the window without the distorted spots. One beam lights all targets,
-    so all of them must show scintillation.
+    shows the rest. ``mean`` is that without the distorted spots. One beam lights all targets, so all of them
+    must show scintillation.
     """
-    if not _is_doubtful(frame_sets[-1], mean):
+    if isinstance(mean, MeanSpots):
+        diameters_px = [spot.diameter_px for spot in map(_seen, frame_sets[-1].spots.values()) if spot]
+        is_doubtful = max(mean.excess_px) > _MIN_EXCESS_DIAMETERS * max(diameters_px, default=0.0)
+    else:
+        is_doubtful = any(fault.reason is Reason.DISTORTED for fault in mean)
+    if not is_doubtful:
         return None
     excesses_px2 = {}
     for target in frame_sets[-1].spots:
@@ -49,31 +53,17 @@ def averaged_residuals(
         if common_px2 is None:
             return None
         excesses_px2[target] = common_px2
-    return tuple(
-        replace(
-            one,
-            spots={target: _with_excess(spot, excesses_px2[target]) for target, spot in one.spots.items()},
-        )
-        for one in frame_sets
-    )
-
-
-def _is_doubtful(newest: FrameSet, mean: MeanSpots | tuple[Fault, ...]) -> bool:
-    """Return whether distortion prevents a mean, or makes it much less certain."""
-    if not isinstance(mean, MeanSpots):
-        return any(fault.reason is Reason.DISTORTED for fault in mean)
-    limits_px = [
-        MIN_DISTORTION_DIAMETERS * spot.diameter_px for spot in map(_seen, newest.spots.values()) if spot
+    spots_of = [
+        {t: _with_excess(spot, excesses_px2[t]) for t, spot in one.spots.items()} for one in frame_sets
     ]
-    return max(mean.excess_px) > _MIN_EXCESS * max(limits_px, default=0.0)
+    return tuple(replace(one, spots=spots) for one, spots in zip(frame_sets, spots_of, strict=True))
 
 
 def _common_px2(spots: Sequence[Spot]) -> float | None:
     """Return the square of the displacement by what the exposures have in common; None: no scintillation."""
     known = [spot.unexplained for spot in spots if spot.unexplained is not None]
-    if len(known) < max(_MIN_EXPOSURES, _MIN_SHARE * len(spots)):
-        return None
-    if len({one.scores.shape for one in known}) > 1:
+    is_few = len(known) < max(_MIN_EXPOSURES, _MIN_SHARE * len(spots))
+    if is_few or len({one.scores.shape for one in known}) > 1:
         return None
     scores = np.array([one.scores for one in known])
     common = scores.mean(axis=0)
@@ -82,11 +72,9 @@ def _common_px2(spots: Sequence[Spot]) -> float | None:
     scatter = total / (len(known) - 1)
     chi2 = float(common[0] @ common[1]) - scatter / len(known)
     usual, bias_px = np.mean([(one.usual, one.bias_px) for one in known], axis=0).tolist()
-    if scatter < _MIN_SCATTER * usual or chi2 - usual > _MAX_COMMON * scatter:
-        return None
-    if float((score[1:] * amplitude[:-1]).sum()) > _MAX_CORRELATION * total:
-        return None
-    return float(bias_px**2 * max(chi2 - usual, 0.0))
+    is_random = float((score[1:] * amplitude[:-1]).sum()) <= _MAX_CORRELATION * total
+    is_alike = scatter < _MIN_SCATTER * usual or chi2 - usual > _MAX_COMMON * scatter
+    return float(bias_px**2 * max(chi2 - usual, 0.0)) if is_random and not is_alike else None
 
 
 def _seen(spot: Spot | NoSpot) -> Spot | None:

@@ -55,9 +55,9 @@ _MAX_JUMP_DIAMETERS = 0.05
 class SuddenResidual:
     """Rejects the spots of one target after its residual has grown suddenly.
 
-    Dust grows in hours, or while the beam moves. What comes from one exposure to the next is a splash or
-    another light; it may displace the spot by more than its residual shows. The spots are rejected until the
-    residual is as before, or until the beam jumps.
+    Dust grows in hours, or while the beam moves. A splash or another light comes from one exposure to the
+    next, and may displace the spot by more than the residual shows. The spots are rejected until the residual
+    is as before, or the beam jumps.
     """
 
     def __init__(self) -> None:
@@ -74,12 +74,12 @@ class SuddenResidual:
         last, self._last = self._last or spot, spot
         moved_px = math.hypot(spot.u_px - last.u_px, spot.v_px - last.v_px)
         if moved_px > _MAX_JUMP_DIAMETERS * spot.diameter_px:
-            self._shares.clear()
-            self._usual = None
+            self._shares, self._usual = deque(maxlen=_BEFORE + _AFTER), None
         self._shares.append(residual_share(spot))
         shares = list(self._shares)
-        if self._usual is not None and max(shares[-_AFTER:]) < self._usual + _STEP / 2:
-            self._usual = None
+        if self._usual is not None:
+            if len(shares) >= _AFTER and max(shares[-_AFTER:]) < self._usual + _STEP / 2:
+                self._usual = None
         elif len(shares) == _BEFORE + _AFTER and shares[_BEFORE] - shares[_BEFORE - 1] > _STEP:
             before, after = shares[:_BEFORE], shares[_BEFORE:]
             scatter = max(max(part) - min(part) for part in (before, after))

@@ -103,9 +103,9 @@ class SpotShape:
 class Unexplained:
     """The light of a spot that one spot does not explain.
 
-    ``scores`` (2, patterns) are the projections of the fit's residuals onto patterns of the spot and their
-    amplitudes. The sum of their products is a chi-square, up to ``usual`` in good spots; ``bias_px`` is the
-    possible displacement, one sigma, per root of the rest.
+    ``scores`` (2, patterns) are projections of the residuals onto patterns, and the patterns' amplitudes. The
+    sum of their products is a chi-square, up to ``usual`` in good spots; ``bias_px`` is the possible
+    displacement, one sigma, per root of the rest.
     """
 
     scores: FloatArray

@@ -71,13 +71,8 @@ class FoundMisfit(ctypes.Structure):
         ("centre_uv", c_double),
         ("centre_vv", c_double),
         ("pattern_variance", c_double),
-        ("score", c_double * (2 * _MAX_PATTERNS)),
+        ("scores", c_double * (2 * _MAX_PATTERNS)),
     ]
-
-    @property
-    def scores(self) -> FloatArray:
-        """Scores and amplitudes of the patterns, (2, patterns)."""
-        return np.frombuffer(self.score).reshape(2, -1)
 
 
 def _loaded() -> tuple[ctypes.CDLL | None, str]:

@@ -25,8 +25,7 @@ _MIN_DISTORTION_SIGMAS = 5.5
 MIN_DISTORTION_DIAMETERS = 0.015
 """Minimum possible displacement; a smaller one only adds to the spot's sigma, as dust on the window does."""
 _MAX_DISTORTIONS = 3.0
-"""Maximum distortion of a spot that may be measured with others, in limits. Air that makes the light scatter
-by 35 % rms over 6 mm reaches 2.6."""
+"""Maximum distortion of a spot that may be measured with others, in limits; 35 % rms over 6 mm reach 2.6."""
 
 _MIN_RADIAL_SHARE = 0.6
 """Minimum part of the misfit in rings around the centre from which the beam has another profile."""

@@ -119,7 +119,8 @@ def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misf
     uv = found.centre_uv
     covariance = np.array(((found.centre_uu, uv), (uv, found.centre_vv))) * residuals.sigma_px**2
     pattern_px = residuals.sigma_px * math.sqrt(found.pattern_variance)
-    return Misfit(found.chi2, found.degrees_of_freedom, covariance, pattern_px, found.scores)
+    scores = np.frombuffer(found.scores).reshape(2, -1)
+    return Misfit(found.chi2, found.degrees_of_freedom, covariance, pattern_px, scores)
 
 
 def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | None:
