@@ -77,9 +77,6 @@ _, _FAILURE, _CHECK_FUNCTION, _OUT_OF_SPECIFICATION, _MAINTENANCE_REQUIRED = Sig
 _CLEAN_AND_LOOK = "clean the window, look for reflections and for objects in the beam"
 _NOT_LIVE = "do not steer by it"
 
-LEDS_LIT = "the frame LEDs are lit"
-"""First words of the detail of a spot that is refused because the frame LEDs are lit."""
-
 
 class Reason(StrEnum):
     """A row of the table: code, scope, Modbus' number (0: none) and group, signal, brief, remedy, meaning.

@@ -23,6 +23,7 @@ from altd.reasons import Reason
 from altd.records import (
     CameraIdentity,
     Fault,
+    FaultCause,
     Frame,
     FrameSet,
     MeanSpots,
@@ -309,7 +310,7 @@ class MeasuringChain:
         if not isinstance(mean, MeanSpots):
             return self._invalid(frame_set, frame_set.t_ns, mean)
         if unsynchronised:
-            fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
+            fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised, cause=FaultCause.LATE_PICTURES)
             return self._invalid(frame_set, mean.t_ns, (fault,))
         if (shifted := shift_fault(self._view_status.values())) is not None:
             return self._invalid(frame_set, mean.t_ns, (shifted,))

@@ -10,8 +10,8 @@ from altd.measuring.calibration import TargetCalibration
 from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.spot_trend import SuddenResidual
 from altd.measuring.view_check import ViewCheck, ViewStatus
-from altd.reasons import LEDS_LIT, Reason
-from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.reasons import Reason
+from altd.records import CameraIdentity, FaultCause, Frame, NoSpot, Spot
 from altd.vision.dust import DustCount, count_dust
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
@@ -22,7 +22,7 @@ from altd.vision.localise import locate_in
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 DUST_INTERVAL_NS = 5 * 10**9
 """Time between dust counts: dust settles over weeks, and a count takes one to three milliseconds."""
-_UNDER_LEDS = NoSpot(Reason.SPOT_MISSING, f"not looked for, {LEDS_LIT}")
+_UNDER_LEDS = NoSpot(Reason.SPOT_MISSING, f"not looked for, {FaultCause.LEDS_LIT.meaning}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.reasons import Reason
-from altd.records import Fault, FloatArray, MeanSpots, NoSpot, SpotShape, TargetPoint
+from altd.records import Fault, FaultCause, FloatArray, MeanSpots, NoSpot, SpotShape, TargetPoint
 from altd.vision.settings import ShapeReference
 
 _MAX_DIAMETER_MM = 17.0
@@ -68,13 +68,15 @@ def unlike_a_laser(
     diameter_mm = _diameter_mm(shape[0])
     if diameter_mm > max_diameter_mm:
         limit = f"up to {max_diameter_mm:g} mm are measured"
-        return NoSpot(Reason.WRONG_SIZE, f"the spot is {diameter_mm:.1f} mm wide, {limit}")
+        return NoSpot(
+            Reason.WRONG_SIZE, f"the spot is {diameter_mm:.1f} mm wide, {limit}", FaultCause.TOO_WIDE
+        )
     if known is None:
         return None
     order_ratio = float(shape[3]) / known.mean[3]
     if max(order_ratio, 1 / order_ratio) > _MAX_ORDER_RATIO:
         orders = f"{shape[3]:.1f}, that of the calibrated spots {known.mean[3]:.1f}"
-        return NoSpot(Reason.WRONG_SHAPE, f"the profile's order is {orders}")
+        return NoSpot(Reason.WRONG_SHAPE, f"the profile's order is {orders}", FaultCause.OTHER_PROFILE)
     return None
 
 
@@ -141,7 +143,8 @@ def shape_doubts_mm(
         compared = shape_agreement(first, second, first_known, second_known, changed_light)
         if compared.distortion is not None:
             pair = f"{mean.targets[0]} and {mean.targets[index]}"
-            return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distortion}")
+            detail = f"{pair}: {compared.distortion}"
+            return Fault(Reason.DISTORTED, mean.targets[index], detail, FaultCause.UNLIKE_SPOTS)
         sigmas_mm = [
             shape_agreement(one, other, first_known, second_known, changed_light).sigma_mm
             for one, other in ((part[0], part[index]) for part in parts)

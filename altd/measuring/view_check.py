@@ -10,7 +10,7 @@ from statistics import median
 
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Fault, Frame, NoSpot, Spot
+from altd.records import CameraIdentity, Fault, FaultCause, Frame, NoSpot, Spot
 from altd.vision.fingerprint import MAX_SHIFTS_PX, Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.texture import Sample
@@ -153,7 +153,8 @@ class ViewCheck:
                 self._reset()
                 self._doubt = difference
                 place = self._other_place_of(camera, self._target)
-                return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured{place}")
+                cause = FaultCause.SWAPPED if place else FaultCause.OTHER_CAMERA
+                return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured{place}", cause)
         frame = analysis.frame
         last_ns, self._last_ns = self._last_ns, frame.t_ns
         if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _MAX_FRAME_GAP_NS:
@@ -165,7 +166,8 @@ class ViewCheck:
         if self._fingerprint is not None and self._is_due(frame, spot, has_jumped):
             self._examine(self._fingerprint, analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
-        return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.reason)
+        wrong = self._wrong
+        return None if wrong is None else NoSpot(Reason.WRONG_CAMERA, wrong.reason, wrong.cause)
 
     @property
     def status(self) -> ViewStatus:

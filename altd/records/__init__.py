@@ -3,7 +3,7 @@
 Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/conventions.md``.
 """
 
-from altd.records.faults import Fault, origin_faults
+from altd.records.faults import Fault, FaultCause, origin_faults
 from altd.records.frames import CameraIdentity, ComplexArray, FloatArray, Frame, Origin, PixelArray
 from altd.records.limits import Limits
 from altd.records.measurement import Measurement, Quantities, Quantity, Value, counted, utc_text
@@ -14,6 +14,7 @@ __all__ = [
     "CameraIdentity",
     "ComplexArray",
     "Fault",
+    "FaultCause",
     "FloatArray",
     "Frame",
     "FrameSet",

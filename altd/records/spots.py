@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.reasons import Reason, Scope
-from altd.records.faults import Fault
+from altd.records.faults import Fault, FaultCause
 from altd.records.frames import FloatArray
 
 
@@ -157,6 +157,7 @@ class NoSpot:
 
     reason: Reason
     detail: str = ""
+    cause: FaultCause | None = None
     spot: Spot | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
@@ -165,7 +166,9 @@ class NoSpot:
 
     def fault(self, target: str) -> Fault:
         """Return the reason as a fault of the target, or of the whole unit if it concerns all of it."""
-        return Fault(self.reason, target if self.reason.scope is Scope.TARGET else None, self.detail)
+        return Fault(
+            self.reason, target if self.reason.scope is Scope.TARGET else None, self.detail, self.cause
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

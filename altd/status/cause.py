@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from altd.reasons import Reason, Signal
-from altd.status.advice import advice_of
+from altd.records import FaultCause
 from altd.status.availability import Availability
 from altd.status.conditions import Condition
 
@@ -30,12 +30,12 @@ class Cause:
     kind: Kind
     of: str | None = None
     detail: str = ""
+    known: FaultCause | None = None
 
     @property
     def remedy(self) -> str:
-        """Remedy of the cause, as far as its detail determines it."""
-        seen = advice_of(self.kind, self.detail) if isinstance(self.kind, Reason) else None
-        return self.kind.remedy if seen is None else seen.remedy
+        """Remedy of the cause, as far as it is known."""
+        return self.kind.remedy if self.known is None else self.known.remedy
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,7 @@ def _of_measurement(measurement: Measurement | None) -> Iterator[Cause]:
 def _of_fault(fault: Fault) -> Cause:
     reason: object = fault.reason
     if isinstance(reason, Reason):
-        return Cause(reason, fault.target, fault.detail)
+        return Cause(reason, fault.target, fault.detail, fault.cause)
     return Cause(Condition.UNKNOWN_REASON, fault.target, str(reason))
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal, Self
 
-from altd.records import FloatArray
+from altd.records import FaultCause, FloatArray
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels
 from altd.vision.texture import Match, Sample, Texture, match, sample_of, stacked
@@ -65,7 +65,7 @@ class ViewOutcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ViewVerdict:
-    """Verdict on one frame; ``reason`` is a text on what is refuted or undecided.
+    """Verdict on one frame; ``reason`` is a text on what is refuted or undecided, ``cause`` what refutes it.
 
     ``is_same_sensor``: the hot pixels are in their places; ``is_other_sensor``: they are what refutes the
     view. ``shift_px`` is the shift of the image, None if it could not be measured. ``displaced_px`` is the
@@ -77,6 +77,7 @@ class ViewVerdict:
 
     outcome: ViewOutcome
     reason: str = ""
+    cause: FaultCause | None = None
     is_same_sensor: bool = False
     is_other_sensor: bool = False
     shift_px: float | None = None
@@ -86,9 +87,9 @@ class ViewVerdict:
     faint: Sample | None = None
 
     @classmethod
-    def refuted(cls, reason: str) -> Self:
+    def refuted(cls, reason: str, cause: FaultCause) -> Self:
         """Return the verdict that the view is not the calibrated one."""
-        return cls(ViewOutcome.REFUTED, reason)
+        return cls(ViewOutcome.REFUTED, reason, cause)
 
     @classmethod
     def undecided(cls, reason: str) -> Self:
@@ -127,7 +128,7 @@ class Fingerprint:
             )
             if sensor.offset_px is not None:
                 reason += f", u {sensor.offset_px[0]:+d} v {sensor.offset_px[1]:+d} px beside"
-            return replace(ViewVerdict.refuted(reason), is_other_sensor=True)
+            return replace(ViewVerdict.refuted(reason, FaultCause.OTHER_CAMERA), is_other_sensor=True)
         view = self._examine_spot(analysis, earlier) if has_spot else ViewVerdict.undecided(_NO_SPOT)
         return replace(view, is_same_sensor=sensor.is_same)
 
@@ -141,7 +142,7 @@ class Fingerprint:
         is_patterned = is_printed and not is_small
         if not (is_printed or is_small) and sample.contrast > _MIN_SEEN_PRINT_CONTRAST:
             reason = f"print is seen (contrast {sample.contrast:.2f}) on a target without"
-            return replace(ViewVerdict.refuted(reason), is_print_seen=True)
+            return replace(ViewVerdict.refuted(reason, FaultCause.OTHER_TARGET), is_print_seen=True)
         verdict = self._compare(sample, self.texture, is_patterned)
         if verdict.faint is not None and earlier:
             verdict = self._compare(stacked([*earlier, sample]), self.texture, is_patterned)
@@ -154,7 +155,7 @@ class Fingerprint:
             return ViewVerdict.undecided("nothing is known of the target under the spot")
         mismatch = _mismatch(found, is_patterned) if self.source == "flat" else None
         if mismatch is not None:
-            return ViewVerdict.refuted(mismatch)
+            return mismatch
         if found.significance < _MIN_SIGNIFICANCE:
             reason = f"too little is seen of the target ({found.significance:.1f} sigma)"
             faint = sample if self.source == "flat" else None
@@ -166,7 +167,7 @@ class Fingerprint:
             if found.shift_px < _MIN_SIGNIFICANCE * found.sigma_px:
                 reason = f"{shift}, uncertain by {found.sigma_px:.2f} px"
             elif self.source == "flat":
-                return replace(ViewVerdict.refuted(shift), shift_px=found.shift_px)
+                return replace(ViewVerdict.refuted(shift, FaultCause.VIEW_MOVED), shift_px=found.shift_px)
             else:
                 reason = f"{shift}, or the spot has another edge than in the scan"
             return replace(ViewVerdict.undecided(reason), displaced_px=displaced_px)
@@ -202,11 +203,13 @@ def _is_small(analysis: FrameAnalysis) -> bool:
     return patch is not None and patch.outline.area < _MIN_AREA_PX2
 
 
-def _mismatch(found: Match, is_patterned: bool) -> str | None:
-    """Return as text why this cannot be the target as it was calibrated; None if it can."""
+def _mismatch(found: Match, is_patterned: bool) -> ViewVerdict | None:
+    """Return why this cannot be the target as it was calibrated; None if it can."""
     if found.expected * (_MIN_GAIN - found.gain) > _MISMATCH_SIGMAS:
-        return f"the target's surface is not what is seen (gain {max(found.gain, 0):.2f} of 1)"
+        other = f"the target's surface is not what is seen (gain {max(found.gain, 0):.2f} of 1)"
+        return ViewVerdict.refuted(other, FaultCause.OTHER_SURFACE)
     is_clear = is_patterned and found.strength > _MIN_STRENGTH
     if is_clear and found.explained < _MIN_EXPLAINED and found.gain < _MIN_PRINT_GAIN:
-        return f"another print is seen ({found.explained:.0%} of it is that of the calibration)"
+        other = f"another print is seen ({found.explained:.0%} of it is that of the calibration)"
+        return ViewVerdict.refuted(other, FaultCause.OTHER_TARGET)
     return None

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.reasons import Reason
-from altd.records import Frame, NoSpot, PixelArray
+from altd.records import FaultCause, Frame, NoSpot, PixelArray
 from altd.vision.flat import BLOCK_PX
 from altd.vision.image import SATURATED_FROM, Image, Mask, Noise, clipped_from, gaussian_blur
 from altd.vision.search import Region, Search, pixel_noise, search, search_around
@@ -207,7 +207,7 @@ def brightest_region(analysis: FrameAnalysis) -> Region | NoSpot:
     """Return the region of most light, or why none is the one spot of the frame."""
     frame, found = analysis.frame, analysis.found
     if found.background.level >= SATURATED_FROM * frame.full_scale:
-        return NoSpot(Reason.SATURATED, "the whole frame is saturated")
+        return NoSpot(Reason.SATURATED, "the whole frame is saturated", FaultCause.FLOODED)
     if not found.regions:
         return NoSpot(Reason.SPOT_MISSING, "nothing is brighter than the background")
     first, *others = found.regions

@@ -9,8 +9,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from altd.reasons import LEDS_LIT, Reason
-from altd.records import FloatArray, Frame, NoSpot, PixelArray, Spot
+from altd.reasons import Reason
+from altd.records import FaultCause, FloatArray, Frame, NoSpot, PixelArray, Spot
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.image import Image
 from altd.vision.localise import spot_in
@@ -195,4 +195,6 @@ def with_leds_as_cause(refused: NoSpot, lit: int, leds: int) -> NoSpot:
     """Return the rejection, with the lit frame LEDs as the cause if they are the visible light."""
     if lit < 2 or 2 * lit < leds:
         return refused
-    return replace(refused, detail=f"{LEDS_LIT}, {lit} of {leds} shine at their places", spot=None)
+    cause = FaultCause.LEDS_LIT
+    detail = f"{cause.meaning}, {lit} of {leds} shine at their places"
+    return replace(refused, detail=detail, cause=cause, spot=None)

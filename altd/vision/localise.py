@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.reasons import Reason
-from altd.records import Frame, NoSpot, Spot, SpotShape
+from altd.records import FaultCause, Frame, NoSpot, Spot, SpotShape
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis, Outline, Patch, brightest_region
@@ -27,6 +27,7 @@ MIN_DISTORTION_DIAMETERS = 0.015
 _MAX_DISTORTIONS = 3.0
 """Maximum distortion of a spot that may be measured with others, in limits; 35 % rms over 6 mm reach 2.6."""
 
+_NO_PROFILE = NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it", FaultCause.OTHER_PROFILE)
 _MIN_RADIAL_SHARE = 0.6
 """Minimum part of the misfit in rings around the centre from which the beam has another profile."""
 
@@ -127,15 +128,16 @@ def spot_in(
     elif profile is not None:
         centre = profile.centre
     else:
-        return NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
+        return _NO_PROFILE
     if centre.sigma_px > settings.max_sigma_px:
-        return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {centre.sigma_px:.1f} px")
+        dim = f"too dim: its place is uncertain by {centre.sigma_px:.1f} px"
+        return NoSpot(Reason.SPOT_MISSING, dim, FaultCause.TOO_DIM)
     light_per_ms = None if patch.is_cut else _light_per_ms(frame, size, profile)
     spot = Spot(
         centre.u_px, centre.v_px, centre.sigma_px, size.diameter_px, size.peak, light_per_ms=light_per_ms
     )
     if profile is None:
-        return spot if reference is None else NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
+        return spot if reference is None else _NO_PROFILE
     hidden = 0.0 if flat is None else flat.hidden(spot.u_px, spot.v_px, profile.diameter_px)
     return _compared_with_reference(reference, analysis, patch, profile, spot, hidden)
 
@@ -158,7 +160,8 @@ def _compared_with_reference(
         return replace(spot, shape=shape)
     misfit = misfit_of(profile.residuals, reference.grain if reference else None)
     if misfit is None:
-        return NoSpot(Reason.WRONG_SHAPE, "too little of it is visible to decide whether it is one spot")
+        part = "too little of it is visible to decide whether it is one spot"
+        return NoSpot(Reason.WRONG_SHAPE, part, FaultCause.SEEN_IN_PART)
     unexplained = None if reference is None else unexplained_of(misfit, reference.misfit_ratio)
     excess_px, distorted = 0.0, None
     if reference is not None and unexplained is not None:
@@ -192,7 +195,8 @@ def _distortion(reference: SpotReference, misfit: Misfit, profile: Profile) -> N
         return None
     usual = f"by {chi2 / misfit.degrees_of_freedom:.0f} times the usual"
     if radial_chi2(profile.residuals, reference.grain) > _MIN_RADIAL_SHARE * misfit.chi2:
-        return NoSpot(Reason.WRONG_SHAPE, f"its profile misses the calibrated one {usual}")
+        other = f"its profile misses the calibrated one {usual}"
+        return NoSpot(Reason.WRONG_SHAPE, other, FaultCause.OTHER_PROFILE)
     return NoSpot(Reason.DISTORTED, f"its light misses that of one spot {usual}")
 
 
@@ -267,9 +271,8 @@ def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize |
         return NoSpot(Reason.SATURATED, f"{clipped:.0%} of the spot's bright pixels are saturated")
     second = second_piece_share(patch.core)
     if second >= settings.like_size:
-        return NoSpot(
-            Reason.AMBIGUOUS, f"two spots touch, the second has {second:.0%} of the first one's area"
-        )
+        double = f"two spots touch, the second has {second:.0%} of the first one's area"
+        return NoSpot(Reason.AMBIGUOUS, double, FaultCause.DOUBLE)
     diameter_px = _diameter_px(patch, settings)
     max_diameter_px = settings.max_diameter_px or 0.6 * min(frame.pixels.shape)
     if not settings.min_diameter_px <= diameter_px <= max_diameter_px:

@@ -22,7 +22,17 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.instrument import Solution
 from altd.measuring.spot_shape import shape_doubts_mm
 from altd.reasons import Reason
-from altd.records import Fault, FloatArray, Limits, MeanSpots, Quantities, Quantity, TargetPoint, Value
+from altd.records import (
+    Fault,
+    FaultCause,
+    FloatArray,
+    Limits,
+    MeanSpots,
+    Quantities,
+    Quantity,
+    TargetPoint,
+    Value,
+)
 from altd.records.spots import Motion, SpotMotion
 
 QUANTITIES = Quantities(
@@ -253,7 +263,7 @@ def _unexplained(
     detail = f"{unexplained_mm[worst]:.2f} mm uncertain beyond light and view"
     if changed := max(mean.changed_light, default=0.0):
         detail += f"; the targets' light changed by {changed:.0%} against each other"
-    return Fault(Reason.DISTORTED, mean.targets[worst], detail)
+    return Fault(Reason.DISTORTED, mean.targets[worst], detail, FaultCause.UNCERTAIN_PLACE)
 
 
 def range_fault(beam: Beam) -> Fault | None:
@@ -270,7 +280,7 @@ def range_fault(beam: Beam) -> Fault | None:
         sigma = math.radians(sigma_deg) * (1000.0 + slope * slope / 1000.0)
         if abs(slope) > limit + min(_MARGIN_SIGMAS * sigma, _MAX_MARGIN_MM_PER_M):
             detail = f"{name} is {slope:.1f} mm/m, the unit measures up to {limit:g}"
-            return Fault(Reason.OUT_OF_RANGE, detail=detail)
+            return Fault(Reason.OUT_OF_RANGE, detail=detail, cause=FaultCause.TOO_OBLIQUE)
     return None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from altd.config import ChainSettings
 from altd.instruments.chain.displacement import Baseline, BaselineMeans, Displaced, Displacement
@@ -169,7 +169,7 @@ class Chain:
         return RoundResult(of.sequence, of.last_ns, of.t_ns, frames, targets, tuple(map(Fault, status)))
 
     def _target(self, name: str, of: _Measured, displaced: Displaced) -> TargetResult:
-        faults = [Fault(fault.reason, name, fault.detail) for fault in of.faults.get(name, ())]
+        faults = [replace(fault, target=name) for fault in of.faults.get(name, ())]
         faults += [Fault(reason, name) for reason in of.diagnosis.faults.get(name, ())]
         place = of.places.get(name)
         if place is None:

@@ -18,7 +18,7 @@ from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.gate import Gate
 from altd.measuring.pairing import Pair, Pairer
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Fault, FloatArray, Frame, Measurement, Value, counted
+from altd.records import CameraIdentity, Fault, FaultCause, FloatArray, Frame, Measurement, Value, counted
 from altd.vision.led_discs import Disc
 
 _MAX_STILL_CHI2_SIGMAS = 6.0
@@ -67,7 +67,8 @@ class PlateLocator:
             fault = Fault(Reason.EXPOSURE_CHANGING)
         elif (camera := self._identity()) is not None:
             different = filter(None, (camera.difference_from(expected) for expected in self._expected))
-            fault = next((Fault(Reason.WRONG_CAMERA, detail=said) for said in different), None)
+            if said := next(different, None):
+                fault = Fault(Reason.WRONG_CAMERA, detail=said, cause=FaultCause.OTHER_CAMERA)
         lights = fault or find_leds(led_image(frame.pixels))
         return PlateFrame(frame.camera, frame.sequence, frame.t_ns, lights)
 

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from altd.reasons import Reason
 from altd.records import Fault
-from altd.status.advice import Advice, advice_of
 from altd.status.health import MEASURING, Component, State
+
+
+class Advice(NamedTuple):
+    """Meaning of a fault and its remedy."""
+
+    means: str
+    remedy: str
+
 
 _ONE_TARGET_DARK = Advice(
     "no laser spot", "the laser reaches the other target: check what covers this one or its camera"
@@ -28,8 +36,8 @@ _CAMERA_REMEDIES = {
 
 def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component] = ()) -> Advice:
     """Return the fault and its remedy, by the fault's detail, the other faults and the components."""
-    if (known := advice_of(fault.reason, fault.detail)) is not None:
-        return known
+    if fault.cause is not None:
+        return Advice(fault.cause.meaning, fault.cause.remedy)
     if fault.reason is Reason.SPOT_MISSING and {other.target for other in status} - {None} == {fault.target}:
         return _ONE_TARGET_DARK
     if fault.reason is Reason.CAMERA_SILENT and any(map(is_faulty_camera, components)):

@@ -13,7 +13,7 @@ from altd.measuring.calibration import TargetCalibration
 from altd.measuring.cross_check import CrossCheck
 from altd.measuring.view_check import ViewCheck
 from altd.reasons import Reason
-from altd.records import CameraIdentity, NoSpot, Spot
+from altd.records import CameraIdentity, FaultCause, NoSpot, Spot
 from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels, places_of
@@ -32,8 +32,11 @@ FAINT = replace(
     ViewVerdict.undecided("too little is seen of the target"),
     faint=Sample(0, 0, np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32)),
 )
-WRONG = ViewVerdict.refuted("another print is seen")
-OTHER_SENSOR = replace(ViewVerdict.refuted("0 of 20 hot pixels are in their places"), is_other_sensor=True)
+WRONG = ViewVerdict.refuted("another print is seen", FaultCause.OTHER_TARGET)
+OTHER_SENSOR = replace(
+    ViewVerdict.refuted("0 of 20 hot pixels are in their places", FaultCause.OTHER_CAMERA),
+    is_other_sensor=True,
+)
 SAME_SENSOR = replace(ViewVerdict.undecided("no spot to see it by"), is_same_sensor=True)
 
 
@@ -208,7 +211,12 @@ def test_another_sensor_is_over_when_the_hot_pixels_are_back(bench: Bench) -> No
 
 def test_print_on_a_plain_plate_is_over_when_a_spot_shows_none(bench: Bench) -> None:
     """Nothing else could end it where the plate's own grain is not known under the spot."""
-    assert bench.push(5, replace(ViewVerdict.refuted("print is seen"), is_print_seen=True)) == [False] * 5
+    assert (
+        bench.push(
+            5, replace(ViewVerdict.refuted("print is seen", FaultCause.OTHER_TARGET), is_print_seen=True)
+        )
+        == [False] * 5
+    )
     assert bench.push(4, SAME_SENSOR, spot=NO_SPOT) == [False] * 4
     assert bench.push(4, replace(DOUBT, is_print_seen=False))[-1]
 

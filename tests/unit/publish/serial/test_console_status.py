@@ -7,8 +7,8 @@ import pytest
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import MORE_PROMPT, Console
-from altd.reasons import LEDS_LIT, Reason
-from altd.records import Fault
+from altd.reasons import Reason
+from altd.records import Fault, FaultCause
 from altd.status.health import MEASURING, State
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
@@ -70,7 +70,9 @@ def test_status_of_an_ordinary_unit_fits_a_screen_of_24_lines() -> None:
 
 
 def test_a_fault_of_one_target_names_it_and_two_faults_of_one_kind_are_one_step() -> None:
-    lit = Fault(Reason.AMBIGUOUS, "front", f"{LEDS_LIT}, 6 of 6 shine at their places")
+    lit = Fault(
+        Reason.AMBIGUOUS, "front", "the frame LEDs are lit, 6 of 6 shine at their places", FaultCause.LEDS_LIT
+    )
     unit = Console(
         lambda: replace(SPOT_LOST, status=(lit, replace(lit, target="rear"))), health(), QUANTITIES
     )
@@ -78,7 +80,7 @@ def test_a_fault_of_one_target_names_it_and_two_faults_of_one_kind_are_one_step(
     assert (
         told.count("- front and rear targets: the frame LEDs are lit (6 of 6 shine at their places): ") == 1
     )
-    other = replace(lit, target="rear", detail=f"{LEDS_LIT}, 3 of 6 shine at their places")
+    other = replace(lit, target="rear", detail="the frame LEDs are lit, 3 of 6 shine at their places")
     unit = Console(lambda: replace(SPOT_LOST, status=(lit, other)), health(), QUANTITIES)
     told = " ".join(unit.feed(b"status\r").decode().split())
     assert "- front target: the frame LEDs are lit (6 of 6" in told
