@@ -29,7 +29,7 @@ from altd.ports import (
 )
 from altd.records import Frame
 from altd.runtime.threads import call_in_thread
-from altd.status.health import Component
+from altd.status.health import CameraTrouble, Component
 
 _MAX_AHEAD_NS = 100_000_000
 """Maximum lead of a frame's time over the clock. Some drivers stamp a frame with its planned end and deliver
@@ -76,11 +76,11 @@ _LOG_REPEAT_S = 10.0
 _JOIN_TIMEOUT_S = 3.0
 """Maximum wait for the thread: the service manager kills after 10 s, and the interfaces shut down too."""
 
-_KINDS: tuple[tuple[type[CameraError], str], ...] = (
-    (CameraNotFoundError, "not found"),
-    (CameraBusyError, "busy"),
-    (CameraLostError, "lost"),
-    (CameraRefusedError, "refused"),
+_TROUBLES: tuple[tuple[type[CameraError], str, CameraTrouble], ...] = (
+    (CameraNotFoundError, "not found", CameraTrouble.NOT_FOUND),
+    (CameraBusyError, "busy", CameraTrouble.BUSY),
+    (CameraLostError, "lost", CameraTrouble.LOST),
+    (CameraRefusedError, "refused", CameraTrouble.REFUSED),
 )
 
 
@@ -123,9 +123,12 @@ async def acquire(
     done.result()
 
 
-def _sentence_of(error: CameraError) -> str:
-    kind = next((word for known, word in _KINDS if isinstance(error, known)), "")
-    return f"{kind}: {error}" if kind else str(error)
+def _trouble_of(error: CameraError) -> tuple[str, CameraTrouble | None]:
+    """Return the error as a sentence, and the trouble as far as it is known."""
+    for known, word, trouble in _TROUBLES:
+        if isinstance(error, known):
+            return f"{word}: {error}", trouble
+    return str(error), None
 
 
 class _Acquirer:
@@ -166,14 +169,14 @@ class _Acquirer:
             except CameraEndedError:
                 raise
             except CameraError as error:
-                sentence = _sentence_of(error)
+                sentence, trouble = _trouble_of(error)
                 well_s = (self._clock.monotonic_ns() - failed_ns) * 1e-9
                 if well_s > _LOG_REPEAT_S and self._has_delivered:
                     logged.clear()
                 if sentence not in logged:
                     logged.add(sentence)
                     log.warning("camera %s: %s; trying again", self._camera.name, sentence)
-                self._call_in_loop(self._report.failed, self.deliveries, sentence)
+                self._call_in_loop(self._report.failed, self.deliveries, sentence, trouble)
             finally:
                 self._camera.close()
             if self._has_delivered:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from altd.acquisition.auto_exposure.control import Applied, ExposureFigures, Refused
 from altd.records import counted
-from altd.status.health import Component, State, duration
+from altd.status.health import CameraTrouble, Component, State, duration
 
 log = logging.getLogger("altd")
 
@@ -67,12 +67,12 @@ class CameraReport:
                 self._logged_refusal = self._refusal
                 log.warning("%s: exposure refused: %s", self._component.name, self._refusal)
 
-    def failed(self, deliveries: Deliveries, sentence: str) -> None:
+    def failed(self, deliveries: Deliveries, sentence: str, trouble: CameraTrouble | None) -> None:
         """Report that the camera failed; it is closed, or could not be opened."""
         self.count(deliveries)
         self._is_open = False
         self._losses.clear()
-        self._component.set_state(State.FAILED, f"{sentence}; trying again")
+        self._component.set_state(State.FAILED, f"{sentence}; trying again", trouble)
         self._component.count("failures")
 
     def ended(self, deliveries: Deliveries, sentence: str) -> None:
@@ -88,9 +88,10 @@ class CameraReport:
             return
         now_ns = self._component.clock.monotonic_ns()
         if now_ns - deliveries.returned_ns > STALL_TIMEOUT_S * 1e9 and not self._waits:
-            self._report_silence(deliveries.frame_ns, "the driver does not return; ")
+            hangs = "the driver does not return; "
+            self._report_silence(deliveries.frame_ns, CameraTrouble.DRIVER_HANGS, hangs)
         elif deliveries.is_late:
-            self._report_silence(deliveries.frame_ns)
+            self._report_silence(deliveries.frame_ns, CameraTrouble.NO_FRAMES)
         elif deliveries.is_fresh:
             self._report_delivery(deliveries, now_ns)
 
@@ -123,9 +124,11 @@ class CameraReport:
         if deliveries.mistimed > known.mistimed:
             self._mistimed_ns = now_ns
 
-    def _report_silence(self, frame_ns: int, why: str = "") -> None:
+    def _report_silence(self, frame_ns: int, trouble: CameraTrouble, why: str = "") -> None:
         self._component.set_state(
-            State.DEGRADED, lambda now_ns: f"{why}no frame for {duration((now_ns - frame_ns) * 1e-9)}"
+            State.DEGRADED,
+            lambda now_ns: f"{why}no frame for {duration((now_ns - frame_ns) * 1e-9)}",
+            trouble,
         )
 
     def _report_delivery(self, deliveries: Deliveries, now_ns: int) -> None:
@@ -140,4 +143,5 @@ class CameraReport:
             complaints.append(f"not measured: {deliveries.remark}")
         if self._refusal:
             complaints.append(f"exposure refused: {self._refusal}")
-        self._component.set_state(State.DEGRADED if complaints else State.OK, "; ".join(complaints))
+        trouble = CameraTrouble.EXPOSURE_REFUSED if self._refusal else None
+        self._component.set_state(State.DEGRADED if complaints else State.OK, "; ".join(complaints), trouble)

@@ -14,7 +14,7 @@ from altd.config import Measuring
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Camera, CameraError, Clock
 from altd.records import Frame
-from altd.status.health import Health, State
+from altd.status.health import CameraTrouble, Health, State
 
 FRAME_SET_TIMEOUT_S = 5.0
 """Maximum time without a frame set of all cameras; then a camera counts as failed."""
@@ -161,6 +161,6 @@ class FrameSets:
             for name, component in self._components.items()
             if component.state != State.OK
         ]
-        if any(component.message.startswith("busy: ") for component in self._components.values()):
+        if any(component.trouble is CameraTrouble.BUSY for component in self._components.values()):
             bad.append(_BUSY_REMEDY)
         return "; ".join(bad) or f"no exposure of all cameras together for {FRAME_SET_TIMEOUT_S:g} s"

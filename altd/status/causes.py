@@ -20,7 +20,7 @@ _WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAIL
 """Reasons that are not a failure while the unit starts."""
 
 _FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "opcua", "local", "serial"}
-"""First words of the names of components that are external interfaces."""
+"""Kinds of components that are external interfaces."""
 
 
 def causes_now(
@@ -72,7 +72,6 @@ def _of_components(components: Iterable[Component], now_ns: int) -> Iterator[Cau
 
 def _of_component(component: Component, now_ns: int) -> Condition | None:
     """Return the condition of a component's state; None: no fault, or one that the measurement reports."""
-    first_word = component.name.partition(" ")[0]
     match component.state:
         case State.OK:
             return None
@@ -82,13 +81,13 @@ def _of_component(component: Component, now_ns: int) -> Condition | None:
         case State.DEGRADED:
             if component.name == MEASURING:
                 return None
-            return Condition.CAMERA_DEGRADED if first_word == "camera" else Condition.COMPONENT_DEGRADED
-        case State.ENDED if first_word == "camera":
+            return Condition.CAMERA_DEGRADED if component.kind == "camera" else Condition.COMPONENT_DEGRADED
+        case State.ENDED if component.kind == "camera":
             return Condition.RECORDING_ENDED
-        case State.FAILED if first_word in _FACES:
+        case State.FAILED if component.kind in _FACES:
             return Condition.FACE_FAILED
         case State.FAILED:
-            return _FAILED.get(first_word, Condition.COMPONENT_FAILED)
+            return _FAILED.get(component.kind, Condition.COMPONENT_FAILED)
     return Condition.COMPONENT_FAILED
 
 

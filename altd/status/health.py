@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum, StrEnum
 
 from altd.ports import Clock
 from altd.status.cause import StateReport
@@ -47,6 +47,18 @@ class State(StrEnum):
     ENDED = "ended"
 
 
+class CameraTrouble(Enum):
+    """Known trouble of a camera that does not deliver as it should, with its remedy."""
+
+    NOT_FOUND = "check its cable and power"
+    BUSY = "end the program that uses it"
+    LOST = "check its cable and supply"
+    REFUSED = "check its table in the config"
+    DRIVER_HANGS = "unplug it and plug it in again"
+    NO_FRAMES = "check its trigger, cable and supply"
+    EXPOSURE_REFUSED = "check its limits in the config"
+
+
 @dataclass(slots=True)
 class Component:
     """One component's state, the sentence that explains it, and its counters."""
@@ -54,6 +66,7 @@ class Component:
     name: str
     clock: Clock
     state: State = State.STARTING
+    trouble: CameraTrouble | None = None
     since_ns: int = 0
     counters: dict[str, int] = field(default_factory=dict)
     heard_ns: int = 0
@@ -66,16 +79,27 @@ class Component:
     _figures: dict[str, tuple[float | str | None, int]] = field(default_factory=dict)
 
     @property
+    def kind(self) -> str:
+        """Kind of the component: its name, without that of the part after a space (``camera front``)."""
+        return self.name.partition(" ")[0]
+
+    @property
+    def is_faulty_camera(self) -> bool:
+        """Whether it is a camera that does not deliver as it should."""
+        return self.kind == "camera" and self.state not in (State.OK, State.STARTING)
+
+    @property
     def message(self) -> str:
         """Sentence that explains the state at this moment."""
         return self._message if isinstance(self._message, str) else self._message(self.clock.monotonic_ns())
 
-    def set_state(self, state: State, message: Message = "") -> None:
+    def set_state(self, state: State, message: Message = "", trouble: CameraTrouble | None = None) -> None:
         """Set the state; ``since_ns`` changes only with the state."""
         self.heard_ns = self.clock.monotonic_ns()
         if state is not self.state:
             self.since_ns = self.heard_ns
         self.state = state
+        self.trouble = trouble
         self._message = message
 
     def expect(self, silent_after_s: float) -> None:

@@ -129,7 +129,7 @@ def _of_measuring(name: str) -> Reading:
 
 def _lost_frames(health: Health) -> int:
     """Number of frames of all cameras that drivers lost or the daemon dropped."""
-    lost = sum(component.counters.get("lost", 0) for component in health if _is(component, "camera"))
+    lost = sum(component.counters.get("lost", 0) for component in health if component.kind == "camera")
     measuring = _component(health, MEASURING)
     counters = measuring.counters if measuring else {}
     return lost + sum(count for name, count in counters.items() if name.startswith("dropped_"))
@@ -140,15 +140,11 @@ def _late_frames(health: Health) -> int:
     return measuring.counters.get("late_frames", 0) if measuring else 0
 
 
-def _is(component: Component, kind: str) -> bool:
-    return component.name.partition(" ")[0] == kind
-
-
 def _temperature(number: int) -> Reading:
     """The temperature of thermometer ``number``, counted from 0."""
 
     def read(health: Health) -> float | None:
-        known = [component for component in health if _is(component, "temperature")]
+        known = [component for component in health if component.kind == "temperature"]
         return _figure(known[number], "celsius") if number < len(known) else None
 
     return _of_health(read)

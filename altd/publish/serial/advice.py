@@ -22,32 +22,16 @@ _ONE_TARGET_DARK = Advice(
 )
 _CAMERA_BELOW = Advice("the camera delivers no frames", "see the camera below")
 
-_CAMERA_REMEDIES = {
-    "not found": "check its cable and power",
-    "busy": "end the program that uses it",
-    "lost": "check its cable and supply",
-    "refused": "check its table in the config",
-    "the driver does not return": "unplug it and plug it in again",
-    "no frame for": "check its trigger, cable and supply",
-    "exposure refused": "check its limits in the config",
-}
-"""Remedies, by the beginning of a camera's health message."""
-
 
 def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component] = ()) -> Advice:
-    """Return the fault and its remedy, by the fault's detail, the other faults and the components."""
+    """Return the fault and its remedy, by its cause, the other faults and the components."""
     if fault.cause is not None:
         return Advice(fault.cause.meaning, fault.cause.remedy)
     if fault.reason is Reason.SPOT_MISSING and {other.target for other in status} - {None} == {fault.target}:
         return _ONE_TARGET_DARK
-    if fault.reason is Reason.CAMERA_SILENT and any(map(is_faulty_camera, components)):
+    if fault.reason is Reason.CAMERA_SILENT and any(component.is_faulty_camera for component in components):
         return _CAMERA_BELOW
     return Advice(fault.reason.brief, fault.reason.remedy)
-
-
-def is_faulty_camera(component: Component) -> bool:
-    """Whether it is a camera that does not deliver as it should."""
-    return component.name.startswith("camera ") and component.state not in (State.OK, State.STARTING)
 
 
 def component_steps(components: Iterable[Component], status: Iterable[Fault]) -> Iterable[str]:
@@ -57,11 +41,8 @@ def component_steps(components: Iterable[Component], status: Iterable[Fault]) ->
     """
     has_fault = any(status)
     for component in components:
-        is_faulty = component.state in (State.FAILED, State.DEGRADED) or is_faulty_camera(component)
+        is_faulty = component.state in (State.FAILED, State.DEGRADED) or component.is_faulty_camera
         if not is_faulty or (component.name == MEASURING and has_fault):
             continue
-        message = component.message
-        remedy = next((does for words, does in _CAMERA_REMEDIES.items() if message.startswith(words)), "")
-        yield f"{component.name} {component.state}: {message or 'no more is known'}" + (
-            f": {remedy}" if remedy and is_faulty_camera(component) else ""
-        )
+        remedy = f": {component.trouble.value}" if component.trouble and component.is_faulty_camera else ""
+        yield f"{component.name} {component.state}: {component.message or 'no more is known'}{remedy}"

@@ -19,7 +19,7 @@ from altd.ports import (
     CameraRefusedError,
 )
 from altd.records import Frame
-from altd.status.health import Component, State
+from altd.status.health import CameraTrouble, Component, State
 
 
 async def test_a_lost_camera_is_closed_and_opened_again(component: Component, clock: FakeClock) -> None:
@@ -105,17 +105,22 @@ async def test_a_camera_that_hangs_does_not_hold_the_shutdown(
 
 
 @pytest.mark.parametrize(
-    ("error", "sentence"),
+    ("error", "sentence", "trouble"),
     [
-        (CameraNotFoundError("/dev/video7"), "not found: /dev/video7; trying again"),
-        (CameraBusyError("/dev/video7"), "busy: /dev/video7; trying again"),
-        (CameraLostError("/dev/video7"), "lost: /dev/video7; trying again"),
-        (CameraRefusedError("no Y10"), "refused: no Y10; trying again"),
-        (CameraError("no idea"), "no idea; trying again"),
+        (CameraNotFoundError("/dev/video7"), "not found: /dev/video7; trying again", CameraTrouble.NOT_FOUND),
+        (CameraBusyError("/dev/video7"), "busy: /dev/video7; trying again", CameraTrouble.BUSY),
+        (CameraLostError("/dev/video7"), "lost: /dev/video7; trying again", CameraTrouble.LOST),
+        (CameraRefusedError("no Y10"), "refused: no Y10; trying again", CameraTrouble.REFUSED),
+        (CameraError("no idea"), "no idea; trying again", None),
     ],
 )
 async def test_a_camera_that_cannot_be_opened_is_tried_again_and_says_why(
-    component: Component, monkeypatch: pytest.MonkeyPatch, error: CameraError, sentence: str, clock: FakeClock
+    component: Component,
+    monkeypatch: pytest.MonkeyPatch,
+    error: CameraError,
+    sentence: str,
+    trouble: CameraTrouble | None,
+    clock: FakeClock,
 ) -> None:
     camera = ScriptedCamera(clock)
     tried: list[float] = []
@@ -129,6 +134,7 @@ async def test_a_camera_that_cannot_be_opened_is_tried_again_and_says_why(
     task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.FAILED)
     assert component.message == sentence
+    assert component.trouble is trouble
     await clock.until(lambda: component.state is State.OK)
     pauses = [after - before for before, after in itertools.pairwise(tried)]
     assert pauses == pytest.approx([0.2, 0.4, 0.5])
@@ -217,6 +223,7 @@ async def test_a_camera_that_refuses_an_exposure_goes_on_and_health_says_so(
     await clock.until(lambda: component.counters.get("frames", 0) >= 3)
     assert component.state is State.DEGRADED
     assert component.message == "exposure refused: the register is locked"
+    assert component.trouble is CameraTrouble.EXPOSURE_REFUSED
     assert component.counters["refused_exposures"] == 1
     camera.refusal = None
     exposure.setpoint = Setting(20.0, 0.0)

@@ -9,7 +9,7 @@ from support.scripted_camera import PERIOD_S, AllFrames, ScriptedCamera
 from altd.acquisition.acquiring import acquire
 from altd.ports import CameraLostError, CameraTimeoutError
 from altd.records import Frame
-from altd.status.health import Component, State
+from altd.status.health import CameraTrouble, Component, State
 
 
 async def test_a_camera_that_times_out_stays_open_and_is_said_to(
@@ -43,6 +43,7 @@ async def test_the_time_without_a_frame_counts_from_the_last_frame_on(
     await clock.until(lambda: not camera.script)
     await clock.advance(0.9 - (clock.now_ns - frame_ns) * 1e-9)
     assert component.message == f"{why}no frame for 0.9 s"
+    assert component.trouble is (CameraTrouble.DRIVER_HANGS if why else CameraTrouble.NO_FRAMES)
     await clock.advance(5.1)
     assert component.message.endswith("no frame for 6.0 s")
     await clock.advance(54.0)

@@ -12,7 +12,7 @@ from altd.publish.serial.advice import advice, component_steps
 from altd.reasons import Reason
 from altd.records import Fault, FaultCause, NoSpot
 from altd.status.cause import Cause
-from altd.status.health import MEASURING, Health, State
+from altd.status.health import MEASURING, CameraTrouble, Health, State
 from altd.vision.frame_leds import count_lit_leds, with_leds_as_cause
 from altd.vision.localise import locate
 from altd.vision.search import search
@@ -103,24 +103,17 @@ def test_a_spot_that_is_too_wide_is_one_of_focus() -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "message", "remedy"),
-    [
-        (State.FAILED, "not found: /dev/video7; trying again", "check its cable and power"),
-        (State.FAILED, "busy: /dev/video7; trying again", "end the program that uses it"),
-        (State.FAILED, "refused: no Y10; trying again", "check its table in the config"),
-        (State.DEGRADED, "no frame for 6.0 s", "check its trigger, cable and supply"),
-        (State.DEGRADED, "the driver does not return; no frame for 2.0 s", "unplug it and plug it in again"),
-        (State.ENDED, "the recording is at its end", None),
-    ],
+    ("state", "trouble"),
+    [(State.FAILED, CameraTrouble.BUSY), (State.DEGRADED, CameraTrouble.NO_FRAMES), (State.ENDED, None)],
 )
 def test_a_silent_camera_is_mended_by_what_its_health_says(
-    state: State, message: str, remedy: str | None
+    state: State, trouble: CameraTrouble | None
 ) -> None:
     health = Health(FakeClock())
-    health.component("camera rear").set_state(state, message)
+    health.component("camera rear").set_state(state, "as it says", trouble)
     health.component(MEASURING).set_state(State.DEGRADED, "front: spot at u 1 v 2 px; rear: camera_silent")
     status = [Fault(Reason.CAMERA_SILENT, "rear", "no frame comes")]
     assert advice(status[0], status, health).remedy == "see the camera below"
     (step,) = component_steps(health, status)
-    assert step == f"camera rear {state}: {message}" + (f": {remedy}" if remedy else "")
+    assert step == f"camera rear {state}: as it says" + (f": {trouble.value}" if trouble else "")
     assert advice(status[0], status).remedy == "check the camera's cable and supply"

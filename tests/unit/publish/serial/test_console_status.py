@@ -9,7 +9,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import MORE_PROMPT, Console
 from altd.reasons import Reason
 from altd.records import Fault, FaultCause
-from altd.status.health import MEASURING, State
+from altd.status.health import MEASURING, CameraTrouble, State
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
 from .conftest import answer, well
@@ -17,7 +17,9 @@ from .conftest import answer, well
 
 def test_status_says_what_is_wrong_and_what_to_do() -> None:
     unit = Console(lambda: SPOT_LOST, health(), QUANTITIES)
-    unit.health.component("camera rear").set_state(State.FAILED, "not found: /dev/video2; trying again")
+    unit.health.component("camera rear").set_state(
+        State.FAILED, "not found: /dev/video2; trying again", CameraTrouble.NOT_FOUND
+    )
     unit.health.component("camera rear").count("frames", 12)
     unit.health.component("serial /dev/ttyS1").set_state(
         State.FAILED, "there is no such port now; next try in 0.4 s"
