@@ -165,7 +165,7 @@ def compensated(mean: MeanSpots, compensation: Compensation) -> MeanSpots:
     return replace(mean, px=px, covariance_px2=covariance)
 
 
-NOT_CHECKED = "no frames with the LEDs on and off"
+_NOT_CHECKED = "no frames with the LEDs on and off"
 SIGNIFICANT = 7.0
 """Mahalanobis distance from which a drift is not due to chance: 6 in 10⁹ with four degrees of freedom, and
 still below 1 in 10,000 if the noise is known only to 15 % (``benchmarks.selfcheck places``)."""
@@ -195,7 +195,7 @@ def judge(
     known = {target.name: target for target in calibration.targets}
     seen = {name: drift_of(name, view, known[name], limits) for name, view in views.items()}
     drifts = {
-        name: seen.get(name) or TargetDrift(name, len(known[name].leds_px), 0, (), detail=NOT_CHECKED)
+        name: seen.get(name) or TargetDrift(name, len(known[name].leds_px), 0, (), detail=_NOT_CHECKED)
         for name in known
     }
     worst = {

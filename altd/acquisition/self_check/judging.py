@@ -12,7 +12,7 @@ from altd.measuring.chain import View
 from altd.records import Value
 from altd.selfcheck.lights import findings
 from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
-from altd.selfcheck.verdict import NOT_CHECKED, judge
+from altd.selfcheck.verdict import judge
 
 SpotPx = tuple[float, float]
 
@@ -91,7 +91,9 @@ class CheckJudge:
             return Judged(check, tuple(notes))
         if check.verdict is Verdict.UNKNOWN:
             return Judged(unknown(*spoilt), tuple(notes))
-        reasons = tuple(reason for reason in check.reasons if not reason.endswith(NOT_CHECKED))
+        skipped = {target.name for target in self._calibration.targets} - seen.keys()
+        doubts = (part for part in check.parts if part.verdict is not Verdict.GOOD)
+        reasons = tuple(part.reason for part in doubts if part.of not in skipped)
         return Judged(replace(check, reasons=(*reasons, *spoilt)), tuple(notes))
 
 
