@@ -11,7 +11,7 @@ import struct
 from operator import attrgetter
 
 from altd.publish.modbus import values
-from altd.publish.modbus.registers import Register, RegisterImage, Table, Type, WordOrder
+from altd.publish.modbus.registers import Register, RegisterImage, Table, Type, WordOrder, in_pairs
 from altd.publish.modbus.values import Reading, Snapshot
 from altd.status.proof import crc32
 
@@ -76,31 +76,12 @@ HEAD = (
     Register(223, "reason_rear", Type.U16, "", "as at addresses 2 to 4", values.reason("rear")),
 )
 
-_QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
-    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", values.number("x_mm")),
-    ("y", "mm", "beam at the reference plane, up", values.number("y_mm")),
-    ("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
-    ("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
-    ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
-    ("sigma_x", "mm", "combined standard uncertainty", values.sigma("x_mm")),
-    ("sigma_y", "mm", "combined standard uncertainty", values.sigma("y_mm")),
-    ("sigma_yaw", "°", "combined standard uncertainty", values.sigma("yaw_deg")),
-    ("sigma_pitch", "°", "combined standard uncertainty", values.sigma("pitch_deg")),
-    ("sigma_roll", "°", "standard deviation of roll", values.sigma("roll_deg")),
+_VALUES = (
+    "x y yaw pitch roll sigma_x sigma_y sigma_yaw sigma_pitch sigma_roll "
+    "sigma_now_x sigma_now_y sigma_now_yaw sigma_now_pitch rate_x rate_y rate_yaw rate_pitch "
+    "sigma_random_x sigma_random_y sigma_random_yaw sigma_random_pitch"
 )
 """Values of two registers each, from ``FLOATS`` on. Add new ones after all rows, or others would move."""
-
-_OF_NOW = tuple(values.sigmas_now())
-"""Ageing values, which follow the quantities; after them the rates, then sigma_random."""
-
-_RATES = tuple(
-    (f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in values.AXES
-)
-
-_RANDOM = tuple(
-    (f"sigma_random_{name}", unit, "the part of sigma that scatters", values.sigma_random(key))
-    for name, unit, key in values.AXES
-)
 
 CRC = Register(
     FIRST + SIZE - 2,
@@ -113,10 +94,7 @@ CRC = Register(
 
 ROWS = (
     *HEAD,
-    *(
-        Register(FLOATS + 2 * row, name, Type.F32, unit, meaning, value, values.is_of_now(name))
-        for row, (name, unit, meaning, value) in enumerate(_QUANTITIES + _OF_NOW + _RATES + _RANDOM)
-    ),
+    *(point.register(at, Type.F32) for at, point in in_pairs(FLOATS, _VALUES)),
     CRC,
 )
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -159,32 +159,74 @@ HEADER = (
     Register(14, "map_version", Type.U16, "", "version of this table", values.constant(MAP_VERSION)),
 )
 
-_QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
-    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", values.number("x_mm")),
-    ("y", "mm", "beam at the reference plane, up", values.number("y_mm")),
-    ("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
-    ("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
-    ("yaw_slope", "mm/m", "yaw as a slope", values.number("yaw_mm_per_m")),
-    ("pitch_slope", "mm/m", "pitch as a slope", values.number("pitch_mm_per_m")),
-    ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
-    ("sigma_x", "mm", "combined standard uncertainty", values.sigma("x_mm")),
-    ("sigma_y", "mm", "combined standard uncertainty", values.sigma("y_mm")),
-    ("sigma_yaw", "°", "combined standard uncertainty", values.sigma("yaw_deg")),
-    ("sigma_pitch", "°", "combined standard uncertainty", values.sigma("pitch_deg")),
-    ("front_x", "mm", "spot on the front target", values.of_target("front", "x_mm")),
-    ("front_y", "mm", "spot on the front target", values.of_target("front", "y_mm")),
-    ("rear_x", "mm", "spot on the rear target", values.of_target("rear", "x_mm")),
-    ("rear_y", "mm", "spot on the rear target", values.of_target("rear", "y_mm")),
-    *values.sigmas_now(),
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A value of a measurement: the only description of it, whatever registers contain it."""
+
+    name: str
+    unit: str
+    meaning: str
+    value: Reading
+    is_ageing: bool = False
+
+    def register(self, address: int, type_: Type, value: Reading | None = None) -> Register:
+        """Return the row of its register at an address; ``value`` is the source in another unit."""
+        return Register(
+            address, self.name, type_, self.unit, self.meaning, value or self.value, self.is_ageing
+        )
+
+
+_AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
+_COMBINED = "combined standard uncertainty"
+_ABOUT_NOW = "standard deviation as a statement about the beam when answered"
+_TO_THE_RIGHT = "beam at the reference plane, to the right as seen along the beam"
+POINTS = (
+    Point("x", "mm", _TO_THE_RIGHT, values.number("x_mm")),
+    Point("y", "mm", "beam at the reference plane, up", values.number("y_mm")),
+    Point("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
+    Point("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
+    Point("yaw_slope", "mm/m", "yaw as a slope", values.number("yaw_mm_per_m")),
+    Point("pitch_slope", "mm/m", "pitch as a slope", values.number("pitch_mm_per_m")),
+    Point("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
+    *(Point(f"sigma_{name}", unit, _COMBINED, values.sigma(key)) for name, unit, key in _AXES),
+    Point("sigma_roll", "°", "standard deviation of roll", values.sigma("roll_deg")),
+    *(
+        Point(
+            f"{target}_{axis}", "mm", f"spot on the {target} target", values.of_target(target, f"{axis}_mm")
+        )
+        for target in ("front", "rear")
+        for axis in "xy"
+    ),
+    *(Point(f"sigma_now_{name}", unit, _ABOUT_NOW, values.sigma_now(key), True) for name, unit, key in _AXES),
+    *(Point(f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in _AXES),
+    *(
+        Point(f"sigma_random_{name}", unit, "the part of sigma that scatters", values.sigma_random(key))
+        for name, unit, key in _AXES
+    ),
+    Point("a", "mm", "place of the plate's origin, along x", values.number("a_mm")),
+    Point("b", "mm", "place of the plate's origin, along y", values.number("b_mm")),
+    Point("phi", "°", "turn of the plate, anticlockwise", values.number("phi_deg")),
+    Point("sigma_a", "mm", _COMBINED, values.sigma("a_mm")),
+    Point("sigma_b", "mm", _COMBINED, values.sigma("b_mm")),
+    Point("sigma_phi", "°", _COMBINED, values.sigma("phi_deg")),
 )
 
-FLOAT_BLOCK = tuple(
-    Register(FLOATS + 2 * row, name, Type.F32, unit, meaning, value, values.is_of_now(name))
-    for row, (name, unit, meaning, value) in enumerate(_QUANTITIES)
+
+def in_pairs(first: int, names: str) -> Iterator[tuple[int, Point]]:
+    """Yield the named points with their addresses: two registers each, from ``first`` on."""
+    by_name = {point.name: point for point in POINTS}
+    for row, name in enumerate(names.split()):
+        yield first + 2 * row, by_name[name]
+
+
+_OF_BEAM = (
+    "x y yaw pitch yaw_slope pitch_slope roll sigma_x sigma_y sigma_yaw sigma_pitch front_x front_y rear_x "
+    "rear_y sigma_now_x sigma_now_y sigma_now_yaw sigma_now_pitch"
 )
+FLOAT_BLOCK = tuple(point.register(at, Type.F32) for at, point in in_pairs(FLOATS, _OF_BEAM))
 SCALED_BLOCK = tuple(
-    Register(SCALED + 2 * row, name, Type.S32, unit, meaning, _scaled(value), values.is_of_now(name))
-    for row, (name, unit, meaning, value) in enumerate(_QUANTITIES)
+    point.register(at, Type.S32, _scaled(point.value)) for at, point in in_pairs(SCALED, _OF_BEAM)
 )
 TEST_BLOCK = (
     Register(TESTS, "test_f32", Type.F32, "", "always 123.456", values.constant(123.456)),
@@ -193,18 +235,8 @@ TEST_BLOCK = (
     Register(TESTS + 6, "test_u16", Type.U16, "", "always 0xABCD", values.constant(0xABCD)),
 )
 
-_OF_PLATE: tuple[tuple[str, str, str, Reading], ...] = (
-    ("a", "mm", "place of the plate's origin, along x", values.number("a_mm")),
-    ("b", "mm", "place of the plate's origin, along y", values.number("b_mm")),
-    ("phi", "°", "turn of the plate, anticlockwise", values.number("phi_deg")),
-    ("sigma_a", "mm", "combined standard uncertainty", values.sigma("a_mm")),
-    ("sigma_b", "mm", "combined standard uncertainty", values.sigma("b_mm")),
-    ("sigma_phi", "°", "combined standard uncertainty", values.sigma("phi_deg")),
-)
-PLATE_BLOCK = tuple(
-    Register(PLATE + 2 * row, name, Type.F32, unit, meaning, value)
-    for row, (name, unit, meaning, value) in enumerate(_OF_PLATE)
-)
+_OF_PLATE = "a b phi sigma_a sigma_b sigma_phi"
+PLATE_BLOCK = tuple(point.register(at, Type.F32) for at, point in in_pairs(PLATE, _OF_PLATE))
 """Values of a plate; not known for a beam, as the others for a plate, since an address has one meaning."""
 
 REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK + PLATE_BLOCK

@@ -6,7 +6,7 @@ meaning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
@@ -218,22 +218,6 @@ def sigma_now(key: str) -> Reading:
         return snapshot.measurement.sigma_at(key, snapshot.age_s)
 
     return sigma
-
-
-AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
-"""Name, unit and key of the quantities of a beam."""
-
-
-def sigmas_now() -> Iterator[tuple[str, str, str, Reading]]:
-    """Yield name, unit, meaning and reading of each ``sigma_now``; these registers age."""
-    meaning = "standard deviation as a statement about the beam when answered"
-    for name, unit, key in AXES:
-        yield f"sigma_now_{name}", unit, meaning, sigma_now(key)
-
-
-def is_of_now(name: str) -> bool:
-    """Whether a register of this name ages."""
-    return name.startswith("sigma_now_")
 
 
 def rate(key: str) -> Reading:
