@@ -43,8 +43,8 @@ class Chain(Protocol):
     def silence(self, t_ns: int) -> Measurement:
         """Return the measurement for a moment at which no camera delivers."""
 
-    def seen(self) -> str:
-        """Return the last result of each camera as text."""
+    def seen(self) -> Mapping[str, str] | str:
+        """Return the last finding of each target or camera as text; a sentence if there is none."""
 
     def figures(self) -> Mapping[str, float | str | None]:
         """Return figures for health; None: not known."""

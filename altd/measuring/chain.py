@@ -160,10 +160,11 @@ class MeasuringChain:
         """Time without a frame after which a camera is silent, s."""
         return self._measuring.silent_after_s
 
-    def seen(self) -> str:
-        """Return the last finding of each camera as text, for the technician who aims the beam."""
-        seen = self._last_spots
-        return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
+    def seen(self) -> dict[str, str]:
+        """Return the last finding of each target as text, for the technician who aims the beam."""
+        return {
+            target: str(self._last_spots[target]) for target in self._targets if target in self._last_spots
+        }
 
     def figures(self) -> dict[str, float | str | None]:
         """Return sampling, synchronism, spots, light and views, for health."""

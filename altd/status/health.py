@@ -33,8 +33,11 @@ MEASURING = "measuring"
 FIGURE_AGE_S = 2.5
 """Maximum age of a current figure, s; components observe at least every 2 s, even without data."""
 
-Message = str | Callable[[int], str]
-"""A sentence, or a function of the current monotonic ns for a sentence that contains a time."""
+Findings = Mapping[str, str]
+"""Findings in words, by the target or the camera that they concern."""
+
+Message = str | Callable[[int], str | Findings]
+"""A sentence, or a function of the current monotonic ns for a sentence that contains a time, or findings."""
 
 
 class State(StrEnum):
@@ -91,6 +94,17 @@ class Component:
     @property
     def message(self) -> str:
         """Sentence that explains the state at this moment."""
+        said = self._said
+        return said if isinstance(said, str) else "; ".join(f"{of}: {found}" for of, found in said.items())
+
+    @property
+    def findings(self) -> Findings:
+        """Findings at this moment; empty if the component reports a sentence."""
+        said = self._said
+        return {} if isinstance(said, str) else said
+
+    @property
+    def _said(self) -> str | Findings:
         return self._message if isinstance(self._message, str) else self._message(self.clock.monotonic_ns())
 
     def set_state(self, state: State, message: Message = "", trouble: CameraTrouble | None = None) -> None:

@@ -87,10 +87,10 @@ class RowChain:
         """Means of the baseline; None while it is not complete."""
         return self._rounds.baseline
 
-    def seen(self) -> str:
+    def seen(self) -> dict[str, str] | str:
         """Last finding of the opaque target's camera, as text."""
-        shown = [one for one in self._last.values() if one.opaque == one.target]
-        return "; ".join(f"{one.camera}: {one.spot}" for one in shown) or "the glasses settle"
+        shown = {one.camera: str(one.spot) for one in self._last.values() if one.opaque == one.target}
+        return shown or "the glasses settle"
 
     def figures(self) -> dict[str, float | str | None]:
         """Opaque target, for health; None while none has settled."""

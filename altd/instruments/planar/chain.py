@@ -126,9 +126,9 @@ class PlanarChain:
         """Time without a frame after which a camera is silent, s."""
         return self._measuring.silent_after_s
 
-    def seen(self) -> str:
-        """Last finding as text."""
-        return "" if self._last is None else f"{self._camera}: {self._last.spot}"
+    def seen(self) -> dict[str, str]:
+        """Last finding of the camera as text."""
+        return {} if self._last is None else {self._camera: str(self._last.spot)}
 
     def figures(self) -> dict[str, float | str | None]:
         """Number of LEDs in the newest frame, for health."""

@@ -23,7 +23,7 @@ def spots_text(measurement: Measurement | None, health: Health) -> str:
     """For each target the position of the spot, and the report of its camera."""
     if measurement is None:
         return NO_MEASUREMENT
-    said = next((part.message for part in health if part.name == MEASURING), "").split("; ")
+    found = next((part.findings for part in health if part.name == MEASURING), {})
     width = max(map(len, measurement.targets), default=0) + 2
     lines = []
     for target, values in measurement.targets.items():
@@ -35,8 +35,8 @@ def spots_text(measurement: Measurement | None, health: Health) -> str:
                 if quantity.key in values
             )
         lines.append(hanging(target, place, width))
-        seen = [part.removeprefix(f"{target}: ") for part in said if part.startswith(f"{target}: ")]
-        lines += [hanging("", text, width) for text in seen]
+        if target in found:
+            lines.append(hanging("", found[target], width))
     return "\n".join(lines)
 
 

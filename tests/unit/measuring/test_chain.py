@@ -54,7 +54,7 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
     dark = Frame("right", 0, 0, np.full((480, 752), 8, np.uint8))
     measured.push(frames[0])
     measured.push(dark)
-    front, rear = measured.seen().split("; ")
+    front, rear = (f"{target}: {found}" for target, found in measured.seen().items())
     assert front.startswith("front: spot at u 33")
     assert rear == "rear: spot_missing, nothing is brighter than the background"
     figures = measured.spots()
@@ -211,7 +211,7 @@ def test_what_is_known_of_the_step_and_of_a_silent_camera_is_of_now(calibration:
         if frame.camera == "left":
             measured.push(frame)
     assert measured.step() == {"skew_ms": None, "lag_right_ms": None}
-    front, rear = measured.seen().split("; ")
+    front, rear = (f"{target}: {found}" for target, found in measured.seen().items())
     assert front.startswith("front: spot at u 33")
     assert rear == "rear: camera_silent, no frame comes"
     measured.silence(frames[-1].t_ns + 400_000_000)

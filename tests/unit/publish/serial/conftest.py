@@ -32,7 +32,9 @@ def console(measurement: Measurement | None = MEASURED) -> Console:
 def well() -> Health:
     """A unit with the same parts of which none is ill."""
     unit = health()
-    unit.component(MEASURING).set_state(State.OK, "front: spot at u 1 v 2 px; rear: spot at u 3 v 4 px")
+    unit.component(MEASURING).set_state(
+        State.OK, lambda _: {"front": "spot at u 1 v 2 px", "rear": "spot at u 3 v 4 px"}
+    )
     return unit
 
 
