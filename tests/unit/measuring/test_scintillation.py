@@ -42,7 +42,7 @@ def seen(scores: np.ndarray) -> Spot | NoSpot:
     spot = Spot(300, 200, 0.02, 42, 150)
     if scores @ scores > USUAL:
         spot = replace(spot, excess_px=unexplained.displacement_px, unexplained=unexplained)
-    return NoSpot(Reason.DISTORTED, "", spot) if scores @ scores > 300 else spot
+    return NoSpot(Reason.DISTORTED, spot=spot) if scores @ scores > 300 else spot
 
 
 def window(front: Scores, rear: Scores) -> list[FrameSet]:
