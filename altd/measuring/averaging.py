@@ -196,6 +196,7 @@ def mean_spots(
         excess_px=tuple(math.sqrt(square) for square in mean[:, _EXCESS2].tolist()),
         log_lights=inliers[:, :, _LIGHT],
         motion=_motion(deviations_px, since_middle_ns, is_inlier, covariance_px2, typical_noise),
+        apart_s=float(np.ptp(mean[:, _BEHIND_NS])) * 1e-9,
     )
 
 

@@ -203,7 +203,7 @@ class MeanSpots:
     the relative change of each target's light against the first's (``LightBalance``). ``t_ns`` is the mean
     time of the ``frames`` averaged exposures; ``lost`` were not usable. ``motion`` is None if there were too
     few to determine it. ``is_even``: a vibration at a multiple of the frame rate would not show in the
-    covariance (``measuring.sampling``).
+    covariance (``measuring.sampling``). ``apart_s`` is the mean time between the exposures of two targets.
     """
 
     targets: tuple[str, ...]
@@ -219,6 +219,7 @@ class MeanSpots:
     changed_light: tuple[float, ...] = ()
     motion: SpotMotion | None = None
     is_even: bool = True
+    apart_s: float = 0.0
 
     def at_newest(self) -> MeanSpots | None:
         """Return the spots at the newest exposure by the steady motion of all; None: motion not known.

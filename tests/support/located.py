@@ -15,6 +15,7 @@ def located(camera: str, sequence: int, t_ns: int = 0, breaks: int = 0) -> Locat
 
 
 def paired(*of_cameras: Located) -> Pair[Located]:
-    """The results of all cameras at one instant."""
+    """The results of all cameras at one instant, but for the delays of their times."""
     first = of_cameras[0]
-    return Pair(first.sequence, first.t_ns, 0, {one.camera: one for one in of_cameras}, {}, {})
+    behind_ns = {one.camera: one.t_ns - first.t_ns for one in of_cameras}
+    return Pair(first.sequence, first.t_ns, 0, {one.camera: one for one in of_cameras}, {}, behind_ns)

@@ -199,7 +199,9 @@ class BeamInstrument:
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
         z_mm = [target.z_mm for target in targets]
         plane_mm, refraction = self._installation.reference_plane_mm, self._refraction
-        hidden_mm = vibration_mm(z_mm, *self._vibration) if mean.is_even and any(self._vibration) else None
+        hidden_mm = None
+        if mean.is_even and any(self._vibration):
+            hidden_mm = vibration_mm(z_mm, *self._vibration, mean.apart_s)
         try:
             beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits, refraction, hidden_mm)
         except np.linalg.LinAlgError:

@@ -13,6 +13,8 @@ _TO_MM = {"stage_scale_ppm": 1e-6, "stage_square_mrad": 1e-3, "beam_normal_mm_pe
 """Factors from the unit of each limit to a dimensionless number."""
 ALUMINIUM_PER_K = 23.6e-6
 """Linear expansion of aluminium 6061 (Callister, Materials Science and Engineering, Table B.6)."""
+_HIGHEST_HZ = 130.0
+"""Highest frequency of a vibration; an exposure of some ms averages over higher ones."""
 
 
 def effects_mm(
@@ -51,14 +53,20 @@ def effects_mm(
     return effects
 
 
-def vibration_mm(z_mm: Sequence[float], amplitude_mm: float, amplitude_mrad: float) -> FloatArray:
-    """Displacements (2 T, 4) of the points, mm, by one sigma of a vibration with these amplitudes.
+def vibration_mm(
+    z_mm: Sequence[float], amplitude_mm: float, amplitude_mrad: float, apart_s: float = 0.0
+) -> FloatArray:
+    """Displacements (2 T, 6) of the points, mm, by one sigma of a vibration with these amplitudes.
 
-    A sinusoid of unknown phase has a standard deviation of amplitude/√2. One column each for x, y, yaw and
-    pitch; the unit turns about the plane z = 0.
+    A sinusoid of unknown phase has a standard deviation of amplitude/√2. Two columns each for x and y, since
+    targets that are exposed ``apart_s`` from each other are displaced by different phases, up to opposite
+    ones; one each for yaw and pitch. The unit turns about the plane z = 0.
     """
     z = np.asarray(z_mm, dtype=np.float64)
-    columns = np.zeros((2 * len(z), 4))
-    columns[0::2, 0] = columns[1::2, 1] = amplitude_mm / math.sqrt(2.0)
+    half = min(math.pi * _HIGHEST_HZ * apart_s, math.pi / 2)
+    together, opposite = np.array((math.cos(half), math.sin(half))) * amplitude_mm / math.sqrt(2.0)
+    columns = np.zeros((2 * len(z), 6))
+    columns[0::2, 0] = columns[1::2, 1] = together
+    columns[0::2, 4] = columns[1::2, 5] = opposite * np.linspace(1.0, -1.0, len(z))
     columns[0::2, 2] = columns[1::2, 3] = amplitude_mrad * 1e-3 * z / math.sqrt(2.0)
     return columns
