@@ -16,6 +16,7 @@ from altd.records import FloatArray, FrameSet, MeanSpots, Spot
 from studies.bench import rms
 from studies.plot import GREY, OURS, THESIS, THIRD, panels, plain_decades
 from studies.result import Column, Progress, Result, Row
+from studies.vibration_daemon import summary
 
 TITLE = "Vibration: 1 to 130 Hz, exposures even and uneven"
 QUESTION = "Does sigma cover a vibration at a multiple of the frame rate?"
@@ -160,7 +161,8 @@ def run(progress: Progress) -> Result:
             f"without a mean (`unsteady`): {max(share for _, _, share in of_even):.0%} even, "
             f"{max(share for _, _, share in of_uneven):.0%} uneven, at most; – if all are.\n\n"
             "The plot also shows a random delay of up to 0.8 periods for each frame of an even grid, with "
-            "the same memory: its mean is biased at the multiples of the rate."
+            "the same memory: its mean is biased at the multiples of the rate.\n\n"
+            f"{summary()}"
         ),
         figure=_figure(found, grid),
         caption="Rms(error/sigma) of x against the frequency of a vibration of 0.05 to 0.3 mm",

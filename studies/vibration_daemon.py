@@ -2,7 +2,7 @@
 
 The frequency changes while the daemon runs. ``unshare -rn python -m studies.vibration_daemon FILE`` measures
 for 23 minutes in a network namespace of its own and writes the figures as JSON; ``--draw SVG`` draws them.
-The study ``vibration`` states those of ``docs/studies/vibration-daemon.json``.
+The page of the study ``vibration`` states the largest.
 """
 
 import json
@@ -46,6 +46,8 @@ CELLS = (
 DROPPED_SHARE = 0.4
 """Of the time at a frequency: sigma still remembers the one before."""
 START_S = 60.0
+FIGURES = Path(__file__).parents[1] / "docs/studies/vibration-daemon.json"
+_LARGEST = "largest", "largest_of_angles"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,16 +165,23 @@ def draw(cells: Sequence[dict[str, Any]]) -> str:
     return as_svg(figure, "vibration-daemon")
 
 
-def summary(cells: Sequence[dict[str, Any]]) -> str:
-    """Return the largest errors of each run, over all frequencies and amplitudes, in words."""
+def summary() -> str:
+    """Return what was measured last, and the picture, for the page of the study ``vibration``."""
+    cells = json.loads(FIGURES.read_text())
     worst = {
-        run: max(max(cell["largest"], cell["largest_of_angles"]) for cell in cells if cell["run"] == run and cell["valid"])
+        run: [max(cell[key] for cell in cells if cell["run"] == run and cell["valid"]) for key in _LARGEST]
         for run in RUNS
     }
+    told = [
+        f"{run}: {x_y:.1f} sigma in x or y, {angles:.1f} in yaw or pitch"
+        for run, (x_y, angles) in worst.items()
+    ]
     return (
-        f"The largest error is {worst['uneven']:.1f} sigma with uneven triggers, {worst['even']:.0f} sigma with "
-        f"cameras that run freely, and {worst['even, stated']:.1f} sigma with these if `vibration_mm` and "
-        "`vibration_mrad` state the vibration."
+        "**In the daemon** on two emulated GigE Vision cameras, 8 to 15 s for each of "
+        f"{len({(cell['hertz'], cell['amplitude_mm']) for cell in cells})} vibrations in x and y; software "
+        "triggers (uneven), cameras that run freely (even), and these with `vibration_mm` stated. Largest "
+        f"errors: {'; '.join(told)}. Measured by `python -m studies.vibration_daemon`.\n\n"
+        "![Error/sigma of the daemon over frequency](vibration-daemon.svg)"
     )
 
 
