@@ -154,6 +154,8 @@ def _variances(by_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
 MAX_YAW_MM_PER_M = 110.0
 MAX_PITCH_MM_PER_M = 250.0
 """Specified ranges of the unit, mm/m (App. A.1)."""
+_CLOCKS_S = 0.5e-3
+"""Uncertainty of the time between two cameras with clocks of their own: 0.2 to 0.3 ms on a busy computer."""
 _MARGIN_SIGMAS = 3.0
 _MAX_MARGIN_MM_PER_M = 1.0
 """Required accuracy, mm/m (App. A.1): a beam may exceed a range by its uncertainty, up to this limit."""
@@ -201,7 +203,8 @@ class BeamInstrument:
         plane_mm, refraction = self._installation.reference_plane_mm, self._refraction
         hidden_mm = None
         if mean.is_even and any(self._vibration):
-            hidden_mm = vibration_mm(z_mm, *self._vibration, mean.apart_s)
+            own_clocks_s = 0.0 if self._measuring.pair_by == "sequence" else _CLOCKS_S
+            hidden_mm = vibration_mm(z_mm, *self._vibration, math.hypot(mean.apart_s, own_clocks_s))
         try:
             beam = fit_beam(z_mm, points, covariance, plane_mm, self._limits, refraction, hidden_mm)
         except np.linalg.LinAlgError:

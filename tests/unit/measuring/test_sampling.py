@@ -141,11 +141,11 @@ def test_a_stated_vibration_is_in_sigma_until_the_exposures_are_known_to_be_unev
     calibration: Calibration, times_ns: list[int], apart_ns: int, is_even: bool
 ) -> None:
     """Of two cameras that expose apart, at 130 Hz: the spots' displacements have another phase."""
-    opposite = np.sin(np.pi * 130.0 * apart_ns * 1e-9)
+    opposite = np.sin(np.pi * 130.0 * np.hypot(apart_ns * 1e-9, 0.5e-3))
     turning = np.rad2deg(2 * 0.3 * opposite / 280.0) ** 2 / 2
     first, last = [], []
     for stated in ({}, {"vibration_mm": 0.3}, {"vibration_mrad": 0.2}):
-        measuring = Measuring.model_validate(stated)
+        measuring = Measuring.model_validate({"pair_by": "time", **stated})
         views = (View("front", "front"), View("rear", "rear"))
         chain = MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring))
         valid = []
