@@ -31,7 +31,7 @@ _UNEVEN_BY = 0.08
 known: 0.25 of software triggers, 0.03 of a crystal with a jitter of a tenth of the period."""
 MIN_EXPOSURES = 18
 """Number of exposures at uneven times below which a mean may err by twenty times what they show."""
-_HIDING_EXPOSURES = 10.0
+_HIDING_EXPOSURES = 9.0
 """Number of exposures whose phases may all be close together by chance."""
 
 
