@@ -172,7 +172,7 @@ class SpotLocator:
         if (objection := check.objection(analysis, spot, self._identity())) is not None:
             self._breaks += 1  # the frames before it are not reliable either
             return objection
-        spot = self._sudden.checked(spot)
+        spot = spot if self._is_switched else self._sudden.checked(spot)  # a clear target shows another light
         if not check.displaced_px:
             return spot
         if isinstance(spot, NoSpot):
