@@ -168,9 +168,6 @@ bench-spray: programs venv ## datagrams with forged sources at the unit on GigE 
 bench-verify: venv ## 200 right and wrong units by `altd verify`: false alarms and detected ones
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.verification
 
-bench-wires: venv ## errors on every wire and what a reader finds of them: docs/studies/wire-errors.md
-	@exec $(python) -m benchmarks.wire_errors --page docs/studies/wire-errors.md
-
 campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=36000 for ten hours
 	@exec $(python) -m benchmarks.campaign --seconds $(CAMPAIGN_S)
 

@@ -3,13 +3,13 @@
 import contextlib
 import os
 import shutil
+import tty
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.harness import child
 from benchmarks.poller import connected
-from benchmarks.wire_errors.polled import raw_terminal
 from hw_sim.ports import free_port
 
 BAUD = 115200
@@ -29,6 +29,14 @@ class Interfaces:
     opcua_port: int
     telegram: int
     rtu: tuple[int, ...]
+
+
+def raw_terminal() -> tuple[int, int]:
+    """Both ends of a pseudo terminal that transfers bytes unchanged."""
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    return ours, theirs
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ FURTHER = (
     ("peers.md", "altd compared with other libraries", "none today"),
     ("campaign.md", "Disturbed measurements, judged by truth", "`make campaign`"),
     ("faults.md", "The whole daemon, disturbed and judged on its interfaces", "`make faults`"),
-    ("wire-errors.md", "Errors on wires to a reader", "`make bench-wires`"),
+    ("wire-errors.md", "Errors on wires to a reader", "none today"),
     ("load.md", "Clients of all interfaces at once", "`make bench-load`"),
     ("page.md", "The page in Chromium", "`make bench-page`"),
     ("cameras.md", "Cameras: forged packets, automatic exposure, bit depth", "`make bench-spray`"),

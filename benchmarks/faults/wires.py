@@ -19,9 +19,8 @@ import numpy as np
 
 from altd.records import FloatArray
 from altd.telegram import Reader, Reading
-from benchmarks.interfaces import HOST, Interfaces
+from benchmarks.interfaces import HOST, Interfaces, raw_terminal
 from benchmarks.poller import ANSWER_BYTES, READ
-from benchmarks.wire_errors.polled import raw_terminal
 
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 DAY = date(2026, 11, 20)

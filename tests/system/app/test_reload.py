@@ -25,13 +25,14 @@ from zlib import crc32
 import pytest
 from paho.mqtt.client import CallbackAPIVersion, Client
 from support import proof_code
+from support.block_clients import RtuClient, TcpClient, telegrams
 from support.mqtt import mosquitto
 from support.played_unit import PlayedUnit, PlayingDaemon, playing
 from support.ports import free_port
 from support.unit_toml import write_config
 from support.wire import Wire
 
-from benchmarks.wire_errors.polled import RtuClient, TcpClient, raw_terminal, telegrams
+from benchmarks.interfaces import raw_terminal
 
 PROOF = proof_code.python()
 

@@ -8,9 +8,8 @@ import zlib
 from pathlib import Path
 
 from support import proof_code
+from support.block_clients import TcpClient
 from support.played_unit import PlayedUnit, PlayingDaemon, playing
-
-from benchmarks.wire_errors.polled import TcpClient
 
 
 def _said(daemon: PlayingDaemon) -> tuple[bytes, bytes, dict[str, object]]:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 from support import example_clients as clients
+from support.block_clients import TcpClient
 from support.example_clients import Judge, Polls, Verdict
 from support.played_unit import PlayedUnit, playing
 from support.scripted_unit import SERIAL, Wire, answering, block
-
-from benchmarks.wire_errors.polled import TcpClient
 
 GOOD, LIMIT_MS = "good", 30_000.0
 TRUTH = pytest.approx((10.0, 5.0, 1.1458, -1.7184), abs=0.02)
