@@ -13,15 +13,11 @@ unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would
 export VENV := .venv$(patsubst %,-%,$(notdir $(filter-out python3,$(PYTHON))))
 python := $(VENV)/bin/python
 LIVE_S ?= 60
-BROWSERS ?= emulated
-LOAD_S ?= 600
-PAGE_S ?= 3600
 CAMPAIGN_S ?= 180
 FAULT_RUNS ?= 120
 SOAK_H ?= 100
 FUZZ_S ?= 600
 FLEET ?= 1000
-CUT_S ?= 1800
 WORKSHOP ?= tests/workshop
 HOSTILE ?= 100000
 SPRAY_S ?= 600
@@ -130,37 +126,12 @@ bench-guest: venv kernel ## a minute with two cameras of the kernel's test drive
 bench-hostile: venv ## hostile inputs at every network interface and console beside a reader; HOSTILE=1000000 for a million each
 	@PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 exec $(python) -m fuzz.hostile --inputs $(HOSTILE)
 
-bench-history: programs venv kernel ## a year of history: its size and its trends; 200 kills, 50 power cuts
-	@$(python) -m benchmarks.history
-	PYTHONPATH=tests $(python) -m support.history_crash --times 200
+bench-history: programs venv kernel ## what a history loses in 200 kills and 50 power cuts
+	@PYTHONPATH=tests $(python) -m support.history_crash --times 200
 	ALTD_BENCH_POWER_CUTS=50 exec $(python) -m pytest -q -s tests/system/history/test_power_cut.py
-
-bench-load: venv ## ten minutes of clients at Modbus TCP and RTU, MQTT and HTTP: CPU of each, answers, ages, exposures lost; LOAD_S=60, BROWSERS=chromium
-	@.ci/programs must mosquitto
-	exec $(python) -m benchmarks.load --seconds $(LOAD_S) --browsers $(BROWSERS)
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=3600 for an hour, with the growth of memory
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
-
-bench-memory: venv ## peak memory and time of commands against nodes and frames; takes a quarter of an hour
-	@exec $(python) -m benchmarks.memory
-
-bench-outages: venv ## twenty units, network cut for half an hour, broker, ingest and PostgreSQL killed, batches repeated: rows lost or twice; as root; CUT_S=60
-	@.ci/programs must mosquitto '/usr/lib/postgresql/*/bin/initdb=postgresql'
-	exec unshare -n $(python) -m benchmarks.outages --cut $(CUT_S)
-
-bench-overload: venv ## a quarter of an hour of refused recordings, a full disk, and 64 addresses that connect: memory, polls cut
-	exec unshare -rmn $(python) -m benchmarks.overload
-
-bench-page: venv ## the page in Chromium: a year's trend, and its memory over an hour; PAGE_S=180 for three minutes
-	@.ci/programs must chromium
-	exec $(python) -m benchmarks.page --seconds $(PAGE_S)
-
-bench-selfcheck: venv ## what a self-check costs: exposures, light, gaps, and what a controller polls meanwhile
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.self_check_cost
-
-bench-sizes: venv ## the daemon on frames of 752 × 480, 2448 × 2048 and 4096 × 3000, polled over Modbus TCP
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.frame_sizes
 
 bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
 	@PYTHONPATH=tests exec unshare -rn $(python) -m fuzz.hostile.spray --seconds $(SPRAY_S)

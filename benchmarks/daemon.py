@@ -6,29 +6,23 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import AsyncIterator, Callable, Collection, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from altd.app.daemon import Daemon
-from altd.app.keeping import FILE_NAME, history_about
 from altd.config import Config
 from altd.errors import unwrap_group
-from altd.ports import Lamps
 from altd.records import FloatArray
-from altd.status.health import State
 from benchmarks.harness import child, reporter
-from benchmarks.interfaces import Interfaces, broker, interfaces
+from benchmarks.interfaces import broker, interfaces
 from benchmarks.material import CAMERAS, FPS, WINDOW, Material, Source, make_config
 from benchmarks.stages import pure_rate
 
-POLLS_PER_S = 10
 SETTLE_S = 1.2
 """Time until the window is full and every client is connected."""
-_MAX_HISTORY_BYTES = 400 * 10**6
-_PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,18 +74,14 @@ def measure_served(
     Without clients the telegrams go to the null device. Without a broker the unit tries to connect to one.
     """
     with interfaces() as unit, broker(unit.mqtt_port, has_broker):
-        places = "--http", unit.http_port, "--line", unit.telegram
-        polling = reporter(
-            *("benchmarks.poller", unit.modbus_port, "--rate", POLLS_PER_S, *places), pass_fds=[unit.telegram]
-        )
+        places = unit.modbus_port, unit.http_port, unit.telegram
+        polling = reporter("benchmarks.poller", *places, pass_fds=[unit.telegram])
         discarding = child(["/bin/cat"], stdin=unit.telegram, stdout=subprocess.DEVNULL)
         with polling if has_clients else discarding as clients:
 
             def dismiss() -> dict[str, int]:
-                if not has_clients:
-                    return {}
-                told = json.loads(clients.result())
-                return {"modbus answers": len(told.pop("polls")), **told}
+                told: dict[str, int] = json.loads(clients.result()) if has_clients else {}
+                return told
 
             config = make_config(**unit.tables)
             return asyncio.run(_load(material, name, FPS, seconds, config, dismiss))
@@ -176,17 +166,12 @@ def lost(daemon: Daemon) -> int:
 
 
 @contextlib.asynccontextmanager
-async def running(
-    source: Source, config: Config, lamps: Lamps | None = None, history: Path | None = None
-) -> AsyncIterator[Daemon]:
-    """Run a daemon on the cameras of a source within the block; its history is stored in ``history``.
+async def running(source: Source, config: Config) -> AsyncIterator[Daemon]:
+    """Run a daemon on the cameras of a source within the block.
 
     The block ends if the daemon does. Raises BadInputError for what the daemon refuses.
     """
-    daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps, rehearsal=True)
-    if history is not None:
-        about = history_about(config, source.material.calibration, daemon.board.quantities)
-        daemon.past.keep_in(history, _MAX_HISTORY_BYTES, about)
+    daemon = Daemon(config, source.material.calibration, source.cameras, rehearsal=True)
     try:
         async with asyncio.TaskGroup() as tasks:
             task = tasks.create_task(daemon.run(), name="daemon")
@@ -210,42 +195,3 @@ def _pin(cores: set[int]) -> None:
     for thread in Path("/proc/self/task").iterdir():
         with contextlib.suppress(ProcessLookupError):
             os.sched_setaffinity(int(thread.name), cores)
-
-
-@dataclass(frozen=True, slots=True)
-class ServedUnit:
-    """The daemon in this process, its cameras, and its interfaces."""
-
-    daemon: Daemon
-    source: Source
-    interfaces: Interfaces
-
-
-@contextlib.asynccontextmanager
-async def served_unit(
-    material: Material, folder: Path, rtu_lines: int = 0, more: Collection[str] = ()
-) -> AsyncIterator[ServedUnit]:
-    """Run a unit that measures and serves within the block; a history in ``folder`` is continued.
-
-    It has Modbus TCP and HTTP, ``rtu_lines`` of Modbus RTU, and ``more``: ``mqtt`` with a broker, ``opcua``.
-    """
-    with interfaces(rtu_lines) as unit, broker(unit.mqtt_port, "mqtt" in more):
-        _, *unit.tables["serial"] = unit.tables["serial"]
-        for table in {"mqtt", "opcua"}.difference(more):
-            del unit.tables[table]
-        config = make_config(**unit.tables, kept_frames={"folder": folder / "kept"})
-        source = Source(material, FPS)
-        async with running(source, config, history=folder / FILE_NAME) as daemon:
-            async with asyncio.timeout(_PATIENCE_S):
-                while not _is_serving(daemon, 2 + rtu_lines + len(more)):  # noqa: ASYNC110  there is no event
-                    await asyncio.sleep(0.05)
-            yield ServedUnit(daemon, source, unit)
-
-
-def _is_serving(daemon: Daemon, interfaces_count: int) -> bool:
-    """Whether there is a valid measurement and all interfaces are running."""
-    measurement = daemon.board.read()
-    names = ("http ", "modbus_tcp ", "mqtt ", "opcua ", "serial ")
-    states = [part.state for part in daemon.health if part.name.startswith(names)]
-    is_served = states == [State.OK] * interfaces_count
-    return is_served and measurement is not None and measurement.valid

@@ -49,7 +49,7 @@ _AGE_S = 2.0
 class DemoUnit:
     """A unit without cameras."""
 
-    def __init__(self, number: int, folder: Path, port: int, host: str = "127.0.0.1") -> None:
+    def __init__(self, number: int, folder: Path, port: int) -> None:
         self.number = number
         self._clock = SystemClock()
         serial = f"ALT-{number:04d}"
@@ -63,7 +63,7 @@ class DemoUnit:
         about = About(columns_of(QUANTITIES, ()), {"serial": serial})
         self._past.keep_in(folder / f"{serial}.db", _MAX_BYTES, about, has_outbox=True)
         self._component = self._health.component("mqtt")
-        settings = MqttSettings(host=host, port=port, store_and_forward=True)
+        settings = MqttSettings(host="127.0.0.1", port=port, store_and_forward=True)
         self._publisher = MqttPublisher(
             settings, self._board, self._health, self._component, random.Random(number), self._past.outbox
         )

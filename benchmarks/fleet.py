@@ -233,10 +233,10 @@ def faults(connection: str, units: Units) -> tuple[int, int]:
     return lost, twice
 
 
-def write_settings(folder: Path, connection: str, address: str = "127.0.0.1") -> tuple[int, list[str], Path]:
-    """Write settings of a broker at ``address`` and of an ingest; return its port and command, and theirs."""
+def write_settings(folder: Path, connection: str) -> tuple[int, list[str], Path]:
+    """Write settings of a broker and of an ingest; return its port and command, and theirs."""
     port, broker, ingest = free_port(), folder / "mosquitto.conf", folder / "fleet.toml"
-    lines = (f"listener {port} {address}", "allow_anonymous true", "max_inflight_messages 1000",
+    lines = (f"listener {port} 127.0.0.1", "allow_anonymous true", "max_inflight_messages 1000",
              "max_queued_messages 100000", "user root")  # fmt: skip
     broker.write_text("\n".join(lines) + "\n")
     ingest.write_text(

@@ -1,8 +1,4 @@
-"""The harness of all benchmarks: arguments, progress, tables, files, child processes, and the end.
-
-It imports nothing large, because a child process begins with the peak memory of its parent
-(``benchmarks.memory``).
-"""
+"""The harness of all benchmarks: arguments, progress, tables, files, child processes, and the end."""
 
 import argparse
 import contextlib
@@ -22,6 +18,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
+
+import cv2
+import numpy as np
 
 from altd.cli.arguments import Parser as OneLineParser
 from altd.files.writing import check_replaceable, write_file
@@ -58,17 +57,6 @@ class Parser(OneLineParser):
         """Add an option for a number above 0, or within the limits; ``unit`` is shown in the help."""
         low, high = limits or (math.nan, math.inf)
         self._add_number(name, default, what, unit, _number_in(float, low, high))
-
-    def counts(self, name: str, default: Sequence[int], what: str) -> None:
-        """Add an option for whole numbers, separated by commas, or none."""
-        read = _number_in(int, 1, math.inf)
-        self.add_argument(
-            name,
-            type=lambda text: tuple(read(part) for part in text.split(",") if part),
-            default=tuple(default),
-            metavar="N,...",
-            help=f"{what} (default {','.join(map(str, default))})",
-        )
 
     def seed(self, default: int = 1) -> None:
         """Add ``--seed``."""
@@ -199,9 +187,6 @@ def write_json(path: Path | None, figures: object) -> None:
 
 def machine() -> dict[str, str]:
     """Processor, load and versions that figures depend on."""
-    import cv2
-    import numpy as np
-
     model = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
     return {
         "cpu": model[0].split(":", 1)[1].strip() if model else platform.machine(),

@@ -26,7 +26,6 @@ class Interfaces:
     modbus_port: int
     http_port: int
     mqtt_port: int
-    opcua_port: int
     telegram: int
     rtu: tuple[int, ...]
 
@@ -57,7 +56,7 @@ def interfaces(rtu_lines: int = 1) -> Iterator[Interfaces]:
     }
     ends = tuple(end for end, _ in terminals)
     try:
-        yield Interfaces(tables, modbus_port, http_port, mqtt_port, opcua_port, ends[0], ends[1:])
+        yield Interfaces(tables, modbus_port, http_port, mqtt_port, ends[0], ends[1:])
     finally:
         for terminal in terminals:
             for end in terminal:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,13 +52,10 @@ class Material:
         Each pass is a separate playthrough, because its pictures repeat intentionally.
         """
         last = len(self.pairs) - 1
-        return stamped(self.pairs[last - abs(last - sequence % (2 * last))], sequence, t_ns, sequence // last)
-
-
-def stamped(pair: tuple[Frame, Frame], sequence: int, t_ns: int, playthrough: int) -> tuple[Frame, Frame]:
-    """The pictures of a pair as those of another frame set."""
-    front, rear = (replace(frame, sequence=sequence, t_ns=t_ns, playthrough=playthrough) for frame in pair)
-    return front, rear
+        pair = self.pairs[last - abs(last - sequence % (2 * last))]
+        turn = sequence // last
+        front, rear = (replace(each, sequence=sequence, t_ns=t_ns, playthrough=turn) for each in pair)
+        return front, rear
 
 
 def make_material(pairs: int, exposures_a_node: int) -> Material:
@@ -84,13 +80,8 @@ def make_pairs(count: int, pairs_per_s: float = FPS) -> list[tuple[Frame, Frame]
         simulated.UnitConfig(seed=SEED, fps=pairs_per_s, vibration=Vibration(), drive=Drive())
     )
     unit.place(BeamPose(4.0, -3.0, 0.02, -0.03))
-    return exposed(unit, range(count))
-
-
-def exposed(unit: simulated.Unit, sequences: Iterable[int]) -> list[tuple[Frame, Frame]]:
-    """Pairs (front, rear) of a unit, exposed one period apart."""
     pairs = []
-    for sequence in sequences:
+    for sequence in range(count):
         t_ns = sequence * unit.config.period_ns
         front, rear = (unit.expose(camera, sequence, t_ns) for camera in CAMERAS)
         pairs.append((front, rear))

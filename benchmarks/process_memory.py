@@ -9,23 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-_PSS = re.compile(r"^Pss:\s+(\d+) kB$", re.MULTILINE)
 MAX_GROWTH_MB_PER_HOUR = 1.0
 _RESIDENT = re.compile(r"^VmRSS:\s+(\d+) kB$", re.MULTILINE)
 
 
 def resident_mb(pid: int | str = "self") -> float:
     """Resident memory of a process, including all shared memory; raises OSError."""
-    return _megabytes(_RESIDENT, Path(f"/proc/{pid}/status"))
-
-
-def proportional_mb(pid: int) -> float:
-    """Proportional set size, with its share of shared memory; raises OSError."""
-    return _megabytes(_PSS, Path(f"/proc/{pid}/smaps_rollup"))
-
-
-def _megabytes(line: re.Pattern[str], file: Path) -> float:
-    found = line.search(file.read_text())
+    found = _RESIDENT.search(Path(f"/proc/{pid}/status").read_text())
     return int(found[1]) * 1024e-6 if found else 0.0
 
 

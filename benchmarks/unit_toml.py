@@ -1,4 +1,4 @@
-"""Settings of a unit, as a file; this module imports nothing large."""
+"""Settings of a unit, as a file."""
 
 
 def unit_toml(serial: str, calibration: object, front: str, rear: str) -> str:

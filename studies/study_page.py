@@ -21,8 +21,8 @@ FURTHER = (
     ("campaign.md", "Disturbed measurements, judged by truth", "`make campaign`"),
     ("faults.md", "The whole daemon, disturbed and judged on its interfaces", "`make faults`"),
     ("wire-errors.md", "Errors on wires to a reader", "none today"),
-    ("load.md", "Clients of all interfaces at once", "`make bench-load`"),
-    ("page.md", "The page in Chromium", "`make bench-page`"),
+    ("load.md", "Clients of all interfaces at once", "none today"),
+    ("page.md", "The page in Chromium", "none today"),
     ("cameras.md", "Cameras: forged packets, automatic exposure, bit depth", "`make bench-spray`"),
 )
 """Pages of other programs: file, title and the command that measures it."""

@@ -133,7 +133,7 @@ def run_real(name: str) -> Result:
         demo = module_command("hw_sim", "demo", "--seed", _SEED, *files, *ports)
         unit = _Process(demo, disk, parts)
         line = parts.enter_context(contextlib.closing(TelegramLine(folder / "unused")))
-        wires = Wires(Interfaces({}, modbus, http, 0, 0, -1, ()), line, disk / "altd.sock", _ANSWER_S)
+        wires = Wires(Interfaces({}, modbus, http, 0, -1, ()), line, disk / "altd.sock", _ANSWER_S)
         return asyncio.run(_watched(unit, wires, name))
 
 

@@ -124,23 +124,16 @@ def both_cameras(folder: Path, *more: str) -> Iterator[Child]:
 
 
 @contextlib.contextmanager
-def behind_link(command: Sequence[str], log: Path) -> Iterator[Child]:
-    """Run a command in its own namespace, at the far end of a pair of virtual Ethernet cards."""
+def camera_behind_link(folder: Path) -> Iterator[Child]:
+    """Serve the front camera in its own namespace, at the far end of a pair of virtual Ethernet cards."""
+    serve = cameras_command(SEED, "--only", "front", "--front", LINKED)
     setup = f"ip link set lo up; until ip address add {LINKED}/24 dev far 2>/dev/null; do sleep 0.05; done"
     shell = f'{setup}; ip link set far up; exec "$@"'
-    with child(["unshare", "-n", "sh", "-c", shell, "sh", *command], log) as process:
+    with child(["unshare", "-n", "sh", "-c", shell, "sh", *serve], folder / "linked.log") as camera:
         time.sleep(0.3)  # until unshare has made the namespace
-        ip("link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(process.process.pid))
+        ip("link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(camera.process.pid))
         ip("address", "add", f"{NEAR}/24", "dev", "near")
         set_link("up")
-        yield process
-
-
-@contextlib.contextmanager
-def camera_behind_link(folder: Path) -> Iterator[Child]:
-    """Serve the front camera behind a link."""
-    serve = cameras_command(SEED, "--only", "front", "--front", LINKED)
-    with behind_link(serve, folder / "linked.log") as camera:
         camera.await_text(_READY)
         yield camera
 

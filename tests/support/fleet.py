@@ -9,11 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import psycopg
+
 from altd.history.history import History
 from altd.history.outbox import Outbox
+from altd.history.reader import Reader
+from altd.history.schema import SECONDS
 from altd.history.store import Store
 from benchmarks.fleet import ingesting
-from benchmarks.outages import Row, history_rows, stored_rows
 from benchmarks.postgresql import Cluster, programs
 from benchmarks.postgresql import postgresql as server
 from support.foreign import need, need_program
@@ -34,6 +37,8 @@ __all__ = [
 ]
 
 LIMITS = "max_inflight_messages 1000", "max_queued_messages 10000"
+Row = tuple[str, int, *tuple[object, ...]]
+"""Serial, time in s, the columns of the second, and its values by quantity."""
 
 
 @contextlib.contextmanager
@@ -130,7 +135,23 @@ class FleetUnit:
 
     def rows(self) -> set[Row]:
         """All seconds of the history, as ``stored_rows`` has those of the database."""
-        return history_rows(self.serial, self.path)
+        rows: set[Row] = set()
+        with Reader(self.path) as reader:
+            for point in reader.summaries(SECONDS, 0, 2**52):
+                values = sorted((key, (v.mean, v.sigma, v.low, v.high)) for key, v in point.values.items())
+                counts = point.n, point.n_valid, point.worst, point.worst_code, point.lost_to
+                rows.add((self.serial, point.t_us // 10**6, *counts, tuple(values)))
+        return rows
+
+
+def stored_rows(connection: str) -> list[Row]:
+    """All seconds of the database, in the order of their sequences."""
+    with psycopg.connect(connection) as opened:
+        found = opened.execute(
+            "SELECT serial, extract(epoch FROM time)::bigint, n, n_valid, s.worst, s.cause, lost_to, "
+            "quantities FROM altd.seconds AS s JOIN altd.units ON units.id = unit ORDER BY serial, sequence"
+        ).fetchall()
+    return [(*row[:7], tuple(sorted((key, tuple(value)) for key, value in row[7].items()))) for row in found]
 
 
 async def until(condition: Callable[[], bool], within_s: float = 60.0) -> None:

@@ -14,6 +14,7 @@ import pytest
 import pytest_asyncio
 from support.greedy_clients import EMPTY_PING, HANDSHAKE, NEXT, crowd, get, polled, watched_machine
 from support.led_unit import LedUnit, config, led_unit
+from support.made_history import make_history
 from support.ports import free_port
 from websockets.asyncio.client import connect
 
@@ -23,7 +24,6 @@ from altd.measuring.calibration import Calibration
 from altd.publish.http.pictures import MAX_VIEWERS
 from altd.publish.http.server import MAX_CONNECTIONS
 from altd.records import Frame
-from benchmarks.history import make_history
 from benchmarks.process_memory import resident_mb
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, FRONT

@@ -1,17 +1,13 @@
 """The benchmarks of the fleet find all that was sent, and its demo shows units that fail."""
 
 import asyncio
-import os
 import signal
-import subprocess
-import sys
 
 import psycopg
 import pytest
 from support.cli import Outcome, altd
 from support.fleet import postgresql
 from support.foreign import need, need_program
-from support.places import ROOT
 
 from altd.fleet.database import migrate
 from benchmarks import demo_fleet
@@ -63,22 +59,3 @@ async def test_the_demo_waits_for_a_database_that_restarts(
         cluster.start()
         await shown("newest")
         showing.cancel()
-
-
-def test_outages_lose_nothing() -> None:
-    need(os.getuid() == 0, "only root can connect two networks")
-    need(programs() is not None, "PostgreSQL is not installed (Debian package postgresql)")
-    need_program("mosquitto")
-    command = ["unshare", "-n", sys.executable, "-m", "benchmarks.outages"]
-    done = subprocess.run(
-        [*command, "--cut", "15", "--kills", "2", "--crashes", "1"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, (done.stdout, done.stderr)
-    assert "link down for 15 s; killed: " in done.stdout
-    assert "missing 0, different 0, twice 0, order kept" in done.stdout
-    rows = int(done.stdout.partition("rows of the units ")[2].partition(",")[0])
-    assert rows > 20 * 10

@@ -65,7 +65,6 @@ def test_a_child_reports_when_its_standard_input_ends() -> None:
         (["--seconds", "0"], "--seconds: '0' is not a number above 0"),
         (["--seconds", "nan"], "--seconds: 'nan' is not a number above 0"),
         (["--units", "two"], "--units: 'two' is not a whole number from 1"),
-        (["--sizes", "3,x"], "--sizes: 'x' is not a whole number from 1"),
         (["--share", "1.5"], "--share: '1.5' is not a number from 0 to 1"),
         (["--only", "beam,lamp"], "--only: unknown 'lamp'; known are beam, frame"),
     ],
@@ -77,12 +76,10 @@ def test_a_wrong_argument_is_one_line(
     parser.number("--seconds", 60.0, "of the run")
     parser.number("--share", 0.2, "of the pairs", "SHARE", (0.0, 1.0))
     parser.count("--units", 20, "that are live")
-    parser.counts("--sizes", (30, 120), "of the scans")
     parser.names("--only", ("beam", "frame"), "parts")
     parser.json()
     options = parser.parse_args(["--seconds", "2.5", "--only", "beam"])
     assert (options.seconds, options.share, options.units, options.only) == (2.5, 0.2, 20, ("beam",))
-    assert (options.sizes, parser.parse_args(["--sizes", ""]).sizes) == ((30, 120), ())
     assert "of the run (default 60)" in parser.format_help()
     with pytest.raises(SystemExit):
         parser.parse_args(given)

@@ -10,7 +10,7 @@ from support.cli import altd
 
 from altd.errors import BadInputError
 from benchmarks.daemon import measure_served
-from benchmarks.frame_sizes import make_large_material
+from benchmarks.material import make_material
 from benchmarks.measure import SERVED
 
 
@@ -97,4 +97,4 @@ def test_an_interface_that_cannot_be_made_ends_the_benchmark(monkeypatch: pytest
     """Without asyncua the benchmark waited without end for its child process."""
     monkeypatch.setattr("altd.publish.opcua.publisher.find_spec", lambda name: None)
     with pytest.raises(BadInputError, match="needs asyncua"):
-        measure_served(make_large_material(752, 480, 2), "unread", 1.0, has_broker=False, has_clients=False)
+        measure_served(make_material(2, 1), "unread", 1.0, has_broker=False, has_clients=False)
