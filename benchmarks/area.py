@@ -24,7 +24,7 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import open_recording
 from altd.records import Measurement
-from benchmarks.harness import Columns, Parser, end, quiet
+from benchmarks.harness import KEYS, Columns, Parser, end, quiet
 from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose, Laser
 from hw_sim.flat import RASTER_PITCH_MM, record_flat, record_laser_flat
@@ -38,7 +38,6 @@ from hw_sim.unit import CAMERAS, EXPOSURES_MS, Unit, UnitConfig
 TIGHT_HALF_MM = (74.0, 59.0)
 NARROW_PITCH_MM = 25.0
 OUTER_MM = 10.0
-KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 WINDOW = 4
 FLAT_EXPOSURES = 10
 FLAT_SHARE = 0.6

@@ -36,12 +36,11 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from altd.publish.mqtt.outbox import MAX_UNACKNOWLEDGED_S
 from altd.status.outbox import MAX_NUMBERS, Second
 from altd.status.proof import sealed
-from benchmarks.harness import Parser, child, cpu_s, end, meanwhile, module_command, until
+from benchmarks.harness import KEYS, Parser, child, cpu_s, end, meanwhile, module_command, until
 from benchmarks.postgresql import postgresql
 from hw_sim.ports import free_port
 
-QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
-ROWS_PER_BATCH = MAX_NUMBERS // (len(Second._fields) + 4 * len(QUANTITIES))
+ROWS_PER_BATCH = MAX_NUMBERS // (len(Second._fields) + 4 * len(KEYS))
 WEEK_S = 7 * 86_400
 _TIMEOUT_S = 120.0
 
@@ -86,7 +85,7 @@ class Unit:
             "last": last,
             "newest": self.newest,
             "dropped": 0,
-            "quantities": QUANTITIES,
+            "quantities": KEYS,
             "rows": [self.row(sequence) for sequence in range(self.sent + 1, last + 1)],
             "unit": "00000000", "session": "00000000", "message": last, "published": last * 20,
             "clock_ms": last * 1000, "age_s": 0.5,

@@ -26,6 +26,9 @@ from altd.cli.arguments import Parser as OneLineParser
 from altd.files.writing import check_replaceable, write_file
 from altd.process.endings import run_to_end
 
+HOST = "127.0.0.1"
+KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+"""Keys of a measurement's values."""
 ROOT = Path(__file__).resolve().parents[1]
 """Folder in which child processes start."""
 _START_TIMEOUT_S = 120.0

@@ -8,12 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.harness import child
+from benchmarks.harness import HOST, child
 from benchmarks.poller import connected
 from hw_sim.ports import free_port
 
 BAUD = 115200
-HOST = "127.0.0.1"
 BROKER = shutil.which("mosquitto") or ""
 """Path of the broker for measurements with MQTT; empty if it is not installed."""
 

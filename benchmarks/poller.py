@@ -12,13 +12,13 @@ import struct
 import sys
 import time
 
+from benchmarks.harness import HOST
+
 REGISTERS = 100
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, REGISTERS)
 """Request for the first input registers (function 4)."""
 ANSWER_BYTES = 9 + 2 * REGISTERS
 POLLS_PER_S = 10
-
-_HOST = "127.0.0.1"
 
 
 def main() -> int:
@@ -49,7 +49,7 @@ def connected(port: int, timeout_s: float = 5.0) -> socket.socket:
     give_up_s = time.monotonic() + timeout_s
     while True:
         try:
-            link = socket.create_connection((_HOST, port), timeout=timeout_s)
+            link = socket.create_connection((HOST, port), timeout=timeout_s)
         except ConnectionRefusedError:
             if time.monotonic() > give_up_s:
                 raise

@@ -128,7 +128,7 @@ def _truth_of(
     return truth_of(measurement, np.array([truth[n] for n in window]), times_ns)
 
 
-_START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
+START_UTC = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 _TURNS = 6
 """Turns of the event loop in which every woken task reaches its next wait."""
 
@@ -147,7 +147,7 @@ class SteppedClock:
 
     def utc(self, t_ns: int) -> datetime:
         """UTC of a monotonic instant."""
-        return _START + timedelta(microseconds=t_ns / 1000)
+        return START_UTC + timedelta(microseconds=t_ns / 1000)
 
     async def sleep(self, seconds: float) -> None:
         """Wait until the time has been set that far."""

@@ -10,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from altd.records import FloatArray, Measurement
+from benchmarks.harness import KEYS
 
 HIDDEN_SUFFIX = " (hidden)"
 """Suffix of a way's name for its episodes that the drawn unit cannot detect."""
@@ -74,7 +75,7 @@ def truth_of(measurement: Measurement, places: FloatArray, times_ns: FloatArray)
 
 def arrays(measurement: Measurement) -> tuple[FloatArray, FloatArray]:
     """Values x mm, y mm, yaw °, pitch ° of a valid measurement, and their sigmas."""
-    values = [measurement.values[key] for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
+    values = [measurement.values[key] for key in KEYS]
     return np.array([each.value for each in values]), np.array(
         [each.sigma for each in values], dtype=np.float64
     )

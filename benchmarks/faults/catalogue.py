@@ -17,7 +17,7 @@ from benchmarks.campaign.ways import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.ways.spots import photographed_beam
 from benchmarks.faults.live import LiveUnit
 from benchmarks.faults.wires import Wires
-from benchmarks.interfaces import HOST
+from benchmarks.harness import HOST
 from benchmarks.poller import READ
 
 Act = Callable[[LiveUnit, Wires, Draw], AsyncGenerator[None]]

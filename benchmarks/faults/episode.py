@@ -9,7 +9,6 @@ import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from altd.devices.aravis.device_clock import DeviceClock
 from altd.records import FloatArray, Frame
 from benchmarks.campaign.clips import SimulatedClip, SimulatedRig
 from benchmarks.campaign.detectability import Subject
-from benchmarks.campaign.episode import shots_of
+from benchmarks.campaign.episode import START_UTC, shots_of
 from benchmarks.campaign.way import CAMERAS, MS, PERIOD_NS, START_NS, Draw, Spoil, both
 from benchmarks.campaign.ways.times import TRANSFER_NS, Delivery, Mistimed, undisturbed
 from benchmarks.faults.catalogue import Act, Fault
@@ -35,7 +34,6 @@ _STEADY_NS = 250 * MS
 _SHORTEST, _LONGEST = 20, 40
 """Minimum and maximum number of exposures of a fault without its own end."""
 _READ_AFTER_NS = 25 * MS
-_START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +223,7 @@ async def _run(
                 for act in acts:
                     await anext(act)
             shown = await wires.read()
-            judge.take(shown, now_ns, _START + unit.clock.utc_step)
+            judge.take(shown, now_ns, START_UTC + unit.clock.utc_step)
             is_back = judge.back_ns is not None and now_ns - judge.back_ns > steady_ns
             if is_back or now_ns - film.end_ns > BACK * PERIOD_NS:
                 break

@@ -19,10 +19,10 @@ import numpy as np
 
 from altd.records import FloatArray
 from altd.telegram import Reader, Reading
-from benchmarks.interfaces import HOST, Interfaces, raw_terminal
+from benchmarks.harness import HOST, KEYS
+from benchmarks.interfaces import Interfaces, raw_terminal
 from benchmarks.poller import ANSWER_BYTES, READ
 
-KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 DAY = date(2026, 11, 20)
 """Date of every run, which is shorter than a day: a telegram has a time and no date."""
 _ORIGINS = ("rehearsal", "simulated", "calibration_simulated")

@@ -25,7 +25,7 @@ from altd.app.daemon import Daemon
 from altd.app.parts import calibration_of
 from altd.config import load_config
 from altd.status.measurement_json import as_object
-from benchmarks.harness import Child, Columns, Parser, end, reporter, write_json
+from benchmarks.harness import KEYS, Child, Columns, Parser, end, reporter, write_json
 from benchmarks.live.parts import (
     FRONT,
     LINKED,
@@ -46,8 +46,6 @@ from hw_sim.camera import make_cameras
 from hw_sim.gige.command import make_unit
 from hw_sim.unit import CAMERAS, Unit
 
-QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
-
 
 @dataclass(frozen=True, slots=True)
 class Truthfulness:
@@ -59,11 +57,11 @@ class Truthfulness:
 
 def truthfulness(unit: Unit, measurements: Iterable[dict[str, Any]]) -> Truthfulness:
     """Errors of measurements against the machine's position, without its vibration, at their times."""
-    errors: dict[str, list[float]] = {name: [] for name in QUANTITIES}
-    ratios: dict[str, list[float]] = {name: [] for name in QUANTITIES}
+    errors: dict[str, list[float]] = {name: [] for name in KEYS}
+    ratios: dict[str, list[float]] = {name: [] for name in KEYS}
     for one in measurements:
         truth = unit.truth(round(one["t_s"] * 1e9), vibration=False)
-        for name in QUANTITIES:
+        for name in KEYS:
             errors[name].append(one[name] - getattr(truth, name))
             ratios[name].append(errors[name][-1] / one["sigma"][name])
     return Truthfulness(
@@ -298,7 +296,7 @@ def _steady_lines(steady: Steady, in_process: Truthfulness) -> Iterator[str]:
     )
     yield f"memory grows between: {growth}"
     yield _ERRORS.head
-    for name in QUANTITIES:
+    for name in KEYS:
         wire, bare = steady.errors.rms[name], in_process.rms[name]
         yield _ERRORS.row(name, wire, bare, wire / bare, steady.errors.rms_in_sigmas[name])
 

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from benchmarks.harness import HOST
 from benchmarks.poller import connected, read_registers
 from hw_sim.ports import free_port
 
-_HOST = "127.0.0.1"
 _POLL_INTERVAL_S = 0.05
 _ANSWER_TIMEOUT_S = 5.0
 
@@ -101,7 +101,7 @@ class Watch:
 
     def status(self) -> dict[str, Any]:
         """Status of the unit with its components."""
-        connection = http.client.HTTPConnection(_HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
+        connection = http.client.HTTPConnection(HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
         try:
             connection.request("GET", "/api/status")
             answer: dict[str, Any] = json.loads(connection.getresponse().read())
@@ -117,7 +117,7 @@ class Watch:
                 self.failure = error
 
     def _listen(self) -> None:
-        connection = http.client.HTTPConnection(_HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
+        connection = http.client.HTTPConnection(HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
         connection.request("GET", "/api/stream")
         stream = connection.getresponse()
         try:

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from fuzz.hostile.datagrams import FOREIGN, PHASES
 
-from benchmarks.harness import child
-from benchmarks.live.measure import QUANTITIES
+from benchmarks.harness import KEYS, child
 from benchmarks.live.parts import FRONT, REAR, SEED, both_cameras, calibrate, ip, measuring_daemon
 from benchmarks.live.watch import Received
 from benchmarks.process_memory import resident_mb
@@ -134,7 +133,7 @@ def _phases(log: str, ended_s: float, seen: list[Received]) -> dict[str, Phase]:
 def _wrong(seen: Received, unit: Unit) -> Iterator[str]:
     measurement = seen.measurement
     truth = unit.truth(round(measurement["t_s"] * 1e9), vibration=False)
-    for name in QUANTITIES:
+    for name in KEYS:
         error = measurement[name] - getattr(truth, name)
         if abs(error) > max(WRONG_SIGMAS * measurement["sigma"][name], MIN_WRONG_ERRORS[name]):
             yield f"{measurement['time']} {name} wrong by {error:.4f}, sigma {measurement['sigma'][name]:.4f}"
