@@ -9,8 +9,9 @@ import pytest
 from support.cli import altd
 
 from altd.errors import BadInputError
+from altd.measuring.calibration import Calibration
 from benchmarks.daemon import measure_served
-from benchmarks.material import make_material
+from benchmarks.material import Material, make_pairs
 from benchmarks.measure import SERVED
 
 
@@ -93,8 +94,11 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     assert done.out.splitlines()[-1].startswith("cpu ")
 
 
-def test_an_interface_that_cannot_be_made_ends_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interface_that_cannot_be_made_ends_the_benchmark(
+    monkeypatch: pytest.MonkeyPatch, calibration_of_unit_3: Calibration
+) -> None:
     """Without asyncua the benchmark waited without end for its child process."""
     monkeypatch.setattr("altd.publish.opcua.publisher.find_spec", lambda name: None)
+    material = Material(tuple(make_pairs(2)), calibration_of_unit_3, calibration_of_unit_3)
     with pytest.raises(BadInputError, match="needs asyncua"):
-        measure_served(make_material(2, 1), "unread", 1.0, has_broker=False, has_clients=False)
+        measure_served(material, "unread", 1.0, has_broker=False, has_clients=False)
