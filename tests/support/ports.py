@@ -27,3 +27,12 @@ def free_port() -> int:
             continue
         _given.add(port)
         return port
+
+
+def has_ipv6() -> bool:
+    """Whether the loopback interface has its IPv6 address."""
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        return False
+    return True

@@ -15,10 +15,11 @@ from unittest.mock import Mock
 import pytest
 from support.clock import FakeClock
 from support.foreign import need
+from support.ports import has_ipv6
 
 from altd import tcp_port
 from altd.status.health import Component
-from altd.tcp_port import Networks, accept, address_of, group_of, is_among_last, listen, listen_with_reserved
+from altd.tcp_port import accept, address_of, group_of, is_among_last, listen, listen_with_reserved
 
 
 @pytest.fixture
@@ -220,15 +221,6 @@ def test_every_address_is_served_in_both_versions_of_ip(
         assert ready == [listeners[queue]]
 
 
-def has_ipv6() -> bool:
-    """Whether the loopback interface has its IPv6 address."""
-    try:
-        listen("::1", 0).close()
-    except OSError:
-        return False
-    return True
-
-
 @pytest.mark.parametrize("reserved", [[], ["::/0"]])
 def test_without_reserved_clients_of_the_family_there_is_one_queue(reserved: list[str]) -> None:
     (listener,) = listen_with_reserved("127.0.0.1", 0, reserved)
@@ -272,18 +264,3 @@ def test_two_daemons_never_share_a_port(first: list[str], second: list[str]) -> 
 def test_a_host_with_a_network_of_its_own_counts_once(host: str, group: str) -> None:
     address = address_of(host)
     assert group_of(address) == group
-
-
-@pytest.mark.parametrize(
-    ("host", "expected"),
-    [
-        ("192.168.1.10", True),
-        ("::ffff:192.168.1.10", True),
-        ("192.168.1.11", False),
-        ("fd00::7", True),
-        ("127.0.0.1", False),
-        ("unit", False),
-    ],
-)
-def test_networks_hold_their_addresses_and_nothing_else(host: str, expected: bool) -> None:
-    assert (address_of(host) in Networks(["192.168.1.10", "fd00::/8"])) is expected

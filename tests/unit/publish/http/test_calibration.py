@@ -59,7 +59,7 @@ async def test_a_report_may_do_nothing_in_the_pages_name(unit: Unit, files: File
     assert (answer.status, answer.json) == (404, {"error": "there is none"})
 
 
-@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("path", [*PATHS, "/api/v1/diagnostics"])
 async def test_the_files_hold_pictures_and_are_for_who_may_see_them(
     served: Served, files: Files, tmp_path: Path, path: str
 ) -> None:

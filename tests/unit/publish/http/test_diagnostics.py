@@ -17,7 +17,6 @@ from support.history import START_S, WallClock, at, event, store, write_seconds
 from support.history import batch as batch_of
 
 from altd.app.calibration_summary import summary_of
-from altd.credentials.file import change
 from altd.history.history import History
 from altd.publish.http import diagnostics
 from altd.status.board import Board
@@ -177,12 +176,3 @@ async def test_a_clock_that_is_set_wrong_is_no_obstacle(
         assert set(opened(await unit.ask(PATH), tmp_path)) == ALWAYS
     with zipfile.ZipFile(tmp_path / "got.zip") as archive:
         assert {entry.date_time[0] for entry in archive.infolist()} == {dated}
-
-
-async def test_it_is_for_who_may_see_pictures(board: Board, health: Health, tmp_path: Path) -> None:
-    change(tmp_path / "known", "press", lambda known: known.with_token("press", bytes(32)))
-    async with served_with(board, health, None, credentials=tmp_path / "known") as unit:
-        assert (await unit.ask(PATH)).status == 401
-    async with served_with(board, health, None) as unit:
-        answer = await unit.ask(PATH, "HEAD")
-    assert (answer.status, answer.body, answer.headers["content-type"]) == (200, b"", "application/zip")

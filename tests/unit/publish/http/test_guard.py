@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
-from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, IDLE_S, MAX_FAMILIAR
+from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR
 from altd.publish.http.errors import Refused
 from altd.publish.http.guard import Guard
 from altd.status.health import Component, Health, State
@@ -302,12 +302,6 @@ async def test_pictures_end_with_the_session_that_they_were_shown_to(unit: Unit,
         await browser.send("next")
         with pytest.raises(ConnectionClosed, match="1008"):
             await browser.recv()
-
-
-async def test_a_session_ends_by_itself(unit: Unit, clock: FakeClock) -> None:
-    cookie = cookie_of(await log_in(unit))
-    clock.now_ns += round((IDLE_S + 1) * 1e9)
-    assert (await check(unit, Cookie=cookie)).status == 401
 
 
 async def test_without_credentials_nobody_can_log_in(served: Served) -> None:

@@ -142,10 +142,31 @@ def test_values_that_are_not_from_cameras_are_named_for_their_origin(
     assert (shown["verdict"], shown["kind"]) == (verdict, "warned")
 
 
-def test_with_the_connection_all_goes_that_is_not_known_any_more(page: Page) -> None:
+@pytest.mark.parametrize(
+    ("orders", "verdict"),
+    [
+        ([{"answers": {}, "pass_ms": 1000, "tick": True}], "no connection to the unit"),
+        (
+            [
+                {"answers": {STATUS_PATH: "silent"}, "pass_ms": 1000, "tick": True},
+                {"pass_ms": 1500, "give_up": True},
+            ],
+            "no connection to the unit",
+        ),
+        (
+            [{"answers": {STATUS_PATH: "silent"}, "pass_ms": 3_600_000, "tick": True}],
+            "no news from the unit",
+        ),
+    ],
+    ids=["refused", "a cable that was cut: nothing fails, nothing comes", "the page slept"],
+)
+def test_with_the_connection_all_goes_that_is_not_known_any_more(
+    page: Page, orders: list[dict[str, Any]], verdict: str
+) -> None:
     page.measuring()
-    shown = page.do(answers={}, pass_ms=1000, tick=True)
-    assert (shown["verdict"], shown["kind"]) == ("no connection to the unit", "unknown")
+    for order in orders:
+        shown = page.do(**order)
+    assert (shown["verdict"], shown["kind"]) == (verdict, "unknown")
     assert shown.items() >= NOTHING.items()
 
 
@@ -153,22 +174,6 @@ def test_a_stream_that_breaks_takes_its_values_along_and_the_state_is_asked_at_o
     page.measuring()
     shown = page.do(answers={}, broken=2)
     assert shown["asked"] == [STATUS_PATH]
-    assert shown.items() >= NOTHING.items()
-
-
-def test_a_unit_that_does_not_answer_is_given_up(page: Page) -> None:
-    """A cable that was cut: nothing fails, nothing comes."""
-    page.measuring()
-    page.do(answers={STATUS_PATH: "silent"}, pass_ms=1000, tick=True)
-    shown = page.do(pass_ms=1500, give_up=True)
-    assert shown["verdict"] == "no connection to the unit"
-    assert shown.items() >= NOTHING.items()
-
-
-def test_a_page_that_slept_shows_nothing_old_while_it_asks(page: Page) -> None:
-    page.measuring()
-    shown = page.do(answers={STATUS_PATH: "silent"}, pass_ms=3_600_000, tick=True)
-    assert shown["verdict"] == "no news from the unit"
     assert shown.items() >= NOTHING.items()
 
 

@@ -19,9 +19,13 @@ SHOWN_AXES = {"middle": [375, 240], "x_axis": [-4, 0], "y_axis": [0, -4]}
 
 
 async def test_a_browser_gets_the_newest_picture_of_each_target_with_what_is_in_it(
-    served: Served, maker: Maker
+    served: Served, maker: Maker, clock: FakeClock
 ) -> None:
-    maker.put(picture("front", 7), picture("rear", 3, spot=None, why="rear_spot_missing", leds_on=True))
+    light_ns = clock.now_ns - 1_234_000_000
+    maker.put(
+        picture("front", 7, t_ns=light_ns),
+        picture("rear", 3, spot=None, why="rear_spot_missing", leds_on=True),
+    )
     async with served() as unit, looking(unit) as browser:
         assert await first(browser) == {
             "views": [
@@ -41,7 +45,7 @@ async def test_a_browser_gets_the_newest_picture_of_each_target_with_what_is_in_
         assert front == {
             "target": "front",
             "sequence": 107,
-            "age_s": 0.0,
+            "age_s": 1.234,
             "width": 752,
             "height": 480,
             "spot": {
@@ -81,15 +85,6 @@ async def test_where_nothing_new_comes_it_is_told_that_the_unit_is_there(
         assert await shown(browser) == []
         maker.put(picture("rear", 1))
         assert len(await shown(browser)) == 1
-
-
-async def test_a_picture_says_how_old_its_light_is(
-    served: Served, maker: Maker, component: Component
-) -> None:
-    maker.put(picture("front", 1, t_ns=component.clock.monotonic_ns() - 1_234_000_000))
-    async with served() as unit, looking(unit) as browser:
-        await first(browser)
-        assert (await shown(browser))[0][0]["age_s"] == 1.234
 
 
 async def test_a_message_says_for_how_long_the_unit_held_it(

@@ -2,10 +2,8 @@
 
 import asyncio
 import contextlib
-import random
 import socket
 import struct
-from collections.abc import AsyncIterator
 
 import pytest
 from support.picture_maker import Maker, picture
@@ -105,60 +103,3 @@ async def test_a_page_of_another_site_sees_no_pictures(unit: Unit, maker: Maker)
         assert refused.value.response.status_code == 403
     async with looking(unit, origin=f"http://127.0.0.1:{unit.port}") as browser:
         await first(browser)
-
-
-@contextlib.asynccontextmanager
-async def one_that_looks(unit: Unit, maker: Maker) -> AsyncIterator[list[int]]:
-    """A browser that must be shown every picture that is made, whatever happens beside it."""
-    seen: list[int] = []
-    ended = asyncio.Event()
-
-    async def look() -> None:
-        async with looking(unit) as browser:
-            await first(browser)
-            while not ended.is_set():
-                maker.put(picture("front", len(seen) + 1))
-                seen.extend(each["sequence"] - 100 for each, _ in await shown(browser))
-                await asyncio.sleep(0.02)  # as the unit's own pictures, which come ten times a second
-
-    task = asyncio.create_task(look())
-    yield seen
-    ended.set()
-    await task
-    assert len(seen) > 20
-    assert seen == list(range(1, len(seen) + 1))
-
-
-def hostile(rng: random.Random) -> bytes:
-    """A corrupted handshake, or a good one with frames that no browser sends."""
-    spoilt = bytearray(HANDSHAKE)
-    if rng.random() < 0.4:
-        for _ in range(rng.randint(1, 6)):
-            spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
-        return bytes(spoilt)
-    frames = bytearray()
-    for _ in range(rng.randint(1, 8)):
-        length = rng.choice([0, 1, 5, 125, 126, 127])
-        frames += bytes([rng.randrange(256), rng.choice([0, 128]) | length])
-        frames += rng.randbytes(rng.choice([0, 2, 4, 8, 12, 200]))
-    return HANDSHAKE + bytes(frames)
-
-
-async def test_garbage_does_not_trouble_it_nor_who_looks_beside_it(
-    unit: Unit, maker: Maker, caplog: pytest.LogCaptureFixture
-) -> None:
-    rng = random.Random(1)
-    async with one_that_looks(unit, maker):
-        for _ in range(40):
-            await asyncio.gather(*(_throw(unit, hostile(rng)) for _ in range(10)))
-    await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
-    assert not unit.task.done()
-    assert caplog.records == []
-
-
-async def _throw(unit: Unit, data: bytes) -> None:
-    reader, writer = await unit.connect()
-    writer.write(data)
-    with contextlib.suppress(ConnectionError, TimeoutError):
-        await asyncio.wait_for(reader.read(4096), 0.05)
-    writer.close()

@@ -36,12 +36,6 @@ async def test_before_the_first_check_says_so(unit: Unit, health: Health) -> Non
     assert before == {"verdict": None, "reasons": [why], "unavailable": ""}
 
 
-async def test_the_last_check_is_for_anybody_to_read(unit: Unit, health: Health) -> None:
-    health.self_check.publish(report(3))
-    answer = await unit.ask("/api/self-check")
-    assert (answer.status, answer.json) == (200, {"verdict": "good", "number": 3})
-
-
 async def test_who_asks_gets_what_a_check_says_that_began_afterwards(unit: Unit, health: Health) -> None:
     service = health.self_check
     asked = asyncio.Event()
@@ -144,25 +138,6 @@ async def test_what_comes_with_a_request_changes_nothing_of_it(
     assert await sent(unit, ASKING + rest) in (["HTTP/1.1 200 OK"], [])  # []: cut off while it still sends
     assert len(checked) == 1
     assert (await unit.ask("/api/self-check")).json["number"] == 1
-
-
-@pytest.mark.parametrize(
-    "raw",
-    [
-        pytest.param(ASKING + "Transfer-Encoding: chunked\r\n\r\nzz\r\n", id="a body in chunks"),
-        pytest.param(ASKING.replace("Host: 127.0.0.1:80\r\n", "") + "\r\n", id="no host"),
-        pytest.param(ASKING + "Host: evil.example\r\n\r\n", id="two hosts"),
-        pytest.param(ASKING + "Content-Length: -1\r\n\r\n", id="less than no body"),
-        pytest.param(ASKING + f"X: {'y' * 1_000_000}\r\n\r\n", id="a header without end"),
-        pytest.param(ASKING.replace("POST", "PUT") + "\r\n", id="PUT"),
-        pytest.param(ASKING.replace("POST", "OPTIONS") + "\r\n", id="what a browser asks before"),
-    ],
-)
-async def test_what_is_malformed_asks_for_nothing(unit: Unit, checked: list[int], raw: str) -> None:
-    (line,) = await sent(unit, raw) or ["HTTP/1.1 400 cut off"]
-    assert line.split()[1] in ("400", "405", "411")
-    assert checked == []
-    assert (await unit.ask("/api/measurement")).status == 503  # it answers, though nothing was measured
 
 
 async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(unit: Unit, health: Health) -> None:

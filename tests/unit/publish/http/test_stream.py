@@ -1,13 +1,11 @@
 """The stream: every measurement once, the newest first for the slow, silence that is reported."""
 
 import asyncio
-import json
 import socket
 from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock
-from support.measurements import changed
 
 from altd.publish.http import server, stream
 from altd.records import Measurement
@@ -140,11 +138,3 @@ async def test_only_so_many_streams_are_served(
     async with unit.stream() as again:
         assert b" 200 " in await again.head()
     assert component.counters["streams_refused"] == 1
-
-
-async def test_every_event_is_json_without_nan(served: Served, board: Board, measured: Measurement) -> None:
-    board.publish(changed(measured, None, {"front": None}))
-    async with served() as unit, unit.stream() as events:
-        await events.head()
-        _, told = await events.event()
-        assert json.loads(json.dumps(told, allow_nan=False))["front"] == {"x_mm": None, "y_mm": None}

@@ -5,23 +5,14 @@ import re
 import subprocess
 import zlib
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Measured
-from support.places import ROOT
-from support.serving import serving
-from support.wire import socat_line
 
-from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.registers import REGISTERS
-from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
-from altd.publish.modbus.values import REASON_CODES, STATUS_BITS
 from altd.status.board import Board
-from altd.status.health import Component, Health
 from tools.pages import modbus as page
 
 
@@ -66,56 +57,6 @@ async def test_the_checked_block_as_mbpoll_reads_it_passes_its_crc(
     block = b"".join(int(line.split()[1], 16).to_bytes(2) for line in read)
     assert zlib.crc32(block[:-4]) == int.from_bytes(block[-4:])
     assert block[4:8] == zlib.crc32(b"ALT-0007").to_bytes(4)
-
-
-async def test_over_rtu_mbpoll_reads_the_same(
-    tmp_path: Path, board: Board, component: Component, measured: Measured
-) -> None:
-    board.publish(measured())
-    with socat_line(tmp_path) as (unit, controller, _):
-        port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
-        at = ("-m", "rtu", "-b", 19200, "-P", "none", "-a", 12, controller)
-        async with serving(ModbusRtuPublisher(port, board, component, Health(component.clock))):
-            values = await mbpoll("-t", "3:float", "-r", 20, "-c", 4, *at)
-            assert values == ["[20]: \t10.012", "[22]: \t4.987", "[24]: \t1.1459", "[26]: \t-1.7184"]
-            assert len(await mbpoll("-t", "4:hex", "-r", 0, "-c", 120, *at)) == 120
-
-
-async def test_mbpoll_is_told_why_a_write_is_refused(tcp: ModbusTcpPublisher) -> None:
-    command = [
-        need_program("mbpoll"),
-        "-0",
-        "-1",
-        "-p",
-        str(tcp.port),
-        "-a",
-        "7",
-        "-r",
-        "20",
-        "127.0.0.1",
-        "1",
-    ]
-    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60)
-    assert "Illegal function" in done.stdout + done.stderr
-
-
-COMMITTED = ROOT / "docs" / "modbus.md"
-
-
-def test_the_page_in_docs_is_the_generated_one() -> None:
-    assert COMMITTED.read_text() == page.page(), "run: make pages"
-
-
-def test_the_page_names_every_register_bit_and_code() -> None:
-    text = page.page()
-    for row in REGISTERS:
-        assert f"`{row.name}`" in text
-        assert re.search(rf"^\|.*\b{row.address}\b.*\|.*`{row.name}`", text, re.MULTILINE)
-    for bit in STATUS_BITS:
-        assert f"| {bit.bit} | {bit.name} |" in text
-    reasons = (ROOT / "docs" / "reasons.md").read_text()
-    for reason in REASON_CODES:
-        assert f"| `{reason}` | {reason.scope} | {reason.modbus_code} |" in reasons
 
 
 def test_the_page_says_which_bits_a_valid_measurement_may_have_and_which_warnings_have_none() -> None:

@@ -49,6 +49,14 @@ def crowd(count: int, asks_since_s: float | None, **more: float) -> list[Connect
 CONTROLLER = "192.168.1.10"
 
 
+def displaced(present: list[Connection], newcomer: Connection, now_s: float) -> Connection:
+    """The connection that makes room; the new one takes its place."""
+    found = connection_to_displace(present, newcomer, now_s)
+    assert found is not None
+    present[present.index(found)] = newcomer
+    return found
+
+
 @pytest.mark.parametrize(
     ("controller", "others"),
     [
@@ -81,16 +89,14 @@ def test_a_controller_keeps_its_place(controller: Connection, others: list[Conne
     present = [controller, *others]
     random.Random(1).shuffle(present)
     for number in range(100):
-        newcomer = Connection(f"172.16.0.{number}", NOW_S + number * 1e-4, Asking())
-        displaced = connection_to_displace(present, newcomer, NOW_S + number * 1e-4)
-        assert displaced is not None
-        assert displaced is not controller
-        present[present.index(displaced)] = newcomer
-        newcomer.ask(NOW_S + number * 1e-4)
+        now_s = NOW_S + number * 1e-4
+        newcomer = Connection(f"172.16.0.{number}", now_s, Asking())
+        assert displaced(present, newcomer, now_s) is not controller
+        newcomer.ask(now_s)
 
 
 @pytest.mark.parametrize(
-    ("present", "displaced"),
+    ("present", "address"),
     [
         ([*crowd(31, None), connection("first", quiet_s=2.0)], "first"),
         ([*crowd(28, 3600.0), *(connection("many", 60.0 + i) for i in range(4))], "many"),
@@ -103,10 +109,8 @@ def test_a_controller_keeps_its_place(controller: Connection, others: list[Conne
     ],
     ids=["the first that came", "of most connections", "quiet", "never asked", "not the reserved one"],
 )
-def test_of_the_others_one_makes_room(present: list[Connection], displaced: str) -> None:
-    found = connection_to_displace(present, connection("coming"), NOW_S)
-    assert found is not None
-    assert found.address == displaced
+def test_of_the_others_one_makes_room(present: list[Connection], address: str) -> None:
+    assert displaced(present, connection("coming"), NOW_S).address == address
 
 
 def test_a_new_connection_has_time_to_ask_while_many_come() -> None:
@@ -118,9 +122,7 @@ def test_a_new_connection_has_time_to_ask_while_many_come() -> None:
         assert mine in present, number
         now_s = NOW_S + (number + 1) * 1e-3
         newcomer = Connection(f"172.16.0.{number}", now_s, Asking())
-        displaced = connection_to_displace(present, newcomer, now_s)
-        assert displaced is not None
-        present[present.index(displaced)] = newcomer
+        displaced(present, newcomer, now_s)
         newcomer.ask(now_s)
 
 
@@ -130,9 +132,7 @@ def test_of_one_address_the_connection_that_has_asked_for_longest_stays() -> Non
     hostile = [connection(CONTROLLER, 30.0, gap_s=0.1) for _ in range(31)]
     for each in hostile:
         each.of_address = controller.of_address
-    displaced = connection_to_displace([*hostile, controller], connection(CONTROLLER), NOW_S)
-    assert displaced is not None
-    assert displaced is not controller
+    assert displaced([*hostile, controller], connection(CONTROLLER), NOW_S) is not controller
 
 
 def test_a_controller_that_connects_for_each_poll_is_not_new_each_time() -> None:
@@ -142,11 +142,7 @@ def test_a_controller_that_connects_for_each_poll_is_not_new_each_time() -> None
     again = Connection(CONTROLLER, NOW_S, addresses.asking(CONTROLLER))
     present = [again, *crowd(31, 30.0)]
     for number in range(100):
-        newcomer = Connection(f"172.16.0.{number}", NOW_S, Asking())
-        displaced = connection_to_displace(present, newcomer, NOW_S)
-        assert displaced is not None
-        assert displaced is not again
-        present[present.index(displaced)] = newcomer
+        assert displaced(present, Connection(f"172.16.0.{number}", NOW_S, Asking()), NOW_S) is not again
 
 
 @pytest.mark.parametrize(

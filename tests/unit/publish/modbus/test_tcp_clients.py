@@ -170,17 +170,6 @@ async def test_a_host_that_crowds_the_unit_displaces_its_own_connections_first(
         assert await client.ask(ONE) == ONE_ANSWER
 
 
-async def test_a_storm_of_connections_holds_no_more_than_the_places(
-    tcp: ModbusTcpPublisher, component: Component
-) -> None:
-    async with contextlib.AsyncExitStack() as stack:
-        for coming in [connected(tcp) for _ in range(4 * MAX_CLIENTS)]:
-            await stack.enter_async_context(coming)
-        async with connected(tcp) as client:
-            assert await client.ask(ONE) == ONE_ANSWER
-            assert component.counters["clients"] <= MAX_CLIENTS
-
-
 async def test_a_client_that_never_takes_its_answers_is_left_waiting_and_delays_nobody(
     tcp: ModbusTcpPublisher, board: Board, component: Component, measured: Measured, client: Client
 ) -> None:
@@ -204,19 +193,6 @@ async def test_a_client_that_never_takes_its_answers_is_left_waiting_and_delays_
     finally:
         greedy.close()
     await eventually(lambda: component.counters["clients"] == 1)
-
-
-async def test_many_requests_at_once_let_the_rest_of_the_unit_go_on(
-    client: Client, component: Component
-) -> None:
-    client.send(frame(EVERYTHING) * 500)
-    turns = 0
-    while component.counters.get("requests", 0) < 500:
-        await asyncio.sleep(0)
-        turns += 1
-    assert turns >= 500
-    for _ in range(500):
-        await client.hear()
 
 
 async def test_a_crowd_with_many_requests_gets_one_answer_a_turn_of_the_loop(

@@ -6,7 +6,6 @@ import shutil
 import socket
 import ssl
 import struct
-import subprocess
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
@@ -15,7 +14,6 @@ from typing import Any
 import pytest
 from pymodbus.client import AsyncModbusTlsClient
 from support.certificates import AUTHORITY, ROLE, Files, expired, made
-from support.foreign import need_program
 from support.modbus_wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Measured, connected, eventually, frame
 from support.serving import serving
 
@@ -101,48 +99,6 @@ async def test_pymodbus_reads_the_registers_of_a_plain_port_over_tls(
             answer = await plain.ask(struct.pack(">BHH", 4, address, count))
             assert struct.pack(f">{count}H", *read.registers) == answer[2:]
         over_tls.close()
-
-
-async def test_openssl_reads_a_register(served: Served, plant: Plant) -> None:
-    answer = frame(ONE_ANSWER)
-    async with served() as publisher:
-        certificate, key = map(str, plant.reader)
-        line = [need_program("openssl"), "s_client", "-connect", f"127.0.0.1:{publisher.port}", "-quiet"]
-        line += ["-CAfile", str(plant.ca[0]), "-verify_return_error", "-cert", certificate, "-key", key]
-
-        def ask() -> bytes:
-            with subprocess.Popen(
-                line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-            ) as client:
-                assert client.stdin is not None
-                assert client.stdout is not None
-                client.stdin.write(frame(ONE))
-                client.stdin.flush()
-                heard = client.stdout.read(len(answer))
-                client.kill()
-                return heard
-
-        assert await asyncio.to_thread(ask) == answer
-
-
-@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
-async def test_clients_of_the_authority_read_in_these_versions(
-    served: Served, plant: Plant, version: ssl.TLSVersion
-) -> None:
-    context = plant.client(plant.reader)
-    context.minimum_version = context.maximum_version = version
-    async with served() as publisher:
-        assert await is_answered(publisher, context)
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-async def test_no_older_version_is_spoken(served: Served, plant: Plant, component: Component) -> None:
-    context = plant.client(plant.reader)
-    context.set_ciphers("ALL:@SECLEVEL=0")
-    context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_1
-    async with served() as publisher:
-        assert not await is_answered(publisher, context)
-        await eventually(lambda: component.counters.get("handshakes_failed", 0) == 1)
 
 
 @pytest.mark.parametrize("who", [None, "expired", "stranger", "server_alone"])

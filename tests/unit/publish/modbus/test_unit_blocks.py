@@ -18,7 +18,7 @@ from support.serving import serving
 from support.wire import socat_line
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.registers import MEASUREMENT, Type, WordOrder
+from altd.publish.modbus.registers import Type, WordOrder
 from altd.publish.modbus.responder import CONDITION, TABLES, LineCounters, serial_response
 from altd.publish.modbus.responder import UNIT as UNIT_TABLE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
@@ -357,10 +357,6 @@ class TestSerialLine:
         assert serial_response(asked, counters, health) == bytes.fromhex(answer_hex)
         is_cleared = asked[:3] == bytes.fromhex("08 000a")
         assert counters.messages == (0 if is_cleared else 70_000)
-
-
-def test_the_measurement_table_is_the_first() -> None:
-    assert TABLES[0] is MEASUREMENT
 
 
 async def test_a_defect_costs_the_request_that_meets_it_and_no_client_its_connection(

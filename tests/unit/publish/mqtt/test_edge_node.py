@@ -11,29 +11,15 @@ from support.mqtt import ChosenBroker, Published, PublishingUnit
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt import broker as connection
-from altd.publish.mqtt import connecting, edge_node
 from altd.publish.mqtt.sparkplug import Metric, Payload, Quality, measurement_metrics
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, sensors
 from altd.records.sensors import SensorValue
-from altd.runtime import supervision
 from altd.status.board import Board
 from altd.status.health import State
 
 COMMAND = "spBv1.0/g/NCMD/ALT-0007"
 REBIRTH = b"\x12\x1a\x0a\x14Node Control/Rebirth\x20\x0b\x70\x01"
-
-
-@pytest.fixture(autouse=True)
-def fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    for place, name, value in (
-        (connecting, "INTERVAL_S", 0.02),
-        (connecting, "MAX_JITTER_S", 0.0),
-        (edge_node, "REBIRTH_INTERVAL_S", 0.1),
-        (supervision, "MIN_BACKOFF_S", 0.01),
-        (supervision, "MAX_BACKOFF_S", 0.01),
-    ):
-        monkeypatch.setattr(place, name, value)
 
 
 def made(port: int, **more: Any) -> PublishingUnit:

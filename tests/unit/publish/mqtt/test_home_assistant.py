@@ -17,7 +17,7 @@ from altd.config import HttpSettings
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
-from altd.publish.mqtt import connecting, publisher
+from altd.publish.mqtt import publisher
 from altd.publish.mqtt.home_assistant import discovery_of, discovery_topic, page_url
 from altd.publish.mqtt.messages import Topics, summary_of
 from altd.reasons import Reason
@@ -124,7 +124,6 @@ def test_the_url_of_the_page_is_one_that_other_computers_can_open(
 
 async def test_the_announcement_expires_and_is_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the device of a unit that changed to Sparkplug would stay."""
-    monkeypatch.setattr(connecting, "INTERVAL_S", 0.02)
     for name in ("REFRESH_INTERVAL_S", "DISCOVERY_INTERVAL_S"):
         monkeypatch.setattr(publisher, name, 0.0)
     async with (

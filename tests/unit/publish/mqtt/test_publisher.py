@@ -1,7 +1,6 @@
 """The publisher at a broker that answers as a test chooses: late, never, with refusals, with nonsense."""
 
 import asyncio
-import gc
 import json
 import logging
 import socket
@@ -19,21 +18,9 @@ from altd.publish.mqtt import broker as connection
 from altd.publish.mqtt import connecting, publisher
 from altd.reasons import Reason
 from altd.records import Fault
-from altd.runtime import supervision
 from altd.status.health import State
 
 PUBLISH_TO_UNIT = bytes.fromhex("30 06 00 01 61 00 78 79")
-
-
-@pytest.fixture(autouse=True)
-def fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    for place, name, value in (
-        (connecting, "INTERVAL_S", 0.02),
-        (connecting, "MAX_JITTER_S", 0.0),
-        (supervision, "MIN_BACKOFF_S", 0.01),
-        (supervision, "MAX_BACKOFF_S", 0.01),
-    ):
-        monkeypatch.setattr(place, name, value)
 
 
 @pytest.fixture(autouse=True)
@@ -396,17 +383,3 @@ def test_files_that_cannot_be_used_are_named_at_the_start(tmp_path: Path) -> Non
             PublishingUnit.made(1, credentials=login)
     with pytest.raises(BadInputError, match=r"ca\.pem: No such file"):
         PublishingUnit.made(1, ca=tmp_path / "ca.pem")
-
-
-@pytest.mark.parametrize("turns", range(6))
-def test_a_server_of_a_test_leaves_no_connection_behind_that_it_is_accepting(turns: int) -> None:
-    """Its warnings would come with any later garbage collection, and fail the test that runs then."""
-
-    async def connected() -> None:
-        async with ChosenBroker() as broker:
-            with socket.create_connection(("127.0.0.1", broker.port)):
-                for _ in range(turns):
-                    await asyncio.sleep(0)
-
-    asyncio.run(connected())
-    gc.collect()

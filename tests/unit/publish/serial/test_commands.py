@@ -14,7 +14,7 @@ from support.wire import Wire
 from altd.config import ConsolePortSettings
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial import commands
-from altd.publish.serial.commands import COMMANDS, STATUS_BITS, identification
+from altd.publish.serial.commands import COMMANDS, identification
 from altd.publish.serial.console import PROMPT, QUESTION_PROMPT, QUESTION_S, Console
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.reasons import Reason
@@ -191,10 +191,6 @@ class TestForPrograms:
         self, board: Board, health: Health, clock: FakeClock
     ) -> None:
         assert self.byte(self.state(board, health, clock)) & 128
-
-    def test_the_bits_of_the_standard_are_its_own(self) -> None:
-        assert [row.number for row in STATUS_BITS] == list(range(8))
-        assert [row.means.rpartition("(")[2] for row in STATUS_BITS[4:7]] == ["MAV)", "ESB)", "MSS)"]
 
     @pytest.mark.parametrize(
         ("verdict", "number"),

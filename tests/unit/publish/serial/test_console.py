@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from support.measurements import changed
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.publish.serial.commands import COMMANDS
 from altd.publish.serial.console import PROMPT, Console
-from altd.publish.serial.words import WIDTH
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.health import State
@@ -25,10 +23,6 @@ def test_the_greeting_names_the_unit_and_ends_with_the_prompt() -> None:
     shown = console().welcome()
     assert b"ALT-0007" in shown
     assert shown.endswith(b"\r\n> ")
-
-
-def test_help_names_every_command() -> None:
-    assert [line.split()[0] for line in answer("help")] == list(COMMANDS)
 
 
 def test_an_empty_line_gives_the_prompt_again() -> None:
@@ -120,13 +114,6 @@ def test_who_wants_to_leave_learns_how(line: str) -> None:
     assert "picocom Ctrl-A Ctrl-X" in answer(line)[1]
 
 
-@pytest.mark.parametrize("line", [*COMMANDS, "wat", "status x", "\xe4", "\xc3\xa4", "x" * 99])
-def test_no_answer_is_cut_at_the_edge_of_the_screen(line: str) -> None:
-    unit = Console(lambda: SPOT_LOST, health(), QUANTITIES)
-    shown = unit.feed(line.encode("latin-1") + b"\r").split(b"\r\n")
-    assert max(map(len, shown)) < WIDTH
-
-
 def test_ctrl_l_shows_the_line_anew_with_its_cursor() -> None:
     assert console().feed(b"help\x1b[D\x0c") == b"help\b\r\n> help\b"
 
@@ -195,10 +182,3 @@ class TestSelfCheck:
         typed = Console(lambda: MEASURED, unit, QUANTITIES)
         typed.feed(keys)
         assert b"altd" in typed.feed(b"\x03\x03version\r")
-
-    def test_a_thousand_lines_are_each_answered_and_leave_it_as_it_is(self) -> None:
-        unit, asked = well(), []
-        unit.self_check.open(lambda: asked.append(True))
-        typed = Console(lambda: MEASURED, unit, QUANTITIES)
-        assert typed.feed(b"selfcheck now\ry" * 1000).count(b"checking") == len(asked) == 1000
-        assert b"altd" in typed.feed(b"version\r")

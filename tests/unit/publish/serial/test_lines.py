@@ -1,8 +1,5 @@
 """Keys become lines, whatever the terminal sends."""
 
-import itertools
-import re
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -217,19 +214,6 @@ def test_a_sequence_that_never_ends_keeps_nothing() -> None:
         kept = [value for value in vars(reader).values() if isinstance(value, str)]
         assert max(map(len, kept)) < 32
         [*reader.rest()]
-
-
-@given(st.binary(max_size=400))
-def test_after_any_garbage_a_line_can_be_typed(garbage: bytes) -> None:
-    reader, editor = KeyReader(), LineEditor()
-    keys = [*itertools.chain.from_iterable(map(reader.take, garbage)), *reader.rest()]
-    keys += itertools.chain.from_iterable(map(reader.take, b"\r\r\x03help\r"))
-    taken = [editor.take(key) for key in keys]
-    lines = [piece for piece in taken if not isinstance(piece, bytes)]
-    echo = b"".join(piece for piece in taken if isinstance(piece, bytes))
-    assert lines[-1] == "help"
-    assert all(len(line) <= MAX_LINE_CHARACTERS for line in lines if isinstance(line, str))
-    assert re.fullmatch(rb"[ -~\b]*", echo)
 
 
 _KEYS = [UP, DOWN, LEFT, RIGHT, "ü".encode(), *(bytes([code]) for code in b"ab c\1\5\x7f\4\x17\x15\x0b\3")]
