@@ -35,16 +35,6 @@ async def test_a_lost_camera_is_closed_and_opened_again(component: Component, cl
     assert camera.calls[-1] == "close"
 
 
-async def test_the_journal_hears_of_a_lost_camera_once(
-    component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
-) -> None:
-    camera = ScriptedCamera(clock, *[CameraError("unplugged")] * 2, "frame")
-    task = asyncio.create_task(acquire(camera, AllFrames(), component))
-    await clock.until(lambda: component.state is State.OK)
-    await clock.stop(task)
-    assert caplog.messages == ["camera front: unplugged; trying again"]
-
-
 async def test_a_source_at_its_end_ends_quietly(component: Component, clock: FakeClock) -> None:
     camera = ScriptedCamera(clock, "frame", "frame", CameraEndedError("the recording is at its end"))
     frames = AllFrames()

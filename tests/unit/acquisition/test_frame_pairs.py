@@ -108,20 +108,6 @@ class TestTheReader:
         assert [pair.sequence for pair in bench.pairs.take()] == list(range(9 - room, 9))
         assert bench.pairs.dropped == {"front": 9 - room, "rear": 9 - room}
 
-    def test_gets_a_frame_set_that_was_given_up_together_with_the_newer_one(self) -> None:
-        bench = Bench(*BOTH)
-        bench.pairs.put(shot("front", 1), wait=False)
-        bench.put(2)
-        assert bench.taken() == [(1, "front"), (2, "front rear")]
-
-    def test_gets_the_frames_of_a_camera_alone_when_the_other_is_silent(self) -> None:
-        bench = Bench(*BOTH)
-        for number in range(10):
-            bench.clock.now_ns = number * PERIOD_NS
-            bench.pairs.put(shot("rear", number), wait=False)
-            taken = bench.taken()
-            assert taken == ([] if number < 4 else [(number - 4, "rear")])
-
     def test_gets_frame_sets_that_lack_a_camera_by_the_same_rule(self) -> None:
         bench = Bench(*BOTH)
         for number in range(20):

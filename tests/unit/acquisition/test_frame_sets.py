@@ -90,19 +90,13 @@ async def test_no_exposure_that_was_under_way_is_taken(share: float) -> None:
     assert [pair.sequence for pair in taken] == [taken[0].sequence + k for k in range(3)]
 
 
-async def test_an_exposure_that_one_camera_lost_is_left_out() -> None:
-    front, rear = Camera("front", lost=(5,)), Camera("rear", lost=(7,))
+@pytest.mark.parametrize("why", ["lost", "changing"])
+async def test_an_exposure_that_one_camera_lost_or_made_while_it_was_set_is_left_out(why: str) -> None:
+    front, rear = Camera("front", **{why: (5,)}), Camera("rear", **{why: (7,)})
     async with Running(front, rear) as cameras:
         taken = await cameras.after(front.start_ns + round(3.9 * PERIOD_NS), 3)
     assert [pair.sequence for pair in taken] == [6, 8, 9]
     assert all(set(pair.items) == {"front", "rear"} for pair in taken)
-
-
-async def test_an_exposure_during_which_a_camera_was_being_set_is_left_out() -> None:
-    front, rear = Camera("front", changing=(5,)), Camera("rear", changing=(7,))
-    async with Running(front, rear) as cameras:
-        taken = await cameras.after(front.start_ns + round(3.9 * PERIOD_NS), 3)
-    assert [pair.sequence for pair in taken] == [6, 8, 9]
 
 
 async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_on() -> None:

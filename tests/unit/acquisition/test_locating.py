@@ -246,13 +246,6 @@ async def test_the_way_of_each_frame_is_logged_where_that_is_asked_for(
     assert sorted(lines) == sorted("|".join(expected).split("|"))
 
 
-async def test_a_defect_in_the_localiser_is_raised() -> None:
-    bench = Bench(Locator(lambda frame: 1 / 0))
-    bench.put(1)
-    with pytest.raises(ZeroDivisionError):
-        await bench.task
-
-
 async def test_a_frame_that_is_never_done_is_a_defect() -> None:
     clock, may_end = FakeClock.of_loop(), threading.Event()
     bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +10,11 @@ import pytest
 from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
-from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
 from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.record import record
-from altd.config import ExposureSettings, Measuring
-from altd.ports import CameraBusyError, CameraEndedError, CameraError, ExposureRange, LampsError
+from altd.config import Measuring
+from altd.ports import CameraBusyError, CameraEndedError, CameraError, LampsError
 from altd.recording.header import Kind, TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Origin
@@ -53,16 +52,11 @@ class Source:
     def close(self) -> None: ...
 
 
-async def recorded(
-    sources: Sequence[Source],
-    path: Path,
-    plan: RecordingPlan,
-    exposure: Mapping[str, ExposureControl] | None = None,
-) -> int:
+async def recorded(sources: Sequence[Source], path: Path, plan: RecordingPlan) -> int:
     clock = FakeClock.of_loop(threads=len(sources))
     for source in sources:
         source.clock = clock
-    return await clock.run(record(FrameSets(sources, Measuring(), Health(clock), exposure), path, plan))
+    return await clock.run(record(FrameSets(sources, Measuring(), Health(clock)), path, plan))
 
 
 async def kept(path: Path, end: Exception, kind: Kind = "measurement") -> int:
@@ -114,26 +108,6 @@ async def test_a_recording_says_which_cameras_it_is_from(
 async def test_a_recording_says_of_what_kind_it_is(kind: Kind, tmp_path: Path) -> None:
     await kept(tmp_path / "rec", CameraEndedError("the end"), kind)
     assert open_recording(tmp_path / "rec").header.kind == kind
-
-
-class SettableSource(Source):
-    """A source with an exposure to set."""
-
-    def __init__(self, name: str, frames: int, end: Exception) -> None:
-        super().__init__(name, frames, end)
-        self.exposure_range = ExposureRange(0.1, 10.0, 0.0, 0.0)
-        self.asked: list[float] = []
-
-    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        self.asked.append(exposure_ms)
-
-
-async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(tmp_path: Path) -> None:
-    sources = [SettableSource(name, 12, CameraEndedError("the end")) for name in ("front", "rear")]
-    exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
-    kept = await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT), exposure)
-    assert [source.asked for source in sources] == [[3.0], []]
-    assert kept == 12 - MAX_MARKED_FRAMES
 
 
 async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> None:

@@ -48,9 +48,11 @@ async def test_a_sensor_that_fails_says_why_and_its_old_value_is_gone() -> None:
     assert component.figures == {"celsius": None}
 
 
-async def test_what_cannot_be_is_no_temperature() -> None:
-    for impossible in (-273.0, 850.0, float("nan")):
-        component = await after_one_reading(lambda impossible=impossible: impossible)  # type: ignore[misc]
+async def test_what_cannot_be_is_no_temperature_of_a_sensor_nor_of_a_camera() -> None:
+    refused = of_camera(CameraRefusedError("DeviceTemperature: not readable"))
+    cannot_be = (-273.0, 850.0, float("nan"))
+    for read in (*(lambda celsius=each: celsius for each in cannot_be), of_camera(-274.0), refused):  # type: ignore[misc]
+        component = await after_one_reading(read)
         assert component.state is State.FAILED
         assert component.figures == {"celsius": None}
 
@@ -68,13 +70,6 @@ async def test_a_camera_without_a_temperature_or_that_is_away_is_no_fault_of_a_t
     for none in (None, CameraLostError("the camera is not open")):
         component = await after_one_reading(of_camera(none), before=20.0)
         assert (component.state, component.message) == (State.OK, "none is reported")
-        assert component.figures == {"celsius": None}
-
-
-async def test_a_camera_that_refuses_its_temperature_or_tells_what_cannot_be_is_one() -> None:
-    for broken in (CameraRefusedError("DeviceTemperature: not readable"), -274.0):
-        component = await after_one_reading(of_camera(broken))
-        assert component.state is State.FAILED
         assert component.figures == {"celsius": None}
 
 

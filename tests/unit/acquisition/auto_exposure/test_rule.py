@@ -100,18 +100,18 @@ def test_a_clipped_spot_comes_into_the_band_whatever_was_clipped() -> None:
         assert LOW <= overexposed * setting.light / HERE.light <= HIGH
 
 
-def test_one_exposure_back_in_the_band_begins_the_count_anew() -> None:
+@pytest.mark.parametrize(
+    "samples",
+    [
+        ([spot(0.9)] * (WINDOW - 1) + [spot(0.79)]) * 20,
+        ([spot(0.9)] * (WINDOW - 1) + [spot(0.2)] * (WINDOW - 1)) * 10,
+        [OVEREXPOSED] * 2 + [spot(TARGET)] * 5,
+    ],
+    ids=["one exposure back in the band", "now too bright and now too dark", "a flash"],
+)
+def test_what_does_not_last_changes_nothing(samples: list[BrightnessSample]) -> None:
     one = settled()
-    for _ in range(20):
-        for sample in [spot(0.9)] * (WINDOW - 1) + [spot(0.79)]:
-            assert one.next(sample, HERE) is None
-
-
-def test_a_spot_that_is_now_too_bright_and_now_too_dark_is_left_alone() -> None:
-    one = settled()
-    for _ in range(10):
-        for level in (0.9, 0.2):
-            assert all(one.next(spot(level), HERE) is None for _ in range(WINDOW - 1))
+    assert all(one.next(sample, HERE) is None for sample in samples)
 
 
 @pytest.mark.parametrize("sample", [spot(0.1), spot(1.0), OVEREXPOSED])
@@ -123,12 +123,6 @@ def test_a_spot_that_saturates_is_not_waited_for() -> None:
     count, setting = asked(settled(), OVEREXPOSED)
     assert count == 3
     assert setting.light == pytest.approx(HERE.light / 4)
-
-
-def test_a_flash_changes_nothing() -> None:
-    one = settled()
-    for sample in [OVEREXPOSED] * 2 + [spot(TARGET)] * 5:
-        assert one.next(sample, HERE) is None
 
 
 def test_a_spot_that_went_out_is_waited_for_and_then_looked_for_upwards_to_the_end() -> None:
@@ -161,11 +155,6 @@ def test_a_search_floods_no_frame() -> None:
     assert 0.03 * present.light / HERE.light > 0.45
 
 
-def test_what_exposure_does_not_mend_moves_nothing() -> None:
-    one = rule()
-    assert all(one.next(BrightnessSample(Content.OTHER, 0.2), HERE) is None for _ in range(500))
-
-
 @pytest.mark.parametrize(
     ("sample", "end"),
     [
@@ -173,9 +162,12 @@ def test_what_exposure_does_not_mend_moves_nothing() -> None:
         (spot(1.0), 0.0),
         (nothing(0.0), 1e9),
         (spot(0.05), 1e9),
+        (BrightnessSample(Content.OTHER, 0.2), HERE.light),
     ],
 )
-def test_at_the_end_of_its_range_it_rests(sample: BrightnessSample, end: float) -> None:
+def test_at_the_end_of_its_range_or_where_it_mends_nothing_it_rests(
+    sample: BrightnessSample, end: float
+) -> None:
     present = setting_for(max(end, 1e-9), LIMITS)
     one = rule()
     assert all(one.next(sample, present) is None for _ in range(500))

@@ -18,30 +18,23 @@ def after(seconds: int, inclination_deg: Callable[[int], float], noise_deg: floa
     return found.divergence_deg((seconds - 1) * S)
 
 
-def test_for_ten_minutes_nothing_is_known() -> None:
-    assert after(600, lambda _: 1.0) is None
-    assert after(602, lambda _: 1.0) == pytest.approx(0.0)
-
-
-def test_a_beam_that_keeps_its_inclination_has_none_however_it_is_inclined() -> None:
-    found = after(6 * 3600, lambda _: -4.2, noise_deg=0.3)
-    assert found == pytest.approx(0.0, abs=0.05)
-
-
-def test_a_slow_drift_is_followed_by_its_mean_time() -> None:
-    """0.1° an hour: an exponential mean of ten minutes lags by ten minutes, the reference is of minute 5."""
-    found = after(6 * 3600, lambda t_s: t_s / 36_000)
-    assert found == pytest.approx((6 * 3600 - 600 - 300) / 36_000, abs=0.005)
-
-
-def test_a_laser_that_is_knocked_shows_within_its_mean_time() -> None:
-    found = after(3600 + 600, lambda t_s: 0.0 if t_s < 3600 else 1.0)
-    assert found == pytest.approx(1.0 - math.exp(-1.0), abs=0.01)
-
-
-def test_shaking_shows_as_nothing() -> None:
-    found = after(3 * 3600, lambda t_s: 2.0 * math.sin(t_s / 3))
-    assert found == pytest.approx(0.0, abs=0.05)
+@pytest.mark.parametrize(
+    ("seconds", "inclination_deg", "noise_deg", "expected"),
+    [
+        (600, lambda _: 1.0, 0.0, None),
+        (602, lambda _: 1.0, 0.0, pytest.approx(0.0)),
+        (6 * 3600, lambda _: -4.2, 0.3, pytest.approx(0.0, abs=0.05)),
+        # 0.1° an hour: an exponential mean of ten minutes lags by ten minutes, the reference is of minute 5
+        (6 * 3600, lambda t_s: t_s / 36_000, 0.0, pytest.approx((6 * 3600 - 600 - 300) / 36_000, abs=0.005)),
+        (4200, lambda t_s: 0.0 if t_s < 3600 else 1.0, 0.0, pytest.approx(1.0 - math.exp(-1.0), abs=0.01)),
+        (3 * 3600, lambda t_s: 2.0 * math.sin(t_s / 3), 0.0, pytest.approx(0.0, abs=0.05)),
+    ],
+    ids=["ten minutes", "longer", "at rest", "drifts", "was knocked", "shakes"],
+)
+def test_what_is_found_after_a_time(
+    seconds: int, inclination_deg: Callable[[int], float], noise_deg: float, expected: object
+) -> None:
+    assert after(seconds, inclination_deg, noise_deg) == expected
 
 
 def test_after_a_long_absence_of_the_beam_the_reference_is_a_new_one() -> None:

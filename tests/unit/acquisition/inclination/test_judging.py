@@ -147,14 +147,12 @@ class TestRefuses:
         last_of(judged, noisy(10, 0.02))
         assert judged.roll(reading(10, 21.5)).quality is Quality.NOISY
 
-    @pytest.mark.parametrize("angle_deg", [46.0, -46.0, 179.0, 90.0])
-    def test_what_is_out_of_range(self, angle_deg: float) -> None:
-        said = last_of(judge(), [angle_deg, angle_deg + 0.01] * 3)
-        assert (said.quality, said.value) == (Quality.OUT_OF_RANGE, None)
-
-    @pytest.mark.parametrize("temperature_c", [-40.1, 85.1, -327.68])
-    def test_a_temperature_that_cannot_be(self, temperature_c: float) -> None:
-        said = last_of(judge(), noisy(10, 0.02), temperature_c=temperature_c)
+    @pytest.mark.parametrize(
+        ("angle_deg", "temperature_c"),
+        [(46.0, 20.0), (-46.0, 20.0), (179.0, 20.0), (90.0, 20.0), (1.0, -40.1), (1.0, 85.1), (1.0, -327.68)],
+    )
+    def test_what_is_out_of_range(self, angle_deg: float, temperature_c: float) -> None:
+        said = last_of(judge(), [angle_deg, angle_deg + 0.01] * 3, temperature_c=temperature_c)
         assert (said.quality, said.value) == (Quality.OUT_OF_RANGE, None)
 
 

@@ -199,16 +199,6 @@ async def test_a_fault_that_stays_is_written_once_and_again_when_it_comes_back_m
     assert (await unit.written(2)).why == "spot_missing front"
 
 
-async def test_another_fault_is_written_too(unit: Unit) -> None:
-    await unit.expose(60)
-    unit.causes.append(FAULT)
-    await unit.expose(20)
-    await unit.written(1)
-    unit.causes.append(Cause(Reason.CAMERA_SILENT, "rear"))
-    await unit.expose(20)
-    assert (await unit.written(2)).why == "camera_silent rear"
-
-
 @pytest.mark.parametrize(
     "kind",
     [Condition.STARTING, Condition.CALIBRATION_DUE, Reason.SIMULATED, Reason.PLAYBACK, Reason.NOT_LIVE],
@@ -219,7 +209,7 @@ async def test_what_is_no_fault_is_not_written(unit: Unit, kind: Kind) -> None:
     await unit.nothing_more(0)
 
 
-async def test_a_fault_of_a_simulated_unit_is_written_too(unit: Unit) -> None:
+async def test_a_fault_of_a_simulated_unit_is_written_and_another_one_too(unit: Unit) -> None:
     """*Check function* from the start is the worse signal; the fault beside it counts alone."""
     unit.causes.append(Cause(Reason.SIMULATED))
     await unit.expose(60)
@@ -227,6 +217,9 @@ async def test_a_fault_of_a_simulated_unit_is_written_too(unit: Unit) -> None:
     unit.causes.append(FAULT)
     await unit.expose(20)
     assert (await unit.written(1)).why == "spot_missing front"
+    unit.causes.append(Cause(Reason.CAMERA_SILENT, "rear"))
+    await unit.expose(20)
+    assert (await unit.written(2)).why == "camera_silent rear"
 
 
 async def test_by_its_settings_it_writes_only_when_asked(tmp_path: Path) -> None:
@@ -434,11 +427,3 @@ async def test_recordings_that_wait_for_one_another_hold_no_frames(
     with pytest.raises(NotKeptError, match="the frames are gone from memory"):
         await second
     assert (await third).exposures == 21, "the second that the memory still holds of its two"
-
-
-async def test_the_frames_are_let_go_once_they_are_written(unit: Unit) -> None:
-    await unit.expose(40)
-    frames = unit.ring.between(0, unit.clock.now_ns)
-    assert len(frames) == 80
-    assert len(list(unit.keeper._pairs(frames))) == 40  # noqa: SLF001
-    assert not frames

@@ -54,7 +54,9 @@ def test_a_recording_is_found_by_its_time_and_its_cause(tmp_path: Path) -> None:
     assert (kept.exposures, kept.seconds, kept.is_marked) == (3, 0.15, False)
     assert 10 * KIB <= kept.bytes <= 24 * KIB
     assert shelf.store.recordings() == (kept,)
-    assert (shelf.store.folder_of(kept.name) / "frame").stat().st_size == 10 * KIB
+    folder = shelf.store.folder_of(kept.name)
+    assert (folder / "frame").stat().st_size == 10 * KIB
+    assert json.loads((folder / "kept.json").read_text()) == {**kept.as_object(), "number": 1}
 
 
 class Elsewhere:
@@ -198,9 +200,13 @@ def test_a_disk_that_is_nearly_full_keeps_room_for_the_history(
     shelf = Shelf(tmp_path)
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=201 << 20))
-    shelf.add(KIB)
     with pytest.raises(NotKeptError, match="the disk is nearly full"):
         shelf.add(2 << 20)
+    kept = shelf.add(KIB)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=0))
+    with pytest.raises(NotKeptError, match="the disk is nearly full"):
+        shelf.add(KIB)
+    assert shelf.names() == [kept.name], "nothing is removed where that makes no room"
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), BadInputError("rec", "is odd")])
@@ -374,16 +380,6 @@ def test_the_mark_of_one_that_is_damaged_counts_and_can_be_taken_away(tmp_path: 
     assert shelf.names() == [last.name]
 
 
-def test_nothing_is_removed_where_that_makes_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shelf = Shelf(tmp_path)
-    kept = shelf.add()
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=0))
-    with pytest.raises(NotKeptError, match="the disk is nearly full"):
-        shelf.add()
-    assert shelf.names() == [kept.name]
-
-
 def test_what_a_power_cut_left_of_one_that_was_removed_does_not_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -400,9 +396,3 @@ def test_what_a_power_cut_left_of_one_that_was_removed_does_not_stay(
             shelf.add(60 * KIB)
     assert shelf.names() == []
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_is_written_about_a_recording_are_plain_facts(tmp_path: Path) -> None:
-    kept = Shelf(tmp_path).add()
-    about = json.loads((tmp_path / kept.name / "kept.json").read_text())
-    assert about == {**kept.as_object(), "number": 1}

@@ -85,11 +85,6 @@ async def test_lamps_are_at_hand_dark_and_switch(lamps: FrameLamps, leds: Leds, 
     assert leds.lit
     await lamps.apply(False)
     assert leds.lit is False
-
-
-async def test_all_calls_come_from_one_thread(lamps: FrameLamps, leds: Leds, component: Component) -> None:
-    await leds.clock.until(lambda: component.state is State.OK)
-    await lamps.apply(True)
     assert leds.threads == {"lamps"}
 
 
@@ -117,14 +112,6 @@ async def test_switching_lamps_that_are_not_at_hand_says_why(
     await leds.clock.until(lambda: component.state is State.FAILED)
     with pytest.raises(LampsError, match="gone"):
         await lamps.apply(True)
-
-
-async def test_a_loss_is_noticed_while_nothing_is_switched(
-    lamps: FrameLamps, leds: Leds, component: Component
-) -> None:
-    await leds.clock.until(lambda: component.state is State.OK)
-    leds.complaint = "gone"
-    await leds.clock.until(lambda: component.state is State.FAILED)
 
 
 async def test_lamps_lost_while_lit_come_back_dark(

@@ -1,6 +1,7 @@
 """The scan's order, its judgement of a node, and its folder; whole: ``tests/system/scan/test_scan.py``."""
 
 import os
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -79,6 +80,15 @@ def test_a_bad_exposure_is_named_with_its_target_and_reason(rear: Frame, complai
     assert node.complaint.startswith(complaint)
 
 
+def pipe_at(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def with_nan(path: Path) -> None:
+    path.write_text(path.read_text().replace("25.0,", "NaN,", 1))
+
+
 class TestFolder:
     """A scan of four nodes, interrupted after the first two."""
 
@@ -136,28 +146,26 @@ class TestFolder:
             ScanFolder(tmp_path / "scan", self.FACTS | {"scan.pitch_mm": 20.0}, lambda _: None)
         assert "scan.unfinished: was begun with scan.pitch_mm = 25.0, now it is 20.0" in str(caught.value)
 
-    def test_a_frame_that_is_gone_is_named(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize(
+        ("spoil", "said"),
+        [
+            (
+                lambda path: (path / "rear/000001.png").unlink(),
+                "frames.csv: row 5: rear/000001.png: No such file",
+            ),
+            (lambda path: pipe_at(path / "scan.json"), "scan.json: is a pipe, not a file"),
+            (lambda path: pipe_at(path / "frames.csv"), "frames.csv: is a pipe, not a file"),
+            (lambda path: with_nan(path / "scan.json"), "scan.json: is not a record of a scan"),
+        ],
+        ids=["a frame is gone", "the record is a pipe", "the table is a pipe", "a number is none"],
+    )
+    def test_what_cannot_go_on_is_named(
+        self, tmp_path: Path, spoil: Callable[[Path], object], said: str
+    ) -> None:
         folder = self.begin(tmp_path)
         folder.close()
-        (folder.path / "rear" / "000001.png").unlink()
-        with pytest.raises(BadInputError, match=r"frames.csv: row 5: rear/000001.png: No such file"):
-            self.folder(tmp_path)
-
-    @pytest.mark.parametrize("name", ["scan.json", "frames.csv"])
-    def test_what_is_no_file_any_more_is_named_and_not_waited_for(self, name: str, tmp_path: Path) -> None:
-        folder = self.begin(tmp_path)
-        folder.close()
-        (folder.path / name).unlink()
-        os.mkfifo(folder.path / name)
-        with pytest.raises(BadInputError, match=f"{name}: is a pipe, not a file"):
-            self.folder(tmp_path)
-
-    def test_the_record_keeps_no_number_that_is_none(self, tmp_path: Path) -> None:
-        folder = self.begin(tmp_path)
-        folder.close()
-        text = (folder.path / "scan.json").read_text()
-        (folder.path / "scan.json").write_text(text.replace("25.0,", "NaN,", 1))
-        with pytest.raises(BadInputError, match=r"scan.json: is not a record of a scan"):
+        spoil(folder.path)
+        with pytest.raises(BadInputError, match=said):
             self.folder(tmp_path)
 
     def test_cameras_of_another_size_are_refused(self, tmp_path: Path) -> None:

@@ -45,18 +45,6 @@ async def test_a_request_and_a_shock_come_first_but_leave_a_rest() -> None:
     assert await due_after(clock, schedule, 100.0) == (Cause.REQUEST, 0.0)
 
 
-async def test_a_thousand_requests_are_one_check() -> None:
-    clock = FakeClock()
-    schedule = Schedule(clock, 60.0, automatic=True)
-    await schedule.next()
-    for _ in range(1000):
-        schedule.ask(Cause.REQUEST)
-    schedule.ended(is_good=True)
-    assert await due_after(clock, schedule, 100.0) == (Cause.REQUEST, REST_S)
-    schedule.ended(is_good=True)
-    assert await due_after(clock, schedule, 100.0) == (Cause.SCHEDULE, 60.0)
-
-
 async def test_a_flood_of_requests_wakes_the_schedule_once() -> None:
     class CountingClock(FakeClock):
         sleeps = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -151,17 +150,6 @@ async def test_what_was_bad_before_the_start_is_not_valid_after_a_first_check_th
         is_valid, says = after.passed
         assert is_valid is (last is not Verdict.BAD)
         assert says == ["geometry_drift"] * (not is_valid) + ["geometry_unknown"]
-
-
-async def test_a_flood_of_requests_lights_the_leds_no_more_often_than_the_rest_allows() -> None:
-    async with Running(has_begun=True) as running:
-        for _ in range(600):
-            for _ in range(50):
-                running.service.ask()
-            await running.clock.advance(0.1)
-    asked_s = running.exposer.asked_s
-    assert 6 <= len(asked_s) <= 8
-    assert all(after - before >= 3.0 + REST_S for before, after in itertools.pairwise(asked_s))
 
 
 async def test_a_requested_check_that_could_not_begin_answers_who_waits() -> None:
