@@ -240,17 +240,6 @@ def complaint_of(file: Path, targets: object) -> str:
     return complaint(tampered(file, targets=targets))
 
 
-def test_saving_where_nothing_can_be_written_leaves_nothing(calibration: Calibration, tmp_path: Path) -> None:
-    (tmp_path / "cal.json").mkdir()
-    with pytest.raises(BadInputError, match="is a folder, not a file that can be replaced"):
-        save_calibration(calibration, tmp_path / "cal.json")
-    assert [path.name for path in tmp_path.iterdir()] == ["cal.json"]
-
-
-def test_an_ordinary_scan_loses_no_node(calibration: Calibration) -> None:
-    assert [len(target.map.hull_mm) for target in calibration.targets] == [4, 4]
-
-
 def test_a_measurement_recording_is_no_scan(tmp_path: Path) -> None:
     recording = open_recording(write_beams(tmp_path / "rec", [(0, 0, 0, 0)]))
     with pytest.raises(BadInputError, match="is of kind 'measurement'; a calibration needs a 'scan'"):
@@ -268,12 +257,6 @@ def reloaded(calibration: Calibration, folder: Path) -> Calibration:
 def with_front(calibration: Calibration, fingerprint: Fingerprint, flat: Flat | None = None) -> Calibration:
     front, rear = calibration.targets
     return replace(calibration, targets=(replace(front, fingerprint=fingerprint, flat=flat), rear))
-
-
-def test_the_file_carries_the_cameras_identities(calibration: Calibration, tmp_path: Path) -> None:
-    front, rear = reloaded(calibration, tmp_path).targets
-    assert front.camera == CameraIdentity("F-7", "mini", "aravis")
-    assert rear.camera == CameraIdentity()
 
 
 def test_a_file_has_hot_pixels_and_the_texture_of_the_scan(calibration: Calibration, tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd_here, refusal
 from support.plates import write_plates
 from support.recordings import header, seen, write_scan, write_scan_of, write_targets
 
@@ -180,17 +179,3 @@ def test_a_camera_without_frames_gets_no_flat(tmp_path: Path, scan: Recording) -
     flats = flats_of(open_recording(painted(tmp_path / "flat", None)), target_frames([scan]))
     assert set(flats) == {"front"}
     assert flats["front"].response == pytest.approx(np.ones((480, 752)))
-
-
-def test_the_command_line_refuses_with_one_line_and_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scan, output = write_scan(tmp_path / "scan"), tmp_path / "cal.json"
-    painted(tmp_path / "other", None, serial="TEST-2")
-    for flat, complaint in (
-        (tmp_path / "nowhere", "nowhere/recording.json: No such file or directory"),
-        (scan, "scan: is of kind 'scan', not 'flat'"),
-        (tmp_path / "other", "other: is a flat of unit 'TEST-2', the scan is of unit 'TEST-1'"),
-    ):
-        assert complaint in refusal(altd_here("calibrate", scan, "--flat", flat, "-o", output))
-        assert not output.exists()

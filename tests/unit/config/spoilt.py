@@ -33,7 +33,6 @@ device = «"video0"                   # is not the path of a device
 width = «32                          # 32 is too small; possible: whole number from 64 to 16384
 width = «752.5                       # 752.5 is not a whole number
 fps = «0                             # 0 is too small; possible: number from 1 to 1000
-fps = «true                          # true is not a number
 pixel_format = «"Mono8"              # "GREY" or "Y10" or
 controls = { gain = «"much" }        # .gain: "much" is not a whole number
 controls = «16                       # 16 is not a table
@@ -65,11 +64,8 @@ stale_after_s; every = 20            # 1 is shorter than a value interval; possi
 [installation]
 sign_x = «0                          # 0 is not possible; possible: -1 or 1
 offset_x_mm = «1e6                   # 1000000.0 is too large
-offset_x_mm = «true                  # true is not a number
-offset_x_mm = «nan                   # nan is not a finite number
 offset_yaw_deg = «90                 # 90 is too large
 offset_yaw_deg = «90.0               # 90.0 is too large; possible: number from -45 to 45
-reference_plane_mm = «inf            # inf is not a finite number
 offset_y_mm = «1e200                 # 1e+200 is too large; possible: number from -100000 to 100000
 thermometer = «"hosing"              # "hosing" is not the name of a thermometer; did you mean `housing`?
 [modbus_tcp]
@@ -77,10 +73,8 @@ host = «"224.0.0.1"                  # address of groups
 host = «"fe80::1"                    # name its interface
 reserved = [«"192.168.1.10:502", "192.168.1.10"] # .0: is not a network
 roles = [«""]                        # .0: is too short
-allow_zero = «1.5                    # 1.5 is neither true nor false
 unit_id = «248                       # 248 is too large; possible: whole number from 1 to 247
 allow_self_check = «1.5              # neither true nor false
-allow_self_check = «"local"          # neither true nor false
 certificate; -client_ca              # is set without client_ca; possible: both
 certificate; -key                    # is set without key; possible: both
 allow_zero; -roles                   # is set without roles; possible: both: over TLS a client needs a role
@@ -92,7 +86,6 @@ allow = [«"plant", "fd00::/8"]       # .0: is not a network
 allow = [«"::ffff:10.0.0.0/104", "fd00::/8"] # .0: write it as IPv4
 names = [«"http://alt-0007.plant.example"] # .0: is not a host name
 allow = «"10.0.0.0/8"                # ; did you mean `["10.0.0.0/8"]`?
-credentials = «7                     # is not a path
 port = «502                          # 502 is the port of [modbus_tcp] too
 port = «70000                        # 70000 is too large; possible: whole number from 0 to 65535
 «allow_self_check = true             # it is a key of [modbus_tcp]
@@ -106,9 +99,7 @@ topic = «"plant/#"                   # is not a topic prefix; possible: letters
 topic = «"/plant"                    # is not a topic prefix
 topic = «"$SYS"                      # is not a topic prefix
 topic = «"plant/+/altd"              # is not a topic prefix
-home_assistant = «true               # true is not text
 home_assistant = «"homeassistant"; sparkplug = {group = "line-4"} # does not go with [mqtt.sparkplug]
-every_measurement = «"each"          # "each" is neither true nor false
 «password = "b"                      # `credentials` is its path
 «hsot = "broker.plant.example"; -host # no such key;
 «sparkplug = {}; -home_assistant     # .group: is missing
@@ -133,7 +124,6 @@ interval_s = «0.1                    # 0.1 is too short at 9600 baud; possible:
 interval_s = «0.2; checked = true    # 0.2 is too short at 9600 baud; possible: from 0.26
 interval_s = «0.3; checked = true; identify_every_s = 600 # 0.3 is too short at 9600 baud; possible: from 0.35
 identify_every_s = «0.5              # 0.5 is too small; possible: number from 1 to 86400
-checked = «3                         # 3 is neither true nor false
 [serial.0.rs485]
 delay_before_ms = «101               # 101 is too large
 [serial.1]
@@ -148,13 +138,11 @@ lines = «[]                          # a list has too few elements; possible: l
 [indicators]
 error = «"LED_REAR"                  # is the line of lamps.lines.1 too
 ok = «"GPIO6"                        # is the line of indicators.error too
-active_low = «2                      # 2 is neither true nor false
 [inclinometer]
 driver = «"balluff"                  # possible: "balluff_bsi_r11a0" or "witm
 device = «"/dev/ttyS1"               # is the port of serial.1 too
 max_roll_deg = «180.0                # number above 0 to 90
 device = «"ttyUSB1"                  # "ttyUSB1" is not the path of a device
-device = «5                          # 5 is not a path
 baud = «9601                         # 9601 is not possible; possible: 4800 or 9600 or 19200
 baud = «"19200"                      # "19200" is text; possible: 4800 or 9600 or 19200
 parity = «"mark"                     # possible: "none" or "even" or "odd"
@@ -162,7 +150,6 @@ stop_bits = «3                       # 3 is not possible; possible: 1 or 2
 stop_bits = «true                    # true is not a number; possible: 1 or 2
 address = «0                         # 0 is too small; possible: whole number from 1 to 247
 address = «248                       # 248 is too large
-address = «"0x50"                    # "0x50" is not a whole number
 interval_s = «0.01                   # 0.01 is too small; possible: number from 0.05 to 10
 interval_s = «11                     # 11 is too large
 max_age_s = «0.1                     # 0.1 is too small; possible: number from 0.2
@@ -179,7 +166,6 @@ sign_roll = «0                       # 0 is not possible; possible: -1 or 1
 sign_roll = «true                    # true is not a number; possible: -1 or 1
 sign_pitch = «"-"                    # "-" is not possible; possible: -1 or 1
 offset_roll_deg = «181               # 181 is too large; possible: number from -180 to 180
-offset_roll_deg = «nan               # nan is not a finite number
 offset_pitch_deg = «-181.0           # -181.0 is too small
 max_divergence_deg = «0              # 0 is too small; possible: number above 0 to 10
 max_divergence_deg = «12             # 12 is too large
@@ -191,7 +177,6 @@ driver = «"hwmn"                     # "hwmn" is not possible; possible:
 name = «"Housing"                    # characters that are not allowed
 chip = «""                           # "" is too short
 max_celsius = «201                   # 201 is too large
-max_celsius = «"55 °C"               # is not a number
 -driver                              # this key is missing
 -name                                # this key is missing
 -chip                                # this key is missing; possible: text
@@ -199,7 +184,6 @@ max_celsius = «"55 °C"               # is not a number
 name = «"housing"                    # is the name of thermometers.0 too
 channel = «0                         # 0 is too small
 channel = «100                       # 100 is too large; possible: whole number from 1
-channel = «2.5                       # 2.5 is not a whole number
 min_celsius = «-101                  # -101 is too small
 max_celsius; min_celsius = 60.0      # 60 is not warmer; possible: above 60
 [maintenance]
@@ -212,7 +196,6 @@ max_dust_share = «0.0                # 0 is too small; possible: number above 0
 max_dust_share = «1.5                # 1.5 is too large
 max_residual_share = «0              # 0 is too small; possible: number above 0 to 1
 max_residual_share = «1.1            # 1.1 is too large
-max_residual_share = «{}             # a table is not a number
 «min_light = 0.5                     # did you mean `min_light_share`?
 [stage]
 device = «"/dev/ttyS1"               # is the port of serial.1 too
@@ -228,26 +211,20 @@ turned_deg = «90                     # possible: 0 or 180
 stage_scale_ppm = «-1                # -1 is too small
 [self_check]
 enabled = «2                         # 2 is neither true nor false; possible: true or false
-interval_s = «true                   # true is not a number
-interval_s = «nan                    # nan is not a finite number
 interval_s = «9.9                    # 9.9 is too small; possible: number from 10 to 86400
 interval_s = «86401                  # 86401 is too large
 exposures = «1                       # 1 is too small; possible: whole number from 2 to 20
 exposures = «21                      # 21 is too large
 exposures = «4.5                     # 4.5 is not a whole number
-exposures = «true                    # true is not a number
 exposures = «"4" # "4" is text; possible: whole number from 2 to 20; write it without quotes
 enabled = «"true"                    # "true" is text; possible: true or false; write it without quotes
-enabled = «1                         # 1 is neither true nor false; possible: true or false
 suspect_mm = «0                      # 0 is too small; possible: number above 0 to 10
 suspect_mm = «0.2                    # 0.2 is above bad_mm; possible: up to 0.1
-suspect_mm = «inf                    # inf is not a finite number
 suspect_deg = «-0.01                 # -0.01 is too small; possible: number above 0 to 10
 suspect_deg = «0.04                  # 0.04 is above bad_deg; possible: up to 0.03
 bad_mm = «10.1                       # 10.1 is too large; possible: number above 0 to 10
 bad_mm = «"0.1 mm"                   # "0.1 mm" is not a number
 bad_deg = «11                        # 11 is too large
-bad_deg = «[]                        # a list is not a number
 when_bad = «"invlid" # "invlid" is not possible; possible: "invalid" or "warning"; did you mean
 when_bad = «"ignore"                 # possible: "invalid" or "warning"
 when_unknown = «false                # false is not possible; possible: "invalid" or "warning"

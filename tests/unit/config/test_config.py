@@ -139,11 +139,6 @@ def live(more: str) -> str:
     return head + LIVE + tail[tail.index("[measuring]") :] + more
 
 
-def test_cameras_of_several_drivers_stand_side_by_side(tmp_path: Path) -> None:
-    config = load_config(write(tmp_path, live('pair_by = "time"\n')))
-    assert [camera.driver for camera in config.cameras.values()] == ["aravis", "v4l2"]
-
-
 def test_live_cameras_are_paired_by_time_only(tmp_path: Path) -> None:
     assert load_config(write(tmp_path, live(""))).measuring.pair_by == "time"
     assert 'measuring.pair_by: "sequence" is for recordings; possible: "time"' in complaint(

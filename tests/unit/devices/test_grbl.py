@@ -183,19 +183,21 @@ def test_a_place_beyond_the_travel_is_an_alarm_in_words_and_homing_gets_out_of_i
     assert beam(table) == pytest.approx((5.0, 5.0), abs=0.015)
 
 
-def test_a_limit_switch_ends_a_move(table: GrblTable, stage: GrblStage) -> None:
-    table.machine.settings |= SLOW
-    timer = under_way(table, table.hit_limit)
-    with pytest.raises(StageAlarmError, match="ALARM:1, a limit switch was hit"):
-        stage.move_to(25.0, 0.0)
-    timer.join()
-
-
 @pytest.mark.usefixtures("impatient")
-def test_a_controller_that_hangs_is_given_up(table: GrblTable, stage: GrblStage) -> None:
+@pytest.mark.parametrize(
+    ("happens", "error", "said"),
+    [
+        ("hit_limit", StageAlarmError, "ALARM:1, a limit switch was hit"),
+        ("stop_answering", StageTimeoutError, "does not report its position"),
+        ("unplug", StageLostError, ": the port is gone"),
+    ],
+)
+def test_what_happens_during_a_move_ends_it_and_is_said(
+    table: GrblTable, stage: GrblStage, happens: str, error: type[Exception], said: str
+) -> None:
     table.machine.settings |= SLOW
-    timer = under_way(table, table.stop_answering)
-    with pytest.raises(StageTimeoutError, match="does not report its position"):
+    timer = under_way(table, getattr(table, happens))
+    with pytest.raises(error, match=said):
         stage.move_to(25.0, 0.0)
     timer.join()
 
@@ -220,14 +222,6 @@ def test_after_a_loss_of_power_nobody_knows_where_the_stage_is(table: GrblTable,
     stage.home()
     stage.move_to(25.0, 0.0)
     assert beam(table) == pytest.approx((25.0, 0.0), abs=0.015)
-
-
-def test_a_pulled_cable_is_said(table: GrblTable, stage: GrblStage) -> None:
-    table.machine.settings |= SLOW
-    timer = under_way(table, table.unplug)
-    with pytest.raises(StageLostError, match=f"{table.device}: the port is gone"):
-        stage.move_to(25.0, 0.0)
-    timer.join()
 
 
 @pytest.mark.usefixtures("impatient")

@@ -130,13 +130,14 @@ class TestUsbCameras:
             cameras[name] = {"driver": "v4l2", "device": f"/dev/v4l/by-path/usb-{number}"}
         return list(devices.video_cameras(configured(cameras=cameras), tree.machine))
 
-    def test_a_bus_that_is_fast_enough(self, tree: Tree) -> None:
-        findings = self.cameras(tree, 480, (1, 1))
-        assert says(findings, Verdict.GOOD, "its cameras need 116 Mbit/s of 480")
-
-    def test_a_bus_that_two_cameras_are_too_much_for(self, tree: Tree) -> None:
-        findings = self.cameras(tree, 150, (1, 1))
-        assert says(findings, Verdict.ERROR, "its cameras need 116 Mbit/s of 150: too much")
+    @pytest.mark.parametrize(
+        ("speed", "verdict", "said"),
+        [(480, Verdict.GOOD, "116 Mbit/s of 480"), (150, Verdict.ERROR, "116 Mbit/s of 150: too much")],
+    )
+    def test_a_bus_that_is_fast_enough_or_too_slow(
+        self, tree: Tree, speed: int, verdict: Verdict, said: str
+    ) -> None:
+        assert says(self.cameras(tree, speed, (1, 1)), verdict, f"its cameras need {said}")
 
     def test_a_bus_for_each_would_do(self, tree: Tree) -> None:
         findings = self.cameras(tree, 150, (1, 2))

@@ -2,6 +2,7 @@
 
 import os
 import socket
+from typing import Any
 
 import pytest
 from support.ports import free_port
@@ -103,14 +104,16 @@ def test_what_a_camera_itself_says(
     assert says(findings[-1:], verdict, words)
 
 
-def test_a_slow_link(computer: Tree) -> None:
-    interface(computer, "eth1", speed=100)
-    assert "ethtool" in says(found(gige(), computer), Verdict.ERROR, "runs at 100 Mbit/s").remedy
-
-
-def test_a_link_that_is_down(computer: Tree) -> None:
-    interface(computer, "eth1", state="down")
-    assert "ip link set eth1 up" in says(found(gige(), computer), Verdict.ERROR, "is down").remedy
+@pytest.mark.parametrize(
+    ("link", "said", "remedy"),
+    [
+        ({"speed": 100}, "runs at 100 Mbit/s", "ethtool"),
+        ({"state": "down"}, "is down", "ip link set eth1 up"),
+    ],
+)
+def test_a_link_that_is_slow_or_down(computer: Tree, link: dict[str, Any], said: str, remedy: str) -> None:
+    interface(computer, "eth1", **link)
+    assert remedy in says(found(gige(), computer), Verdict.ERROR, said).remedy
 
 
 def test_packets_that_do_not_fit(computer: Tree) -> None:

@@ -37,14 +37,35 @@ def last_hour(folder: Path, start_s: float) -> dict[str, Any]:
     return cast("dict[str, Any]", availability.as_object()["last_hour"])
 
 
-def test_what_ran_stood_still_and_was_lost_before_the_start_adds_up(tmp_path: Path) -> None:
-    ran(tmp_path, START_S, 120)
-    ran(tmp_path, START_S + 300, 60, LOST)
-    shown = last_hour(tmp_path, START_S + 400)
-    assert shown["observed_s"] == pytest.approx(400, abs=1)
-    assert shown["valid_s"] == pytest.approx(120, abs=1)
-    assert shown["lost_s"] == pytest.approx({"not_running": 220, "spot_missing": 60}, abs=2)
-    assert shown["share"] == pytest.approx(120 / 400, abs=0.005)
+@pytest.mark.parametrize(
+    ("runs", "start_s", "valid_s", "lost_s"),
+    [
+        ([(0, 120, VALID), (300, 60, LOST)], 400, 120, {"not_running": 220, "spot_missing": 60}),
+        ([(0, 60, VALID), (100, 30, VALID)], 100, 60, {"not_running": 40}),
+        ([(0, 60, VALID), (10 * HOUR_S, 60, VALID)], 100, 60, {"not_running": 40}),
+        ([(0, 120, VALID), (60, 120, LOST)], 180, 60, {"spot_missing": 120}),
+    ],
+    ids=[
+        "it adds up",
+        "its own is not counted twice",
+        "a wrong clock's future is none",
+        "a clock was set back",
+    ],
+)
+def test_what_ran_stood_still_and_was_lost_before_the_start_adds_up(
+    tmp_path: Path,
+    runs: list[tuple[int, int, float | None]],
+    start_s: int,
+    valid_s: float,
+    lost_s: dict[str, float],
+) -> None:
+    for first_s, seconds, x_mm in runs:
+        ran(tmp_path, START_S + first_s, seconds, x_mm)
+    shown = last_hour(tmp_path, START_S + start_s)
+    assert shown["observed_s"] == pytest.approx(start_s, abs=1)
+    assert shown["valid_s"] == pytest.approx(valid_s, abs=1)
+    assert shown["lost_s"] == pytest.approx(lost_s, abs=2)
+    assert shown["share"] == pytest.approx(valid_s / start_s, abs=0.005)
 
 
 def test_a_minute_half_valid_counts_half(tmp_path: Path) -> None:
@@ -89,15 +110,6 @@ def test_a_history_that_has_just_begun_knows_nothing(tmp_path: Path) -> None:
     assert before(tmp_path, START_S) == Before()
 
 
-def test_what_this_daemon_has_written_itself_is_not_counted_twice(tmp_path: Path) -> None:
-    ran(tmp_path, START_S, 60)
-    start_s = START_S + 100
-    ran(tmp_path, start_s, 30)
-    shown = last_hour(tmp_path, start_s)
-    assert shown["valid_s"] == pytest.approx(60, abs=1)
-    assert shown["lost_s"] == pytest.approx({"not_running": 40}, abs=1)
-
-
 @pytest.mark.parametrize("step_s", [-7200, -90, 90, 1_000_000])
 def test_a_clock_that_was_set_while_a_daemon_ran_parts_nothing(tmp_path: Path, step_s: int) -> None:
     """Two minutes valid, then the clock is set, then a minute lost: three minutes, however far it was set."""
@@ -126,22 +138,6 @@ def test_this_daemons_own_time_before_its_clock_was_set_is_not_counted_twice(tmp
     writing.end(None)
     assert shown["valid_s"] == pytest.approx(60, abs=2)
     assert shown["lost_s"] == pytest.approx({"not_running": 140}, abs=2)
-
-
-def test_what_a_wrong_clock_put_into_the_future_is_not_counted_as_valid(tmp_path: Path) -> None:
-    ran(tmp_path, START_S, 60)
-    ran(tmp_path, START_S + 10 * HOUR_S, 60)
-    shown = last_hour(tmp_path, START_S + 100)
-    assert shown["valid_s"] == pytest.approx(60, abs=1)
-    assert shown["lost_s"] == pytest.approx({"not_running": 40}, abs=1)
-
-
-def test_a_clock_set_back_between_two_runs_counts_no_moment_twice(tmp_path: Path) -> None:
-    ran(tmp_path, START_S, 120)
-    ran(tmp_path, START_S + 60, 120, LOST)
-    shown = last_hour(tmp_path, START_S + 180)
-    assert shown["observed_s"] == pytest.approx(180, abs=1)
-    assert shown["valid_s"] == pytest.approx(60, abs=1)
 
 
 @pytest.mark.parametrize(

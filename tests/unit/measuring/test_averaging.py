@@ -111,9 +111,30 @@ def test_a_few_lost_exposures_are_counted_and_the_mean_stands() -> None:
     assert (mean.frames, mean.lost) == (8, 2)
 
 
-def test_a_window_with_less_than_half_its_exposures_is_invalid_with_the_reasons() -> None:
-    frame_sets = [frame_set(n, front=MISSING if n % 3 else (300.0, 200.0)) for n in range(10)]
-    assert why_not(frame_sets) == ["front_spot_missing"]
+SATURATED, OUT_OF_STEP = NoSpot(Reason.SATURATED), NoSpot(Reason.OUT_OF_STEP)
+
+
+@pytest.mark.parametrize(
+    ("frame_sets", "reasons"),
+    [
+        (
+            [frame_set(n, front=MISSING if n % 3 else (300.0, 200.0)) for n in range(10)],
+            ["front_spot_missing"],
+        ),
+        (
+            [frame_set(n, rear=MISSING if n > 16 else (310.0, 220.0)) for n in range(20)],
+            ["rear_spot_missing"],
+        ),
+        (
+            [frame_set(n, front=MISSING, rear=SATURATED if n else MISSING) for n in range(4)],
+            ["front_spot_missing", "rear_saturated", "rear_spot_missing"],
+        ),
+        ([frame_set(n, front=OUT_OF_STEP, rear=OUT_OF_STEP) for n in range(4)], ["out_of_step"]),
+    ],
+    ids=["less than half", "gone for three exposures", "most frequent first", "of the whole unit"],
+)
+def test_a_window_without_a_mean_says_why(frame_sets: list[FrameSet], reasons: list[str]) -> None:
+    assert why_not(frame_sets) == reasons
 
 
 def test_exposures_that_nobody_wanted_are_what_a_window_lacks_and_not_those_that_failed() -> None:
@@ -149,22 +170,6 @@ def test_what_was_passed_over_before_a_gap_excuses_nothing_after_it() -> None:
     window.forget()
     outcome = window.add(frame_set(4, front=MISSING))
     assert [str(fault) for fault in outcome or ()] == ["front_spot_missing"]  # type: ignore[union-attr]
-
-
-def test_a_spot_that_is_gone_for_three_exposures_ends_the_mean_at_once() -> None:
-    frame_sets = [frame_set(n, rear=MISSING if n > 16 else (310.0, 220.0)) for n in range(20)]
-    assert why_not(frame_sets) == ["rear_spot_missing"]
-
-
-def test_all_reasons_are_told_most_frequent_first() -> None:
-    saturated = NoSpot(Reason.SATURATED)
-    frame_sets = [frame_set(n, front=MISSING, rear=saturated if n else MISSING) for n in range(4)]
-    assert why_not(frame_sets) == ["front_spot_missing", "rear_saturated", "rear_spot_missing"]
-
-
-def test_a_reason_of_the_whole_unit_carries_no_target() -> None:
-    step = NoSpot(Reason.OUT_OF_STEP)
-    assert why_not([frame_set(n, front=step, rear=step) for n in range(4)]) == ["out_of_step"]
 
 
 @pytest.mark.parametrize(("count", "jump"), [(4, 2), (20, 8), (20, 10), (20, 12), (7, 3)])

@@ -63,11 +63,6 @@ def test_breaks_told_of_by_frames_that_got_lost_keep_the_window_apart(calibratio
     assert set(means) == {1, 2, 3, 4, *range(9, 16)}
 
 
-def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:
-    measured = chain(calibration)
-    assert [m for frame in shots([(10.0, 5.0)] * 4, leds_on=True) for m in measured.push(frame)] == []
-
-
 def lit(frames: Sequence[Frame], *of: tuple[str, int]) -> list[Frame]:
     """The frames, some of them under LEDs, by camera and number."""
     return [replace(f, leds_on=(f.camera, f.sequence) in of) for f in frames]

@@ -37,12 +37,22 @@ def jump_px(at_s: float, px: float) -> Callable[[float], float]:
     return lambda t_s: 300.0 + (px if t_s >= at_s else 0.0)
 
 
-def test_a_jump_of_all_spots_is_one_shock() -> None:
-    assert shocks(lambda camera, t_s: jump_px(1.0, 12.0)(t_s)) == [20]
+@pytest.mark.parametrize(
+    ("jumps", "lost", "seen"),
+    [
+        ([(1.0, 12.0)], (), [20]),
+        ([(1.0, 12.0), (2.0, -15.0)], (), [20, 40]),
+        ([(1.0, 50.0)], tuple(range(15, 25)), []),
+    ],
+    ids=["one", "two", "while the beam was away"],
+)
+def test_each_jump_of_all_spots_is_a_shock(
+    jumps: list[tuple[float, float]], lost: tuple[int, ...], seen: list[int]
+) -> None:
+    def path(_: str, t_s: float) -> float:
+        return 300.0 + sum(px for at_s, px in jumps if t_s >= at_s)
 
-
-def test_two_jumps_are_two_shocks() -> None:
-    assert shocks(lambda camera, t_s: jump_px(1.0, 12.0)(t_s) + jump_px(2.0, -15.0)(t_s)) == [20, 40]
+    assert shocks(path, lost) == seen
 
 
 @pytest.mark.parametrize(
@@ -60,10 +70,6 @@ def test_two_jumps_are_two_shocks() -> None:
 )
 def test_what_is_no_shock(path: Path) -> None:
     assert shocks(path) == []
-
-
-def test_a_beam_that_was_away_and_comes_back_elsewhere_is_no_shock() -> None:
-    assert shocks(lambda camera, t_s: jump_px(1.0, 50.0)(t_s), lost=tuple(range(15, 25))) == []
 
 
 def test_vibration_between_uneven_frames_is_no_shock() -> None:

@@ -184,10 +184,6 @@ def test_a_change_over_a_gap_may_have_come_within_two_windows() -> None:
     assert learned([5.0], memory, first=100)[0].acceleration == pytest.approx(5.0 / 1.9, rel=0.01)
 
 
-def test_windows_that_show_no_motion_teach_nothing() -> None:
-    assert MotionMemory().add(0, 0, 0.0, {}) == {}
-
-
 def test_at_rest_it_is_hardly_larger_than_sigma() -> None:
     last = machine(1, 0.0, vibrates=False).measured(range(200), Measuring())[-1]
     for key in KEYS:
@@ -228,9 +224,3 @@ def test_every_quantity_with_a_sigma_has_one_of_now_and_no_other() -> None:
     assert with_sigma == {each.key for each in last.quantities.of_unit if each.has_sigma} - {"roll_deg"}
     assert {key for key in last.values if last.sigma_at(key, 0.5) is not None} == with_sigma
     assert last.sigma_at("yaw_mm_per_m", 0.5) is last.sigma_at("roll_deg", 0.5) is None
-
-
-def test_what_is_invalid_has_neither_rates_nor_sigma_of_now() -> None:
-    last = machine(1, 2.0, vibrates=False).measured(range(60), Measuring())[-1].without_numbers(())
-    assert last.rates == {}
-    assert last.sigma_at("x_mm", 0.5) is None

@@ -104,16 +104,6 @@ async def test_what_may_yet_come_is_waited_for(clock: FakeClock, error: OSError,
         assert component.state is State.OK
 
 
-async def test_an_address_that_is_taken_later_is_waited_for(clock: FakeClock) -> None:
-    publisher = Flaky()
-    async with supervised(publisher, clock) as component:
-        await settle()
-        publisher.failures, publisher.error = 3, OSError(errno.EADDRINUSE, "Address already in use")
-        publisher.die.set()
-        await clock.advance(10)
-        assert component.state is State.OK
-
-
 async def test_a_device_that_is_missing_is_looked_for_every_second(clock: FakeClock) -> None:
     publisher = Flaky(1000, OSError(errno.ENOENT, "there is no such port now", "/dev/ttyUSB0"))
     async with supervised(publisher, clock) as component:

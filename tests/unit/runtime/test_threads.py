@@ -127,7 +127,9 @@ async def test_a_device_s_calls_come_one_after_the_other_in_one_thread() -> None
     assert await thread.end(lambda: None, LONG_S)
 
 
-async def test_what_a_call_raises_after_who_asked_has_left_is_told_nobody() -> None:
+async def test_what_a_call_raises_after_who_asked_has_left_is_told_nobody(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     told: list[dict[str, object]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context))
     thread, gate = DeviceThread("device"), Gate()
@@ -145,7 +147,7 @@ async def test_what_a_call_raises_after_who_asked_has_left_is_told_nobody() -> N
     gate.may_end.set()
     assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
     gc.collect()
-    assert told == []
+    assert (told, caplog.records) == ([], [])
     assert await thread.end(lambda: None, LONG_S)
 
 
@@ -251,27 +253,6 @@ async def test_of_many_calls_that_are_cancelled_at_any_time_what_was_told_is_wha
     successes = {number for number in told if isinstance(number, int)}
     assert 100 <= len(successes) < 200
     assert there == successes
-
-
-async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    device, gate = DeviceThread("device"), Gate()
-
-    def fail() -> None:
-        gate()
-        raise OSError("of interest to nobody")
-
-    waiting = asyncio.ensure_future(device.call(fail, within_s=LONG_S))
-    assert await asyncio.to_thread(gate.entered.wait, LONG_S)
-    waiting.cancel()
-    await asyncio.wait({waiting})
-    gate.may_end.set()
-    assert await device.call(lambda: "next", within_s=LONG_S) == "next"
-    await device.end(lambda: None, LONG_S)
-    del waiting
-    gc.collect()
-    assert caplog.records == []
 
 
 async def test_the_end_of_a_thread_that_is_held_is_not_waited_for() -> None:

@@ -10,7 +10,7 @@ from support.measurements import measurement, points_of
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
 from altd.status.board import Board
-from altd.status.proof import Identity, Stamps, crc32, unit_number
+from altd.status.proof import Identity, Stamps, unit_number
 
 
 def test_an_empty_board_reads_nothing(board: Board) -> None:
@@ -108,10 +108,6 @@ def test_in_a_rehearsal_it_keeps_its_numbers_and_every_measurement_says_so(clock
     assert Reason.REHEARSAL in {fault.reason for fault in lost.status}
 
 
-def test_the_crc_is_that_of_ieee_802_3() -> None:
-    assert crc32(b"123456789") == 0xCBF43926
-
-
 def test_a_session_is_new_with_every_start() -> None:
     sessions = {Identity.drawn("ALT-0007").session for _ in range(50)}
     assert len(sessions) == 50
@@ -144,7 +140,3 @@ def test_the_counts_of_two_faces_are_their_own() -> None:
     assert [ours.next().message, ours.next().message, theirs.next().message] == [1, 2, 1]
     reopened, added = Stamps(board, "theirs"), Stamps(board, "added")
     assert (reopened.next().message, added.next().message) == (2, 3), "a number goes back within a session"
-
-
-def test_units_are_told_apart_by_their_serial_numbers() -> None:
-    assert len({unit_number(f"ALT-{number:04}") for number in range(2000)}) == 2000

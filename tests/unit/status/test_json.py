@@ -15,11 +15,9 @@ from altd.history.records import StoredMeasurement
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http.answers import page_of
 from altd.publish.http.metrics import Metrics
-from altd.publish.modbus.registers import REGISTERS, Snapshot, image
 from altd.publish.mqtt.home_assistant import discovery_of
 from altd.publish.mqtt.messages import Topics, summary_of
-from altd.publish.serial.telegram import encode
-from altd.publish.serial.words import measurement_text, watch_line
+from altd.publish.serial.words import measurement_text
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.records.sensors import Quality, SensorValue
@@ -233,29 +231,12 @@ class TestFaces:
         assert "sensors" not in document
         assert list(document["sigma"]) == ["x_mm", "y_mm", "yaw_deg", "pitch_deg"]
 
-    @pytest.mark.parametrize("blocked", [(), (Reason.SPOT_MISSING,)])
-    def test_registers_and_telegram_have_it_with_and_without_beam(self, blocked: tuple[Reason, ...]) -> None:
-        shown = with_roll(GOOD, *blocked)
-        words = image(Snapshot(shown, 0.1, 1))
-        at = {row.name: row for row in REGISTERS if row.address < 60}["roll"].address
-        assert words[at : at + 2] == [0xBFA0, 0x0000]  # -1.25, IEEE 754
-        assert encode(shown).split(b"*")[0].endswith(b",-1.2500")
-
-    def test_registers_say_not_known_when_there_is_none(self) -> None:
-        words = image(Snapshot(with_roll(FROZEN), 0.1, 1))
-        assert words[32:34] == [0x7FC0, 0x0000]
-        assert words[0] == 1  # valid, and no bit of another reason
-
     def test_the_console_shows_it_whether_or_not_the_beam_is_seen(self) -> None:
         assert "  roll      -1.2500 deg +/- 0.0800" in measurement_text(with_roll(GOOD)).splitlines()
         blocked = measurement_text(with_roll(GOOD, Reason.SPOT_MISSING)).splitlines()
         assert blocked[1:3] == ["  NOT VALID", "  roll      -1.2500 deg +/- 0.0800"]
         assert "  roll      not available" in measurement_text(with_roll(FROZEN)).splitlines()
         assert "the same words for 0.8 s" in measurement_text(with_roll(FROZEN))
-
-    def test_watch_keeps_its_columns_and_says_that_there_is_none(self) -> None:
-        assert watch_line(with_roll(GOOD)) == watch_line(measurement())
-        assert watch_line(with_roll(FROZEN)).endswith(" roll_missing")
 
     def test_the_page_has_a_row_for_it_where_an_inclinometer_is_fitted(self) -> None:
         shown = '"key": "roll_deg".*"is_shown": true'

@@ -57,32 +57,27 @@ class TestPicture:
 
 
 class TestTrend:
-    def test_each_level_is_an_eighth_of_a_row(self) -> None:
-        canvas = Canvas(1, 8, is_utf8=True)
-        draw_trend(canvas, 0, 0, 1, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], None)
-        assert canvas.text() == "▁▂▃▄▅▆▇█"
-
-    def test_more_rows_are_filled_from_below(self) -> None:
-        canvas = Canvas(2, 3, is_utf8=True)
-        draw_trend(canvas, 0, 0, 2, [0.0, 1.0, 0.5], None)
-        assert canvas.text() == " █▁\n▁██"
-
-    def test_ascii_shows_bars(self) -> None:
-        canvas = Canvas(2, 3, is_utf8=False)
-        draw_trend(canvas, 0, 0, 2, [0.0, None, 1.0], None)
-        assert canvas.text() == "  #\n# #"
+    @pytest.mark.parametrize(
+        ("rows", "is_utf8", "values", "shown"),
+        [
+            (1, True, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], "▁▂▃▄▅▆▇█"),
+            (2, True, [0.0, 1.0, 0.5], " █▁\n▁██"),
+            (2, False, [0.0, None, 1.0], "  #\n# #"),
+            (1, True, [None, None, None], ""),
+        ],
+        ids=["each level is an eighth of a row", "filled from below", "ASCII", "never known"],
+    )
+    def test_is_drawn(self, rows: int, is_utf8: bool, values: list[float | None], shown: str) -> None:
+        canvas = Canvas(rows, len(values), is_utf8=is_utf8)
+        draw_trend(canvas, 0, 0, rows, values, None)
+        assert canvas.text() == shown
 
     def test_noise_is_not_blown_up_to_motion(self) -> None:
         """Values within one sigma fill a sixth of the height at most."""
+        assert limits_of([], None) is None
         low, high = limits_of([1.0, 1.004], 0.004) or (0.0, 0.0)
         assert high - low == pytest.approx(6 * 0.004)
         assert (low + high) / 2 == pytest.approx(1.002)
-
-    def test_what_never_was_known_is_not_drawn(self) -> None:
-        canvas = Canvas(1, 3, is_utf8=True)
-        draw_trend(canvas, 0, 0, 1, [None, None, None], 0.1)
-        assert canvas.text() == ""
-        assert limits_of([], None) is None
 
     @pytest.mark.parametrize("values", [[3.0, 3.0], [1e9, -1e9], [5e-324, 0.0]])
     def test_any_numbers_that_a_document_may_hold_can_be_drawn(self, values: list[float]) -> None:

@@ -12,7 +12,6 @@ from support.recordings import PX_PER_MM
 from altd.calibration.report.budget import Budget, Term, beams_of, budget_of, budget_section, student_quantile
 from altd.calibration.report.document import Table, Words
 from altd.calibration.report.prediction import (
-    common_area,
     difference_mm,
     node_covariance_px2,
     noise_in_map_px,
@@ -192,11 +191,6 @@ def test_targets_without_a_common_area_are_refused() -> None:
     aside = replace(rear.map, hull_mm=rear.map.hull_mm + np.array([0.0, 200.0]))
     with pytest.raises(ValueError, match="no calibrated area in common"):
         predict(calibration(target("front"), replace(rear, map=aside)))
-
-
-def test_the_area_is_what_all_targets_share() -> None:
-    x_mm, y_mm = common_area(calibration().targets)
-    assert (x_mm[0], x_mm[-1], y_mm[0], y_mm[-1]) == pytest.approx((-62.5, 62.5, -50, 50))
 
 
 def test_a_shifted_second_map_differs_by_its_shift() -> None:

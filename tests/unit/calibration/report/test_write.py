@@ -20,26 +20,6 @@ from altd.errors import BadInputError
 NAMES = ("calibration.html", "calibration.pdf", "calibration-budget.json")
 
 
-def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
-    (tmp_path / "other").write_text("stays")
-    for content in (b"1", b"22"):
-        write_together(tmp_path, {"a": content, "b": content})
-    found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert found == {"a": b"22", "b": b"22", "other": b"stays"}
-
-
-def test_files_have_the_mode_that_the_umask_leaves_and_keep_it(tmp_path: Path) -> None:
-    before = os.umask(0o027)
-    try:
-        write_together(tmp_path, {"a": b"1"})
-        (tmp_path / "b").write_bytes(b"1")
-        (tmp_path / "b").chmod(0o600)
-        write_together(tmp_path, {"b": b"2"})
-    finally:
-        os.umask(before)
-    assert [(tmp_path / name).stat().st_mode & 0o777 for name in "ab"] == [0o640, 0o600]
-
-
 @pytest.mark.parametrize("before", [None, b"old"])
 def test_when_the_second_cannot_be_named_the_first_is_as_it_was(
     before: bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -58,13 +38,6 @@ def test_when_the_second_cannot_be_named_the_first_is_as_it_was(
         write_together(tmp_path, {"a": b"new", "b": b"new"})
     found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert found == ({} if before is None else {"a": before})
-
-
-def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / "b").mkdir()
-    with pytest.raises(BadInputError, match="is a folder, not a file that can be replaced"):
-        write_together(tmp_path, {"a": b"new", "b": b"new"})
-    assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
 def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -44,10 +44,6 @@ def ack(question: bytes, payload: bytes, status: int = 0, of: int = 0, claimed: 
 
 
 class TestQuestions:
-    def test_a_register_is_read(self) -> None:
-        with answering(lambda question: [ack(question, b"\0\0\1\2")]):
-            assert gvcp.control_privilege(ELSEWHERE, 1.0) == 0x102
-
     @pytest.mark.parametrize(
         "answer",
         [
@@ -90,9 +86,9 @@ class TestQuestions:
 
     def test_the_answer_is_found_behind_noise(self) -> None:
         with answering(
-            lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\0\2")]
+            lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\1\2")]
         ):
-            assert gvcp.control_privilege(ELSEWHERE, 1.0) == 2
+            assert gvcp.control_privilege(ELSEWHERE, 1.0) == 0x102
 
     def test_a_name_is_text_whatever_the_camera_says(self) -> None:
         hostile = bytearray(248)
