@@ -209,7 +209,7 @@ def test_a_paste_whose_end_is_lost_ends_with_silence() -> None:
 def test_a_sequence_that_never_ends_keeps_nothing() -> None:
     reader = KeyReader()
     for begin in (b"\x1b[", b"\x1b]", b"\xff\xfa", b"\x1b[200~\x1b[", b"\x1bP"):
-        for byte in begin + b"1;" * 50_000:
+        for byte in begin + b"1;" * 5_000:
             assert not isinstance(next(reader.take(byte), None), Key)
         kept = [value for value in vars(reader).values() if isinstance(value, str)]
         assert max(map(len, kept)) < 32
