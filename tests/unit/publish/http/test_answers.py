@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from support.clock import FakeClock
 from support.measurements import changed
+from support.places import DOCS
 
 from altd.publish.http import answers
 from altd.publish.http.answers import page_files
@@ -21,6 +22,7 @@ from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
 from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
+from tools.pages.http import page
 
 from .conftest import NEED_MORE, Unit
 
@@ -210,3 +212,7 @@ async def test_a_unit_is_ready_once_it_measures_even_without_a_beam(
     assert starting.json == {"error": "the unit starts"}
     assert stale.json == {"error": "no new measurement"}
     assert without_beam.json == measuring.json == {"ready": True}
+
+
+def test_the_page_is_generated_from_the_code() -> None:
+    assert (DOCS / "http.md").read_text() == page(), "run: make pages"

@@ -10,6 +10,7 @@ import pytest
 from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Measured
+from support.places import ROOT
 
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
@@ -57,6 +58,10 @@ async def test_the_checked_block_as_mbpoll_reads_it_passes_its_crc(
     block = b"".join(int(line.split()[1], 16).to_bytes(2) for line in read)
     assert zlib.crc32(block[:-4]) == int.from_bytes(block[-4:])
     assert block[4:8] == zlib.crc32(b"ALT-0007").to_bytes(4)
+
+
+def test_the_page_in_docs_is_the_generated_one() -> None:
+    assert (ROOT / "docs" / "modbus.md").read_text() == page.page(), "run: make pages"
 
 
 def test_the_page_says_which_bits_a_valid_measurement_may_have_and_which_warnings_have_none() -> None:

@@ -2,7 +2,17 @@
 
 import re
 
+import pytest
+from support.places import DOCS
+
+from tools.pages import console as console_page
 from tools.pages import telegram as telegram_page
+
+
+@pytest.mark.parametrize(("name", "page"), [("telegram", telegram_page.page), ("console", console_page.page)])
+def test_the_page_is_generated_from_the_code(name: str, page: object) -> None:
+    assert callable(page)
+    assert (DOCS / f"{name}.md").read_text() == page(), "run: make pages"
 
 
 def test_the_shortest_interval_is_the_time_of_the_longest_telegram_at_each_baud_rate() -> None:
