@@ -85,12 +85,6 @@ class Client:
         value: float = self._feature("get_float", c_double, feature)
         return value
 
-    def bounds(self, feature: str) -> tuple[float, float]:
-        low, high = c_double(), c_double()
-        ends = (c_void_p, byref(low)), (c_void_p, byref(high))
-        self._feature("get_float_bounds", None, feature, *ends)
-        return low.value, high.value
-
     def poke(self, register: int, value: int) -> int:
         """Write a register behind the features' back; what it was before."""
         device = (c_void_p, self._plain("camera_get_device", c_void_p, (c_void_p, self._camera)))
@@ -99,9 +93,6 @@ class Client:
         self._call("device_read_register", c_bool, device, at, (c_void_p, byref(before)))
         self._call("device_write_register", c_bool, device, at, (ctypes.c_uint32, value))
         return before.value
-
-    def execute(self, command: str) -> None:
-        self._feature("execute_command", None, command)
 
     def start(self) -> None:
         camera = (c_void_p, self._camera)

@@ -23,16 +23,6 @@ def test_dust_lies_only_where_it_is_and_goes_as_it_came() -> None:
         assert np.array_equal(unit.expose(camera, 0, 0).pixels, clean.expose(camera, 0, 0).pixels)
 
 
-def test_dust_of_the_config_is_that_of_the_live_unit() -> None:
-    live = dusty(0.0)
-    live.set_dust(0.4)
-    for camera in CAMERAS:
-        assert np.array_equal(
-            live.expose(camera, 3, 0).pixels,
-            dusty(0.4).expose(camera, 3, 0).pixels,
-        )
-
-
 def test_more_dust_holds_all_of_less_and_covers_the_share_that_it_says() -> None:
     some, heavy = (make_dust(amount, np.random.default_rng(1)).transmission for amount in (0.5, 1.0))
     assert np.all(heavy <= some + 1e-6)

@@ -64,11 +64,6 @@ def test_coarser_dots_leave_the_lenses_and_the_plate_as_they_are() -> None:
     assert np.array_equal(coarse.imagers[REAR].view.response, fine.imagers[REAR].view.response)
 
 
-def test_the_focal_lengths_can_be_chosen() -> None:
-    unit = Unit(UnitConfig(seed=2, front_focal_mm=(12.0, 12.0), rear_focal_mm=(3.6, 3.6)))
-    assert [unit.imagers[camera].view.lens.focal_mm for camera in CAMERAS] == [12.0, 3.6]
-
-
 LEDS_MM = np.array(LED_POSITIONS_MM)
 
 
@@ -122,16 +117,6 @@ def test_lights_that_are_no_leds_shine_when_they_should(unit: Unit) -> None:
     unit.set_lights("rear")
 
 
-def test_a_light_that_blinks_by_itself_shines_in_every_second_frame_or_so(unit: Unit) -> None:
-    unit.set_lights("rear", strays=(Stray(20.0, -10.0, shines=Shines.BY_ITSELF),))
-    u, v = (round(float(part)) for part in unit.imagers["rear"].view.lens.project(20.0, -10.0))
-    counts = [int(unit.expose("rear", number, 0).pixels[v, u]) for number in range(60)]
-    unit.set_lights("rear")
-    shining = sum(count > 100 for count in counts)
-    assert 15 < shining < 45
-    assert all(count > 100 or count < 60 for count in counts)
-
-
 @pytest.mark.parametrize(
     "displacement",
     [Displacement((0.6, -0.4)), Displacement(turn_deg=0.5), Displacement(scale_ppm=3000.0)],
@@ -172,8 +157,3 @@ def test_the_spot_moves_with_the_picture_and_the_texture_with_the_target(unit: U
     unmoved = fine[1][v - 12 : v + 13, u - 12 : u + 13]
     assert np.corrcoef(here.ravel(), there.ravel())[0, 1] > 0.7
     assert abs(np.corrcoef(here.ravel(), unmoved.ravel())[0, 1]) < 0.3
-
-
-def test_as_many_levels_as_leds_are_needed(unit: Unit) -> None:
-    with pytest.raises(ValueError, match="zip"):
-        unit.set_lights("rear", (1.0, 1.0))

@@ -2,14 +2,13 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 
-from altd.ports import Camera, CameraError, CameraTimeoutError
-from altd.records import Frame, Origin
+from altd.ports import CameraError
+from altd.records import Frame
 from hw_sim.camera import SimulatedCamera, make_cameras
 from hw_sim.faults import Fault
-from hw_sim.unit import EXPOSURES_MS, FRONT, REAR, Unit
+from hw_sim.unit import Unit
 
 PERIOD_NS = 20_000_000
 """Of the unit in these tests, 50 exposures a second."""
@@ -20,33 +19,6 @@ def opened(unit: Unit, *, real_time: bool) -> tuple[SimulatedCamera, ...]:
     for camera in cameras:
         camera.open()
     return cameras
-
-
-def test_the_cameras_stand_behind_the_port(unit: Unit) -> None:
-    front, rear = make_cameras(unit)
-    as_port: list[Camera] = [front, rear]
-    assert [camera.name for camera in as_port] == [FRONT, REAR]
-    assert {camera.origin for camera in as_port} == {Origin.SIMULATED}
-    assert not front.waits
-
-
-def test_without_a_clock_every_exposure_waits_to_be_taken(unit: Unit) -> None:
-    front, rear = opened(unit, real_time=False)
-    assert front.waits
-    taken = [front.next_frame(1.0) for _ in range(4)]
-    others = [rear.next_frame(1.0) for _ in range(4)]
-    assert [(f.sequence, f.t_ns) for f in taken] == [(k, k * PERIOD_NS) for k in range(4)]
-    assert [(f.sequence, f.t_ns) for f in others] == [(f.sequence, f.t_ns) for f in taken]
-
-
-def test_a_frame_tells_what_it_was_exposed_with(unit: Unit) -> None:
-    front, rear = opened(unit, real_time=False)
-    front.set_exposure(0.8, 6.0)
-    frames = front.next_frame(1.0), rear.next_frame(1.0)
-    told = [(taken.exposure_ms, pytest.approx(taken.gain_db)) for taken in frames]
-    assert told == [(0.8, 6.0), (EXPOSURES_MS[REAR], 0.0)]
-    counts = [float(taken.pixels.max()) for taken in frames]
-    assert min(counts) > 0
 
 
 @pytest.mark.real_time
@@ -84,42 +56,6 @@ def test_a_late_reader_gets_the_newest_and_the_sequence_jumps(unit: Unit) -> Non
     assert late.sequence >= before.sequence + 5
     assert late.t_ns == before.t_ns + (late.sequence - before.sequence) * PERIOD_NS
     assert time.monotonic_ns() - late.t_ns < 2 * PERIOD_NS
-
-
-@pytest.mark.parametrize("real_time", [True, False])
-def test_a_silent_camera_times_out_and_the_other_goes_on(unit: Unit, real_time: bool) -> None:
-    front, rear = opened(unit, real_time=real_time)
-    unit.inject(Fault.FRONT_SILENT)
-    started = time.monotonic()
-    with pytest.raises(CameraTimeoutError, match="front"):
-        front.next_frame(0.1)
-    assert time.monotonic() - started >= 0.09
-    assert rear.next_frame(1.0).camera == REAR
-    unit.clear()
-    assert front.next_frame(1.0).camera == FRONT
-
-
-def test_cameras_out_of_step_differ_by_half_a_period(unit: Unit) -> None:
-    unit.inject(Fault.OUT_OF_STEP)
-    front, rear = opened(unit, real_time=False)
-    assert rear.next_frame(1.0).t_ns - front.next_frame(1.0).t_ns == PERIOD_NS // 2
-
-
-def test_dropped_frames_leave_gaps_that_differ_between_the_cameras(unit: Unit) -> None:
-    unit.inject(Fault.DROPPED_FRAMES)
-    front, rear = (
-        [camera.next_frame(1.0).sequence for _ in range(60)] for camera in opened(unit, real_time=False)
-    )
-    assert 65 < front[-1] < 95
-    assert front != rear
-    assert np.all(np.diff(front) > 0)
-
-
-def test_a_camera_that_is_not_open_says_so(unit: Unit) -> None:
-    front, _ = make_cameras(unit)
-    with pytest.raises(CameraError, match="front: the camera is not open"):
-        front.next_frame(0.1)
-    front.close()
 
 
 @pytest.mark.real_time

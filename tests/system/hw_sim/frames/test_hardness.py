@@ -256,14 +256,6 @@ def test_dots_of_a_flawed_print_are_displaced_and_grown_by_what_is_stated() -> N
     assert np.mean(area) == pytest.approx(1.0, abs=0.02)
 
 
-def test_the_same_hard_unit_gives_the_same_picture_and_an_ordinary_one_another() -> None:
-    one, other = (Unit(UnitConfig(seed=3, hard=HARD, vibration=Vibration())) for _ in range(2))
-    for camera in CAMERAS:
-        assert np.array_equal(one.expose(camera, 4, 10).pixels, other.expose(camera, 4, 10).pixels)
-    plain = Unit(UnitConfig(seed=3, vibration=Vibration())).expose(REAR, 4, 10).pixels
-    assert not np.array_equal(plain, one.expose(REAR, 4, 10).pixels)
-
-
 def test_the_command_records_a_hard_unit(tmp_path: Path) -> None:
     truth = tmp_path / "truth.json"
     arguments = ["--poses", "1", "--exposures", "1", "--seed", "3", "--hard"]

@@ -11,13 +11,10 @@ from support.cli import altd_here, refusal
 from support.recordings import quiet
 
 from altd.errors import BadInputError
-from altd.recording.reader import open_recording
-from hw_sim import measure
-from hw_sim.__main__ import main
 from hw_sim.beam import BeamPose
 from hw_sim.faults import Fault
 from hw_sim.fisheye import FisheyeLens
-from hw_sim.flat import raster_mm, record_flat, record_laser_flat
+from hw_sim.flat import raster_mm, record_laser_flat
 from hw_sim.lens import PIXEL_MM, rotation
 from hw_sim.measure import random_poses, record_measurement
 from hw_sim.plate import Plate, record_plate, with_plate
@@ -40,20 +37,6 @@ def scan(tmp_path_factory: pytest.TempPathFactory, ordinary_unit: Unit) -> Path:
     return folder
 
 
-def test_a_scan_says_what_it_is(scan: Path) -> None:
-    about = json.loads((scan / "recording.json").read_text())
-    assert about["format"] == "altd-recording/1"
-    assert (about["kind"], about["fps"]) == ("scan", 50.0)
-    assert about["cameras"]["front"] == {
-        "width": 752,
-        "height": 480,
-        "bits": 8,
-        "origin": "simulated",
-    }
-    assert about["unit"] == {"serial": "SIM-5", "target_distance_mm": 280.0}
-    assert "seed 5" in about["note"]
-
-
 def test_a_scan_begins_with_led_pairs_and_goes_over_the_grid(scan: Path) -> None:
     front = [row for row in rows_of(scan) if row["camera"] == "front"]
     assert [row["leds"] for row in front[:4]] == ["off", "on", "off", "on"]
@@ -61,21 +44,6 @@ def test_a_scan_begins_with_led_pairs_and_goes_over_the_grid(scan: Path) -> None
     nodes = [(float(row["x_mm"]), float(row["y_mm"])) for row in front[4:]]
     assert nodes == [(x, y) for y in (-56, -28, 0, 28, 56) for x in (-70, -42, -14, 14, 42, 70)]
     assert {row["leds"] for row in front[4:]} == {"off"}
-
-
-def test_both_cameras_of_an_exposure_share_sequence_and_time(scan: Path) -> None:
-    rows = rows_of(scan)
-    for front, rear in zip(rows[::2], rows[1::2], strict=True):
-        assert (front["camera"], rear["camera"]) == ("front", "rear")
-        assert (front["sequence"], front["t_s"]) == (rear["sequence"], rear["t_s"])
-        assert float(front["t_s"]) == pytest.approx(int(front["sequence"]) / 50.0)
-
-
-def test_every_frame_is_a_grey_png_of_the_stated_size(scan: Path) -> None:
-    for row in rows_of(scan)[::9]:
-        image = cv2.imread(str(scan / row["file"]), cv2.IMREAD_UNCHANGED)
-        assert image is not None
-        assert (image.shape, image.dtype) == ((480, 752), np.uint8)
 
 
 def test_sixteen_bits_survive_the_file(tmp_path: Path, clean_unit: Unit) -> None:
@@ -125,49 +93,6 @@ def test_a_folder_that_holds_something_is_refused_and_left_alone(tmp_path: Path,
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
-def test_a_recording_that_breaks_off_leaves_nothing(tmp_path: Path, unit: Unit) -> None:
-    def give_up(_done: int, _planned: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        record_measurement(tmp_path / "m", unit, [BeamPose(0.0, 0.0)], 1, give_up)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_command_line_measures_the_same_twice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], unit: Unit
-) -> None:
-    monkeypatch.setattr(measure, "Unit", lambda _config: unit)
-    for name in ("a", "b"):
-        arguments = ["measure", "-o", str(tmp_path / name), "--truth", str(tmp_path / f"{name}.json")]
-        assert main([*arguments, "--poses", "2", "--exposures", "1"]) == 0
-    assert (tmp_path / "a.json").read_text() == (tmp_path / "b.json").read_text()
-    for row in rows_of(tmp_path / "a"):
-        assert (tmp_path / "a" / row["file"]).read_bytes() == (tmp_path / "b" / row["file"]).read_bytes()
-    assert capsys.readouterr() == ("", "")
-
-
-def test_a_flat_is_the_dark_and_the_evenly_lit_targets_without_the_laser(tmp_path: Path, unit: Unit) -> None:
-    record_flat(tmp_path / "flat", unit, 2, lambda _done, _planned: None)
-    assert json.loads((tmp_path / "flat" / "recording.json").read_text())["kind"] == "flat"
-    rows = rows_of(tmp_path / "flat")
-    assert [row["leds"] for row in rows if row["camera"] == "front"] == ["off", "off", "on", "on"]
-    assert {row["x_mm"] for row in rows} == {""}
-    for camera, imager in unit.imagers.items():
-        pictures = [
-            cv2.imread(str(tmp_path / "flat" / row["file"]), cv2.IMREAD_UNCHANGED).astype(float)
-            for row in rows
-            if row["camera"] == camera
-        ]
-        light = (pictures[2] + pictures[3] - pictures[0] - pictures[1]).ravel()
-        dark = (pictures[0] + pictures[1]).ravel() / 2
-        usable = dark < 60  # no hot pixel
-        assert dark.mean() < 20
-        assert np.corrcoef(light[usable], imager.view.response.ravel()[usable])[0, 1] > 0.9
-        assert np.percentile(pictures[2], 99.9) < 255
-    assert Fault.NO_LASER not in unit.faults
-
-
 def test_a_flat_of_the_laser_has_the_dark_first_and_then_the_spot_at_each_place(
     tmp_path: Path, unit: Unit
 ) -> None:
@@ -200,21 +125,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory, seen: tuple[Unit, Plate]) -
     path = tmp_path_factory.mktemp("hw_sim") / "plate"
     record_plate(path, *seen, 1, quiet)
     return path
-
-
-def test_a_plates_recording_says_what_it_shows(folder: Path) -> None:
-    header = open_recording(folder).header
-    assert (header.kind, header.note) == ("plate", "hw_sim, seed 5, plate")
-    assert json.loads((folder / "recording.json").read_text())["plate"] == {
-        "columns": 7,
-        "rows": 5,
-        "pitch_mm": 23.0,
-        "origin_mm": [-69.0, -46.0],
-        "disc_mm": 5.0,
-    }
-    assert [(row["camera"], row["leds"], row["x_mm"]) for row in rows_of(folder)] == [
-        (camera, leds, "") for leds in ("off", "on") for camera in ("front", "rear")
-    ]
 
 
 @pytest.mark.parametrize("camera", ["front", "rear"])

@@ -1,5 +1,3 @@
-import math
-
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +22,6 @@ def spots(unit: Unit, camera: str) -> list[tuple[int, int]]:
     return [(round(u), round(v)) for u, v in middles[1:]]
 
 
-def test_frames_of_a_sequence_differ_in_noise_and_other_seeds_in_everything(unit: Unit) -> None:
-    assert not np.array_equal(unit.expose(FRONT, 1, 0).pixels, unit.expose(FRONT, 2, 0).pixels)
-    other = Unit(UnitConfig(seed=12))
-    assert other.imagers[FRONT].view.lens.focal_mm != unit.imagers[FRONT].view.lens.focal_mm
-    assert not np.array_equal(other.imagers[FRONT].view.response, unit.imagers[FRONT].view.response)
-
-
 def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> None:
     for camera in CAMERAS:
         quick, exact = (
@@ -39,13 +30,6 @@ def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> N
         )
         assert quick.mean() == pytest.approx(exact.mean(), rel=0.003)
         assert quick.var(axis=0).mean() == pytest.approx(exact.var(axis=0).mean(), rel=0.02)
-
-
-def test_hot_pixels_stay_where_they_are(unit: Unit) -> None:
-    unit.inject(Fault.NO_LASER)
-    hot = [set(np.flatnonzero(unit.expose(REAR, k, 0).pixels > 40)) for k in range(3)]
-    assert len(hot[0]) >= 10
-    assert len(hot[0] & hot[1] & hot[2]) >= len(hot[0]) - 1
 
 
 def test_the_signal_goes_with_exposure_times_gain(unit: Unit) -> None:
@@ -78,25 +62,6 @@ def test_each_target_has_leds_of_its_own(unit: Unit) -> None:
     assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (7, 1)
 
 
-def test_the_bits_of_one_camera_change_its_scale_and_nothing_else(unit: Unit) -> None:
-    before, other = unit.expose(REAR, 0, 0), unit.expose(FRONT, 0, 0)
-    unit.set_camera(REAR, bits=12)
-    after = unit.expose(REAR, 0, 0)
-    unit.set_camera(REAR, bits=8)
-    assert after.bits == 12
-    assert np.abs(after.pixels / 4095 - before.pixels / 255).max() < 1 / 255
-    assert unit.expose(FRONT, 0, 0).bits == 8
-    assert np.array_equal(unit.expose(FRONT, 0, 0).pixels, other.pixels)
-    assert np.array_equal(unit.expose(REAR, 0, 0).pixels, before.pixels)
-
-
-def test_a_beam_at_rest_shows_a_spot_on_each_target_where_the_truth_says(unit: Unit) -> None:
-    unit.place(BeamPose(-20.0, 10.0, 0.05, -0.08))
-    for camera, z_mm in ((FRONT, 0.0), (REAR, 280.0)):
-        (u, v) = unit.imagers[camera].view.lens.project(*unit.truth(0).at(z_mm))
-        assert spots(unit, camera) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
-
-
 def test_a_frame_that_has_grown_takes_the_rear_target_further_along_the_beam() -> None:
     near, far = (Unit(UnitConfig(seed=2, expansion=expansion)) for expansion in (0.0, 0.1))
     for unit in (near, far):
@@ -124,18 +89,6 @@ def test_a_fault_changes_what_shines(unit: Unit, fault: Fault, front: int, rear:
     assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (front, rear)
     unit.clear(fault)
     assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (1, 1)
-
-
-def test_two_spots_are_equal(unit: Unit) -> None:
-    unit.inject(Fault.REAR_SECOND_SPOT)
-    picture = smoothed(unit, REAR)
-    peaks = [float(picture[v, u]) for u, v in spots(unit, REAR)]
-    assert peaks[0] == pytest.approx(peaks[1], rel=0.15)
-
-
-def test_stuck_leds_are_not_confessed(unit: Unit) -> None:
-    unit.inject(Fault.LEDS_ON)
-    assert not unit.expose(FRONT, 0, 0).leds_on
 
 
 def test_dark_leds_are_not_confessed_either(unit: Unit) -> None:
@@ -169,63 +122,3 @@ def test_a_blow_moves_the_spots_of_all_targets_together(unit: Unit) -> None:
         lens = unit.imagers[camera].view.lens
         (x_mm, y_mm), (x_after, y_after) = lens.unproject(u, v), lens.unproject(u_after, v_after)
         assert (x_after - x_mm, y_after - y_mm) == (pytest.approx(5.0, abs=0.6), pytest.approx(0.0, abs=0.6))
-
-
-def test_a_camera_that_has_moved_shows_another_picture_until_it_is_back(unit: Unit) -> None:
-    place = unit.imagers[REAR].view.lens.project(74.0, 48.0)
-    unit.inject(Fault.REAR_CAMERA_MOVED)
-    moved = unit.imagers[REAR].view.lens.project(74.0, 48.0)
-    unit.clear(Fault.REAR_CAMERA_MOVED)
-    back = unit.imagers[REAR].view.lens.project(74.0, 48.0)
-    assert math.dist(place, moved) == pytest.approx(0.8, abs=0.6)
-    assert back == place
-
-
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_a_saturated_spot_is_flat_to_its_edge(unit: Unit, camera: str) -> None:
-    unit.inject(Fault.SATURATED)
-    pixels = unit.expose(camera, 0, 0).pixels
-    full = int((pixels == 255).sum())
-    skirt = int(((pixels > 60) & (pixels < 255)).sum())
-    assert full > 1000
-    assert full > (2.0 if camera == REAR else 0.5) * skirt
-
-
-@pytest.mark.parametrize(("fault", "value"), [(Fault.BLACK, 0), (Fault.WHITE, 255)])
-def test_black_and_white_frames_have_one_value(unit: Unit, fault: Fault, value: int) -> None:
-    unit.inject(fault)
-    assert set(np.unique(unit.expose(REAR, 0, 0).pixels)) == {value}
-
-
-def test_noise_alone_holds_no_picture(unit: Unit) -> None:
-    unit.inject(Fault.NOISE_ONLY)
-    first, second = (unit.expose(FRONT, k, 0).pixels.astype(np.float64) for k in range(2))
-    assert first.std() == pytest.approx(16.0, rel=0.02)
-    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.01
-
-
-def test_a_spot_cut_by_the_edge_shows_its_half(unit: Unit) -> None:
-    whole_sum = smoothed(unit, FRONT).clip(min=2.0).sum()
-    unit.inject(Fault.CUT_BY_EDGE)
-    picture = smoothed(unit, FRONT)
-    assert np.unravel_index(picture.argmax(), picture.shape)[0] < 12
-    assert 0.2 * whole_sum < picture.clip(min=2.0).sum() < whole_sum
-    assert unit.truth(0).y_mm > 55.0
-
-
-def test_out_of_the_area_is_in_the_picture_but_beyond_the_scan(unit: Unit) -> None:
-    unit.inject(Fault.OUT_OF_AREA)
-    assert unit.truth(0).x_mm > 70.0 + 28.0 / 2  # the outermost nodes and the margin of their map
-    for camera in CAMERAS:
-        ((u, _),) = spots(unit, camera)
-        assert 25 < u < 752 - 25
-
-
-def test_faults_of_the_config_are_there_from_the_start() -> None:
-    assert Unit(UnitConfig(faults=frozenset({Fault.WHITE}))).expose(FRONT, 0, 0).pixels.min() == 255
-
-
-def test_without_arguments_clear_mends_everything(unit: Unit) -> None:
-    unit.inject(Fault.BLACK, Fault.NO_LASER)
-    unit.clear()
-    assert unit.faults == frozenset()

@@ -94,13 +94,3 @@ def test_the_frame_leds_shine_where_opencv_puts_them(clean_unit: Unit, opencv_pr
             assert columns.start + du == pytest.approx(u, abs=0.1)
             assert max(rows.start, 0) + dv == pytest.approx(v, abs=0.1)
         assert light(clean_unit, camera, []).max() == 0.0
-
-
-def test_an_ordinary_laser_fills_the_wells_without_running_over(clean_unit: Unit) -> None:
-    for camera in (FRONT, REAR):
-        frame = clean_unit.expose(camera, 0, 0)
-        assert 0.4 * frame.full_scale < frame.pixels.max() < frame.full_scale
-
-
-def test_a_spot_outside_of_the_picture_leaves_no_light(clean_unit: Unit) -> None:
-    assert light(clean_unit, REAR, [footprint(LASER, BeamPose(300.0, 0.0), 280.0)]).max() == 0.0

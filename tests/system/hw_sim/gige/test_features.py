@@ -10,7 +10,6 @@ import pytest
 from support.foreign import need_program
 from support.gige_unit import Client, Received, Served, client
 
-from hw_sim.camera import EXPOSURE_RANGE
 from hw_sim.sensor import BLACK_LEVEL
 from hw_sim.unit import CAMERAS, EXPOSURES_MS
 
@@ -57,24 +56,6 @@ def test_the_features_have_the_standard_names(unit_at_rest: Served) -> None:
         "'PayloadSize' = 360960",
     ):
         assert line in said
-
-
-def test_the_bounds_are_those_of_the_simulated_chip(unit_at_rest: Served) -> None:
-    with client(unit_at_rest.rear) as rear:
-        shortest, longest = rear.bounds("ExposureTime")
-        assert (shortest, longest) == (1e3 * EXPOSURE_RANGE.shortest_ms, 1e3 * EXPOSURE_RANGE.longest_ms)
-        smallest, largest = rear.bounds("Gain")
-        assert (smallest, largest) == (EXPOSURE_RANGE.smallest_gain_db, EXPOSURE_RANGE.largest_gain_db)
-        assert rear.bounds("AcquisitionFrameRate") == (1.0, 200.0)
-
-
-def test_what_is_set_is_read_back(unit_at_rest: Served) -> None:
-    with client(unit_at_rest.rear) as rear:
-        rear.set(ExposureTime=2345.0, Gain=3.25, AcquisitionFrameRate=40.0)
-        assert rear.number("ExposureTime") == 2345.0
-        assert rear.number("Gain") == pytest.approx(3.25, abs=1e-3)
-        assert rear.number("AcquisitionFrameRate") == pytest.approx(40.0)
-        rear.set(ExposureTime=1600.0, Gain=0.0, AcquisitionFrameRate=20.0)
 
 
 def test_the_light_goes_with_the_exposure_and_with_the_gain(unit_at_rest: Served) -> None:
@@ -126,21 +107,6 @@ def test_a_region_is_cut_out_of_the_chip(unit_at_rest: Served) -> None:
     difference = part.astype(float) - whole[150:350, 250:570]
     assert np.corrcoef(part.ravel(), whole[150:350, 250:570].ravel())[0, 1] > 0.98
     assert difference.mean() == pytest.approx(0.0, abs=0.2)
-
-
-def test_an_exposure_comes_with_each_software_trigger_and_without_one_none(unit_at_rest: Served) -> None:
-    with client(unit_at_rest.front) as front:
-        front.set(TriggerMode="On", TriggerSource="Software")
-        front.start()
-        assert front.next(within_us=300_000) is None
-        for _ in range(5):
-            before_ns = time.time_ns()
-            front.execute("TriggerSoftware")
-            frame = front.frame()
-            assert before_ns - 1_000_000 < frame.timestamp_ns < time.time_ns()
-            assert front.next(within_us=100_000) is None
-        front.stop()
-        front.set(TriggerMode="Off")
 
 
 def after_a_pause(camera: Client, pause_s: float) -> Iterator[Received]:
