@@ -13,7 +13,6 @@ from unittest.mock import patch
 from fuzz.hostile import served
 from fuzz.hostile.readers import poll
 from fuzz.hostile.tally import Tally
-from fuzz.targets.mqtt import CONNECTED, PACKETS
 from support.mqtt import CONNECT, PINGREQ, PUBLISH, SUBSCRIBE, PublishingUnit, packet_of, published
 
 from altd.publish.mqtt import broker as connection
@@ -21,9 +20,28 @@ from altd.publish.mqtt import connecting, edge_node
 from altd.runtime import supervision
 from tools.pages.example import MEASURED
 
+CONNECTED = bytes.fromhex("20 03 00 00 00")
+_NCMD = b"\x00\x17spBv1.0/g/NCMD/ALT-0007"
+_REBIRTH = b"\x12\x1a\x0a\x14Node Control/Rebirth\x20\x0b\x70\x01"
+PACKETS = (
+    CONNECTED,
+    *(bytes.fromhex(text) for text in ("20020000", "200300 8700", "20020001", "2009 00 00 06 130005 210001")),
+    *(bytes.fromhex(text) for text in ("40020001", "4003000187", "400400010000", "40020002", "50020001")),
+    *(bytes.fromhex(text) for text in ("62020001", "70020001", "9003000100", "9004000100 00", "b003000100")),
+    *(
+        bytes.fromhex(text)
+        for text in ("d000", "e000", "e0028e00", "e0018b", "f000", "f00100", "1000", "c000")
+    ),
+    *(bytes.fromhex(text) for text in ("3006000161007879", "32080001610001007879", "34080001610001007879")),
+    *(bytes.fromhex(text) for text in ("9004000100 01", "d000")),
+    b"\x30\x36" + _NCMD + b"\x00" + _REBIRTH,
+    b"\x33\x38" + _NCMD + b"\x00\x01\x00" + _REBIRTH,
+    b"\x30\x1a" + _NCMD + b"\x00",
+    b"\x30\xff\xff\xff\x7f",
+    b"HTTP/1.1 400 Bad Request\r\n\r\n",
+)
 UNITS = 8
 _MEASURE_INTERVAL_S = 0.05
-_UNHEARD = logging.Logger("unheard", logging.CRITICAL)
 _FAST = {
     connecting: {"INTERVAL_S": 0.02, "MAX_JITTER_S": 0.0},
     connection: {"ACK_TIMEOUT_S": 0.2, "CONNECT_TIMEOUT_S": 0.2, "GOODBYE_TIMEOUT_S": 0.02},

@@ -7,10 +7,9 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzz.hostile.modbus import NEXT_ZERO
+from fuzz.hostile.modbus import NEXT_ZERO, UNIT
 from fuzz.hostile.pictures import Maker
 from fuzz.hostile.requests import Address
-from fuzz.targets.modbus_tcp import UNIT
 from support.serving import serving
 
 from altd.config import ConsolePortSettings, HttpSettings, ModbusTcpSettings
