@@ -1,26 +1,17 @@
 """In place of every file that a command reads or writes: what is none, or no good one. One line, status 2."""
 
-import contextlib
-import json
 import os
 import shutil
-import signal
-import stat
 import subprocess
 import sys
-import time
-import urllib.request
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support import evidence
 from support.cli import altd_here, refusal, unreadable
-from support.devices import full_device
 from support.foreign import on_small_disk
 from support.pngs import png
-from support.ports import free_port
 from support.recordings import write_beams, write_scan
 from support.unit_toml import write_config
 
@@ -119,61 +110,6 @@ def test_a_picture_that_claims_to_be_huge(picture: bytes, copy: Path) -> None:
     )
 
 
-def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_it_is_gone(
-    copy: Path,
-) -> None:
-    port = free_port()
-    config = write_config(
-        copy / "altd.toml", copy / "cal.json", copy / "beams", f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
-    )
-    frames = sorted((copy / "beams").glob("rear*.png"))
-    good = {frame: frame.read_bytes() for frame in frames}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)],
-        stderr=subprocess.PIPE,
-    )
-
-    def until(what: str, holds: Callable[[dict[str, Any]], object]) -> None:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and process.poll() is None:
-            with (
-                contextlib.suppress(OSError),
-                urllib.request.urlopen(f"http://127.0.0.1:{port}/api/{what}", timeout=20) as page,
-            ):
-                if holds(json.load(page)):
-                    return
-            time.sleep(0.05)
-        raise AssertionError(f"status {process.poll()}")
-
-    def is_valid(measurement: dict[str, Any]) -> bool:
-        return bool(measurement["valid"])
-
-    def says_why_not(measurement: dict[str, Any]) -> object:
-        return not measurement["valid"] and set(measurement["status"]) & {"rear_camera_silent", "stale"}
-
-    def says_of_which_size(status: dict[str, Any]) -> bool:
-        return "is 40000 × 40000, expected 752 × 480" in json.dumps(status, ensure_ascii=False)
-
-    def put(contents: dict[Path, bytes]) -> None:
-        for frame, content in contents.items():
-            (copy / "new").write_bytes(content)
-            (copy / "new").replace(frame)
-
-    try:
-        until("measurement", is_valid)
-        put(dict.fromkeys(frames, HUGE))
-        until("measurement", says_why_not)
-        until("status", says_of_which_size)
-        put(good)
-        until("measurement", is_valid)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 0
-    finally:
-        process.kill()
-        _, err = process.communicate()
-    assert all(line.startswith("altd: ") for line in err.decode().splitlines()), err.decode()
-
-
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
@@ -193,17 +129,6 @@ def test_a_config_that_no_parser_expects(old: str, new: str, why: str, copy: Pat
     path = copy / "altd.toml"
     path.write_text(path.read_text().replace(old, new))
     assert why in refusal(altd_here("check-config", path))
-
-
-def test_a_path_with_letters_that_are_none_is_shown(unit: Path, tmp_path: Path) -> None:
-    path = tmp_path / os.fsdecode(b"\xff.toml")
-    shutil.copy(unit / "altd.toml", path)
-    outcome = altd_here("check-config", path)
-    assert outcome.status == 0
-    assert "\\udcff.toml: good" in outcome.out
-    assert "\\udcfe.toml: No such file" in refusal(
-        altd_here("check-config", tmp_path / os.fsdecode(b"\xfe.toml"))
-    )
 
 
 @pytest.mark.parametrize(
@@ -279,46 +204,6 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 class TestWriting:
     """``altd calibrate -o`` makes new files and replaces regular ones, nothing else."""
-
-    def test_what_is_no_file_is_not_replaced(self, scan: Path, tmp_path: Path) -> None:
-        os.mkfifo(tmp_path / "pipe")
-        (tmp_path / "kept.json").write_text("kept")
-        (tmp_path / "link.json").symlink_to("kept.json")
-        device = full_device(tmp_path)
-        before = sorted(path.name for path in tmp_path.iterdir())
-        for output, why in (
-            (tmp_path / "pipe", "is a pipe, not a file that can be replaced"),
-            (tmp_path, "is a folder, not a file that can be replaced"),
-            (tmp_path / "link.json", "is a symbolic link: name the file that it points to, kept.json"),
-            (device, "is a device, not a file that can be replaced"),
-            ("/proc/version/x", "Not a directory"),
-        ):
-            assert why in refusal(altd_here("calibrate", scan, "-o", output)), output
-        assert stat.S_ISCHR(device.stat().st_mode)
-        assert (tmp_path / "kept.json").read_text() == "kept"
-        assert sorted(path.name for path in tmp_path.iterdir()) == before
-
-    def test_the_mode_is_that_of_the_umask_or_of_the_file_that_was_there(
-        self, scan: Path, tmp_path: Path
-    ) -> None:
-        (tmp_path / "old.json").write_text("old")
-        (tmp_path / "old.json").chmod(0o640)
-        before = os.umask(0o077)
-        try:
-            for name, mode in (("new.json", 0o600), ("old.json", 0o640)):
-                outcome = altd_here("calibrate", scan, "-o", tmp_path / name)
-                assert outcome.status == 0, outcome.err
-                assert stat.S_IMODE((tmp_path / name).stat().st_mode) == mode
-        finally:
-            os.umask(before)
-
-    def test_a_recording_is_not_written_onto_what_is_no_folder(self, unit: Path, tmp_path: Path) -> None:
-        os.mkfifo(tmp_path / "pipe")
-        for output in (tmp_path / "pipe", full_device(tmp_path)):
-            line = refusal(
-                altd_here("record", "--config", unit / "altd.toml", "-o", output, "--seconds", "0.2")
-            )
-            assert "exists and is not an empty folder" in line
 
     def test_on_a_full_disk_a_recording_ends_with_one_line_and_what_is_there_is_whole(
         self, unit: Path, tmp_path: Path

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd_here, unreadable
+from support.cli import altd_here
 from support.frames import Blob, frame, light
 from support.photographs import dots
 
@@ -65,10 +65,6 @@ def test_images_that_are_none_do_not_stop_the_others(pictures: list[Path]) -> No
         strict=True,
     ):
         assert line.startswith(f"altd locate: {path}: {why}")
-
-
-def test_only_what_cannot_be_read_fails(pictures: list[Path]) -> None:
-    assert "is not an image" in unreadable(altd_here("locate", pictures[2]))
 
 
 def test_csv_has_the_same_in_rows(pictures: list[Path]) -> None:

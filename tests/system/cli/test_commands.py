@@ -2,12 +2,7 @@ import csv
 import json
 import os
 import shutil
-import signal
 import socket
-import subprocess
-import sys
-import time
-import urllib.request
 from pathlib import Path
 
 import cv2
@@ -16,7 +11,6 @@ import pytest
 from support.cli import altd, altd_here, refusal
 from support.frames import frame
 from support.plates import FRONT, REAR, plate_light, write_plate
-from support.ports import free_port
 from support.recordings import write, write_beams, write_scan
 from support.unit_toml import TARGETS, write_config
 
@@ -177,51 +171,6 @@ class TestBadInput:
     def replay(self, folder: Path, recording: Path, calibration: str = "cal.json") -> str:
         return refusal(altd_here("replay", recording, "--calibration", folder / calibration))
 
-    def test_recording_with_a_missing_frame(self, folder: Path, tmp_path: Path) -> None:
-        rec = write_beams(tmp_path / "rec", BEAMS)
-        (rec / "rear0011.png").unlink()
-        assert f"{rec}/frames.csv: row 25: rear0011.png: No such file" in self.replay(folder, rec)
-        assert "rear0011.png" in refusal(altd_here("calibrate", rec, "-o", tmp_path / "new.json"))
-        assert not (tmp_path / "new.json").exists()
-
-    def test_recording_with_a_torn_table(self, folder: Path, tmp_path: Path) -> None:
-        rec = write_beams(tmp_path / "rec", BEAMS)
-        text = (rec / "frames.csv").read_text()
-        (rec / "frames.csv").write_text(text[:-25])
-        assert "frames.csv: row 25: is torn" in self.replay(folder, rec)
-
-    def test_recording_of_another_size_or_another_unit(self, folder: Path, tmp_path: Path) -> None:
-        other = write(tmp_path / "other", "measurement", [((0, 0), (0, 0), None)], serial="TEST-2")
-        assert "is for unit 'TEST-1', this is unit 'TEST-2'" in self.replay(folder, other)
-        small = write_beams(tmp_path / "small", BEAMS[:1])
-        header = json.loads((small / "recording.json").read_text())
-        header["cameras"]["front"] = {"width": 640, "height": 480, "bits": 8}
-        (small / "recording.json").write_text(json.dumps(header))
-        assert "row 2: front0000.png is 752 × 480, expected 640 × 480" in self.replay(folder, small)
-        for path in small.glob("front*.png"):
-            cv2.imwrite(str(path), np.zeros((480, 640), np.uint8))
-        assert "target 'front' was calibrated at 752 × 480, not 640 × 480" in self.replay(folder, small)
-
-    def test_recording_with_a_row_twice_or_a_time_that_stands(self, folder: Path, tmp_path: Path) -> None:
-        rec = shutil.copytree(folder / "beams", tmp_path / "rec")
-        rows = (rec / "frames.csv").read_text().splitlines()
-        twice = [*rows[:10], rows[8], rows[9], *rows[10:]]
-        (rec / "frames.csv").write_text("\n".join(twice) + "\n")
-        said = self.replay(folder, rec)
-        assert said.endswith("frames.csv: row 11: sequence 3 is that of the camera's frame above it, row 9")
-        standing = [row.replace(",0.200000,", ",0.150000,") for row in rows]
-        (rec / "frames.csv").write_text("\n".join(standing) + "\n")
-        said = self.replay(folder, rec)
-        assert said.endswith("frames.csv: row 10: t_s 0.15 is that of the camera's frame above it, row 8")
-
-    def test_calibration_that_is_damaged_or_missing(self, folder: Path, tmp_path: Path) -> None:
-        text = (folder / "cal.json").read_text()
-        (tmp_path / "cal.json").write_text(text.replace("280.0", "281.0", 1))
-        assert "cal.json: checksum does not match" in self.replay(tmp_path, folder / "beams")
-        (tmp_path / "cal.json").write_text(text.replace("altd-calibration/1", "altd-calibration/7"))
-        assert "format is 'altd-calibration/7'" in self.replay(tmp_path, folder / "beams")
-        assert "No such file" in self.replay(tmp_path, folder / "beams", "none.json")
-
     def test_config_that_is_wrong(self, folder: Path, tmp_path: Path) -> None:
         good = (folder / "altd.toml").read_text()
         for old, new, message in (
@@ -273,54 +222,3 @@ class TestBadInput:
     def test_a_target_that_is_none(self, folder: Path) -> None:
         arguments = ("map", "--calibration", folder / "cal.json", "--target", "side")
         assert "does not know target 'side', only 'front', 'rear'" in refusal(altd_here(*arguments, stdin=""))
-
-    def test_an_output_that_cannot_be_written(self, folder: Path, tmp_path: Path) -> None:
-        assert "its folder does not exist" in refusal(
-            altd_here("calibrate", folder / "scan", "-o", tmp_path / "none" / "cal.json")
-        )
-
-
-@pytest.mark.real_time
-def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path, tmp_path: Path) -> None:
-    port = free_port()
-    more = f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
-    config = write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beams", more)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)],
-        stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONWARNINGS": "error"},
-    )
-    try:
-        answer: dict[str, object] = {}
-        deadline = time.monotonic() + 20
-        while not answer.get("valid") and time.monotonic() < deadline:
-            try:
-                with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/measurement", timeout=2) as page:
-                    answer = json.load(page)
-            except OSError:
-                time.sleep(0.05)
-        assert answer["valid"]
-        assert answer["status"] == ["playback", "rehearsal"]
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
-    finally:
-        process.kill()
-        _, err = process.communicate()
-    lines = err.decode().splitlines()
-    assert lines[0] == f"altd: unit TEST-1: http 127.0.0.1:{port}"
-    assert lines[1] == "altd: not measuring: warming_up, playback, rehearsal"
-    assert all(line.startswith("altd: ") for line in lines)
-
-
-def test_a_reader_that_goes_away_ends_replay_without_a_traceback(folder: Path) -> None:
-    replay = subprocess.Popen(
-        [sys.executable, "-m", "altd.cli", "replay", folder / "beams", "--calibration", folder / "cal.json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    assert replay.stdout is not None
-    replay.stdout.close()
-    assert replay.stderr is not None
-    with replay.stderr as errors:
-        assert b"Traceback" not in errors.read()
-    assert replay.wait(20) != 0

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 from support import example_clients as clients
-from support.block_clients import TcpClient
-from support.example_clients import Judge, Polls, Verdict
+from support.example_clients import Verdict
 from support.played_unit import PlayedUnit, playing
 from support.scripted_unit import SERIAL, Wire, answering, block
 
@@ -30,20 +29,6 @@ def test_an_answer_that_never_ends_is_given_up(language: str, tmp_path: Path) ->
         assert next(told)[0] == "no answer"
         assert time.monotonic() - begun_s < 15
         assert next(told)[0] == GOOD
-
-
-def test_each_reads_its_values_only_to_rehearse(
-    played_unit: PlayedUnit, tmp_path: Path, judge: Judge
-) -> None:
-    with playing(played_unit, tmp_path, subprocess.DEVNULL) as daemon:
-        daemon.wait_until_valid()
-        client = TcpClient(daemon.modbus)
-        said = [client.ask(20.0) for _ in range(3)]
-        client.close()
-    polls: Polls = [(100.0 * n, answer) for n, answer in enumerate(said)]
-    assert judge(polls, "TEST-1", LIMIT_MS, True) == [(GOOD, TRUTH)] * 3
-    assert judge(polls, "TEST-1", LIMIT_MS, False) == [("not live", None)] * 3
-    assert judge(polls, "TEST-2", LIMIT_MS, True) == [("foreign", None)] * 3
 
 
 @pytest.mark.parametrize("language", ["python", "c"])

@@ -101,15 +101,6 @@ def test_what_was_shown_is_in_the_history_with_its_start_end_and_changes(
     assert changed["history.max_mb"] == ["400", "300"]
 
 
-def test_without_a_folder_there_is_none_and_the_unit_is_well(played_unit: PlayedUnit, tmp_path: Path) -> None:
-    with playing(played_unit, tmp_path, subprocess.DEVNULL) as daemon:
-        daemon.wait_until_valid()
-        assert said_of_history(daemon) == (
-            "ok",
-            "off: no folder to keep it in; [history] file names one",
-        )
-
-
 def test_in_the_folder_that_systemd_gives(
     played_unit: PlayedUnit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -81,28 +81,12 @@ def test_descriptors_that_run_out_are_a_line_and_cost_no_measurement(
     assert len(said.splitlines()) <= 8, said.decode()
 
 
-@pytest.mark.parametrize("closed", [(2,), (0, 1, 2)])
-def test_a_daemon_needs_no_standard_stream(
-    played_unit: PlayedUnit, tmp_path: Path, closed: tuple[int, ...]
-) -> None:
+def test_a_daemon_needs_no_standard_stream(played_unit: PlayedUnit, tmp_path: Path) -> None:
     def close() -> None:
-        for descriptor in closed:
+        for descriptor in (0, 1, 2):
             os.close(descriptor)
 
     with playing(played_unit, tmp_path, subprocess.DEVNULL, close) as daemon:
         daemon.wait_until_valid()
         daemon.process.send_signal(signal.SIGTERM)
         assert daemon.process.wait(30) == 0
-
-
-def test_a_daemon_that_ignores_the_terminal_goes_on(played_unit: PlayedUnit, tmp_path: Path) -> None:
-    """As nohup(1) starts it."""
-
-    def ignore() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-    with playing(played_unit, tmp_path, subprocess.DEVNULL, ignore) as daemon:
-        daemon.wait_until_valid()
-        daemon.process.send_signal(signal.SIGHUP)
-        daemon.wait_for_measurements(20)
-        daemon.wait_until_valid()

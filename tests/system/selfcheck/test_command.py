@@ -13,7 +13,6 @@ from support.cli import altd_here
 
 from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement
-from hw_sim.faults import Fault
 from hw_sim.recording import recording
 from hw_sim.targets import LED_POSITIONS_MM
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
@@ -77,20 +76,6 @@ def test_a_camera_that_moved_is_told_with_what_that_does_to_a_measurement(
         turned = math.degrees(math.atan(slope - off / 280.0) - math.atan(slope))
         assert said[place] == pytest.approx(off, abs=4 * said["sigma"][place] + 0.002)
         assert said[angle] == pytest.approx(turned, abs=4 * said["sigma"][angle] + 0.0005)
-
-
-def test_dark_leds_are_unknown_and_named(unit_3: Path, tmp_path: Path) -> None:
-    status, said = judged(record(tmp_path, lambda unit: unit.set_lights("rear", (0.0,) * 6)), unit_3)
-    assert (status, said["verdict"]) == (1, "unknown")
-    assert said["targets"]["rear"]["leds"] == ["dark"] * 6
-    assert [said[key] for key in ("yaw_deg", "pitch_deg", "x_mm", "y_mm")] == [None] * 4
-    assert said["targets"]["front"]["leds_found"] == 6
-
-
-def test_leds_that_burn_all_the_time_are_named(unit_3: Path, tmp_path: Path) -> None:
-    _, said = judged(record(tmp_path, lambda unit: unit.inject(Fault.LEDS_ON)), unit_3)
-    assert said["verdict"] == "unknown"
-    assert said["targets"]["front"]["leds"] == ["always_lit"] * 6
 
 
 def test_targets_that_went_apart_are_not_seen_by_leds_in_their_own_frames(

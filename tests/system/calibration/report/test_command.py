@@ -118,19 +118,3 @@ def test_without_matplotlib_the_extra_is_named_before_any_work(tmp_path: Path) -
 def test_a_calibration_without_report_needs_no_matplotlib(scan: Path, tmp_path: Path) -> None:
     done = calibrate_without_matplotlib(scan, "-o", tmp_path / "cal.json")
     assert (done.status, done.err) == (0, "")
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_folder_that_cannot_be_written_is_one_line_and_nothing_else(scan: Path, tmp_path: Path) -> None:
-    output = tmp_path / "cal.json"
-    said = refusal(altd_here("calibrate", scan, "-o", output, "--report", "/proc"))
-    assert said.startswith("altd calibrate: /proc: ")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_scan_that_is_refused_leaves_no_report(tmp_path: Path) -> None:
-    folder = tmp_path / "report"
-    assert "recording.json" in refusal(
-        altd_here("calibrate", tmp_path / "none", "-o", tmp_path / "cal.json", "--report", folder)
-    )
-    assert list(tmp_path.iterdir()) == []
