@@ -2,13 +2,21 @@
 
 import hashlib
 import json
+import math
+import struct
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from pymodbus.client import ModbusTcpClient
 from support.cli import altd_here, refusal
 from support.plates import View, plate_light, tilted, write_plates
+from support.played_unit import PlayingDaemon
+from support.ports import free_port
 from support.recordings import grid, place_px, seen, write_scan_of, write_targets
 
 from altd.calibration.calibrating import calibrate
@@ -59,25 +67,59 @@ def test_the_report_shows_all_three_and_names_the_cameras(three: Path) -> None:
     assert (three / "report" / "cal.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_a_beam_through_three_targets_is_replayed(three: Path, tmp_path: Path) -> None:
-    """The camera ``spare`` looks at no target, and its frames are none of the measurement's.
+DX_MM, DY_MM = 20.0 * 0.02 / 3, 20.0 * 0.01 / 3
+"""Behind the glass the beam is displaced by a third of slope times thickness."""
+BEAM = {"front": (3.0, -4.0), "middle": (5.8 - DX_MM, -2.6 - DY_MM), "rear": (8.6 - DX_MM, -1.2 - DY_MM)}
 
-    Behind the glass the beam is displaced by a third of slope times thickness.
-    """
-    dx, dy = 20.0 * 0.02 / 3, 20.0 * 0.01 / 3
-    beam = {"front": (3.0, -4.0), "middle": (5.8 - dx, -2.6 - dy), "rear": (8.6 - dx, -1.2 - dy)}
-    rec = write_targets(tmp_path / "rec", "measurement", THREE, [(beam, None)] * 4)
+
+@pytest.fixture(scope="module")
+def beam(three: Path) -> Path:
+    """The camera ``spare`` looks at no target, and its frames are none of the measurement's."""
+    rec = write_targets(three / "beam", "measurement", THREE, [(BEAM, None)] * 4)
     about = json.loads((rec / "recording.json").read_text())
     about["cameras"]["spare"] = SIZE
     (rec / "recording.json").write_text(json.dumps(about))
     with (rec / "frames.csv").open("a") as table:
         table.write("4,0.2,spare,near0000.png,off,,\n")
-    done = altd_here("replay", rec, "--calibration", three / "cal.json", "--window", "4", "--every", "4")
-    (line,) = done.objects
+    return rec
+
+
+def assert_is_the_beam(line: dict[str, Any]) -> None:
     assert line["valid"], line
     assert (line["x_mm"], line["y_mm"]) == pytest.approx((3.0, -4.0), abs=0.03)
     assert (line["yaw_mm_per_m"], line["pitch_mm_per_m"]) == pytest.approx((20.0, 10.0), abs=0.15)
-    assert (line["middle"]["x_mm"], line["middle"]["y_mm"]) == pytest.approx(beam["middle"], abs=0.03)
+    for name, place in BEAM.items():
+        assert (line[name]["x_mm"], line[name]["y_mm"]) == pytest.approx(place, abs=0.03), name
+
+
+def test_a_beam_through_three_targets_is_replayed(three: Path, beam: Path) -> None:
+    done = altd_here("replay", beam, "--calibration", three / "cal.json", "--window", "4", "--every", "4")
+    (line,) = done.objects
+    assert_is_the_beam(line)
+
+
+def test_the_daemon_measures_and_publishes_all_three(three: Path, beam: Path, tmp_path: Path) -> None:
+    http, modbus = free_port(), free_port()
+    config = f'[unit]\nserial = "TEST-1"\ncalibration = "{three / "cal.json"}"\n[measuring]\nwindow = 4\n'
+    for name, port in (("http", http), ("modbus_tcp", modbus)):
+        config += f'[{name}]\nhost = "127.0.0.1"\nport = {port}\n'
+    for target in THREE:
+        config += "[[targets]]\n" + "".join(f"{key} = {json.dumps(of)}\n" for key, of in target.items())
+        config += f'[cameras.{target["camera"]}]\ndriver = "recording"\npath = "{beam}"\nrepeat = true\n'
+    (tmp_path / "altd.toml").write_text(config)
+    command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", tmp_path / "altd.toml"]
+    with subprocess.Popen(command) as process:
+        daemon = PlayingDaemon(process, http, modbus)
+        try:
+            assert_is_the_beam(daemon.wait_until_valid())
+            with ModbusTcpClient("127.0.0.1", port=modbus) as controller:
+                x_mm = math.nan
+                while math.isnan(x_mm):  # a busy machine may be without a value for a moment
+                    words = controller.read_input_registers(20, count=4).registers
+                    x_mm, y_mm = struct.unpack(">2f", struct.pack(">4H", *words))
+        finally:
+            process.kill()
+    assert (x_mm, y_mm) == pytest.approx((3.0, -4.0), abs=0.03)
 
 
 @pytest.mark.parametrize(
