@@ -30,7 +30,7 @@ from hw_sim.unit import CAMERAS, FRONT
 
 pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 
-LONG_S = 3.0
+LONG_S = 2.0
 """Buffers are full, and all places taken, in the first second of it; no time-out of the server ends in it."""
 PERIOD_S = 0.05
 CROWD = 200

@@ -5,7 +5,7 @@ from fuzz.hostile.runner import run
 
 pytestmark = pytest.mark.real_time
 
-INPUTS = {"http": 5_000, "websocket": 2_000, "local": 4_000, "modbus": 3_000, "console": 800, "mqtt": 2_000}
+INPUTS = {"http": 4_000, "websocket": 1_500, "local": 1_500, "modbus": 2_000, "console": 500, "mqtt": 1_500}
 TRIED = {
     "http": {"200", "400", "401", "403", "404", "405", "415", "431"},
     "websocket": {"400", "404", "426", "431", "close 1003", "close 1009", "cut", "open"},

@@ -32,7 +32,7 @@ from benchmarks.process_memory import resident_mb
 from tools.pages.example import MEASURED
 
 OPEN = "allow_anonymous true"
-RESTARTS = int(os.environ.get("ALTD_BENCH_RESTARTS", "20"))
+RESTARTS = int(os.environ.get("ALTD_BENCH_RESTARTS", "12"))
 WARM_UP = 5
 """Restarts after which nothing more is loaded."""
 

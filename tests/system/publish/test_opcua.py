@@ -354,11 +354,11 @@ async def test_clients_that_vanish_with_a_thousand_subscriptions_leave_the_memor
             with contextlib.suppress(ConnectionError, ua.UaError):
                 await client.disconnect()
 
-        for _ in range(40):  # 320 subscriptions: more than fit
+        for _ in range(34):  # 272 subscriptions: more than fit
             await vanish()
         await there.until(lambda: figures.figures.get("subscriptions") == 256)
         before_mb = figures.figures["rss_mb"]
-        for _ in range(90):
+        for _ in range(45):
             await vanish()
         await there.until(lambda: figures.figures.get("subscriptions") == 256)
         after_mb = figures.figures["rss_mb"]

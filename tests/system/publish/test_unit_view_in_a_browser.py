@@ -163,7 +163,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         assert await section.get_by_role("link", name="Report").count() == 0
 
 
-@pytest.mark.parametrize("size", [SIZES["phone"], (360, 640), (320, 568)])
+@pytest.mark.parametrize("size", [SIZES["phone"], (320, 568)])
 async def test_on_a_phone_nothing_is_wider_than_the_screen(
     started: Browser, running: LedUnit, size: tuple[int, int]
 ) -> None:
