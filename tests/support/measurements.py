@@ -1,13 +1,16 @@
-"""Measurements of a beam, for the tests of boards and publishers, and a measurement's beam."""
+"""Measurements of a beam, for the tests of boards and publishers; the chain that makes them of frames."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from altd.instruments.beam.instrument import QUANTITIES, values_of
+from altd.config import Installation, Measuring
+from altd.instruments.beam.instrument import QUANTITIES, BeamInstrument, values_of
 from altd.instruments.beam.solver import Beam
 from altd.instruments.chain.measurement import quantities_of
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Value
 
@@ -100,3 +103,15 @@ def points_of(measurement: Measurement) -> dict[str, tuple[float, float] | None]
         target: None if values is None else (values["x_mm"].value, values["y_mm"].value)
         for target, values in measurement.targets.items()
     }
+
+
+def beam_chain(
+    calibration: Calibration,
+    measuring: Measuring,
+    installation: Installation | None = None,
+    provenance: Provenance | None = None,
+) -> MeasuringChain:
+    """The chain of a beam, each of whose targets has a camera of its name."""
+    views = [View(target.name, target.name) for target in calibration.targets]
+    instrument = BeamInstrument(calibration, measuring, installation)
+    return MeasuringChain(views, calibration, measuring, instrument, provenance or Provenance())

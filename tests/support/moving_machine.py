@@ -10,14 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from altd.config import Installation, Measuring
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.spot_locator import Located
 from altd.records import Measurement, Spot
 from hw_sim.beam import BeamPose
 from hw_sim.motion import Drive, Oscillation, Vibration, make_path, make_vibration
 from support import evidence
 from support.located import located, paired
+from support.measurements import beam_chain
 
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 PERIOD_NS = 50_000_000
@@ -45,13 +44,7 @@ class Machine:
     def measured(
         self, numbers: range | list[int], measuring: Measuring, installation: Installation | None = None
     ) -> list[Measurement]:
-        calibration = evidence.calibration()
-        chain = MeasuringChain(
-            (View("front", "front"), View("rear", "rear")),
-            calibration,
-            measuring,
-            BeamInstrument(calibration, measuring, installation),
-        )
+        chain = beam_chain(evidence.calibration(), measuring, installation)
         measurements: list[Measurement] = []
         for number in numbers:
             t_ns = number * PERIOD_NS

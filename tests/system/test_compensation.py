@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from support.clock import FakeClock
+from support.measurements import beam_chain
 
 from altd.acquisition.self_check.correction import Correction
 from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.config import Measuring, SelfCheckSettings
-from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
 from altd.records import Frame, Measurement
 from altd.selfcheck.records import LedView, Limits
 from altd.selfcheck.verdict import judge
@@ -44,10 +43,8 @@ class Bench:
     """A chain, what corrects it, and the unit with seed 3 before it."""
 
     def __init__(self, calibration: Calibration) -> None:
-        measuring = Measuring(window=WINDOW)
         self._calibration = calibration
-        instrument = BeamInstrument(calibration, measuring)
-        self._chain = MeasuringChain([View(c, c) for c in CAMERAS], calibration, measuring, instrument)
+        self._chain = beam_chain(calibration, Measuring(window=WINDOW))
         self._geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
         self._correction = Correction(self._chain, calibration, {camera: camera for camera in CAMERAS})
         self._sequence = 1000

@@ -14,12 +14,11 @@ import pytest
 from support.fed_unit import POSE, render, write_config
 from support.foreign import need_program
 from support.guest import run_in_guest
-from support.measurements import beam_of
+from support.measurements import beam_chain, beam_of
 
 from altd.calibration.file import load_calibration
 from altd.config import Measuring
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.measuring.chain import Provenance
 from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 from hw_sim.unit import CAMERAS
@@ -73,13 +72,8 @@ def measured(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
 def in_process(unit: FedUnit) -> list[Measurement]:
     """The measuring chain's results on the same frames without cameras, drivers and daemon."""
     calibration = load_calibration(unit.calibration)
-    chain = MeasuringChain(
-        [View(camera, camera) for camera in CAMERAS],
-        calibration,
-        Measuring(pair_by="time"),
-        BeamInstrument(calibration, Measuring()),
-        Provenance(origins=lambda: [Fault(Reason.SIMULATED)]),
-    )
+    provenance = Provenance(origins=lambda: [Fault(Reason.SIMULATED)])
+    chain = beam_chain(calibration, Measuring(pair_by="time"), provenance=provenance)
     exposures = np.load(unit.frames)
     measurements: list[Measurement] = []
     for number in range(EXPOSURES):

@@ -4,13 +4,12 @@ import json
 
 import pytest
 from support.clock import FakeClock
-from support.measurements import beam_of
+from support.measurements import beam_chain, beam_of
 
 from altd.config import Measuring
 from altd.files.documents import line_of
-from altd.instruments.beam.instrument import QUANTITIES, BeamInstrument
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
 from altd.ports import CameraTimeoutError
 from altd.publish.serial.words import status_text
 from altd.records import Measurement
@@ -32,12 +31,7 @@ def calibration(calibration_of_unit_3: Calibration) -> Calibration:
 
 
 def measure(unit: Unit, calibration: Calibration, exposures: int = 12) -> list[Measurement]:
-    chain = MeasuringChain(
-        [View("front", "front"), View("rear", "rear")],
-        calibration,
-        Measuring(window=WINDOW, max_skew_ms=10.0),
-        BeamInstrument(calibration, Measuring()),
-    )
+    chain = beam_chain(calibration, Measuring(window=WINDOW, max_skew_ms=10.0))
     cameras = make_cameras(unit, real_time=False)
     out: list[Measurement] = []
     for camera in cameras:
@@ -134,7 +128,7 @@ def test_every_fault_has_its_case() -> None:
         Fault.FRONT_BLINKING_LIGHT,
         Fault.PUSHED_ASIDE,
         Fault.REAR_CAMERA_MOVED,
-    }  # test_gige_self_check.py
+    }  # drawn: hw_sim/frames/test_unit.py; named: test_self_check.py, test_self_check_lights.py
     assert CASES.keys() == REMEDIES.keys()
     assert set(Fault) - set(CASES) == {Fault.DROPPED_FRAMES} | told_by_a_self_check
 
@@ -164,12 +158,7 @@ def test_dropped_frames_cost_exposures_but_no_truth(calibration: Calibration) ->
 def test_a_beam_that_goes_and_comes_back_is_invalid_at_once_and_valid_again(calibration: Calibration) -> None:
     unit = Unit(UnitConfig(seed=SEED))
     unit.place(BeamPose(8.0, -6.0))
-    chain = MeasuringChain(
-        [View("front", "front"), View("rear", "rear")],
-        calibration,
-        Measuring(window=20),
-        BeamInstrument(calibration, Measuring()),
-    )
+    chain = beam_chain(calibration, Measuring(window=20))
     cameras = make_cameras(unit, real_time=False)
     for camera in cameras:
         camera.open()

@@ -1,7 +1,5 @@
 """The whole daemon corrects a drift that its self-check found, and says when it does not."""
 
-from dataclasses import replace
-
 import pytest
 from support.led_unit import MOVED, POSE, LedUnit, codes, config, driven_led_unit
 
@@ -60,22 +58,6 @@ async def test_a_correction_that_no_check_confirms_ends_and_the_drift_counts(
         abs((one.number("yaw_mm_per_m") or 0.0) - 1000 * POSE.slope_x) for one in (corrected, last)
     ]
     assert off_mm_per_m[0] < 0.15 < 0.3 < off_mm_per_m[1]  # 0.6 px are 0.15 mm, over 280 mm 0.54 mm/m
-
-
-async def test_a_camera_that_moves_on_after_it_was_corrected_is_wrong_until_the_next_check(
-    calibration_of_unit_3: Calibration,
-) -> None:
-    def prepare(running: LedUnit) -> None:
-        running.unit.displace(FRONT, MOVED)
-
-    async with driven_led_unit(calibration_of_unit_3, config(compensate=True), prepare) as running:
-        await running.report(1)
-        assert "compensated" in codes(await running.measured(valid=True))
-        running.unit.displace(FRONT, replace(MOVED, shift_px=(0.6, 0.5)))
-        while "front_wrong_camera" not in codes(await running.measured(valid=False)):
-            pass  # the pause in which the unit was drawn again
-        await running.check()
-        assert "compensated" in codes(await running.measured(valid=True))
 
 
 async def test_a_drift_beyond_what_may_be_compensated_is_invalid(calibration_of_unit_3: Calibration) -> None:

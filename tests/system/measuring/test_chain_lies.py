@@ -4,12 +4,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from support.measurements import beam_of
+from support.measurements import beam_chain, beam_of
 
 from altd.config import Installation, Measuring
-from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain
 from altd.reasons import Reason
 from altd.records import Frame, Measurement
 from hw_sim.beam import BeamPose
@@ -22,9 +21,7 @@ POSE = BeamPose(5.0, -4.0, 0.02, -0.03)
 
 
 def chain(calibration: Calibration, installation: Installation | None = None) -> MeasuringChain:
-    views = [View(name, name) for name in CAMERAS]
-    measuring = Measuring(window=WINDOW)
-    return MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring, installation))
+    return beam_chain(calibration, Measuring(window=WINDOW), installation)
 
 
 def shown(unit: Unit, count: int) -> Iterator[Frame]:

@@ -9,13 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from support.measurements import beam_of
+from support.measurements import beam_chain, beam_of
 
 from altd.calibration.result import CalibrationResult
 from altd.config import Maintenance, Measuring
-from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
 from altd.records import Frame, Measurement, Spot
 from altd.status.maintenance import SpotTrends
 from altd.vision.localise import locate
@@ -25,7 +23,9 @@ from hw_sim.dust import Dust, make_dust
 from hw_sim.measure import HALF_AREA_MM
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
-WINDOW, PERIOD_NS = 4, 50_000_000
+PERIOD_NS = 50_000_000
+EXPOSURES = 2
+"""At each place."""
 PLACES = 60
 """Of five minutes: dust is looked for once in five seconds."""
 
@@ -66,20 +66,14 @@ class LivedIn:
 
     def five_minutes(self, seed: int = 0) -> Period:
         """A window of exposures at each of many places."""
-        calibration, measuring = self._calibration, Measuring(window=WINDOW, every=1)
-        chain = MeasuringChain(
-            [View(camera, camera) for camera in CAMERAS],
-            calibration,
-            measuring,
-            BeamInstrument(calibration, measuring),
-        )
+        chain = beam_chain(self._calibration, Measuring(window=EXPOSURES))
         trends = SpotTrends({camera: camera for camera in CAMERAS}, Maintenance())
         period = Period(set(), {})
         for pose in poses(seed):
             self.unit.place(pose)
             self._t_ns += 5 * 10**9
             last: Measurement | None = None
-            for exposure in range(WINDOW):
+            for exposure in range(EXPOSURES):
                 t_ns = self._t_ns + exposure * PERIOD_NS
                 for camera in CAMERAS:
                     frame = self.unit.expose(camera, t_ns // PERIOD_NS, t_ns)
@@ -182,8 +176,7 @@ def test_what_is_no_dust_is_not_told_as_dust(change: str, calibration_of_unit_3:
     assert "dusty" not in {code for code, _ in period.told}
 
 
-WINDOW, ONSET, END, EXPOSURES = 10, 15, 45, 60
-PERIOD_NS = 50_000_000
+WINDOW, ONSET, END, LAST = 10, 12, 30, 42
 POSE = BeamPose(5.0, -4.0, 0.02, -0.03)
 MAX_MM, MAX_DEG = 0.15, 0.03
 
@@ -206,15 +199,10 @@ def test_it_is_in_sigma_or_the_measurement_is_invalid(
 ) -> None:
     unit = Unit(UnitConfig(seed=3))
     unit.place(POSE)
-    chain = MeasuringChain(
-        [View(name, name) for name in CAMERAS],
-        calibration_of_unit_3,
-        Measuring(window=WINDOW),
-        BeamInstrument(calibration_of_unit_3, Measuring(window=WINDOW)),
-    )
+    chain = beam_chain(calibration_of_unit_3, Measuring(window=WINDOW))
 
     def frames() -> Iterator[Frame]:
-        for n in range(EXPOSURES):
+        for n in range(LAST):
             for name in CAMERAS:
                 frame = unit.expose(name, n, n * PERIOD_NS)
                 yield lit(frame, share, aside_radii) if name == camera and ONSET <= n < END else frame
@@ -224,7 +212,7 @@ def test_it_is_in_sigma_or_the_measurement_is_invalid(
         for measurement in chain.push(frame):
             measured[frame.sequence] = measurement
         changed[frame.sequence] = chain.figures().get("light_changed_rear")
-    assert changed[ONSET - 1] == changed[EXPOSURES - 1] == 0.0
+    assert changed[ONSET - 1] == changed[LAST - 1] == 0.0
     assert share / 2 < changed[END - 1] < 2 * share  # of the front target it lights the glass, too
     before = beam_of(measured[ONSET - 1])
     assert before is not None
@@ -239,4 +227,4 @@ def test_it_is_in_sigma_or_the_measurement_is_invalid(
             (beam.pitch_deg, before.pitch_deg, beam.sigma_pitch_deg, MAX_DEG),
         ):
             assert abs(value - truth) < min(5 * sigma, limit), n
-    assert all(beam_of(measured[n]) is not None for n in range(END + WINDOW, EXPOSURES))
+    assert all(beam_of(measured[n]) is not None for n in range(END + WINDOW, LAST))

@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.located import located
+from support.measurements import beam_chain
 from support.played_unit import PlayedUnit
 from support.recordings import place_px
 
 from altd.calibration.file import load_calibration
 from altd.config import Measuring
-from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.pairing import Pair
 from altd.records import Measurement, Spot
 
@@ -59,9 +58,7 @@ def measured(
 ) -> list[Measurement]:
     """The measurements of spots with the noise of clean frames, each camera's so many exposures late."""
     rng = np.random.default_rng(seed)
-    measuring = Measuring()
-    views = (View("front", "front"), View("rear", "rear"))
-    chain = MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring))
+    chain = beam_chain(calibration, Measuring())
     measurements = []
     for number in range(count):
         items = {}
