@@ -177,7 +177,7 @@ In `tests/system/`, most of them against real parts:
 |---|---|
 | power cut | `history/test_power_cut.py` |
 | disk read-only, slow, gone | `history/test_daemon.py` |
-| daemon killed, hung | `history/test_crash.py`, `test_held.py`, `test_systemd.py` |
+| daemon killed, hung | `history/test_crash.py`, `test_live.py`, `test_systemd.py` |
 | dead, dark and stray frame LEDs, camera moved | `test_self_check.py`, `test_self_check_lights.py` |
 | camera process killed, link pulled, forged packets | `test_live.py` (GigE Vision) |
 | USB camera and USB serial port pulled | `test_guest_unit.py`, `serial_port/test_usb.py` |

@@ -142,6 +142,7 @@ class TestCameras:
         oldest_s = settings.stale_after_s + settings.window / 2 / 20.0 + 0.1
         assert [each for each in answers if each.valid and each.age_s > oldest_s] == []
         assert any(not each.valid for each in answers)
+        assert {each.face for each in answers} == {"modbus", "http"}
         assert answers[-1].valid
 
 
