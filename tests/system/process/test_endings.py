@@ -190,13 +190,22 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path, warm:
     assert (ended.left, ended.temporary) == (leaves, frozenset())
 
 
-@pytest.mark.parametrize("is_full", [False, True], ids=["gone", "full"])
+PRINT_ROW_BY_ROW = (
+    *("replay", "replay's csv on standard output", "locate's table", "map's table"),
+    *("export on standard output", "events"),
+)
+PRINT_AT_THE_END = (
+    *("calibrate", "locate", "map", "selfcheck", "verify", "check-config", "registers", "devices", "doctor"),
+    "refraction",
+)
+"""Here a reader that has gone is noticed by what all commands share: one of these is enough."""
+
+
 @pytest.mark.parametrize(
-    "name",
+    ("name", "is_full"),
     [
-        *("calibrate", "replay", "replay's csv on standard output", "locate", "locate's table"),
-        *("map", "map's table", "selfcheck", "verify", "check-config", "registers", "devices", "doctor"),
-        *("export on standard output", "events", "refraction"),
+        *((name, True) for name in (*PRINT_ROW_BY_ROW, *PRINT_AT_THE_END)),
+        *((name, False) for name in (*PRINT_ROW_BY_ROW, "registers")),
     ],
 )
 def test_ended_by_who_reads(
