@@ -11,7 +11,6 @@ from support.cli import altd_here, refusal
 from support.plates import FRONT, REAR, View, add_disc, grid_mm, plate_light, tilted, write_plate
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.from_plates import LASER_SPOT_SIGMA_MM
 from altd.calibration.result import CalibrationResult
 from altd.errors import BadInputError
@@ -149,15 +148,6 @@ def test_the_laser_spots_pattern_is_taken_into_sigma(result: CalibrationResult) 
         point = target.point(*(FRONT if target.name == "front" else REAR).to_px(np.array([[10.0, 5.0]]))[0])
         assert point is not None
         assert np.sqrt(np.diag(point.covariance_mm2)) == pytest.approx(LASER_SPOT_SIGMA_MM, rel=0.4)
-
-
-def test_a_calibration_from_a_plate_is_saved_like_any_other(
-    result: CalibrationResult, tmp_path: Path
-) -> None:
-    save_calibration(result.calibration, tmp_path / "cal.json")
-    loaded = load_calibration(tmp_path / "cal.json", "TEST-1")
-    assert [(target.name, target.z_mm) for target in loaded.targets] == [("front", 0.0), ("rear", 280.0)]
-    assert all(len(target.leds_px) == 0 for target in loaded.targets)
 
 
 class TestRefused:

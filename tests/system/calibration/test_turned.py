@@ -131,12 +131,3 @@ def test_a_replay_of_the_turned_unit_compares_nothing_with_the_stage(
     assert "known" not in turned.err
     assert len(turned.objects) == 30
     assert all(line["valid"] and "known_x_mm" not in line for line in turned.objects)
-
-
-def test_the_two_scans_do_not_verify_the_calibration_that_they_made(
-    calibrations: tuple[Calibration, Calibration], scans: tuple[Path, Path], tmp_path: Path
-) -> None:
-    save_calibration(calibrations[1], tmp_path / "c.json")
-    said = altd_here("verify", scans[1], scans[0], "--calibration", tmp_path / "c.json")
-    assert said.status == 2
-    assert "made the calibration; verify it with another recording" in said.err

@@ -22,6 +22,7 @@ import pytest
 from asyncua import Client
 from support.clock import FakeClock
 from support.measurements import measured
+from support.modbus_rtu_wire import crc
 from support.opcua import OpcUaUnit, Written, connected
 from support.opcua import read as read_nodes
 from support.serving import serving
@@ -170,10 +171,10 @@ class Readers:
 
     async def over_rtu(self, address: int, count: int) -> bytes:
         request = struct.pack(">BBHH", 1, 3, address, count)
-        self.rtu.send(request + crc16(request))
+        self.rtu.send(request + crc(request))
         length = 5 + 2 * count
         answer = await self.rtu.receive(lambda data: len(data) >= length)
-        assert crc16(answer[:-2]) == answer[-2:]
+        assert crc(answer[:-2]) == answer[-2:]
         return answer[3:-2]
 
     async def document(self, path: str) -> dict[str, Any]:
@@ -200,15 +201,6 @@ class Readers:
             fields.append(body.split(","))
         assert [sentence[0] for sentence in fields] == ["PALTM", "PALTQ", "PALTC"]
         return fields
-
-
-def crc16(data: bytes) -> bytes:
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte
-        for _ in range(8):
-            register = register >> 1 ^ (0xA001 if register & 1 else 0)
-    return register.to_bytes(2, "little")
 
 
 def by_json(document: dict[str, Any]) -> Said:
