@@ -37,9 +37,7 @@ from support.ports import free_port
 from support.recordings import header, quiet, write_beams, write_scan
 from support.unit_toml import write_config
 
-from altd.app.record import scanner_of
 from altd.calibration.file import load_calibration, save_calibration
-from altd.config import Config, Scan
 from altd.publish.opcua.quality import Status
 from altd.reasons import Signal
 from altd.records import Origin
@@ -47,14 +45,11 @@ from benchmarks.live.parts import FRONT, REAR, both_cameras
 from benchmarks.live.parts import write_config as write_live_config
 from benchmarks.live.watch import Ports
 from hw_sim.beam import BeamPose
-from hw_sim.camera import make_cameras
 from hw_sim.flat import record_flat
-from hw_sim.grbl_table import GrblTable
 from hw_sim.measure import record_measurement
 from hw_sim.plate import Plate, record_plate, with_plate
 from hw_sim.scan import STAGE_STREAM, record_scan
 from hw_sim.stage import Stage
-from hw_sim.staged_scan import SimulatedLamps, scan_config
 from hw_sim.unit import Unit, UnitConfig
 
 BEAMS = [(10.0, 5.0, 0.02, -0.03)] * 3
@@ -103,7 +98,7 @@ class Files:
 
     def __post_init__(self) -> None:
         for name, origin in (("real", "camera"), ("simulated", "simulated")):
-            said_to_be(write_scan(self.folder / name / "scan"), origin, origin)
+            said_to_be(write_scan(self.folder / name / "scan", columns=4, rows=4), origin, origin)
             said_to_be(write_beams(self.folder / name / "beams", BEAMS), origin, origin)
             output, report = self.folder / f"{name}.json", self.folder / name / "report"
             made = calibrated(self.folder / name / "scan", output, "--report", report)
@@ -154,7 +149,7 @@ class TestReplay:
 
 class TestCalibration:
     def test_of_one_simulated_camera_marks_that_target(self, tmp_path: Path) -> None:
-        scan = said_to_be(write_scan(tmp_path / "scan"), "simulated", "camera")
+        scan = said_to_be(write_scan(tmp_path / "scan", columns=4, rows=4), "simulated", "camera")
         assert target_origins(calibrated(scan, tmp_path / "cal.json")) == ["simulated", "camera"]
 
     def test_through_a_simulated_flat_is_simulated(self, files: Files, tmp_path: Path) -> None:
@@ -221,7 +216,7 @@ def read_until(descriptor: int, pattern: str, timeout_s: float = 60.0) -> str:
 
 @pytest.mark.parametrize(
     ("frames", "calibration", "rehearsal"),
-    [("simulated", "real", True), ("real", "simulated", True), ("real", "simulated", False)],
+    [("simulated", "real", True), ("real", "simulated", False)],
 )
 def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_values(
     files: Files, tmp_path: Path, frames: str, calibration: str, rehearsal: bool
@@ -369,31 +364,6 @@ class TestRecord:
         lines = altd_here("replay", tmp_path / "kept", "--calibration", fitted, "--window", "4").objects
         assert lines
         assert all("simulated" in line["status"] for line in lines)
-
-
-async def test_a_scan_with_simulated_cameras_is_simulated(tmp_path: Path) -> None:
-    unit = Unit(UnitConfig(seed=11, fps=50.0))
-    with GrblTable(unit) as table:
-        table.machine.settings |= {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
-        scan = Scan(columns=4, rows=4, pitch_mm=25.0, exposures=1, settle_s=0.02, led_pairs=0)
-        config = scan_config(unit, table.device, scan)
-        assert config.stage is not None
-        stage = config.stage.model_copy(update={"feed_mm_per_min": 100_000.0})
-        config = Config.model_validate(config.model_dump() | {"stage": stage.model_dump()})
-        cameras = {camera.name: camera for camera in make_cameras(unit)}
-        output = tmp_path / "scan"
-        await scanner_of(config, output, output, Silent(), cameras, SimulatedLamps(unit)).run()
-    assert origins(output) == ["simulated", "simulated"]
-
-
-class Silent:
-    """Tells nothing."""
-
-    def report(self, line: str) -> None:
-        pass
-
-    def progress(self, done: int, total: int, doing: str) -> None:
-        pass
 
 
 def test_all_that_the_simulator_records_is_simulated(tmp_path: Path) -> None:

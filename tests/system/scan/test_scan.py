@@ -23,6 +23,7 @@ from altd.mapping.inverse import InverseMap
 from altd.recording.header import CameraHeader, RecordingHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.recording.writer import RecordingWriter
+from altd.records import Origin
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
 from hw_sim.flat import record_flat
@@ -113,6 +114,7 @@ async def test_the_scan_calibrates_as_well_as_one_without_a_stage(
     assert pattern == [False, True] * 4
     assert [row.position_mm is None for row in recording.rows] == [True] * 8 + [False] * 64 + [True] * 8
     assert recording.header.note == "altd scan, simulated"
+    assert {camera.origin for camera in recording.header.cameras.values()} == {Origin.SIMULATED}
 
     scan_directly(tmp_path / "direct", unit, scan)
     staged, direct = (mapped_mm(tmp_path / name, unit) for name in ("staged", "direct"))
