@@ -1,15 +1,12 @@
 import fcntl
-import functools
 import http.client
 import json
-import operator
 import os
 import re
 import select
 import shlex
 import shutil
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -21,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.cli import altd
 from support.documented import commands_of
 from support.places import ROOT
 from support.ports import free_port
@@ -29,7 +27,6 @@ pytestmark = pytest.mark.alone
 
 DEMO = [sys.executable, "-m", "hw_sim", "demo", "--seed", "3"]
 NUMBER = r"([+-]?\d+\.\d+)"
-VALUE = re.compile(rf"(x|y|yaw|pitch) +{NUMBER} ±{NUMBER} \({NUMBER}\) (mm|deg)")
 
 
 class Output:
@@ -66,34 +63,6 @@ def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
         process.communicate()
 
 
-def crc16(frame: bytes) -> bytes:
-    crc = 0xFFFF
-    for byte in frame:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 * (crc & 1)
-    return crc.to_bytes(2, "little")
-
-
-READ_50 = struct.pack(">BBHH", 1, 4, 0, 50)
-"""Unit 1, input registers 0 to 49: header and floating point of docs/modbus.md."""
-
-
-def values_of(registers: bytes) -> tuple[int, list[float]]:
-    """Sequence, and x, y, yaw, pitch."""
-    assert registers[:3] == bytes([1, 4, 100])
-    return struct.unpack_from(">I", registers, 3 + 16)[0], list(struct.unpack_from(">4f", registers, 3 + 40))
-
-
-def over_tcp(port: int) -> tuple[int, list[float]]:
-    with socket.create_connection(("127.0.0.1", port), timeout=3) as connection:
-        connection.sendall(struct.pack(">HHH", 7, 0, len(READ_50)) + READ_50)
-        answer = b""
-        while len(answer) < 6 + 103:
-            answer += connection.recv(1024)
-    return values_of(answer[6:])
-
-
 @contextmanager
 def opened(device: str) -> Iterator[Callable[[bytes, Callable[[bytes], object]], bytes]]:
     """Says something on a serial line and gives back what it hears."""
@@ -109,27 +78,6 @@ def opened(device: str) -> Iterator[Callable[[bytes, Callable[[bytes], object]],
         os.close(descriptor)
 
 
-def over_rtu(device: str) -> tuple[int, list[float]]:
-    with opened(device) as ask:
-        answer = ask(READ_50 + crc16(READ_50), lambda data: len(data) >= 105)
-    assert crc16(answer[:-2]) == answer[-2:]
-    return values_of(answer)
-
-
-def over_telegram(device: str) -> tuple[int, list[float]]:
-    with opened(device) as ask:
-        heard = ask(b"", lambda data: data.count(b"\r\n") >= 2).decode("ascii")
-    sentences = heard.split("\r\n")[:2]
-    for sentence in sentences:
-        assert sentence[0] == "$"
-        body, checksum = sentence[1:].split("*")
-        assert int(checksum, 16) == functools.reduce(operator.xor, body.encode("ascii"))
-    name, _, mode, sequence, *values = sentences[0].split("*")[0].split(",")
-    assert (name, mode) == ("$PALTM", "S")
-    assert sentences[1].endswith(",simulated+rehearsal*" + sentences[1][-2:])
-    return int(sequence), [float(value) for value in values[:4]]
-
-
 def get(port: int, path: str) -> http.client.HTTPResponse:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     connection.request("GET", path)
@@ -140,59 +88,6 @@ def get(port: int, path: str) -> http.client.HTTPResponse:
 
 def quantities(measurement: dict[str, Any]) -> list[float]:
     return [measurement[key] for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
-
-
-def test_every_face_answers_with_the_measurements_that_the_lines_show(temporary: dict[str, str]) -> None:
-    demo = subprocess.Popen(DEMO, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=temporary)
-    with ended(demo):
-        assert demo.stdout is not None
-        output = Output(demo.stdout.fileno())
-        text = output.until(lambda data: data.count(b"s  valid") >= 1).decode()
-        http_port = int(re.search(r"curl -s http://127.0.0.1:(\d+)/api/measurement", text)[1])  # type: ignore[index]
-        tcp_port = int(re.search(r"mbpoll .* -r 20 -c 15 -p (\d+) 127.0.0.1", text)[1])  # type: ignore[index]
-        rtu, telegram, console = re.findall(r"(?:15|cat|picocom) (/dev/pts/\d+)", text)
-
-        stream = get(http_port, "/api/stream")
-        answers = [over_tcp(tcp_port), over_telegram(telegram), over_rtu(rtu)]
-        told: dict[int, dict[str, Any]] = {}
-        while max(told, default=0) < max(sequence for sequence, _ in answers):
-            line = stream.readline()
-            if line.startswith(b"data: "):
-                measurement = json.loads(line[6:])
-                told[measurement["sequence"]] = measurement
-        stream.close()
-        for sequence, values in answers:
-            assert values == pytest.approx(quantities(told[sequence]), abs=6e-4)
-        now = json.load(get(http_port, "/api/measurement"))
-        assert now["sequence"] >= max(sequence for sequence, _ in answers)
-        assert (now["valid"], now["status"]) == (True, ["simulated", "rehearsal"])
-        with opened(console) as ask:
-            assert b"SIMULATED" in ask(b"measure\r", lambda data: data.endswith(b"> "))
-
-        output.until(lambda data: data.count(b"s  valid") >= 2)
-        demo.send_signal(signal.SIGINT)
-        rest, errors = demo.communicate(timeout=30)
-
-    text = (output.data + rest).decode()
-    assert demo.returncode == 0
-    assert errors == b""
-    lines = [line for line in text.splitlines() if "s  valid" in line]
-    assert len(lines) >= 2
-    assert all(line.endswith("simulated rehearsal") for line in lines)
-    for line in lines:
-        shown = VALUE.findall(line)
-        assert [name for name, *_ in shown] == ["x", "y", "yaw", "pitch"]
-        for _, _, sigma, difference, _ in shown:
-            assert abs(float(difference)) < 5 * float(sigma)
-    assert "SIMULATED" in text
-    total = re.search(
-        rf"^{NUMBER} s, (\d+) exposures measured, (\d+) pairs? lost, (\d+) frames? dropped$", text, re.M
-    )
-    assert total
-    elapsed_s, measured, lost = (float(number) for number in total.groups()[:3])
-    assert 20 * elapsed_s - 25 < measured + lost < 20 * elapsed_s + 5, (
-        "at the start a second at most is not counted"
-    )
 
 
 def rows_of(data: bytes) -> dict[int, str]:
@@ -243,8 +138,9 @@ def test_a_plate_is_measured_at_rest_and_on_its_way_with_the_errors_that_sigma_s
     assert any("1 exposure" in line and "exposures" not in line for line in lines), "it never moved"
 
 
-def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None:
-    with demo_at_a_terminal([*DEMO, "--calibration", str(unit_3 / "cal.json")], unit_3) as (terminal, demo):
+def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(tmp_path: Path) -> None:
+    """A unit that the demo calibrates first."""
+    with demo_at_a_terminal(DEMO, tmp_path) as (terminal, demo):
         output = Output(terminal)
 
         def showing(text: str, quantities: dict[int, str]) -> Callable[[bytes], bool]:
@@ -260,7 +156,7 @@ def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None
 
         names = enumerate(("x     mm", "y     mm", "yaw   deg", "pitch deg"), start=3)
         measured = {number: rf"  {name}( +{NUMBER}){{5}}" for number, name in names}
-        output.until(showing("VALID, mean of 20 exposures; simulated", measured))
+        output.until(showing("VALID, mean of 20 exposures; simulated", measured), timeout_s=120.0)
         rows = rows_of(output.data)
         assert len(rows) == 24, "made for 80 columns and 24 rows"
         assert all(len(row) < 80 for row in rows.values())
@@ -355,3 +251,17 @@ def test_the_tutorial_works_as_it_is_written(unit_3: Path, tmp_path: Path) -> No
         os.write(terminal, b"q")
         output.until(lambda data: b"difference / sigma" in data and data.endswith(b"\r\n"))
         assert demo.wait(30) == 0
+
+
+def test_a_folder_that_is_kept_goes_on_with_the_next_demo(tmp_path: Path, unit_3: Path) -> None:
+    folder = tmp_path / "kept"
+    for _ in range(2):
+        shown = altd(
+            "demo", "--seed", "3", "--calibration", unit_3 / "cal.json", "--keep", folder, "--seconds", "4",
+            module="hw_sim",
+        )  # fmt: skip
+        assert (shown.status, shown.err) == (0, "")
+    assert {path.name for path in folder.iterdir()} == {"history.db", "history.db.lock", "recordings"}
+    told = altd("events", "--history", folder / "history.db", "--format", "jsonl").out
+    kinds = [json.loads(line)["kind"] for line in told.splitlines()]
+    assert (kinds.count("started"), kinds.count("stopped"), kinds.count("not_ended")) == (2, 2, 0)
