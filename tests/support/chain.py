@@ -21,7 +21,7 @@ from hw_sim.chain.record import record_rounds, record_scans
 from hw_sim.chain.row import Row, RowConfig
 from support.made_once import loaded_once
 
-SETTINGS = ChainSettings(stable=("t1", "t5"), baseline_rounds=4)
+SETTINGS = ChainSettings(stable=("t1", "t5"), baseline_rounds=2)
 
 
 @cache
