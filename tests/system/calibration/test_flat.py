@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.recordings import grid, quiet
+from support.recordings import grid
 
 from altd.calibration.calibrating import calibrate
 from altd.calibration.recorded_flat import flat_correlation, flats_of
@@ -21,11 +21,7 @@ from altd.recording.reader import Recording, open_recording
 from altd.records import Frame, Spot
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
-from hw_sim.flat import record_flat
 from hw_sim.measure import random_poses
-from hw_sim.scan import STAGE_STREAM, record_scan
-from hw_sim.stage import Stage
-from hw_sim.targets import DotPattern
 from hw_sim.unit import Unit, UnitConfig
 
 SEED = 3
@@ -145,19 +141,6 @@ def test_a_flat_of_other_pixels_is_told_from_the_right_one(
         moved = Flat(np.roll(flats[camera].levels, moved_px, (0, 1)), "recording")
         assert flat_correlation(frames, moved) < 0.55, moved_px
     assert np.isnan(flat_correlation(frames, Flat(np.full((480, 752), 200, np.uint8), "recording")))
-
-
-def test_a_print_that_ends_within_the_outer_spots_needs_a_flat(tmp_path: Path) -> None:
-    unit = Unit(UnitConfig(seed=301, dots=DotPattern(size_mm=(146.0, 116.0))))
-    record_flat(tmp_path / "flat", unit, 8, quiet)
-    unit.leds_on, unit.even_mw_per_mm2 = False, 0.0
-    record_scan(tmp_path / "scan", unit, Stage(np.random.default_rng([301, STAGE_STREAM])), 1, quiet)
-    scan = open_recording(tmp_path / "scan")
-    with pytest.raises(BadInputError, match=r"front: print or surface ends .* x -70, x 70, y -56, y 56 mm"):
-        calibrate([scan])
-    result = calibrate([scan], open_recording(tmp_path / "flat"))
-    assert result.refused == ()
-    assert max(target.leave_one_out_px for target in result.calibration.targets) < 0.03
 
 
 def test_without_a_flat_the_print_is_found_and_the_plain_plate_is_seen_to_be_plain(

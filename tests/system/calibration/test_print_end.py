@@ -4,13 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from support import optics
+from support.measurements import beam_chain
 
 from altd.calibration.calibrating import calibrate
 from altd.calibration.result import CalibrationResult
 from altd.config import Measuring
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.chain import MeasuringChain, View
+from altd.errors import BadInputError
 from altd.recording.reader import open_recording
 from altd.records import Frame, Measurement
 
@@ -33,10 +34,7 @@ def calibrated(folder: Path, unit: optics.Unit, beam: optics.Beam) -> Calibratio
 
 
 def measured(made: CalibrationResult, unit: optics.Unit, beam: optics.Beam) -> Measurement:
-    measuring = Measuring(window=4, every=4)
-    instrument = BeamInstrument(made.calibration, measuring)
-    views = [View(name, name) for name in ("front", "rear")]
-    chain = MeasuringChain(views, made.calibration, measuring, instrument)
+    chain = beam_chain(made.calibration, Measuring(window=4, every=4))
     frames = (
         Frame(name, round(t_s * optics.FPS), round(t_s * 1e9), picture)
         for t_s, name, picture, _ in optics.poses(unit, [beam], exposures=4)
@@ -61,9 +59,14 @@ def test_the_nodes_of_an_asymmetric_beam_at_the_end_of_the_print_are_refused(tmp
 
 
 def test_a_symmetric_beam_is_measured_up_to_the_end_of_the_print_and_beyond(tmp_path: Path) -> None:
+    """Through a flat, which it needs: without one the ends are refused."""
     unit = optics.Unit(seed=3, print_mm=ALL_SIDES)
     made = calibrated(tmp_path, unit, SYMMETRIC)
     assert made.refused == ()
+    with pytest.raises(
+        BadInputError, match=r"front: print or surface ends .* x -62.5, x 62.5, y -50, y 50 mm"
+    ):
+        calibrate([open_recording(tmp_path / "scan")])
     inside, outside = (measured(made, unit, replace(SYMMETRIC, x=x_mm, y=10.0)) for x_mm in (-40.0, -67.0))
     for measurement, x_mm in ((inside, -40.0), (outside, -67.0)):
         value = measurement.values["x_mm"]
