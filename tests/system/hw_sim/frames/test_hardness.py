@@ -67,7 +67,7 @@ def test_laser_speckle_decorrelates_with_place_and_with_the_angle_of_the_pupil(
     """Light at an angle that the pupil subtends at the target leaves nothing of the field in the pupil."""
     lens = speckled.imagers[REAR].view.lens
     pupil_rad = lens.focal_mm / 4.0 / lens.translation_mm[2]
-    starts = np.linspace(0.0, 1.0, 4, endpoint=False)
+    starts = np.linspace(0.0, 1.0, 8, endpoint=False)
 
     def correlation(place_mm: float, angle_rad: float) -> float:
         """Mean correlation of pictures that differ by so much, from several places on."""
