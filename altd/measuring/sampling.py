@@ -130,7 +130,7 @@ class ScatterMemory:
             return mean
         of_window_px2 = motion.rate_covariance * motion.spread_s2 * mean.frames
         newest_ns = mean.t_ns + round(motion.newest_s * 1e9)
-        since_s, self._newest_ns = max(newest_ns - self._newest_ns, 0) * 1e-9, newest_ns
+        since_s, self._newest_ns = abs(newest_ns - self._newest_ns) * 1e-9, newest_ns
         new = mean.frames * min(since_s / motion.span_s, 1.0)
         self._exposures = self._exposures * math.exp(-since_s / MEMORY_S) + new
         scatter_px2 = of_window_px2 if self._scatter_px2 is None else self._scatter_px2
