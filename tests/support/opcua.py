@@ -54,11 +54,11 @@ class OpcUaUnit:
     areas: tuple[TargetArea, ...] = AREAS
     rehearsal: bool = False
     stale_after_s: float = STALE_AFTER_S
+    identity: Identity = field(default_factory=lambda: Identity.drawn(SERIAL))
 
     def __post_init__(self) -> None:
-        identity = Identity.drawn(SERIAL)
-        rehearsal = self.rehearsal
-        self.board = Board(self.clock, self.stale_after_s, self.quantities, identity, rehearsal=rehearsal)
+        about = self.quantities, self.identity
+        self.board = Board(self.clock, self.stale_after_s, *about, rehearsal=self.rehearsal)
         self.health = Health(self.clock)
         self.health.facts |= {"serial": SERIAL, "version": "0.1.0"}
         self.health.targets = self.areas
