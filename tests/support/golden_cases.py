@@ -22,7 +22,7 @@ from altd.status.availability import Before, RunningSpan
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.event_log import EventKind
-from altd.status.health import MEASURING, State
+from altd.status.health import MEASURING, CameraTrouble, State
 from altd.status.proof import Identity, unit_number
 from altd.status.services import CalibrationService, NoReportError, SelfCheckReport
 from altd.status.state import TICK_S, StateEvents, UnitState
@@ -173,10 +173,10 @@ def seen(*conditions: Condition) -> Act:
     return lambda unit: unit.watched.extend(causes)
 
 
-def parts(state: State, **messages: str) -> Act:
+def parts(state: State, trouble: CameraTrouble | None = None, /, **messages: str) -> Act:
     def act(unit: GoldenUnit) -> None:
         for name, message in messages.items():
-            unit.health.component(name.replace("__", " ")).set_state(state, message)
+            unit.health.component(name.replace("__", " ")).set_state(state, message, trouble)
 
     return act
 
@@ -283,7 +283,8 @@ def of_plate(shown: Measurement) -> Case:
 
 
 def failed(**more: str) -> Act:
-    return parts(State.FAILED, modbus_tcp="port 502 is in use", lamps="gone", inclinometer="no port", **more)
+    stated = {"modbus_tcp": "port 502 is in use", "lamps": "gone", "inclinometer": "no port", **more}
+    return parts(State.FAILED, CameraTrouble.LOST, **stated)
 
 
 CASES: dict[str, Case] = {
@@ -321,7 +322,9 @@ CASES: dict[str, Case] = {
     "out of specification": Case(act=seen(*with_signal(Signal.OUT_OF_SPECIFICATION))),
     "failure": Case(act=seen(*with_signal(Signal.FAILURE))),
     "function check": Case(invalid(Fault(Reason.SELF_CHECKING)), seen(*with_signal(Signal.CHECK_FUNCTION))),
-    "busy": Case(invalid(SILENT), parts(State.FAILED, camera__rear="busy: another program uses it")),
+    "busy": Case(
+        invalid(SILENT), parts(State.FAILED, CameraTrouble.BUSY, camera__rear="busy: another program uses it")
+    ),
     "parts failed": Case(act=failed(camera__rear="lost", temperature__box="", stage="?")),
     "parts ended": Case(act=parts(State.ENDED, camera__front="the recording is at its end", mqtt="defect")),
     "parts degraded": Case(act=counting, for_s=12.0),
