@@ -67,8 +67,6 @@ Parts = AsyncIterator[tuple[str, str]]
 
 @dataclass
 class Bench:
-    """A folder for the files of a unit, and the OPC UA servers by the kind of unit."""
-
     folder: Path
     stack: contextlib.AsyncExitStack
     servers: dict[str, tuple[ServedUnit, str]] = field(default_factory=dict)
@@ -215,9 +213,10 @@ async def local(unit: GoldenUnit, bench: Bench) -> Parts:
         for arguments in [("status",), ("status", "--json")][: 1 + bench.is_first(unit, "local")]:
             said = await asyncio.to_thread(altd_here, *arguments, "--socket", path)
             yield "altd " + " ".join(arguments), f"{said.status}\n{said.out}{said.err}"
-        documents = {name: json.loads((await got(f"/api/v1/{name}", socket=path))[1]) for name in SHOWN}
-    knowledge = Knowledge()
-    knowledge.set_documents(*(of.checked(documents[name]) for name, of in SHOWN.items() if of in DRAWN))
+        names = ("self-check", "targets", "measurement", "status")
+        documents = {name: json.loads((await got(f"/api/v1/{name}", socket=path))[1]) for name in names}
+    knowledge, check = Knowledge(), SelfCheckDocument.checked(documents["self-check"])
+    knowledge.set_documents(check, TargetsDocument.checked(documents["targets"]))
     try:
         reading = reading_of(documents["measurement"], unit.quantities)
     except ValueError as error:
@@ -230,12 +229,6 @@ async def local(unit: GoldenUnit, bench: Bench) -> Parts:
         canvas = Canvas(24, 80, is_utf8=bool(page % 2))
         draw(knowledge, 1.2, View(page), canvas)
         yield f"altd watch, {name}", canvas.text()
-
-
-DRAWN = (SelfCheckDocument, TargetsDocument)
-SHOWN: dict[str, Any] = {
-    "self-check": SelfCheckDocument, "targets": TargetsDocument, "measurement": None, "status": StatusDocument
-}  # fmt: skip
 
 
 async def mqtt(unit: GoldenUnit, bench: Bench) -> Parts:
@@ -294,7 +287,6 @@ async def opcua(unit: GoldenUnit, bench: Bench) -> Parts:
 
 
 def _space_of(server: ServedUnit) -> str:
-    """Each node of the unit: all attributes but present values."""
     space, lines = server.server.iserver.aspace, list[str]()
     for node in sorted((each for each in space.keys() if each.NamespaceIndex == 2), key=str):  # noqa: SIM118
         is_live = node.Identifier in server.nodes.keys
@@ -315,7 +307,6 @@ async def _values_of(server: ServedUnit) -> str:
 
 
 async def tables(unit: GoldenUnit, bench: Bench) -> Parts:
-    """The rows of ``altd replay`` and of the history."""
     if (shown := unit.board.read()) is not None:
         document, targets, path = as_object(shown), list(shown.targets), bench.folder / "table.csv"
         yield "replay.jsonl", line_of(document)
@@ -349,9 +340,8 @@ async def bytes_of(case: Case, bench: Bench) -> dict[str, str]:
     for name, interface in INTERFACES.items():
         unit = case.made(path)
         async with contextlib.aclosing(interface(unit, bench)) as parts:  # type: ignore[type-var]
-            found |= {
-                f"{name}: {part}": text.replace(str(bench.folder), "FOLDER") async for part, text in parts
-            }
+            async for part, text in parts:
+                found[f"{name}: {part}"] = text.replace(str(bench.folder), "FOLDER")
         await unit.history.end()
     for each in bench.folder.glob("history.db*"):
         each.unlink()
