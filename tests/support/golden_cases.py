@@ -115,7 +115,7 @@ class Case:
 
     shown: Measurement | None = MEASURED
     act: Act = lambda unit: None
-    """What happens to it between ``before`` and ``shown``."""
+    """Events between ``before`` and ``shown``."""
     before: Measurement | None = MEASURED
     before_s: float = 3.0
     for_s: float = TICK_S

@@ -1,4 +1,4 @@
-"""What every interface sends of a unit, as text: by its public constructor, over its own socket or line."""
+"""Read all that the interfaces send of a unit, as text: over their own sockets and lines."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""What every interface sends of fixed units is, byte for byte, what ``golden.txt`` beside this file has.
+"""Compare what every interface sends of fixed units, byte for byte, with ``golden.txt`` beside this file.
 
 ``ALTD_GOLDEN=FOLDER`` writes all of it into a folder, each part a file, with a new ``golden.txt``.
 """
