@@ -83,7 +83,7 @@ class Component:
 
     @property
     def kind(self) -> str:
-        """Kind of the component: its name, without that of the part after a space (``camera front``)."""
+        """Kind of the component, the first word of its name: ``camera`` of ``camera front``."""
         return self.name.partition(" ")[0]
 
     @property
