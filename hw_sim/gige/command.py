@@ -168,16 +168,25 @@ def _one_line(hertz: float, amplitude_mm: float) -> Vibration:
     return Vibration(amplitude_mm / math.sqrt(2.0), 0.0, (hertz,), random_share=0.0)
 
 
+def _line_of(text: str) -> Vibration:
+    try:
+        hertz, amplitude_mm = map(float, text.split()[1:])
+    except ValueError:
+        hertz = amplitude_mm = math.nan
+    if not (0 < hertz < math.inf and 0 <= amplitude_mm < math.inf):
+        raise BadInputError(text.strip(), "is no vibration; possible: `line HZ MM`, such as `line 20 0.3`")
+    return _one_line(hertz, amplitude_mm)
+
+
 def _listen(unit: Unit) -> None:
     """Set the faults, or the vibration, from each line on standard input; an empty line clears the faults."""
     for text in sys.stdin:
         try:
             if text.startswith("line "):
-                hertz, amplitude_mm = map(float, text.split()[1:])
-                unit.vibrate(_one_line(hertz, amplitude_mm))
+                unit.vibrate(_line_of(text))
                 continue
             faults = parse_faults(text.strip().split(",") if text.strip() else ())
-        except (BadInputError, ValueError) as error:
+        except BadInputError as error:
             print(f"hw_sim: {error}", file=sys.stderr, flush=True)
         else:
             unit.clear(*unit.faults - faults)

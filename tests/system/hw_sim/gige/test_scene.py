@@ -96,8 +96,9 @@ def test_faults_and_a_vibration_come_and_go_by_lines_on_standard_input() -> None
             assert "'gremlins'" in said_by.readline()  # the cameras have refused what came behind the faults
             assert (lit(front), lit(rear)) == (seen, seen)
         at_rest = [frame.pixels for frame in front.take(3)]
-        said_to.write("line 3.3 8\ngremlins\n")
+        said_to.write("line nan 8\nline 3.3 8\ngremlins\n")
         said_to.flush()
+        assert "line nan 8: is no vibration" in said_by.readline()
         assert "'gremlins'" in said_by.readline()
         vibrating = [frame.pixels for frame in front.take(8)][-3:]
         assert [peaks_apart_px(frames) > 3.0 for frames in (at_rest, vibrating)] == [False, True]
