@@ -2,10 +2,14 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from unittest.mock import AsyncMock
 
+from altd.acquisition.self_check.judging import Judged
+from altd.acquisition.self_check.schedule import Cause as Cause_
+from altd.acquisition.self_check.service import Occasion, report_of
 from altd.history.columns import columns_of
 from altd.history.history import History
 from altd.history.records import About, Batch, Sample, StateSample
@@ -18,18 +22,18 @@ from altd.publish.serial.parts_text import Past
 from altd.reasons import Reason, Scope, Signal
 from altd.records import Fault, Measurement, Value
 from altd.records.sensors import Quality, SensorValue
+from altd.selfcheck.records import LedState, PartVerdict, SelfCheck, TargetDrift, Verdict
 from altd.status.availability import Before, RunningSpan
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.event_log import EventKind
 from altd.status.health import MEASURING, CameraTrouble, State
 from altd.status.proof import Identity, unit_number
-from altd.status.services import CalibrationService, NoReportError, SelfCheckReport
+from altd.status.services import CalibrationService, NoReportError
 from altd.status.state import TICK_S, StateEvents, UnitState
 from altd.status.target_area import TargetArea
 from altd.status.zero import Zero
 from support.clock import FakeClock
-from support.daemon_documents import CHECK
 from support.history import MAX_BYTES, US
 from support.measurements import changed, measurement_of_row
 from support.opcua import OpcUaUnit
@@ -69,9 +73,14 @@ class GoldenUnit(OpcUaUnit):
     def __post_init__(self) -> None:
         super().__post_init__()
         health = self.health
-        health.facts |= {"serial": self.serial, "unit_number": f"{self.identity.unit:08X}"}
-        health.facts |= {"calibration": "2026-11-02, workshop, stage 2", "config_sha256": "0123abcd" * 8}
-        health.facts["spot_fit"] = "compiled"
+        health.facts = {
+            "version": health.facts["version"],
+            "serial": self.serial,
+            "unit_number": f"{self.identity.unit:08X}",
+            "spot_fit": "compiled",
+            "calibration": "2026-11-02, workshop, stage 2",
+            "config_sha256": "0123abcd" * 8,
+        }
         health.zero = Zero(health.events, 4711)
         health.calibration.open(CALIBRATION, FILES)
         state = UnitState(self.board, health, self.clock, [lambda _: self.watched])
@@ -181,14 +190,24 @@ def parts(state: State, trouble: CameraTrouble | None = None, /, **messages: str
     return act
 
 
-def checked(verdict: str, *reasons: str, **changes: Any) -> Act:
+OF_FRONT = PartVerdict("front", Verdict.GOOD, "", "mm", 0.001, 0.0015, 0.03, 0.1)
+
+
+def checked(
+    verdict: str,
+    *reasons: str,
+    cause: str = "schedule",
+    lost: int = 0,
+    of: PartVerdict = OF_FRONT,
+    notes: str = "",
+) -> Act:
     def act(unit: GoldenUnit) -> None:
         service = unit.health.self_check
         service.open(lambda: None)
-        number = service.begin()
-        document = CHECK | {"verdict": verdict, "reasons": list(reasons), "number": number} | changes
-        sentence = f"{verdict}: {'; '.join(reasons) or 'every frame LED is where it was'}"
-        service.publish(SelfCheckReport(number, sentence, document))
+        drift = TargetDrift("front", 6, 6, (LedState.USED,) * 6)
+        check = SelfCheck(Verdict(verdict), {"front": drift}, {}, reasons, parts=(of,))
+        occasion = Occasion(service.begin(), Cause_(cause), datetime(2026, 11, 20, 8, 10, tzinfo=UTC), lost)
+        service.publish(report_of(occasion, Judged(check, notes)))
 
     return act
 
@@ -268,7 +287,6 @@ SPOTS = (Fault(Reason.SPOT_MISSING, "front", DARK), Fault(Reason.SPOT_MISSING, "
 SILENT = Fault(Reason.CAMERA_SILENT, "rear", "no frame for 3.2 s")
 OF_LOST = (Fault(Reason.STUCK_CLEAR, "t4", "bright"), Fault(Reason.SPOT_MISSING, "t5"))
 UNLIT = (Fault(Reason.LEDS_MISSING, None, "1 of 4"), Fault(Reason.LEDS_MISFIT))
-OF_FRONT = CHECK["parts"][0]
 SHAKEN = {key: Value(of.value, of.sigma and 0.05, of.sigma) for key, of in MEASURED.values.items()}
 
 
@@ -332,9 +350,9 @@ CASES: dict[str, Case] = {
     "parts silent": Case(act=silent, for_s=16.0),
     "just gone": Case(act=lambda unit: unit.live(1.0, invalid(*SPOTS))),
     "check good": Case(act=checked("good")),
-    "check suspect": Case(act=checked("suspect", "front: moved by 0.04 mm", notes=["2 LEDs are dim"])),
-    "check bad": Case(act=checked("bad", "front: moved by 0.2 mm", parts=[OF_FRONT | {"error": None}])),
-    "check unknown": Case(act=checked("unknown", "too few LEDs", cause="request", exposures_lost=2)),
+    "check suspect": Case(act=checked("suspect", "front: moved by 0.04 mm", notes=("2 LEDs are dim",))),
+    "check bad": Case(act=checked("bad", "front: moved by 0.2 mm", of=replace(OF_FRONT, error=None))),
+    "check unknown": Case(act=checked("unknown", "too few LEDs", cause="request", lost=2)),
     "calibration due": Case(act=seen(Condition.CALIBRATION_DUE, Condition.CLOCK_WRONG), for_s=12.0),
     "availability": Case(act=long_past),
     "events": Case(act=noted),
