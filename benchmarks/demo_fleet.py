@@ -30,7 +30,7 @@ from altd.records import Fault, Measurement
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import keep_running
 from altd.status.board import Board
-from altd.status.health import MEASURING, Health, State
+from altd.status.health import MEASURING, Health, State, UnitFacts
 from altd.status.proof import Identity
 from altd.status.state import UnitState
 from benchmarks.fleet import servers
@@ -54,8 +54,7 @@ class DemoUnit:
         self._clock = SystemClock()
         serial = f"ALT-{number:04d}"
         self._board = Board(self._clock, _AGE_S, QUANTITIES, Identity.drawn(serial), rehearsal=True)
-        self._health = Health(self._clock)
-        self._health.facts |= {"serial": serial, "version": "demo"}
+        self._health = Health(self._clock, UnitFacts(serial=serial, version="demo"))
         self._health.component(MEASURING).set_state(State.OK)
         state = UnitState(self._board, self._health, self._clock)
         self._health.state = state.read

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -59,7 +60,7 @@ from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.threads import real_time_interpreter
 from altd.status.board import Board
-from altd.status.health import MEASURING, Health, State
+from altd.status.health import MEASURING, Health, State, UnitFacts
 from altd.status.proof import Identity, unit_number
 from altd.status.state import UnitState
 from altd.vision import kernel
@@ -88,14 +89,14 @@ class Daemon:
         self.clock = clock or SystemClock()
         instrument = live_instrument(config, calibration, lambda: self._maintenance.frame_celsius())
         identity = Identity.drawn(config.unit.serial)
-        self.health = Health(self.clock)
-        self.health.facts |= {
-            "version": __version__,
-            "serial": config.unit.serial,
-            "unit_number": f"{identity.unit:08X}",
-            "spot_fit": kernel.description,
-            "calibration": _about(calibration),
-        }
+        facts = UnitFacts(
+            version=__version__,
+            serial=config.unit.serial,
+            unit_number=f"{identity.unit:08X}",
+            spot_fit=kernel.description,
+            calibration=_about(calibration),
+        )
+        self.health = Health(self.clock, facts)
         self.health.targets = instrument.areas
         self.reloading: Reloading | None = None
         """Reloads the settings; None: they were not read from a file."""
@@ -313,7 +314,8 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
         daemon.health.component(component).set_state(State.STARTING)
     if (folder := state_folder()) is not None:
         daemon.keep_state_in(folder)
-    daemon.health.facts["config_sha256"] = sha256(place.read_bytes()).hexdigest()
+    digest = sha256(place.read_bytes()).hexdigest()
+    daemon.health.facts = replace(daemon.health.facts, config_sha256=digest)
     daemon.past.keep_as(config, calibration)
     daemon.reloading = Reloading(place, loaded, calibration, daemon.health)
     return daemon

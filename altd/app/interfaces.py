@@ -218,7 +218,7 @@ class Interfaces:
         if isinstance(port, ModbusRtuPortSettings):
             return ModbusRtuPublisher(port, board, component, health)
         if isinstance(port, TelegramPortSettings):
-            unit, serial = board.identity.unit, health.facts["serial"]
+            unit, serial = board.identity.unit, health.facts.serial
             nameplate = Nameplate(unit=unit, serial=serial, firmware=__version__, calibrated=self.calibrated)
             return TelegramPublisher(port, board, component, self.clock, nameplate)
         return ConsolePublisher(port, board, health, component, self.clock, self.past.for_console())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import Enum, StrEnum
 
 from altd.ports import Clock
@@ -160,14 +160,34 @@ class Component:
         self.data_given += 1
 
 
+@dataclass(frozen=True, slots=True)
+class UnitFacts:
+    """Constants of a unit; empty: not known."""
+
+    version: str = ""
+    """Version of the daemon."""
+    serial: str = ""
+    unit_number: str = ""
+    """CRC-32 of the serial number, 8 hexadecimal digits."""
+    spot_fit: str = ""
+    """Spot fit in use: ``compiled``, or ``numpy`` and the reason."""
+    calibration: str = ""
+    """Date, note and origin of the calibration."""
+    config_sha256: str = ""
+    """SHA-256 of the config file as the daemon read it; reloading the settings changes it."""
+
+    def as_object(self) -> dict[str, str]:
+        """Return the known facts by name."""
+        return {name: fact for name, fact in asdict(self).items() if fact}
+
+
 class Health:
     """Components of one daemon, in the order in which they started."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, facts: UnitFacts = UnitFacts()) -> None:
         self.clock = clock
+        self.facts = facts
         self._components: dict[str, Component] = {}
-        self.facts: dict[str, str] = {}
-        """Constants while the daemon runs: serial, version, calibration."""
         self.targets: tuple[TargetArea, ...] = ()
         """Targets in beam order."""
         self.events = EventLog(clock)
@@ -204,7 +224,7 @@ class Health:
             else {"state": report.as_object(), "availability": report.availability.as_object()}
         )
         return {
-            **self.facts,
+            **self.facts.as_object(),
             **found,
             "components": {
                 component.name: {

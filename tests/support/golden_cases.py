@@ -27,7 +27,7 @@ from altd.status.availability import Before, RunningSpan
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.event_log import EventKind
-from altd.status.health import MEASURING, CameraTrouble, State
+from altd.status.health import MEASURING, CameraTrouble, State, UnitFacts
 from altd.status.proof import Identity, unit_number
 from altd.status.services import CalibrationService, NoReportError
 from altd.status.state import TICK_S, StateEvents, UnitState
@@ -73,14 +73,14 @@ class GoldenUnit(OpcUaUnit):
     def __post_init__(self) -> None:
         super().__post_init__()
         health = self.health
-        health.facts = {
-            "version": health.facts["version"],
-            "serial": self.serial,
-            "unit_number": f"{self.identity.unit:08X}",
-            "spot_fit": "compiled",
-            "calibration": "2026-11-02, workshop, stage 2",
-            "config_sha256": "0123abcd" * 8,
-        }
+        health.facts = UnitFacts(
+            version=health.facts.version,
+            serial=self.serial,
+            unit_number=f"{self.identity.unit:08X}",
+            spot_fit="compiled",
+            calibration="2026-11-02, workshop, stage 2",
+            config_sha256="0123abcd" * 8,
+        )
         health.zero = Zero(health.events, 4711)
         health.calibration.open(CALIBRATION, FILES)
         state = UnitState(self.board, health, self.clock, [lambda _: self.watched])
@@ -237,7 +237,7 @@ def zeroed(unit: GoldenUnit) -> None:
 
 def uncalibrated(unit: GoldenUnit) -> None:
     unit.health.calibration = CalibrationService()
-    del unit.health.facts["calibration"]
+    unit.health.facts = replace(unit.health.facts, calibration="")
 
 
 def long_past(unit: GoldenUnit) -> None:

@@ -26,7 +26,7 @@ from altd.publish.opcua.start import Start
 from altd.records import Measurement, Quantities
 from altd.runtime.clock import SystemClock
 from altd.status.board import Board
-from altd.status.health import Health
+from altd.status.health import Health, UnitFacts
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Identity, Stamps
 from altd.status.state import UnitState
@@ -59,8 +59,7 @@ class OpcUaUnit:
     def __post_init__(self) -> None:
         about = self.quantities, self.identity
         self.board = Board(self.clock, self.stale_after_s, *about, rehearsal=self.rehearsal)
-        self.health = Health(self.clock)
-        self.health.facts |= {"serial": SERIAL, "version": "0.1.0"}
+        self.health = Health(self.clock, UnitFacts(serial=SERIAL, version="0.1.0"))
         self.health.targets = self.areas
         self.health.state = UnitState(self.board, self.health, self.clock).read
         self.component = self.health.component("opcua")

@@ -4,7 +4,7 @@ import pytest
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.board import Board
-from altd.status.health import Health
+from altd.status.health import Health, UnitFacts
 from altd.status.proof import Identity
 from support.clock import FakeClock
 
@@ -21,6 +21,4 @@ def board(clock: FakeClock) -> Board:
 
 @pytest.fixture
 def health(clock: FakeClock) -> Health:
-    health = Health(clock)
-    health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
-    return health
+    return Health(clock, UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02"))

@@ -9,7 +9,7 @@ from altd.ports import Stop
 from altd.publish.serial.publisher import console_message, telegram_message
 from altd.reasons import Reason
 from altd.records import Fault
-from altd.status.health import MEASURING, Health, State
+from altd.status.health import MEASURING, Health, State, UnitFacts
 from tools.pages.example import MEASURED
 
 SPOT_LOST = replace(
@@ -48,8 +48,9 @@ class _TwoHoursLater:
 def health() -> Health:
     """Health of a unit whose beam was blocked a moment ago; all its components work."""
     clock = _TwoHoursLater()
-    unit = Health(clock)
-    unit.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02, workshop, stage 2"}
+    unit = Health(
+        clock, UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02, workshop, stage 2")
+    )
     telegram = TelegramPortSettings(device=Path("/dev/ttyS1"), speaks="telegram")
     console = ConsolePortSettings(device=Path("/dev/ttyS2"), speaks="console")
     for name, message in (

@@ -85,7 +85,7 @@ class Diagnostics:
 
         async def made() -> Response:
             now = self._past.now() or _NO_TIME
-            serial = self._health.facts.get("serial", "")
+            serial = self._health.facts.serial
             content = await archive_of(self._parts(now), serial, now)
             return sent_whole(content, ZIP, saved_as(archive_name(serial, now)))
 

@@ -60,14 +60,15 @@ class _Unit(Collector):
             yield _known("altd_self_check_number", "Self-checks since the start of the daemon", check.number)
 
     def _build(self) -> Iterator[Metric]:
-        facts = {
-            key: self._health.facts.get(key, "") for key in ("version", "serial", "calibration", "spot_fit")
+        facts = self._health.facts
+        about = {
+            "version": facts.version,
+            "serial": facts.serial,
+            "calibration": facts.calibration,
+            "spot_fit": facts.spot_fit,
+            "instrument": self._board.quantities.instrument,
         }
-        yield InfoMetricFamily(
-            "altd_build",
-            "The unit and the daemon",
-            value={**facts, "instrument": self._board.quantities.instrument},
-        )
+        yield InfoMetricFamily("altd_build", "The unit and the daemon", value=about)
         running_s = self._board.running_ns() * 1e-9
         yield _known("altd_running_seconds", "Since the start of the daemon", running_s)
 

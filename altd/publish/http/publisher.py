@@ -221,7 +221,7 @@ class HttpPublisher:
         is_open = certificate is None and not self.is_local
         self._names = OwnNames(settings.names) if is_open else None
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
-        description = _description_of(board.quantities, health.facts.get("version", ""))
+        description = _description_of(board.quantities, health.facts.version)
         self.answers = Answers(board, health, component, guard, past, description)
 
     async def run(self, ready: Callable[[], None]) -> None:

@@ -58,7 +58,7 @@ def objects_of(health: Health) -> Mapping[int, bytes]:
     """Return the objects of function 43/14, as ASCII; unknown ones are absent."""
     summary = health.calibration.summary
     texts = OBJECTS | {
-        SERIAL: health.facts.get("serial"),
+        SERIAL: health.facts.serial,
         CALIBRATION_DATE: str(summary.get("created") or "")[: len("2026-11-02")],
         CALIBRATION_CHECKSUM: summary.get("file", {}).get("checksum"),
     }
@@ -291,6 +291,6 @@ def _diagnostics(request: bytes, counters: LineCounters) -> bytes | ExcCodes:
 def _server_id(request: bytes, health: Health) -> bytes | ExcCodes:
     if len(request) != 1:
         return ExcCodes.ILLEGAL_VALUE
-    known = " ".join(["ALT", *(health.facts.get(key, "") for key in ("version", "serial"))])
+    known = " ".join(["ALT", health.facts.version, health.facts.serial])
     content = bytes([SERVER_ID, RUNNING]) + known.encode("ascii", "replace")
     return bytes([REPORT_SERVER_ID, len(content)]) + content

@@ -83,7 +83,7 @@ _UNIT_ROWS = (
         Type.U32,
         "",
         "first 32 bits of the config's SHA-256",
-        _of_health(lambda health: _first_32_bits(health.facts.get("config_sha256"))),
+        _of_health(lambda health: _first_32_bits(health.facts.config_sha256)),
     ),
     Register(
         316,
@@ -91,7 +91,7 @@ _UNIT_ROWS = (
         Type.TEXT16,
         "",
         "version of the daemon",
-        _of_health(lambda health: health.facts.get("version")),
+        _of_health(lambda health: health.facts.version or None),
     ),
     Register(
         324,
@@ -99,7 +99,7 @@ _UNIT_ROWS = (
         Type.TEXT32,
         "",
         "serial number, cut if longer",
-        _of_health(lambda health: health.facts.get("serial")),
+        _of_health(lambda health: health.facts.serial or None),
     ),
 )
 

@@ -50,7 +50,7 @@ class BrokerPublisher(ABC, Generic[Connection]):
         self._component = component
         self._clock = component.clock
         self._chance = chance
-        self._serial = health.facts.get("serial", "")
+        self._serial = health.facts.serial
         self._identifier = f"altd_{board.identity.unit or 0:08x}"
         self._unsent = board.cursor()
         self._tries = 0

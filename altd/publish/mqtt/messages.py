@@ -46,8 +46,8 @@ def birth_of(board: Board, health: Health, clock: Clock) -> dict[str, Any]:
     file = calibration.get("file", {})
     return {
         "time": _now(clock),
-        "serial": health.facts.get("serial"),
-        "version": health.facts.get("version"),
+        "serial": health.facts.serial or None,
+        "version": health.facts.version or None,
         "instrument": board.quantities.instrument,
         "calibration": {
             "created": calibration.get("created"),

@@ -112,7 +112,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             self._topics,
             self._identifier,
             self._serial,
-            self._health.facts.get("version", ""),
+            self._health.facts.version,
             page=page_url(self._http(), broker.own_address),
             is_rehearsal=self._board.is_rehearsal,
         )

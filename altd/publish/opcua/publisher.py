@@ -183,8 +183,8 @@ class OpcUaPublisher:
         return Start(
             settings=self._settings,
             port=self.port,
-            serial=health.facts.get("serial", ""),
-            version=health.facts.get("version", ""),
+            serial=health.facts.serial,
+            version=health.facts.version,
             session=f"{board.identity.session or 0:08X}",
             started_ns=health.clock.monotonic_ns() - board.running_ns(),
             stale_after_s=board.stale_after_s,

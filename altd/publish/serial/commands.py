@@ -63,7 +63,7 @@ NO_TEST = 4
 def identification(health: Health) -> str:
     """Maker, kind, serial number and version, separated by commas (10.14)."""
     facts = health.facts
-    return ",".join(map(_field, (_MAKER, _KIND, facts.get("serial", "0"), facts.get("version", "0"))))
+    return ",".join(map(_field, (_MAKER, _KIND, facts.serial or "0", facts.version or "0")))
 
 
 def status_byte(measurement: Measurement | None, health: Health) -> int:
@@ -190,7 +190,7 @@ def _calibration(sources: Sources) -> str:
 
 def _version(sources: Sources) -> str:
     facts = sources.health.facts
-    return f"altd {facts.get('version', 'of unknown version')}, unit {facts.get('serial', 'not known')}"
+    return f"altd {facts.version or 'of unknown version'}, unit {facts.serial or 'not known'}"
 
 
 def _self_check(sources: Sources, now: str = "") -> str | Question:

@@ -81,7 +81,7 @@ class Console:
 
     def welcome(self) -> bytes:
         """The welcome message and the first prompt."""
-        serial = self.health.facts.get("serial", "of unknown serial number")
+        serial = self.health.facts.serial or "of unknown serial number"
         return b"\r\n" + _on_wire(f"Active Laser Target {serial}. Type help and press Enter.") + PROMPT
 
     def feed(self, data: bytes) -> bytes:

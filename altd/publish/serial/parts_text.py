@@ -47,7 +47,7 @@ def health_text(health: Health) -> str:
 
 def calibration_text(health: Health, quantities: Quantities) -> str:
     """Calibration: date and source, file, causes with remedies, expected sigma and valid area."""
-    lines = [hanging("calibration", health.facts.get("calibration", "not known"), 13)]
+    lines = [hanging("calibration", health.facts.calibration or "not known", 13)]
     report = health.state()
     for shown in () if report is None else report.causes:
         kind = shown.cause.kind

@@ -4,6 +4,7 @@ import asyncio
 import struct
 import subprocess
 import zlib
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +29,7 @@ from altd.records.sensors import Quality, SensorValue
 from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.cause import StateReport
-from altd.status.health import Component, Health
+from altd.status.health import Component, Health, UnitFacts
 from altd.status.services import SelfCheckReport
 from altd.status.target_area import TargetArea
 
@@ -49,8 +50,7 @@ class NoFiles:
 @pytest.fixture
 def health(clock: FakeClock) -> Health:
     """Of a unit whose front target is seen by a camera of another name."""
-    health = Health(clock)
-    health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "config_sha256": "01234567" + 56 * "f"}
+    health = Health(clock, UnitFacts(version="0.1.0", serial="ALT-0007", config_sha256="01234567" + 56 * "f"))
     summary = {"created": CREATED, "file": {"checksum": CHECKSUM}}
     health.calibration.open(summary, NoFiles())  # type: ignore[arg-type]
     health.targets = (TargetArea("front", 0.0, (), "left"), TargetArea("rear", 280.0, (), "rear"))
@@ -133,7 +133,7 @@ async def test_the_unit_says_which_it_is(
 
 
 async def test_a_serial_of_any_length_and_letters_is_text(client: Client, health: Health) -> None:
-    health.facts["serial"] = "Ä" + 63 * "7"
+    health.facts = replace(health.facts, serial="Ä" + 63 * "7")
     assert (await read(client, 324, 16)) == b"?" + 31 * b"7"
 
 
@@ -297,7 +297,7 @@ async def test_pymodbus_reads_the_identification_with_serial_and_calibration(
 async def test_the_identification_of_the_longest_serial_fits_into_one_response(
     client: Client, health: Health
 ) -> None:
-    health.facts["serial"] = 64 * "7"
+    health.facts = replace(health.facts, serial=64 * "7")
     answer = await client.ask(bytes.fromhex("2b 0e 03 00"))
     assert answer[6] == 7
     assert len(answer) <= 253
@@ -362,7 +362,7 @@ class TestSerialLine:
 async def test_a_defect_costs_the_request_that_meets_it_and_no_client_its_connection(
     client: Client, health: Health, caplog: pytest.LogCaptureFixture
 ) -> None:
-    health.facts["config_sha256"] = "no digits"
+    health.facts = replace(health.facts, config_sha256="no digits")
     for _ in range(3):
         assert await client.ask(bytes.fromhex("03 012c 0032")) == bytes.fromhex("83 04")
     assert await client.ask(bytes.fromhex("04 0066 0002")) == bytes.fromhex("04 04 12345678")
