@@ -133,6 +133,11 @@ class TargetDrift:
     is_similarity: bool = True
     detail: str = ""
 
+    @property
+    def shift_px(self) -> list[float] | None:
+        """Shift (u, v) in 0.0001 px; None: not known."""
+        return None if self.similarity is None else [round(part, 4) for part in self.similarity.shift_px]
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -180,7 +185,8 @@ class SelfCheck:
     that the drift causes at the beam's place, measured minus true, with its sigma; it is empty unless all of
     at least two targets could be judged. ``reasons`` are texts why the verdict is not good, worst first.
     ``is_whole`` is False if nothing is known of a target or of the direction: the verdict is then that of the
-    rest. ``parts`` are the parts of the verdict, the worst first.
+    rest. ``parts`` are the parts of the verdict, the worst first. ``notes`` are findings that do not change
+    the verdict.
     """
 
     verdict: Verdict
@@ -189,6 +195,18 @@ class SelfCheck:
     reasons: tuple[str, ...] = ()
     is_whole: bool = True
     parts: tuple[PartVerdict, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """Verdict, reasons and notes as text."""
+        because = "; ".join((*self.reasons, *self.notes))
+        return f"{self.verdict}{f': {because}' if because else ''}"
+
+
+def unknown(*reasons: str) -> SelfCheck:
+    """Return a check without a verdict."""
+    return SelfCheck(Verdict.UNKNOWN, {}, {}, reasons)
 
 
 _DECIMALS = {"x_mm": 4, "y_mm": 4, "yaw_deg": 5, "pitch_deg": 5}
@@ -225,7 +243,7 @@ def _of_target(drift: TargetDrift) -> dict[str, Any]:
     return {
         "leds_expected": drift.leds_expected,
         "leds_found": drift.leds_found,
-        "shift_px": None if fitted is None else [round(part, 4) for part in fitted.shift_px],
+        "shift_px": drift.shift_px,
         "turn_deg": None if fitted is None else round(fitted.turn_deg, 5),
         "scale_ppm": None if fitted is None else round(fitted.scale_ppm, 1),
         "rms_px": None if drift.rms_px is None else round(drift.rms_px, 4),

@@ -5,8 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+from altd.records import utc_text
+from altd.selfcheck.records import SelfCheck, as_object
 from altd.status.event_log import EventKind, EventLog
 
 Provider = TypeVar("Provider")
@@ -233,13 +236,29 @@ class NoSelfCheckError(Exception):
     """The unit cannot check itself; the message gives the reason."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SelfCheckReport:
-    """Report of one check: its number since the start, a sentence for people, and plain JSON types."""
+    """Report of one check: its number since the start, its result, its cause, and when it ended.
+
+    ``exposures_lost`` is the number of exposures that the measurement lost to it.
+    """
 
     number: int
-    sentence: str
-    document: Mapping[str, object]
+    check: SelfCheck
+    cause: str
+    time: datetime | None = None
+    exposures_lost: int = 0
+
+    def as_object(self) -> dict[str, object]:
+        """Return the report as plain JSON types."""
+        return {
+            **as_object(self.check),
+            "number": self.number,
+            "cause": self.cause,
+            "time": None if self.time is None else utc_text(self.time),
+            "exposures_lost": self.exposures_lost,
+            "notes": list(self.check.notes),
+        }
 
 
 class SelfCheckService:

@@ -6,11 +6,12 @@ state behind. The periodic task only updates the memory of causes and the availa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 
 from altd.ports import Clock
 from altd.reasons import Signal
 from altd.records import Measurement
+from altd.selfcheck.records import Verdict
 from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.cause import Cause, CauseFilter, Kind, ShownCause, StateReport, signal_of, worst
@@ -84,8 +85,7 @@ def _lost_to(measurement: Measurement | None, running_s: float) -> str | None:
     return str(max(reasons, key=lambda reason: signal_of(reason).severity, default=Condition.UNKNOWN_REASON))
 
 
-_SEVERITY_OF_VERDICT = {"good": 0, "suspect": 1, "bad": 4}
-_SEVERITY_WITHOUT_VERDICT = 1
+_SEVERITIES = {Verdict.GOOD: 0, Verdict.SUSPECT: 1, Verdict.BAD: 4, Verdict.UNKNOWN: 1}
 
 
 class StateEvents:
@@ -149,17 +149,13 @@ class StateEvents:
         if latest is None or latest.number == self._checks:
             return
         self._checks = latest.number
-        verdict = str(latest.document.get("verdict"))
-        keys = ("verdict", "number", "cause", "exposures_lost")
-        detail = {key: latest.document[key] for key in keys if key in latest.document}
-        if shifts := _shifts_px(latest.document.get("targets")):
-            detail["shift_px"] = shifts
-        severity = _SEVERITY_OF_VERDICT.get(verdict, _SEVERITY_WITHOUT_VERDICT)
-        self._log.note(EventKind.SELF_CHECK, latest.sentence, None, severity, detail)
-
-
-def _shifts_px(targets: object) -> dict[str, object]:
-    """Return the shift of each target's frame LEDs, u and v in px; None: not known."""
-    if not isinstance(targets, Mapping):
-        return {}
-    return {name: of.get("shift_px") for name, of in targets.items() if isinstance(of, Mapping)}
+        check = latest.check
+        detail: dict[str, object] = {
+            "verdict": str(check.verdict),
+            "number": latest.number,
+            "cause": latest.cause,
+            "exposures_lost": latest.exposures_lost,
+        }
+        if check.targets:
+            detail["shift_px"] = {name: drift.shift_px for name, drift in check.targets.items()}
+        self._log.note(EventKind.SELF_CHECK, check.sentence, None, _SEVERITIES[check.verdict], detail)

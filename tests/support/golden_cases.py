@@ -7,9 +7,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import AsyncMock
 
-from altd.acquisition.self_check.judging import Judged
-from altd.acquisition.self_check.schedule import Cause as Cause_
-from altd.acquisition.self_check.service import Occasion, report_of
 from altd.history.columns import columns_of
 from altd.history.history import History
 from altd.history.records import About, Batch, Sample, StateSample
@@ -29,7 +26,7 @@ from altd.status.conditions import Condition
 from altd.status.event_log import EventKind
 from altd.status.health import MEASURING, CameraTrouble, State, UnitFacts
 from altd.status.proof import Identity, unit_number
-from altd.status.services import CalibrationService, NoReportError
+from altd.status.services import CalibrationService, NoReportError, SelfCheckReport
 from altd.status.state import TICK_S, StateEvents, UnitState
 from altd.status.target_area import TargetArea
 from altd.status.zero import Zero
@@ -205,9 +202,9 @@ def checked(
         service = unit.health.self_check
         service.open(lambda: None)
         drift = TargetDrift("front", 6, 6, (LedState.USED,) * 6)
-        check = SelfCheck(Verdict(verdict), {"front": drift}, {}, reasons, parts=(of,))
-        occasion = Occasion(service.begin(), Cause_(cause), datetime(2026, 11, 20, 8, 10, tzinfo=UTC), lost)
-        service.publish(report_of(occasion, Judged(check, notes)))
+        check = SelfCheck(Verdict(verdict), {"front": drift}, {}, reasons, parts=(of,), notes=notes)
+        time = datetime(2026, 11, 20, 8, 10, tzinfo=UTC)
+        service.publish(SelfCheckReport(service.begin(), check, cause, time, lost))
 
     return act
 

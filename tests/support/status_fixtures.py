@@ -1,11 +1,15 @@
 """Fixtures: a clock that a test moves, and a board and health that tell its time."""
 
+from datetime import datetime
+
 import pytest
 
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.selfcheck.records import SelfCheck, Verdict
 from altd.status.board import Board
 from altd.status.health import Health, UnitFacts
 from altd.status.proof import Identity
+from altd.status.services import SelfCheckReport
 from support.clock import FakeClock
 
 
@@ -22,3 +26,10 @@ def board(clock: FakeClock) -> Board:
 @pytest.fixture
 def health(clock: FakeClock) -> Health:
     return Health(clock, UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02"))
+
+
+def checked(
+    number: int, *reasons: str, verdict: str = "good", time: datetime | None = None
+) -> SelfCheckReport:
+    """Return the report of a check of no target."""
+    return SelfCheckReport(number, SelfCheck(Verdict(verdict), {}, {}, reasons), "request", time)

@@ -15,6 +15,7 @@ from support.led_unit import MOVED, POSE, LedUnit, Poll, codes, config, driven_l
 
 from altd.measuring.calibration import Calibration
 from altd.records import Frame
+from altd.selfcheck.records import as_object
 from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement
 from hw_sim.targets import LED_POSITIONS_MM
@@ -37,14 +38,14 @@ async def test_a_check_costs_a_few_exposures_and_no_beat(
 ) -> None:
     async with driven_led_unit(calibration_of_unit_3, config(measuring={"window": window})) as running:
         first = await running.report(1)
-        assert (first.document["verdict"], first.document["cause"]) == ("good", "start")
+        assert (first.check.verdict, first.cause) == ("good", "start")
         await running.measured(valid=True)
         before_s = running.now_s
         report = await running.check()
         await running.measured()
         polls = [poll for poll in running.polls if poll.at_s > before_s]
-        assert report.document["verdict"] == "good"
-        assert 4 <= report.document["exposures_lost"] <= 7
+        assert report.check.verdict == "good"
+        assert 4 <= report.exposures_lost <= 7
         assert len(running.leds.lit_s) == 2
         assert max(running.leds.lit_s) < 0.5
         assert invalid(polls) == []
@@ -61,17 +62,17 @@ async def test_a_camera_that_moved_is_found_and_nothing_is_valid_until_it_is_bac
     calibration_of_unit_3: Calibration,
 ) -> None:
     async with driven_led_unit(calibration_of_unit_3, config()) as running:
-        assert (await running.report(1)).document["verdict"] == "good"
+        assert (await running.report(1)).check.verdict == "good"
         running.unit.displace(REAR, MOVED)
         report = await running.check()
-        rear = report.document["targets"]["rear"]  # type: ignore[index]
-        assert report.document["verdict"] == "bad"
+        rear = as_object(report.check)["targets"]["rear"]
+        assert report.check.verdict == "bad"
         assert rear["turn_deg"] == pytest.approx(0.1, abs=0.01)
         after = await running.measured(valid=False)
         assert "geometry_drift" in codes(after)
         assert running.daemon.health.component("self-check").state == "failed"
         running.unit.displace(REAR, Displacement())
-        assert (await running.check()).document["verdict"] == "good"
+        assert (await running.check()).check.verdict == "good"
         assert codes(await running.measured(valid=True)) == {"simulated", "rehearsal"}
 
 
@@ -93,8 +94,8 @@ async def test_the_history_of_checks_outlives_a_restart(
     counted = []
     for _ in range(2):
         async with driven_led_unit(calibrated, config(), prepare) as running:
-            assert (await running.report(1)).document["verdict"] == "good"
-            assert (await running.check()).document["verdict"] == "good"
+            assert (await running.report(1)).check.verdict == "good"
+            assert (await running.check()).check.verdict == "good"
         rear = json.loads(only_file(tmp_path))["targets"]["rear"]
         counted.append(sum(day["checks"] for day in (*rear["days"], rear["today"])))
         assert running.daemon.health.component("self-check history").state == "ok"
@@ -112,8 +113,8 @@ async def test_a_camera_that_stands_still_during_a_check_is_named(calibration_of
         await running.report(1)
         running.seen.alter = alter
         report = await running.check()
-        assert report.document["verdict"] == "unknown"
-        assert "rear: the camera repeats a picture" in report.sentence
+        assert report.check.verdict == "unknown"
+        assert "rear: the camera repeats a picture" in report.check.sentence
         assert not (await running.measured(valid=False)).valid
 
 
@@ -131,8 +132,8 @@ async def test_a_beam_that_jumps_during_a_check_makes_no_drift_and_is_checked_af
 
         running.leds.follow = jump
         report = await running.check()
-        assert report.document["verdict"] in ("good", "unknown")
-        assert (await running.check()).document["verdict"] == "good"
+        assert report.check.verdict in ("good", "unknown")
+        assert (await running.check()).check.verdict == "good"
 
 
 async def test_a_blow_that_moves_all_spots_is_followed_by_a_check(calibration_of_unit_3: Calibration) -> None:
@@ -146,7 +147,7 @@ async def test_a_blow_that_moves_all_spots_is_followed_by_a_check(calibration_of
         since = [
             codes(poll.measurement) for poll in running.polls if poll.measurement and poll.at_s > struck_s
         ]
-        assert (report.document["cause"], report.document["verdict"]) == ("shock", "good")
+        assert (report.cause, report.check.verdict) == ("shock", "good")
         first = next(number for number, said in enumerate(since) if "geometry_unknown" in said)
         assert first < 0.3 * len(since)  # of the rest of five seconds between two checks
         assert all("geometry_unknown" in said for said in since[first:-5])  # the last: the check has ended
@@ -164,11 +165,11 @@ async def test_a_spot_over_an_led_does_not_move_it(calibration_of_unit_3: Calibr
 
     async with driven_led_unit(calibration_of_unit_3, config(), prepare) as running:
         report = await running.report(1)
-        assert report.document["verdict"] == "good"
+        assert report.check.verdict == "good"
         running.unit.displace(FRONT, MOVED)
         report = await running.check()
-        assert report.document["verdict"] == "bad"
-        assert report.document["targets"]["front"]["turn_deg"] == pytest.approx(0.1, abs=0.02)  # type: ignore[index]
+        assert report.check.verdict == "bad"
+        assert as_object(report.check)["targets"]["front"]["turn_deg"] == pytest.approx(0.1, abs=0.02)
 
 
 async def test_a_daemon_that_is_stopped_during_a_check_leaves_the_leds_dark(
@@ -198,4 +199,4 @@ async def test_by_its_settings_it_checks_only_when_asked(calibration_of_unit_3: 
     async with driven_led_unit(calibration_of_unit_3, config(enabled=False)) as running:
         assert codes(await running.measured(valid=True)) <= {"simulated", "rehearsal", "exposures_lost"}
         assert running.leds.lit_s == []
-        assert (await running.check()).document["verdict"] == "good"
+        assert (await running.check()).check.verdict == "good"

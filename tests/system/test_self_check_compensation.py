@@ -21,7 +21,7 @@ async def test_compensation_takes_a_drift_out_and_says_so(
 
     async with driven_led_unit(calibration_of_unit_3, config(compensate=True), prepare) as running:
         report = await running.report(1)
-        assert report.document["verdict"] == "bad"
+        assert report.check.verdict == "bad"
         corrected = await running.measured(valid=True)
         running.unit.displace(camera, Displacement())
         await running.check()

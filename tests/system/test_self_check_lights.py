@@ -21,9 +21,9 @@ async def test_leds_that_all_stay_dark_are_named(
 
     async with driven_led_unit(calibration_of_unit_3, config(when_unknown=when_unknown), prepare) as running:
         report = await running.report(1)
-        assert report.document["verdict"] == "unknown"
-        assert report.document["targets"]["front"]["leds_found"] == 0  # type: ignore[index]
-        assert "dark" in report.sentence
+        assert report.check.verdict == "unknown"
+        assert report.check.targets["front"].leds_found == 0
+        assert "dark" in report.check.sentence
         if when_unknown == "warning":
             assert "geometry_unknown" in codes(await running.measured(valid=True))
         else:
@@ -33,15 +33,15 @@ async def test_leds_that_all_stay_dark_are_named(
 
 async def test_a_lamp_line_that_was_taken_away_is_named(calibration_of_unit_3: Calibration) -> None:
     async with driven_led_unit(calibration_of_unit_3, config()) as running:
-        assert (await running.report(1)).document["verdict"] == "good"
+        assert (await running.report(1)).check.verdict == "good"
         running.leds.refuses = "GPIO chip 'unit': 'LED_A' taken by 'torch'"
         report = await running.check()
-        assert report.document["verdict"] == "unknown"
-        assert "'LED_A' taken by 'torch'" in report.sentence
+        assert report.check.verdict == "unknown"
+        assert "'LED_A' taken by 'torch'" in report.check.sentence
         assert "geometry_unknown" in codes(await running.measured(valid=True))
         running.leds.refuses = ""
-        assert (await running.check()).document["verdict"] in ("unknown", "good")  # the keeper waits a while
-        while (await running.check()).document["verdict"] != "good":
+        assert (await running.check()).check.verdict in ("unknown", "good")  # the keeper waits a while
+        while (await running.check()).check.verdict != "good":
             pass
 
 
@@ -52,8 +52,8 @@ async def test_leds_that_stay_lit_make_nothing_valid_and_are_named(
         await running.report(1)
         running.leds.follow = lambda level, t_ns: True
         report = await running.check()
-        assert report.document["verdict"] == "unknown"
-        assert "lit" in report.sentence
+        assert report.check.verdict == "unknown"
+        assert "lit" in report.check.sentence
         stuck = await running.measured(valid=False)
         assert any("the frame LEDs are lit" in fault.detail for fault in stuck.status)
 
@@ -68,8 +68,8 @@ async def test_a_light_that_blinks_by_itself_is_named_and_spoils_nothing(
 
     async with driven_led_unit(calibration_of_unit_3, config(exposures=8), prepare) as running:
         report = await running.report(1)
-        assert any("appeared or vanished without the LEDs" in note for note in report.document["notes"])  # type: ignore[union-attr]
-        assert report.document["verdict"] == "good"
+        assert any("appeared or vanished without the LEDs" in note for note in report.check.notes)
+        assert report.check.verdict == "good"
 
 
 async def test_a_lamp_that_flashes_beside_an_led_moves_no_verdict(
@@ -94,5 +94,5 @@ async def test_a_lamp_that_flashes_beside_an_led_moves_no_verdict(
         running.seen.alter = alter
         report = await running.check()
         assert flashed
-        assert report.document["verdict"] in ("good", "unknown")
-        assert (await running.check()).document["verdict"] == "good"
+        assert report.check.verdict in ("good", "unknown")
+        assert (await running.check()).check.verdict == "good"

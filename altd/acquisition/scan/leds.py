@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from altd.acquisition.self_check.exposing import CheckFrames
-from altd.acquisition.self_check.judging import CheckJudge, Judged, unknown
+from altd.acquisition.self_check.judging import CheckJudge
 from altd.measuring.calibration import Calibration
 from altd.measuring.pairing import Pair
 from altd.ports import Camera, Lamps
 from altd.records import Frame
+from altd.selfcheck.records import SelfCheck, unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +22,7 @@ class KnownUnit:
     judge: CheckJudge
     targets: Mapping[str, str]
 
-    def check(self, pairs: Sequence[Pair[Frame]], cameras: Sequence[Camera]) -> Judged:
+    def check(self, pairs: Sequence[Pair[Frame]], cameras: Sequence[Camera]) -> SelfCheck:
         """Judge the pairs of one check, all exposures complete; takes 10 to 50 ms per target.
 
         The verdict is unknown if a camera is not the calibrated one: its drift has no reference.
@@ -31,7 +32,7 @@ class KnownUnit:
             if target is None or camera.identity is None:
                 continue
             if difference := camera.identity.difference_from(target.camera):
-                return Judged(unknown(f"{target.name} was calibrated with another camera: {difference}"))
+                return unknown(f"{target.name} was calibrated with another camera: {difference}")
         frames = [pair.items for pair in pairs]
         dark, lit = (
             {name: tuple(of[name] for of in frames if of[name].leds_on is on) for name in self.targets}

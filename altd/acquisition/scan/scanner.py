@@ -249,16 +249,15 @@ class Scanner:
         if isinstance(known, str):
             self._progress.report(f"no self-check: {known}")
             return
-        judged = await asyncio.to_thread(known.check, pairs, self._cameras)
-        check = judged.check
+        check = await asyncio.to_thread(known.check, pairs, self._cameras)
         if check.verdict is Verdict.BAD and self._config.when_bad == "stop":
             raise ScanStoppedError(
-                f"the self-check is {judged.sentence}. Put right what has moved; to calibrate the unit as it "
+                f"the self-check is {check.sentence}. Put right what has moved; to calibrate the unit as it "
                 'is now, set [scan] when_bad = "warning"'
             )
-        self._progress.report(f"self-check: {judged.sentence}")
+        self._progress.report(f"self-check: {check.sentence}")
         self._folder.state.self_check = SelfCheckHeader(
-            verdict=check.verdict.value, reasons=check.reasons, notes=judged.notes
+            verdict=check.verdict.value, reasons=check.reasons, notes=check.notes
         )
 
     async def _check_nothing_moved(self) -> None:

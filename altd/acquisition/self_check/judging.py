@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from altd.acquisition.self_check.exposing import CheckFrames
 from altd.config import Installation, SelfCheckSettings
@@ -11,29 +11,10 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
 from altd.records import Value
 from altd.selfcheck.lights import findings
-from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
+from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict, unknown
 from altd.selfcheck.verdict import judge
 
 SpotPx = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """A check's verdict, and other findings as text."""
-
-    check: SelfCheck
-    notes: tuple[str, ...] = ()
-
-    @property
-    def sentence(self) -> str:
-        """Verdict and reasons as text."""
-        because = "; ".join((*self.check.reasons, *self.notes))
-        return f"{self.check.verdict}{f': {because}' if because else ''}"
-
-
-def unknown(*reasons: str) -> SelfCheck:
-    """Return a check without a verdict."""
-    return SelfCheck(Verdict.UNKNOWN, {}, {}, reasons)
 
 
 def limits_of(settings: SelfCheckSettings) -> Limits:
@@ -61,7 +42,7 @@ class CheckJudge:
         self._limits = limits
         self._installation = installation
 
-    def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> Judged:
+    def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> SelfCheck:
         """Return the verdict; ``at`` is the position of the spot by target, ``previous`` the last verdict.
 
         A target with disturbed frames is skipped; the other targets count.
@@ -86,15 +67,16 @@ class CheckJudge:
             previous=previous,
             reference_plane_mm=self._installation.reference_plane_mm,
         )
-        check = replace(check, effects=_installed(check.effects, self._installation))
+        effects = _installed(check.effects, self._installation)
+        check = replace(check, effects=effects, notes=tuple(notes))
         if not spoilt:
-            return Judged(check, tuple(notes))
+            return check
         if check.verdict is Verdict.UNKNOWN:
-            return Judged(unknown(*spoilt), tuple(notes))
+            return replace(unknown(*spoilt), notes=check.notes)
         skipped = {target.name for target in self._calibration.targets} - seen.keys()
         doubts = (part for part in check.parts if part.verdict is not Verdict.GOOD)
         reasons = tuple(part.reason for part in doubts if part.of not in skipped)
-        return Judged(replace(check, reasons=(*reasons, *spoilt)), tuple(notes))
+        return replace(check, reasons=(*reasons, *spoilt))
 
 
 def _installed(effects: Mapping[str, Value], installation: Installation) -> Mapping[str, Value]:

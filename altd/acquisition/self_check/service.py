@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from functools import partial
 
 from altd.acquisition.lamps.controller import FrameLamps
@@ -13,46 +12,18 @@ from altd.acquisition.self_check.correction import Correction
 from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
 from altd.acquisition.self_check.frames import LedLog, Light, MarkedFrames
 from altd.acquisition.self_check.geometry_state import GeometryState
-from altd.acquisition.self_check.judging import CheckJudge, Judged, SpotPx, unknown
+from altd.acquisition.self_check.judging import CheckJudge, SpotPx
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Cause, Schedule
 from altd.measuring.shock import ShockWatch
 from altd.measuring.spot_locator import Located
 from altd.ports import Clock
 from altd.reasons import Reason
-from altd.records import Measurement, Spot, utc_text
+from altd.records import Measurement, Spot
 from altd.runtime.threads import call_in_thread
-from altd.selfcheck.records import Verdict, as_object
+from altd.selfcheck.records import SelfCheck, Verdict, unknown
 from altd.status.health import Component, State
 from altd.status.services import SelfCheckReport, SelfCheckService
-
-
-@dataclass(frozen=True, slots=True)
-class Occasion:
-    """Number, cause and end time of a check, and the number of exposures lost to the measurement."""
-
-    number: int
-    cause: Cause
-    time: datetime | None
-    exposures_lost: int
-
-
-def report_of(occasion: Occasion, judged: Judged) -> SelfCheckReport:
-    """Return the report of a check."""
-    check = judged.check
-    return SelfCheckReport(
-        occasion.number,
-        judged.sentence,
-        {
-            **as_object(check),
-            "number": occasion.number,
-            "cause": str(occasion.cause),
-            "time": None if occasion.time is None else utc_text(occasion.time),
-            "exposures_lost": occasion.exposures_lost,
-            "notes": list(judged.notes),
-        },
-    )
-
 
 log = logging.getLogger("altd")
 
@@ -151,16 +122,19 @@ class SelfChecks:
             number = self._service.begin()
             has_begun = True
             try:
-                judged = await self._checked(exposer)
+                check = await self._checked(exposer)
             except CheckFailedError as error:
-                judged, has_begun = Judged(unknown(str(error))), error.has_begun
+                check, has_begun = unknown(str(error)), error.has_begun
             lost = _marked(frames) - lost_before
-            occasion = Occasion(number, cause, self._clock.utc(self._clock.monotonic_ns()), lost)
-            if self._geometry.awaits_first and not has_begun:
-                self._answer(occasion, judged)  # independent of the cause; the first check is still due
+            time = self._clock.utc(self._clock.monotonic_ns())
+            report = SelfCheckReport(number, check, str(cause), time, lost)
+            if self._geometry.awaits_first and not has_begun:  # independent of the cause
+                # it is retried and the first check is still due: nothing is measured without frames either
+                self._component.set_state(State.DEGRADED, check.sentence)
+                self._service.publish(report)
                 continue
-            await self.memory.add(judged.check, occasion.time)
-            self._settle(occasion, judged)
+            await self.memory.add(check, time)
+            self._settle(report)
             await self.memory.save()
             await self._recall()
 
@@ -178,42 +152,35 @@ class SelfChecks:
             await self._clock.sleep(_LAMPS_POLL_INTERVAL_S)
             polls_left -= not lamps.is_starting
 
-    async def _checked(self, exposer: CheckExposer) -> Judged:
+    async def _checked(self, exposer: CheckExposer) -> SelfCheck:
         frames = await exposer.expose()
         try:
             return await call_in_thread(partial(self._judged, frames, dict(self._at)), "self-check")
         except Exception as error:  # a defect here must not end the measurement
             log.exception("self-check: a defect")
-            return Judged(unknown(f"a defect: {type(error).__name__}: {error}"))
+            return unknown(f"a defect: {type(error).__name__}: {error}")
 
-    def _answer(self, occasion: Occasion, judged: Judged) -> None:
-        """Report that a check could not begin; it is retried: nothing is measured without frames either."""
-        report = report_of(occasion, judged)
-        self._component.set_state(State.DEGRADED, report.sentence)
-        self._service.publish(report)
-
-    def _judged(self, frames: CheckFrames, at: Mapping[str, SpotPx]) -> Judged:
+    def _judged(self, frames: CheckFrames, at: Mapping[str, SpotPx]) -> SelfCheck:
         """Return the verdict and prepare its correction, which takes long; called in a separate thread."""
-        judged = self._judge.judge(frames, at, self._geometry.verdict)
-        self._correction.prepare(self._geometry.transforms_after(judged.check))
-        return judged
+        check = self._judge.judge(frames, at, self._geometry.verdict)
+        self._correction.prepare(self._geometry.transforms_after(check))
+        return check
 
-    def _settle(self, occasion: Occasion, judged: Judged) -> None:
+    def _settle(self, report: SelfCheckReport) -> None:
         """Apply a check to measurements and to the schedule of the next check, and publish its report."""
-        check = judged.check
+        check, sentence = report.check, report.check.sentence
         self._geometry.take(check, self.memory.slow_drift)
         if self._has_jumped:
             self._geometry.note_shock()  # the check after the shock is still due
-        report = report_of(occasion, judged)
         self._correction.apply(self._geometry)
         self._component.count("checks")
         self._component.count(f"checks_{check.verdict}")
-        self._component.count("exposures_lost", occasion.exposures_lost)
-        self._component.set_state(self._geometry.state, report.sentence)
-        if report.sentence != self._logged:
-            self._logged = report.sentence
+        self._component.count("exposures_lost", report.exposures_lost)
+        self._component.set_state(self._geometry.state, sentence)
+        if sentence != self._logged:
+            self._logged = sentence
             level = logging.INFO if check.verdict is Verdict.GOOD else logging.WARNING
-            log.log(level, "self-check: %s", report.sentence)
+            log.log(level, "self-check: %s", sentence)
         self._schedule.ended(check.verdict in (Verdict.GOOD, Verdict.SUSPECT) and check.is_whole)
         self._service.publish(report)
 

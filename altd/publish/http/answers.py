@@ -244,7 +244,7 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
         if service.latest is None:
             why = service.unavailable or "there was no self-check since the unit started"
             return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
-        return JSONResponse(service.latest.document)
+        return JSONResponse(service.latest.as_object())
     by = guard.requester(request)
     if service.waiting >= MAX_WAITING:
         return refusal(503, f"{service.waiting} wait for a self-check already; /api/self-check has it soon")
@@ -255,7 +255,7 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
     except TimeoutError:
         why = f"the self-check has not ended within {SELF_CHECK_WAIT_S:g} s; /api/status has the reason"
         return refusal(504, why)
-    return JSONResponse(report.document)
+    return JSONResponse(report.as_object())
 
 
 async def _login_of(request: Request) -> Login:

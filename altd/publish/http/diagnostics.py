@@ -116,7 +116,7 @@ class Diagnostics:
         service = self._health.self_check
         if service.latest is None:
             raise LookupError(service.unavailable or "there was no self-check since the unit started")
-        return _json(service.latest.document)
+        return _json(service.latest.as_object())
 
 
 async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes:

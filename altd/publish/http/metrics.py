@@ -55,7 +55,7 @@ class _Unit(Collector):
             verdict = _gauge(
                 "altd_self_check_verdict", "The last self-check's verdict, in a label", "verdict"
             )
-            verdict.add_metric([str(check.document.get("verdict"))], 1)
+            verdict.add_metric([str(check.check.verdict)], 1)
             yield verdict
             yield _known("altd_self_check_number", "Self-checks since the start of the daemon", check.number)
 

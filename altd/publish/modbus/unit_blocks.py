@@ -10,13 +10,14 @@ from altd.publish.modbus import values
 from altd.publish.modbus.registers import Register, Table, Type
 from altd.publish.modbus.values import Reading, Snapshot
 from altd.reasons import Reason
+from altd.selfcheck.records import Verdict
 from altd.status.availability import SPANS
 from altd.status.health import MEASURING, Component, Health
 
 BLOCK_VERSION = 1
 """Version of these blocks; incremented when a register changes its meaning or address."""
 
-VERDICTS = {"good": 1, "suspect": 2, "bad": 3, "unknown": 4}
+VERDICTS = {Verdict.GOOD: 1, Verdict.SUSPECT: 2, Verdict.BAD: 3, Verdict.UNKNOWN: 4}
 """Numbers of a self-check's verdicts; 0: no check has ended since the start."""
 
 THERMOMETERS = 4
@@ -154,7 +155,7 @@ def _verdict(health: Health) -> int | None:
     service = health.self_check
     if service.latest is None:
         return None if service.unavailable else 0
-    return VERDICTS.get(str(service.latest.document.get("verdict")), VERDICTS["unknown"])
+    return VERDICTS[service.latest.check.verdict]
 
 
 def _check_age_s(health: Health) -> float | None:

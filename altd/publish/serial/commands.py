@@ -23,7 +23,8 @@ from altd.publish.serial.parts_text import (
 )
 from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
 from altd.reasons import Signal
-from altd.records import Measurement, Quantities
+from altd.records import Measurement, Quantities, utc_text
+from altd.selfcheck.records import Verdict
 from altd.status.health import Health
 from altd.status.services import SelfCheckReport
 
@@ -54,7 +55,7 @@ STATUS_BITS = (
 )
 """Bits of the status byte. IEEE 488.2, 11.2: the standard defines bits 4 to 6, the device the others."""
 
-TEST_RESULTS = {"good": 0, "suspect": 1, "bad": 2, "unknown": 3}
+TEST_RESULTS = {Verdict.GOOD: 0, Verdict.SUSPECT: 1, Verdict.BAD: 2, Verdict.UNKNOWN: 3}
 """Results by the verdict of the last self-check."""
 NO_TEST = 4
 """Result if there was no self-check since the start, or the unit cannot check itself."""
@@ -79,9 +80,7 @@ def status_byte(measurement: Measurement | None, health: Health) -> int:
 def test_result(health: Health) -> int:
     """Verdict of the last self-check as a number (10.38); starts none, because that is requested by hand."""
     latest = health.self_check.latest
-    if latest is None:
-        return NO_TEST
-    return TEST_RESULTS.get(str(latest.document.get("verdict")), TEST_RESULTS["unknown"])
+    return NO_TEST if latest is None else TEST_RESULTS[latest.check.verdict]
 
 
 def _field(text: str) -> str:
@@ -223,16 +222,12 @@ def _ask(sources: Sources) -> str | Later:
 
 
 def _result(report: SelfCheckReport) -> str:
-    return fill(f"{_time_of(report)}{report.sentence}", WIDTH, subsequent_indent="  ")
+    time = "" if report.time is None else f"{utc_text(report.time)}: "
+    return fill(f"{time}{report.check.sentence}", WIDTH, subsequent_indent="  ")
 
 
 def _none(why: str) -> str:
     return fill(f"no self-check: {why}", WIDTH, subsequent_indent="  ")
-
-
-def _time_of(report: SelfCheckReport) -> str:
-    time = report.document.get("time")
-    return f"{time}: " if time else ""
 
 
 def _history(sources: Sources, span: str = "hour") -> str | Later:

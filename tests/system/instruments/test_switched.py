@@ -122,7 +122,7 @@ async def test_the_daemon_switches_the_glass_checks_itself_and_keeps_frames_that
         check = running.daemon.health.self_check
         await running.until(lambda _: check.latest is not None)
         assert check.latest is not None
-        assert check.latest.document["verdict"] == "good", check.latest
+        assert check.latest.check.verdict == "good", check.latest
         await running.until(lambda of: of.valid and of.sequence > measurement.sequence + 300)
         await running.daemon.health.recordings.provider.keep("test")
         assert running.unit.glass is not None

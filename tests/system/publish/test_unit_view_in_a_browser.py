@@ -105,8 +105,8 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         for row, event in zip(rows[2:], reversed(noted), strict=True):
             assert event.text in row
         for row, report in zip(rows[2:4], reversed(reports), strict=True):
-            assert report.sentence in row
-            assert str(report.document["verdict"]) in row
+            assert report.check.sentence in row
+            assert str(report.check.verdict) in row
         assert await section.locator(".uplot").count() == 2
         assert await section.locator("img, script").count() == 0
         assert await shown.page.title() != "it ran"

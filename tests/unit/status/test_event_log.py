@@ -2,13 +2,16 @@
 
 import asyncio
 
+import numpy as np
 import pytest
 from support.clock import FakeClock, stop
 from support.measurements import measurement
 from support.places import ROOT
+from support.status_fixtures import checked
 
 from altd.reasons import Reason
 from altd.records import Fault
+from altd.selfcheck.records import SelfCheck, Similarity, TargetDrift, Verdict
 from altd.status.board import Board
 from altd.status.event_log import (
     MAX_EVENTS,
@@ -145,21 +148,25 @@ class TestStateEvents:
     ) -> None:
         service.open(lambda: None)
         service.ask("modbus")
-        service.publish(SelfCheckReport(1, "it is bad", {"verdict": "bad", "number": 1, "targets": {}}))
+        service.publish(checked(1, "front has moved", verdict="bad"))
         observer.observe()
         observer.observe()
         told = [event for event in log.after(0) if event.kind in (EventKind.REQUEST, EventKind.SELF_CHECK)]
         assert [(event.of, event.text, event.severity) for event in told] == [
             ("modbus", "a self-check was asked for", 1),
-            (None, "it is bad", 4),
+            (None, "bad: front has moved", 4),
         ]
-        assert told[1].detail == {"verdict": "bad", "number": 1}
+        assert told[1].detail == {"verdict": "bad", "number": 1, "cause": "request", "exposures_lost": 0}
 
     def test_how_far_each_target_has_moved_is_noted_with_its_check(
         self, observer: StateEvents, log: EventLog, service: SelfCheckService
     ) -> None:
-        seen = {"front": {"leds_found": 8, "shift_px": [0.12, -0.3]}, "rear": {"shift_px": None}}
-        service.publish(SelfCheckReport(1, "good", {"verdict": "good", "number": 1, "targets": seen}))
+        moved = Similarity((0.0, 0.0), (0.12, -0.3), 0.0, 0.0, np.eye(4), 1.0)
+        drifts = {
+            "front": TargetDrift("front", 8, 8, (), similarity=moved),
+            "rear": TargetDrift("rear", 8, 0, ()),
+        }
+        service.publish(SelfCheckReport(1, SelfCheck(Verdict.GOOD, drifts, {}), "request"))
         observer.observe()
         (told,) = [event for event in log.after(0) if event.kind is EventKind.SELF_CHECK]
         assert told.detail["shift_px"] == {"front": [0.12, -0.3], "rear": None}

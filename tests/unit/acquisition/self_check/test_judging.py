@@ -7,11 +7,11 @@ import pytest
 from support.led_frames import LEDS, Motion, Scene, unit
 
 from altd.acquisition.self_check.exposing import CheckFrames
-from altd.acquisition.self_check.judging import CheckJudge, Judged
+from altd.acquisition.self_check.judging import CheckJudge
 from altd.config import Installation
 from altd.measuring.chain import View
 from altd.records import Frame
-from altd.selfcheck.records import Limits, Verdict
+from altd.selfcheck.records import Limits, SelfCheck, Verdict
 
 PER_LIGHT = 2
 NEAR_LED = ((float(LEDS[0, 0]) + 14.0, float(LEDS[0, 1])),)
@@ -32,7 +32,7 @@ def judged(
     rear: tuple[tuple[Frame, ...], ...],
     previous: Verdict | None = None,
     **installed: object,
-) -> Judged:
+) -> SelfCheck:
     views = [View(name, name) for name in ("front", "rear")]
     by_light = (dict(zip(("front", "rear"), of, strict=True)) for of in zip(front, rear, strict=True))
     judge = CheckJudge(views, unit(), Limits(), Installation.model_validate(installed))
@@ -43,22 +43,22 @@ BLINKING = exposed(Scene(), Scene(reflections=NEAR_LED))
 
 
 def test_undisturbed_frames_are_judged_as_they_are() -> None:
-    assert judged(exposed(Scene()), exposed(Scene())).check.verdict is Verdict.GOOD
+    assert judged(exposed(Scene()), exposed(Scene())).verdict is Verdict.GOOD
 
 
 def test_a_light_that_blinks_near_an_led_leaves_no_verdict_where_nothing_else_is_wrong() -> None:
     found = judged(BLINKING, exposed(Scene()))
-    assert found.check.verdict is Verdict.UNKNOWN
-    assert [reason.partition(":")[0] for reason in found.check.reasons] == ["front"]
+    assert found.verdict is Verdict.UNKNOWN
+    assert [reason.partition(":")[0] for reason in found.reasons] == ["front"]
     assert "near an LED, appeared or vanished without the LEDs" in found.sentence
 
 
 def test_a_light_that_blinks_before_one_target_does_not_hide_the_drift_of_the_other() -> None:
     found = judged(BLINKING, exposed(Scene(Motion(2.0))))
-    assert (found.check.verdict, found.check.is_whole) == (Verdict.BAD, False)
-    assert [reason.partition(":")[0] for reason in found.check.reasons] == ["rear", "front"]
+    assert (found.verdict, found.is_whole) == (Verdict.BAD, False)
+    assert [reason.partition(":")[0] for reason in found.reasons] == ["rear", "front"]
     assert "near an LED, appeared or vanished without the LEDs" in found.sentence
-    assert judged(BLINKING, exposed(Scene(Motion(0.25))), Verdict.BAD).check.verdict is Verdict.UNKNOWN
+    assert judged(BLINKING, exposed(Scene(Motion(0.25))), Verdict.BAD).verdict is Verdict.UNKNOWN
 
 
 def test_what_a_drift_makes_of_a_measurement_has_the_signs_of_its_installation() -> None:
@@ -67,7 +67,7 @@ def test_what_a_drift_makes_of_a_measurement_has_the_signs_of_its_installation()
     signs = {"sign_x": -1, "sign_y": 1, "sign_yaw": 1, "sign_pitch": -1}
     frames = exposed(Scene(Motion(1.0, 1.0))), exposed(Scene())
     for installed in ({}, signs):
-        effects = judged(*frames, **installed, offset_x_mm=5.0).check.effects
+        effects = judged(*frames, **installed, offset_x_mm=5.0).effects
         for key, value in of_unit.items():
             sign = installed.get(f"sign_{key.partition('_')[0]}", 1)
             assert effects[key].value == pytest.approx(sign * value, abs=0.01 * abs(value) + 0.001)

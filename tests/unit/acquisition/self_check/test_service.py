@@ -17,7 +17,6 @@ from support.measurements import measured
 from altd.acquisition.self_check.exposing import CheckFailedError
 from altd.acquisition.self_check.frames import LedLog, Light
 from altd.acquisition.self_check.geometry_state import GeometryState
-from altd.acquisition.self_check.judging import Judged
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import FIRST_REPEAT_S, REST_S, Cause, Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
@@ -56,7 +55,7 @@ class Running:
         parts = CheckParts(
             LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000)),
             Schedule(self.clock, checked.interval_s, checked.enabled),
-            SimpleNamespace(judge=lambda *_: Judged(found)),  # type: ignore[arg-type]
+            SimpleNamespace(judge=lambda *_: found),  # type: ignore[arg-type]
             geometry,
             SimpleNamespace(apply=lambda _: None, prepare=lambda _: None),  # type: ignore[arg-type]
             CheckMemory(evidence.calibration(), self.clock),
@@ -119,7 +118,7 @@ async def test_a_check_that_could_not_begin_is_not_the_first_whoever_asked_for_i
         assert running.passed == (False, ["self_checking"])
         await running.clock.advance(3.1)
         assert running.service.latest is not None
-        assert running.service.latest.sentence == "unknown: no camera had steady exposures"
+        assert running.service.latest.check.sentence == "unknown: no camera had steady exposures"
         assert running.passed == (False, ["self_checking"])
         for _ in range(5):
             running.service.ask()
@@ -191,7 +190,7 @@ async def test_a_check_that_a_shock_falls_into_says_nothing_of_what_is_after_it(
         await running.service.report(1)
         judged = running.checks._judge.judge  # noqa: SLF001
 
-        def struck(*asked: Any) -> Judged:
+        def struck(*asked: Any) -> SelfCheck:
             running.strike()
             return judged(*asked)
 

@@ -19,6 +19,7 @@ from support.clock import FakeClock
 from support.measurements import measured
 from support.picture_maker import Maker
 from support.serving import serving
+from support.status_fixtures import checked as report_of_check
 
 from altd.config import HttpSettings
 from altd.credentials import file, hashes
@@ -33,7 +34,6 @@ from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.event_log import EventLog
 from altd.status.health import Component, Health
-from altd.status.services import SelfCheckReport
 
 
 @dataclass
@@ -210,8 +210,7 @@ def checked(health: Health) -> list[int]:
 
     def make() -> None:
         numbers.append(desk.begin())
-        report = {"verdict": "good", "reasons": [], "number": numbers[-1]}
-        desk.publish(SelfCheckReport(numbers[-1], "good", report))
+        desk.publish(report_of_check(numbers[-1]))
 
     desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
     return numbers

@@ -5,12 +5,14 @@ import json
 import math
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.clock import FakeClock
 from support.measurements import changed
 from support.places import DOCS
+from support.status_fixtures import checked
 
 from altd.publish.http import answers
 from altd.publish.http.answers import page_files
@@ -20,7 +22,6 @@ from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
-from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 from tools.pages.http import page
 
@@ -153,7 +154,7 @@ async def test_a_defect_is_answered_in_json_and_logged_as_one(
     unit: Unit, health: Health, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Such as a number that JSON does not have."""
-    health.self_check.publish(SelfCheckReport(1, "good", {"verdict": "good", "moved_mm": math.nan}))
+    health.self_check.publish(replace(checked(1), exposures_lost=math.nan))
     answer = await unit.ask("/api/v1/self-check")
     assert (await unit.ask("/healthz")).status == 200
     assert (answer.status, answer.json) == (500, {"error": "a defect of the unit; its log has the details"})

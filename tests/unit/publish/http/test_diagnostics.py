@@ -16,13 +16,13 @@ from support.evidence import calibration
 from support.foreign import need_program
 from support.history import START_S, WallClock, at, event, store, write_seconds
 from support.history import batch as batch_of
+from support.status_fixtures import checked
 
 from altd.app.calibration_summary import summary_of
 from altd.history.history import History
 from altd.publish.http import diagnostics
 from altd.status.board import Board
 from altd.status.health import DiagnosticPart, Health
-from altd.status.services import SelfCheckReport
 
 from .calibration_files import Files
 from .conftest import Answer, served_with
@@ -76,7 +76,7 @@ async def test_all_that_is_known_is_in_it(
     board: Board, health: Health, recorded: History, tmp_path: Path
 ) -> None:
     board.publish(at(START_S + 119.5, 2.0))
-    health.self_check.publish(SelfCheckReport(1, "good", {"verdict": "good", "reasons": []}))
+    health.self_check.publish(checked(1))
     health.calibration.open(summary_of(calibration(), ("front",), "cal.json"), Files())
     health.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
     async with served_with(board, health, recorded) as unit:

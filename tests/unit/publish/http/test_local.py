@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from support.clock import FakeClock, stop
 from support.serving import serving
+from support.status_fixtures import checked
 
 from altd.local_socket import ask
 from altd.publish.http import publisher, server
@@ -19,7 +20,6 @@ from altd.records import Measurement
 from altd.runtime.supervision import keep_running
 from altd.status.board import Board
 from altd.status.health import Health, State
-from altd.status.services import SelfCheckReport
 
 from .conftest import NEED_MORE, Unit
 
@@ -66,10 +66,11 @@ async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, health: Hea
     service, loop = health.self_check, asyncio.get_running_loop()
 
     def make() -> None:
-        service.publish(SelfCheckReport(service.begin(), "good", {"verdict": "good"}))
+        service.publish(checked(service.begin()))
 
     service.open(lambda: loop.call_soon(make) and None)
-    assert await said(path, "/api/self-check", "POST") == (200, {"verdict": "good"})
+    status, report = await said(path, "/api/self-check", "POST")
+    assert (status, report["verdict"]) == (200, "good")
     assert (await said(path, "/api/v1/session"))[1]["may_act"] is True
 
 

@@ -8,6 +8,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from support.clock import FakeClock
 from support.measurements import changed, measured, measurement
+from support.status_fixtures import checked
 
 from altd.publish.http.metrics import Metrics
 from altd.reasons import Reason
@@ -15,7 +16,6 @@ from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import Health, State
 from altd.status.measurement_json import as_object_now
-from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 
 from .conftest import Unit
@@ -143,7 +143,7 @@ def test_names_from_outside_are_escaped(board: Board, health: Health) -> None:
     name = 'camera "front"\n\\ altd_x_mm 99'
     health.component(name).count('a"b\n')
     health.component(name).observe({"fps": 20.5, "driver": "v4l2", "celsius": None})
-    health.self_check.publish(SelfCheckReport(3, "good", {"verdict": "good"}))
+    health.self_check.publish(checked(3))
     found = read(board, health)
     assert one(found, "altd_component_events_total", component=name, event='a"b\n') == 1.0
     assert one(found, "altd_component_figure", component=name, figure="fps") == 20.5

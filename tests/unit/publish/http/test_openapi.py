@@ -12,9 +12,6 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 from support.clock import FakeClock
 from support.measurements import changed, measured
 
-from altd.acquisition.self_check.judging import Judged
-from altd.acquisition.self_check.schedule import Cause
-from altd.acquisition.self_check.service import Occasion, report_of
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http import publisher
 from altd.publish.http.openapi import api_page_of, document_of
@@ -25,6 +22,7 @@ from altd.records.sensors import Quality, SensorValue
 from altd.selfcheck.records import LedState, SelfCheck, Similarity, TargetDrift, Verdict
 from altd.status.board import Board
 from altd.status.health import Health, State
+from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 
@@ -116,8 +114,9 @@ async def test_what_self_checks_say_is_what_the_document_says(unit: Unit, health
     )
     none = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
     for number, check in enumerate(checks, 1):
-        report = report_of(Occasion(number, Cause.REQUEST, None, 3), Judged(check, ("a note",)))
-        health.self_check.publish(report)
+        health.self_check.publish(
+            SelfCheckReport(number, replace(check, notes=("a note",)), "request", None, 3)
+        )
         shown = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
         assert shown["number"] == number
     assert none["verdict"] is None

@@ -6,19 +6,15 @@ import json
 import pytest
 from starlette.requests import Request
 from support.clock import FakeClock
+from support.status_fixtures import checked
 
 from altd.publish.http.answers import self_check
 from altd.publish.http.clients import MAX_WAITING
 from altd.publish.http.errors import Refused
 from altd.publish.http.guard import Guard
 from altd.status.health import Health
-from altd.status.services import SelfCheckReport
 
 from .conftest import Answer, Unit
-
-
-def report(number: int) -> SelfCheckReport:
-    return SelfCheckReport(number, "good", {"verdict": "good", "number": number})
 
 
 async def post(unit: Unit, host: str = "127.0.0.1:80", header: str = "X-Altd-Request: 1\r\n") -> Answer:
@@ -43,10 +39,10 @@ async def test_who_asks_gets_what_a_check_says_that_began_afterwards(unit: Unit,
     assert service.begin() == 1
     answering = asyncio.create_task(post(unit))
     await asyncio.wait_for(asked.wait(), 60)
-    service.publish(report(1))  # it was under way before it was asked for
+    service.publish(checked(1))  # it was under way before it was asked for
     await asyncio.sleep(0.05)
     assert not answering.done()
-    service.publish(report(service.begin()))
+    service.publish(checked(service.begin()))
     answer = await answering
     assert (answer.status, answer.json["number"]) == (200, 2)
 
@@ -148,10 +144,10 @@ async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(unit: Unit, he
     assert {task.result().status for task in flood if task.done()} == {503}
     assert len(asked) == MAX_WAITING  # the schedule makes one check of them
     assert (await unit.ask("/api/status")).status == 200
-    service.publish(report(service.begin()))
+    service.publish(checked(service.begin()))
     statuses = [answer.status for answer in await asyncio.gather(*flood)]
     assert sorted(statuses) == [200] * MAX_WAITING + [503] * (40 - MAX_WAITING)
     again = asyncio.create_task(post(unit))
     await unit.until(lambda: len(asked) == MAX_WAITING + 1)
-    service.publish(report(service.begin()))
+    service.publish(checked(service.begin()))
     assert (await again).status == 200

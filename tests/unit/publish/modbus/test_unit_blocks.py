@@ -16,6 +16,7 @@ from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Client, Measured, connected
 from support.serving import serving
+from support.status_fixtures import checked
 from support.wire import socat_line
 
 from altd.config import ModbusRtuPortSettings
@@ -30,7 +31,6 @@ from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component, Health, UnitFacts
-from altd.status.services import SelfCheckReport
 from altd.status.target_area import TargetArea
 
 from .conftest import tcp_of
@@ -164,7 +164,7 @@ async def test_the_condition_is_that_of_now(
     health.self_check.unavailable = ""
     health.component("camera left").observe({"exposure_ms": 2.5, "gain_db": 3.0})
     assert values(await read(client, 400, 60), 400, {402: "H", 404: "I"}) == {402: 0, 404: 0xFFFFFFFF}
-    health.self_check.publish(SelfCheckReport(1, "", {"verdict": "suspect"}))
+    health.self_check.publish(checked(1, verdict="suspect"))
     health.component("temperature housing").observe({"celsius": 31.5})
     health.component("measuring").observe({"diameter_front_px": 61.5, "peak_front": 180.0})
     said = SensorValue(Quality.GOOD, value=1.25, sigma=0.01, t_ns=clock.now_ns, expires_ns=2**62)

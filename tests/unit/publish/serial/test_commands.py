@@ -3,12 +3,13 @@
 import asyncio
 import os
 from dataclasses import replace
-from typing import Any
+from datetime import UTC, datetime
 
 import pytest
 from support.clock import FakeClock
 from support.measurements import changed
 from support.serving import serving
+from support.status_fixtures import checked
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings
@@ -21,7 +22,6 @@ from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
-from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 from tools.pages.serial_examples import MEASURED, SPOT_LOST
@@ -47,7 +47,7 @@ class TestQuestion:
         assert typed.feed(b"y") == b"yes\r\nchecking: up to ten seconds\r\n"
         assert (asked, typed.asking_s, typed.is_finding) == ([True], None, True)
         service = typed.health.self_check
-        service.publish(SelfCheckReport(service.begin(), "good", {"time": "2026-11-20T08:15:30.125Z"}))
+        service.publish(checked(service.begin(), time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC)))
         assert await typed.found() == b"2026-11-20T08:15:30.125Z: good\r\n> "
 
     async def test_a_check_that_does_not_end_is_reported(
@@ -194,14 +194,14 @@ class TestForPrograms:
 
     @pytest.mark.parametrize(
         ("verdict", "number"),
-        [("good", 0), ("suspect", 1), ("bad", 2), ("unknown", 3), ("splendid", 3), (None, 3)],
+        [("good", 0), ("suspect", 1), ("bad", 2), ("unknown", 3)],
     )
-    def test_the_self_test_is_the_last_self_check(self, verdict: Any, number: int) -> None:
+    def test_the_self_test_is_the_last_self_check(self, verdict: str, number: int) -> None:
         unit = well()
         unit.self_check.open(lambda: pytest.fail("it was asked for"))
         typed = Console(lambda: MEASURED, unit, QUANTITIES)
         assert typed.feed(b"*TST?\r") == b"*TST?\r\n4\r\n> "
-        unit.self_check.publish(SelfCheckReport(1, "", {"verdict": verdict}))
+        unit.self_check.publish(checked(1, verdict=verdict))
         assert typed.feed(b"*TST?\r") == b"*TST?\r\n%d\r\n> " % number
 
     @pytest.mark.parametrize("line", ["*RST", "*CLS", "*ESR?", "*IDN", "*", "*IDN? 1"])

@@ -1,18 +1,19 @@
 """The console as a technician meets it: bytes in, bytes out, no port and no board."""
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.measurements import changed
+from support.status_fixtures import checked
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import PROMPT, Console
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.health import State
-from altd.status.services import SelfCheckReport
 from tools.pages.example import AGE_S
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
@@ -148,11 +149,11 @@ class TestSelfCheck:
         unit.self_check.open(lambda: asked.append(True))
         typed = Console(lambda: MEASURED, unit, QUANTITIES)
         assert b"no self-check since the unit started" in typed.feed(b"selfcheck\r")
-        sentence = "bad: front: shift 1.20 px, " + "which is a great deal more than anybody allows " * 3
-        time = "2026-11-20T08:15:30.125Z"
-        unit.self_check.publish(SelfCheckReport(1, sentence, {"verdict": "bad", "time": time}))
+        reason = "front: shift 1.20 px, " + "which is a great deal more than anybody allows " * 3
+        time = datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC)
+        unit.self_check.publish(checked(1, reason.strip(), verdict="bad", time=time))
         shown = typed.feed(b"selfcheck\r").decode("ascii")
-        assert f"\r\n{time}: bad: front: shift 1.20 px" in shown
+        assert "\r\n2026-11-20T08:15:30.125Z: bad: front: shift 1.20 px" in shown
         assert "anybody allows\r\n>" in shown  # nothing of it is cut off
         assert not asked
         assert typed.feed(b"SELFCHECK Now\r").endswith(b"check now? (y: yes) ")
