@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -29,7 +29,7 @@ _SPANS = {"last_hour": (_MINUTE_NS, 60), "last_day": (_MINUTE_NS, 1440), "last_3
 """Tally length of each span, ns, and its number of tallies."""
 
 SPANS = (*_SPANS, "since_start")
-"""Keys of ``Availability.as_object``."""
+"""Names of the spans of time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,25 @@ class Before:
     spans: Sequence[RunningSpan] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class ObservedTime:
+    """A span of time, and the part of it in which the measurement was valid; times in 0.1 s.
+
+    ``share`` is the valid part, None: nothing was observed. ``lost_s`` is the rest by reason, the longest
+    first. ``since`` is the start of the observed time; None: not known.
+    """
+
+    share: float | None
+    valid_s: float
+    observed_s: float
+    lost_s: Mapping[str, float]
+    since: datetime | None
+
+    def as_object(self) -> dict[str, Any]:
+        """Return the time as plain JSON types."""
+        return {**asdict(self), "since": None if self.since is None else utc_text(self.since)}
+
+
 @dataclass(slots=True)
 class _Tally:
     """Valid time and lost time by reason, ns."""
@@ -77,15 +96,15 @@ class _Tally:
     def observed_ns(self) -> int:
         return self.valid_ns + self.lost_ns.total()
 
-    def as_object(self) -> dict[str, object]:
+    def until(self, now: datetime | None) -> ObservedTime:
         observed_ns = self.observed_ns
-        lost = {reason: round(ns * 1e-9, 1) for reason, ns in self.lost_ns.most_common() if ns}
-        return {
-            "share": round(self.valid_ns / observed_ns, 5) if observed_ns else None,
-            "valid_s": round(self.valid_ns * 1e-9, 1),
-            "observed_s": round(observed_ns * 1e-9, 1),
-            "lost_s": lost,
-        }
+        return ObservedTime(
+            round(self.valid_ns / observed_ns, 5) if observed_ns else None,
+            round(self.valid_ns * 1e-9, 1),
+            round(observed_ns * 1e-9, 1),
+            {reason: round(ns * 1e-9, 1) for reason, ns in self.lost_ns.most_common() if ns},
+            None if now is None else now - timedelta(microseconds=observed_ns / 1000),
+        )
 
 
 @dataclass(slots=True)
@@ -151,20 +170,20 @@ class Availability:
         if now_ns > begun_ns:
             self._since_start.add(now_ns - begun_ns, why)
 
-    def as_object(self) -> dict[str, dict[str, Any]]:
-        """Return each span's share, valid, observed and lost seconds and its start, as plain JSON types."""
+    def spans(self) -> dict[str, ObservedTime]:
+        """Return each of ``SPANS`` up to the last observation."""
         running_ns = self._last_ns - self.started_ns
-        spans: dict[str, dict[str, Any]] = {}
+        now = None if self._utc is None else self._utc(self._last_ns)
+        spans: dict[str, ObservedTime] = {}
         for name, (length_ns, count) in _SPANS.items():
             whole = self._rings[length_ns].newest(count, running_ns)
             self._add_before(whole, count * length_ns - running_ns)
-            spans[name] = self._as_object(whole)
-        return spans | {"since_start": self._as_object(self._since_start)}
+            spans[name] = whole.until(now)
+        return spans | {"since_start": self._since_start.until(now)}
 
-    def shares(self) -> dict[str, float | None]:
-        """Return the valid share of each span; None: nothing was observed."""
-        spans = self.as_object()
-        return {name: spans[name]["share"] for name in SPANS}
+    def as_object(self) -> dict[str, dict[str, Any]]:
+        """Return ``spans`` as plain JSON types."""
+        return {name: span.as_object() for name, span in self.spans().items()}
 
     def _add_before(self, whole: _Tally, missing_ns: int) -> None:
         """Add the known part of this time before the start."""
@@ -184,8 +203,3 @@ class Availability:
             whole.add(round(seconds * 1e9), reason)
         if missing_s > running_s:
             whole.add(round((missing_s - running_s) * 1e9), NOT_RUNNING)
-
-    def _as_object(self, tally: _Tally) -> dict[str, Any]:
-        now = None if self._utc is None else self._utc(self._last_ns)
-        since = None if now is None else now - timedelta(microseconds=tally.observed_ns / 1000)
-        return tally.as_object() | {"since": None if since is None else utc_text(since)}

@@ -142,10 +142,9 @@ def _state(report: StateReport) -> Iterator[Metric]:
         labels = [str(shown.cause.kind), shown.cause.of or "", str(shown.signal)]
         causes.add_metric(labels, float(shown.is_active))
     shares = _gauge("altd_availability_ratio", "Share of the time in which something was valid", "span")
-    for span, tally in report.availability.as_object().items():
-        share = tally.get("share") if isinstance(tally, dict) else None
-        if isinstance(share, float):
-            shares.add_metric([span], share)
+    for name, span in report.availability.spans().items():
+        if span.share is not None:
+            shares.add_metric([name], span.share)
     yield from (signals, since, causes, shares)
 
 

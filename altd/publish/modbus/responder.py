@@ -213,7 +213,9 @@ class Responder:
         if place := CONDITION.place(address, count):
             report = self._health.state()
             if report is not None and self._running_s() - self._shares_s >= _SHARES_INTERVAL_S:
-                self._shares, self._shares_s = report.availability.shares(), self._running_s()
+                spans = report.availability.spans()
+                self._shares = {name: span.share for name, span in spans.items()}
+                self._shares_s = self._running_s()
             found = self._snapshot(report=report, shares=self._shares)
             return image(found, CONDITION, self._order)[place]
         for table in (UNIT, RELATIVE, NEAR, FAR):

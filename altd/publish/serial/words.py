@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import fill
-from typing import cast
 
 from altd.publish.serial.advice import advice, component_steps
 from altd.reasons import Signal
@@ -66,13 +65,11 @@ def _in_brackets(text: str | None) -> str:
 
 def _available(report: StateReport, whole: bool) -> str:
     parts = []
-    for name, span in report.availability.as_object().items():
-        tally = cast("Mapping[str, object]", span)
-        share = cast("float | None", tally["share"])
-        if share is None:
+    for name, span in report.availability.spans().items():
+        if span.share is None:
             continue
-        text = f"{_percent(share)} {_SPANS[name]}"
-        lost = list(cast("Mapping[str, float]", tally["lost_s"]).items())[:_MAX_LOST_SHOWN]
+        text = f"{_percent(span.share)} {_SPANS[name]}"
+        lost = list(span.lost_s.items())[:_MAX_LOST_SHOWN]
         if whole and lost:
             text += f" (lost: {', '.join(f'{reason} {duration(seconds)}' for reason, seconds in lost)})"
         parts.append(text)
