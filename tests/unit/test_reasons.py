@@ -1,5 +1,9 @@
 """The table of reasons: its numbers are contracts, written down here once more."""
 
+import ast
+
+from support.places import ROOT
+
 from altd.publish.modbus.values import STATUS_BITS
 from altd.reasons import Reason, Scope, Signal, StatusGroup
 
@@ -100,3 +104,46 @@ def test_signals_have_the_numbers_of_opc_10000_100() -> None:
     assert {str(signal): signal.number for signal in Signal} == {
         "good": 0, "failure": 1, "check_function": 2, "out_of_specification": 3, "maintenance_required": 4,
     }  # fmt: skip
+
+
+WORDED = {"brief", "complaint", "detail", "meaning", "means", "message", "remedy", "sentence"}
+"""Attributes that are sentences for people."""
+LOOKS_INTO = {
+    "startswith",
+    "endswith",
+    "removeprefix",
+    "removesuffix",
+    "partition",
+    "rpartition",
+    "split",
+    "find",
+}
+SHORTENED = [
+    ("altd/acquisition/frame_sets.py", "component.message.removesuffix('; trying again')"),
+    ("altd/publish/serial/words.py", "fault.detail.removeprefix(means)"),
+]
+"""Sentences that lose what the text beside them says; nothing is decided by them."""
+
+
+def _is_worded(node: ast.expr) -> bool:
+    return isinstance(node, ast.Attribute) and node.attr.strip("_") in WORDED
+
+
+def _looks_into_words(node: ast.AST) -> bool:
+    match node:
+        case ast.Call(func=ast.Attribute(value=value, attr=attr)):
+            return attr in LOOKS_INTO and _is_worded(value)
+        case ast.Compare(left=left, comparators=[right]):
+            given = left.value if isinstance(left, ast.Constant) else getattr(right, "value", None)
+            return isinstance(given, str) and given != "" and (_is_worded(left) or _is_worded(right))
+    return False
+
+
+def test_nothing_is_decided_by_the_words_of_a_sentence() -> None:
+    found = [
+        (str(path.relative_to(ROOT)), ast.unparse(node))
+        for path in sorted((ROOT / "altd").rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if _looks_into_words(node)
+    ]
+    assert found == SHORTENED
