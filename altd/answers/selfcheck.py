@@ -14,8 +14,9 @@ from altd.measuring.calibration import TargetCalibration
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording, open_recording
 from altd.records import Frame, Origin, Spot
-from altd.selfcheck.records import LedView, Limits, as_object
+from altd.selfcheck.records import LedView, Limits
 from altd.selfcheck.verdict import judge
+from altd.status.models import self_check_of
 from altd.vision.localise import locate
 
 _KINDS = ("self-check", "measurement", "scan")
@@ -56,7 +57,7 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, A
         names = ", ".join(calibration.target_names)
         raise BadInputError(recording_path, f"has no frames with the LEDs on and off of {names}")
     origin = Origin.SIMULATED if simulated else Origin.CAMERA
-    return {**as_object(judge(views, calibration, at, Limits())), "origin": str(origin)}
+    return {**self_check_of(judge(views, calibration, at, Limits())).as_object(), "origin": str(origin)}
 
 
 def _led_rows(recording: Recording, camera: str) -> tuple[list[Row], list[Row]]:

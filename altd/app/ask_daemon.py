@@ -33,6 +33,7 @@ from altd.terminal.documents import (
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
+    checked,
     reading_of,
 )
 from altd.terminal.knowledge import Knowledge
@@ -63,26 +64,26 @@ class RunningDaemon:
 
     def status(self) -> tuple[StatusDocument, object]:
         """Request the unit's state, causes, availability and components, and the document."""
-        return self._document("/api/v1/status", StatusDocument.checked)
+        return self._document("/api/v1/status", partial(checked, StatusDocument))
 
     def self_check(self) -> tuple[SelfCheckDocument, object]:
         """Request the last self-check and its document."""
-        return self._document("/api/v1/self-check", SelfCheckDocument.checked)
+        return self._document("/api/v1/self-check", partial(checked, SelfCheckDocument))
 
     def calibration(self) -> tuple[CalibrationDocument, object]:
         """Request the quality of the targets' calibration and its document."""
-        return self._document("/api/v1/calibration", CalibrationDocument.checked)
+        return self._document("/api/v1/calibration", partial(checked, CalibrationDocument))
 
     def targets(self) -> tuple[TargetsDocument, object]:
         """Request the areas in which the targets are measured and their document."""
-        return self._document("/api/v1/targets", TargetsDocument.checked)
+        return self._document("/api/v1/targets", partial(checked, TargetsDocument))
 
-    def _document(self, target: str, checked: Callable[[object], Document]) -> tuple[Document, object]:
+    def _document(self, target: str, read: Callable[[object], Document]) -> tuple[Document, object]:
         status, document = ask(self.path, target, self.timeout_s)
         if status not in _GOOD:
             raise NoAnswerError(f"the server at {self.path} has no {target}: it answers {status}")
         try:
-            return checked(document), document
+            return read(document), document
         except ValueError as error:
             raise NoAnswerError(f"the server at {self.path} gives no usable {target}: {error}") from error
 

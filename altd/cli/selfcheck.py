@@ -39,12 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the verdict with its parts; return 0 if good, 1 if not."""
     from altd.local_socket import NoAnswerError
-    from altd.terminal.documents import SelfCheckDocument
+    from altd.terminal.documents import SelfCheckDocument, checked
     from altd.terminal.lines import self_check_table
 
     try:
         document = _document(options)
-        check = SelfCheckDocument.checked(document)
+        check = checked(SelfCheckDocument, document)
     except NoAnswerError as error:
         print_errors(f"altd selfcheck: {error}")
         return 1

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
@@ -207,49 +206,3 @@ class SelfCheck:
 def unknown(*reasons: str) -> SelfCheck:
     """Return a check without a verdict."""
     return SelfCheck(Verdict.UNKNOWN, {}, {}, reasons)
-
-
-_DECIMALS = {"x_mm": 4, "y_mm": 4, "yaw_deg": 5, "pitch_deg": 5}
-_KEYS = ("yaw_deg", "pitch_deg", "x_mm", "y_mm")
-
-
-def as_object(check: SelfCheck) -> dict[str, Any]:
-    """Return the answer of ``altd selfcheck``; unknown values are null."""
-    effects = check.effects
-    values = {key: round(effects[key].value, _DECIMALS[key]) if key in effects else None for key in _KEYS}
-    sigmas = {key: effects[key].sigma if key in effects else None for key in _KEYS}
-    return {
-        "verdict": str(check.verdict),
-        "reasons": list(check.reasons),
-        "parts": [_of_part(part) for part in check.parts],
-        "targets": {name: _of_target(drift) for name, drift in check.targets.items()},
-        **values,
-        "sigma": {
-            key: None if sigma is None else round(sigma, _DECIMALS[key]) for key, sigma in sigmas.items()
-        },
-    }
-
-
-def _of_part(part: PartVerdict) -> dict[str, Any]:
-    known = {
-        key: round(value, 5) if isinstance(value, float) else value for key, value in asdict(part).items()
-    }
-    del known["reason"]
-    return {**known, "verdict": str(part.verdict)}
-
-
-def _of_target(drift: TargetDrift) -> dict[str, Any]:
-    fitted = drift.similarity
-    return {
-        "leds_expected": drift.leds_expected,
-        "leds_found": drift.leds_found,
-        "shift_px": drift.shift_px,
-        "turn_deg": None if fitted is None else round(fitted.turn_deg, 5),
-        "scale_ppm": None if fitted is None else round(fitted.scale_ppm, 1),
-        "rms_px": None if drift.rms_px is None else round(drift.rms_px, 4),
-        "significance": None if drift.significance is None else round(drift.significance, 2),
-        "is_similarity": None if fitted is None else drift.is_similarity,
-        "leds": [str(state) for state in drift.leds],
-        "foreign_px": [[round(u, 1), round(v, 1)] for u, v in drift.foreign_px],
-        "detail": drift.detail,
-    }

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from typing import Any
 
 from altd.records import utc_text
+from altd.status.answer import Answer
 
 MAX_GAP_S = 5.0
 """Maximum time between two observations; a longer gap is lost: the process was stopped and measured
@@ -56,23 +56,16 @@ class Before:
     spans: Sequence[RunningSpan] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ObservedTime:
-    """A span of time, and the part of it in which the measurement was valid; times in 0.1 s.
-
-    ``share`` is the valid part, None: nothing was observed. ``lost_s`` is the rest by reason, the longest
-    first. ``since`` is the start of the observed time; None: not known.
-    """
+class Span(Answer):
+    """Share of a time span in which the measurement was valid."""
 
     share: float | None
     valid_s: float
     observed_s: float
-    lost_s: Mapping[str, float]
-    since: datetime | None
-
-    def as_object(self) -> dict[str, Any]:
-        """Return the time as plain JSON types."""
-        return {**asdict(self), "since": None if self.since is None else utc_text(self.since)}
+    lost_s: dict[str, float]
+    """Lost time by the code of its reason, s."""
+    since: str | None
+    """Start of the observed time, UTC, not earlier than the span's name implies; null: not known."""
 
 
 @dataclass(slots=True)
@@ -96,14 +89,15 @@ class _Tally:
     def observed_ns(self) -> int:
         return self.valid_ns + self.lost_ns.total()
 
-    def until(self, now: datetime | None) -> ObservedTime:
+    def until(self, now: datetime | None) -> Span:
         observed_ns = self.observed_ns
-        return ObservedTime(
-            round(self.valid_ns / observed_ns, 5) if observed_ns else None,
-            round(self.valid_ns * 1e-9, 1),
-            round(observed_ns * 1e-9, 1),
-            {reason: round(ns * 1e-9, 1) for reason, ns in self.lost_ns.most_common() if ns},
-            None if now is None else now - timedelta(microseconds=observed_ns / 1000),
+        since = None if now is None else now - timedelta(microseconds=observed_ns / 1000)
+        return Span(
+            share=round(self.valid_ns / observed_ns, 5) if observed_ns else None,
+            valid_s=round(self.valid_ns * 1e-9, 1),
+            observed_s=round(observed_ns * 1e-9, 1),
+            lost_s={reason: round(ns * 1e-9, 1) for reason, ns in self.lost_ns.most_common() if ns},
+            since=None if since is None else utc_text(since),
         )
 
 
@@ -170,20 +164,16 @@ class Availability:
         if now_ns > begun_ns:
             self._since_start.add(now_ns - begun_ns, why)
 
-    def spans(self) -> dict[str, ObservedTime]:
+    def spans(self) -> dict[str, Span]:
         """Return each of ``SPANS`` up to the last observation."""
         running_ns = self._last_ns - self.started_ns
         now = None if self._utc is None else self._utc(self._last_ns)
-        spans: dict[str, ObservedTime] = {}
+        spans: dict[str, Span] = {}
         for name, (length_ns, count) in _SPANS.items():
             whole = self._rings[length_ns].newest(count, running_ns)
             self._add_before(whole, count * length_ns - running_ns)
             spans[name] = whole.until(now)
         return spans | {"since_start": self._since_start.until(now)}
-
-    def as_object(self) -> dict[str, dict[str, Any]]:
-        """Return ``spans`` as plain JSON types."""
-        return {name: span.as_object() for name, span in self.spans().items()}
 
     def _add_before(self, whole: _Tally, missing_ns: int) -> None:
         """Add the known part of this time before the start."""

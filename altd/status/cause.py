@@ -134,28 +134,3 @@ class StateReport:
             and shown.signal is not Signal.CHECK_FUNCTION
             for shown in self.causes
         )
-
-    def as_object(self) -> dict[str, object]:
-        """Return the state as plain JSON types."""
-        return {
-            "signal": str(self.signal),
-            "number": self.signal.number,
-            "for_s": self._for_s(self.since_ns),
-            "causes": [
-                {
-                    "code": str(shown.cause.kind),
-                    "signal": str(shown.signal),
-                    "of": shown.cause.of,
-                    "active": shown.is_active,
-                    "for_s": self._for_s(shown.since_ns),
-                    "times": shown.times,
-                    "brief": shown.cause.kind.brief,
-                    "remedy": shown.cause.remedy,
-                    "detail": shown.cause.detail,
-                }
-                for shown in self.causes
-            ],
-        }
-
-    def _for_s(self, since_ns: int) -> float:
-        return round((self.now_ns - since_ns) * 1e-9, 1)

@@ -214,30 +214,6 @@ class Health:
     def __iter__(self) -> Iterator[Component]:
         return iter(self._components.values())
 
-    def as_object(self) -> Mapping[str, object]:
-        """Return facts, state and components as plain JSON types."""
-        now_ns = self.clock.monotonic_ns()
-        report = self.state()
-        found = (
-            {}
-            if report is None
-            else {"state": report.as_object(), "availability": report.availability.as_object()}
-        )
-        return {
-            **self.facts.as_object(),
-            **found,
-            "components": {
-                component.name: {
-                    "state": str(component.state),
-                    "message": component.message,
-                    "for_s": round((now_ns - component.since_ns) * 1e-9, 1),
-                    **component.figures,
-                    **component.counters,
-                }
-                for component in self
-            },
-        }
-
 
 def duration(seconds: float) -> str:
     """Format a span of time in its two largest units; below 10 s in tenths."""

@@ -1,26 +1,21 @@
-"""Shape of what several interfaces send, as pydantic models from which schemas are made.
-
-Other modules write the documents, byte for byte; tests compare them with these models.
-"""
+"""Documents on the unit that several interfaces send and the terminal reads, and what they are made of."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from types import GenericAlias
-from typing import Any
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import ConfigDict, Field
 
 from altd.reasons import Signal
-from altd.records import Quantities, Quantity
-from altd.records.sensors import Quality
-
-
-class Answer(BaseModel):
-    """An object without keys other than those listed here."""
-
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+from altd.records import utc_text
+from altd.selfcheck import records
+from altd.status import target_area
+from altd.status.answer import Answer
+from altd.status.availability import Span
+from altd.status.cause import StateReport
+from altd.status.health import Health, State
+from altd.status.services import SelfCheckReport
 
 
 class Cause(Answer):
@@ -50,112 +45,227 @@ class UnitState(Answer):
     """Causes, the worst first."""
 
 
-class Sensor(Answer):
-    """State and age (s) of another sensor's value when the measurement was published."""
+def state_of(report: StateReport) -> UnitState:
+    """Return the state of a unit at the time of its report."""
 
-    quality: Quality
-    age_s: float | None
+    def for_s(since_ns: int) -> float:
+        return round((report.now_ns - since_ns) * 1e-9, 1)
 
-
-def measurement_model(quantities: Quantities) -> type[BaseModel]:
-    """Return the model of a measurement, as ``altd/status/measurement_json.py`` writes it."""
-    with_sigma = [quantity for quantity in quantities.of_unit if quantity.has_sigma]
-    of_target = _numbers("TargetValues", "The values of one target.", quantities.of_target, "")
-    sigma = _numbers("Sigma", "Combined standard uncertainties (1 sigma) of the means.", with_sigma, "")
-    sigma_random = _numbers("SigmaRandom", "The part of sigma that scatters.", with_sigma, "")
-    sigma_now = _numbers("SigmaNow", "The same as statements about where the beam is now.", with_sigma, "")
-    sigma_rates = _numbers("SigmaRates", "Standard deviations of the rates.", with_sigma, "_per_s")
-    rates = _numbers("Rates", "How fast quantities change.", with_sigma, "_per_s", sigma=sigma_rates)
-
-    class Measurement(Answer):
-        """One measurement. Use its numbers only when `valid` is true; null means not known.
-
-        In addition to the keys listed here, there is one key for each target, with the target's name.
-        """
-
-        model_config = ConfigDict(extra="allow")
-        sequence: int
-        """Number of the newest exposure; it increases, with gaps."""
-        time: str | None
-        """UTC, ISO 8601, of the middle of the exposures."""
-        t_s: float
-        frames: int
-        """Number of averaged exposures."""
-        valid: bool
-        status: list[str]
-        """Codes of reasons and warnings."""
-        sensors: dict[str, Sensor] = Field(default={})
-        """State of each other sensor's value; only if another sensor is fitted."""
-        unit: str | None
-        session: str | None
-        """Random number, drawn at the start of the daemon."""
-        message: int
-        published: int
-        """Number of measurements since the start of the daemon."""
-        clock_ms: int
-        age_s: float | None
-        """Time from the middle of the exposures until sending, s."""
-        crc32: str
-        """CRC-32 of all bytes before `, "crc32":`."""
-
-    of_row = place_model(quantities)
-    beside: dict[str, Any] = (
-        {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}
-        if of_row is None
-        else {"targets": (GenericAlias(dict, (str, of_row)), ...)}
-    )
-    return create_model(
-        "Measurement",
-        __base__=Measurement,
-        __doc__=Measurement.__doc__,
-        **beside,
-        **_fields(quantities.of_unit, ""),
-        sigma=(sigma, ...),
-        sigma_random=(sigma_random, ...),
-        sigma_now=(sigma_now, ...),
-        rates=(rates, ...),
-    )
-
-
-def place_model(quantities: Quantities) -> type[BaseModel] | None:
-    """Return the model of a row's target, below ``targets``; None: the instrument is not a row."""
-    first = next((each.place for each in quantities.of_unit if each.place), None)
-    if first is None:
-        return None
-    values = [
-        *quantities.of_target,
-        *(
-            replace(each, key=each.key.removeprefix(f"{first}_"), label=each.label.removeprefix(f"{first} "))
-            for each in quantities.of_unit
-            if each.place == first
-        ),
-    ]
-    with_sigma = [each for each in values if each.has_sigma]
-    return create_model(
-        "Place",
-        __base__=Answer,
-        __doc__="A target of a row: whether it was measured, its own reasons and warnings, its numbers.",
-        valid=(bool, ...),
-        status=(list[str], ...),
-        **_fields(values, ""),
-        sigma=(_numbers("PlaceSigma", "Combined standard uncertainties.", with_sigma, ""), ...),
-    )
-
-
-def _numbers(
-    name: str, meaning: str, quantities: Sequence[Quantity], suffix: str, sigma: type[BaseModel] | None = None
-) -> type[BaseModel]:
-    """Return the model of an object with a number, or null, for each quantity."""
-    more: dict[str, Any] = {} if sigma is None else {"sigma": (sigma, ...)}
-    return create_model(name, __base__=Answer, __doc__=meaning, **_fields(quantities, suffix), **more)
-
-
-def _fields(quantities: Sequence[Quantity], suffix: str) -> dict[str, Any]:
-    per = "/s" if suffix else ""
-    return {
-        quantity.key + suffix: (
-            float | None,
-            Field(description=f"{quantity.label}, {quantity.unit}{per}: {quantity.meaning}"),
+    causes = [
+        Cause(
+            code=str(shown.cause.kind),
+            signal=shown.signal,
+            of=shown.cause.of,
+            active=shown.is_active,
+            for_s=for_s(shown.since_ns),
+            times=shown.times,
+            brief=shown.cause.kind.brief,
+            remedy=shown.cause.remedy,
+            detail=shown.cause.detail,
         )
-        for quantity in quantities
+        for shown in report.causes
+    ]
+    return UnitState(
+        signal=report.signal, number=report.signal.number, for_s=for_s(report.since_ns), causes=causes
+    )
+
+
+class Availability(Answer):
+    """Shares of time in which the unit made valid measurements, by span."""
+
+    last_hour: Span
+    last_day: Span
+    last_31_days: Span
+    since_start: Span
+
+
+def availability_of(report: StateReport) -> Availability:
+    """Return the availability up to the time of a report."""
+    return Availability.model_validate(report.availability.spans())
+
+
+class Component(Answer):
+    """A component of the daemon; its figures and counters are further keys."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, int | float | str | None] = Field(init=False)
+    state: State
+    message: str
+    for_s: float
+    """Time since its state last changed, s."""
+
+
+class Status(Answer):
+    """Identity of the unit, its state, its availability and its components."""
+
+    version: str = ""
+    serial: str = ""
+    unit_number: str = ""
+    """CRC-32 of the serial number, as `unit` in every message."""
+    spot_fit: str = ""
+    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
+    calibration: str = ""
+    config_sha256: str = ""
+    """SHA-256 of the config file as the daemon read it."""
+    state: UnitState | None = None
+    availability: Availability | None = None
+    components: dict[str, Component]
+
+
+def status_of(health: Health) -> Status:
+    """Return facts, state, availability and components of a unit."""
+    now_ns, report = health.clock.monotonic_ns(), health.state()
+    components = {
+        component.name: Component.model_validate(
+            {
+                "state": component.state,
+                "message": component.message,
+                "for_s": round((now_ns - component.since_ns) * 1e-9, 1),
+                **component.figures,
+                **component.counters,
+            }
+        )
+        for component in health
     }
+    state = {} if report is None else {"state": state_of(report), "availability": availability_of(report)}
+    return Status.model_validate({**health.facts.as_object(), **state, "components": components})
+
+
+class TargetDrift(Answer):
+    """Result of a self-check for one target."""
+
+    leds_expected: int
+    leds_found: int
+    shift_px: list[float] | None
+    turn_deg: float | None
+    scale_ppm: float | None
+    rms_px: float | None
+    significance: float | None
+    is_similarity: bool | None
+    leds: list[str]
+    foreign_px: list[list[float]]
+    detail: str
+
+
+class PartVerdict(Answer):
+    """Verdict on one target, or on yaw and pitch."""
+
+    of: str
+    verdict: Literal["good", "suspect", "bad", "unknown"]
+    unit: str
+    error: float | None
+    """Largest error anywhere in the calibrated area, in `unit`; null: too few LEDs were found."""
+    sigma: float | None
+    suspect: float
+    """Limit of `error` above which the verdict is `suspect`; likewise `bad`."""
+    bad: float
+
+
+class SelfCheck(Answer):
+    """Report of the last self-check; without one, `verdict` is null and `reasons` gives the cause."""
+
+    verdict: Literal["good", "suspect", "bad", "unknown"] | None
+    reasons: list[str]
+    parts: list[PartVerdict] = Field(default=[])
+    unavailable: str = ""
+    """Reason why this unit cannot make self-checks; empty: it can."""
+    targets: dict[str, TargetDrift] = Field(default={})
+    yaw_deg: float | None = None
+    """Error that the drift causes at the beam's position, measured minus true; likewise the next three."""
+    pitch_deg: float | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    sigma: dict[str, float | None] = Field(default={})
+    number: int = 0
+    """Number of this check since the start, from 1."""
+    cause: str = ""
+    time: str | None = None
+    exposures_lost: int = 0
+    notes: list[str] = Field(default=[])
+
+
+_DECIMALS = {"x_mm": 4, "y_mm": 4, "yaw_deg": 5, "pitch_deg": 5}
+
+
+def self_check_of(check: records.SelfCheck, report: SelfCheckReport | None = None) -> SelfCheck:
+    """Return the result of a check, and, for one of a running unit, what its report adds."""
+    values = {key: _rounded(check.effects[key].value, _DECIMALS[key]) for key in check.effects}
+    sigmas = {key: _rounded(check.effects[key].sigma, _DECIMALS[key]) for key in check.effects}
+    found = SelfCheck(
+        verdict=check.verdict.value,
+        reasons=list(check.reasons),
+        parts=[_part_of(part) for part in check.parts],
+        targets={name: _drift_of(drift) for name, drift in check.targets.items()},
+        yaw_deg=values.get("yaw_deg"),
+        pitch_deg=values.get("pitch_deg"),
+        x_mm=values.get("x_mm"),
+        y_mm=values.get("y_mm"),
+        sigma={key: sigmas.get(key) for key in ("yaw_deg", "pitch_deg", "x_mm", "y_mm")},
+    )
+    if report is None:
+        return found
+    about = {
+        "number": report.number,
+        "cause": report.cause,
+        "time": None if report.time is None else utc_text(report.time),
+        "exposures_lost": report.exposures_lost,
+        "notes": list(check.notes),
+    }
+    return found.model_copy(update=about)
+
+
+def _part_of(part: records.PartVerdict) -> PartVerdict:
+    return PartVerdict(
+        of=part.of,
+        verdict=part.verdict.value,
+        unit=part.unit,
+        error=_rounded(part.error, 5),
+        sigma=_rounded(part.sigma, 5),
+        suspect=round(part.suspect, 5),
+        bad=round(part.bad, 5),
+    )
+
+
+def _drift_of(drift: records.TargetDrift) -> TargetDrift:
+    fitted = drift.similarity
+    return TargetDrift(
+        leds_expected=drift.leds_expected,
+        leds_found=drift.leds_found,
+        shift_px=drift.shift_px,
+        turn_deg=None if fitted is None else round(fitted.turn_deg, 5),
+        scale_ppm=None if fitted is None else round(fitted.scale_ppm, 1),
+        rms_px=_rounded(drift.rms_px, 4),
+        significance=_rounded(drift.significance, 2),
+        is_similarity=None if fitted is None else drift.is_similarity,
+        leds=list(map(str, drift.leds)),
+        foreign_px=[[round(u, 1), round(v, 1)] for u, v in drift.foreign_px],
+        detail=drift.detail,
+    )
+
+
+def _rounded(value: float | None, decimals: int) -> float | None:
+    return None if value is None else round(value, decimals)
+
+
+class TargetArea(Answer):
+    """A target and its area of valid spots."""
+
+    name: str
+    z_mm: float
+    """Distance from the front target along the beam, mm."""
+    valid_mm: list[tuple[float, float]]
+    """Corners (x, y) of the area in which a spot is valid, in the unit frame, counter-clockwise, mm."""
+
+
+class Targets(Answer):
+    """Targets in beam order."""
+
+    area_mm: tuple[float, float]
+    """Width and height of the area that the unit is made for, mm; its centre is the unit frame's origin."""
+    targets: list[TargetArea]
+
+
+def targets_of(areas: Sequence[target_area.TargetArea]) -> Targets:
+    """Return the targets in beam order."""
+    targets = [TargetArea(name=area.name, z_mm=area.z_mm, valid_mm=list(area.valid_mm)) for area in areas]
+    return Targets(area_mm=target_area.AREA_MM, targets=targets)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from altd.records import utc_text
-from altd.selfcheck.records import SelfCheck, as_object
+from altd.selfcheck.records import SelfCheck
 from altd.status.event_log import EventKind, EventLog
 
 Provider = TypeVar("Provider")
@@ -248,17 +247,6 @@ class SelfCheckReport:
     cause: str
     time: datetime | None = None
     exposures_lost: int = 0
-
-    def as_object(self) -> dict[str, object]:
-        """Return the report as plain JSON types."""
-        return {
-            **as_object(self.check),
-            "number": self.number,
-            "cause": self.cause,
-            "time": None if self.time is None else utc_text(self.time),
-            "exposures_lost": self.exposures_lost,
-            "notes": list(self.check.notes),
-        }
 
 
 class SelfCheckService:

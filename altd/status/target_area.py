@@ -19,14 +19,3 @@ class TargetArea:
     z_mm: float
     valid_mm: tuple[tuple[float, float], ...]
     camera: str = ""
-
-
-def as_object(areas: tuple[TargetArea, ...]) -> dict[str, object]:
-    """Return the targets in beam order, as plain JSON types."""
-    return {
-        "area_mm": list(AREA_MM),
-        "targets": [
-            {"name": area.name, "z_mm": area.z_mm, "valid_mm": [list(corner) for corner in area.valid_mm]}
-            for area in areas
-        ],
-    }

@@ -4,152 +4,107 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from altd.errors import one_line
 from altd.records import Quantities
+from altd.status.answer import Answer
+from altd.status.models import Availability, SelfCheck, Status, TargetArea, Targets, UnitState
 
 _MAX_LISTED = 200
 """Maximum number of causes, components or targets: a unit has about ten."""
+_MAX_CORNERS = 10_000
+"""Maximum number of corners of an outline."""
+_MAX_NUMBER, _MAX_COUNT = 1e9, 2**53
+"""Seconds, mm, degrees: real values are far below the limit, and larger ones would overflow a scale."""
+_MAX_MM = 1e5
 
-Text = Annotated[str, AfterValidator(one_line)]
-"""Text without control characters, which a terminal would execute."""
-
-
-Number = Annotated[float, Field(ge=-1e9, le=1e9)]
-"""Seconds, mm, degrees: real values are far below the limits, and larger ones would overflow a scale."""
-_Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
-_Size = Annotated[float, Field(ge=1.0, le=1e5)]
+Document = TypeVar("Document", bound=BaseModel)
 
 
-class _Document(BaseModel):
-    """Base of all documents; keys that are not shown are optional."""
+def checked(
+    model: type[Document], document: object, extra: Literal["allow", "ignore"] = "ignore"
+) -> Document:
+    """Return a document by its model, with texts that can be shown; raises ValueError that names the place.
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-    @classmethod
-    def checked(cls, document: object) -> Self:
-        """Return the content of a document; raises ValueError that names what is missing."""
-        try:
-            return cls.model_validate(document)
-        except ValidationError as error:
-            first = error.errors(include_url=False, include_input=False)[0]
-            place = ".".join(str(part) for part in first["loc"])
-            raise ValueError(one_line(f"{place or 'the answer'}: {first['msg']}")) from error
-
-
-class CauseDocument(_Document):
-    """One cause of the state."""
-
-    code: Text
-    signal: Text
-    of: Text | None
-    active: bool
-    for_s: Number
-    brief: Text
-    remedy: Text
-    detail: Text
+    ``extra`` tells what happens to keys that are not in the model: a daemon may be newer than this program.
+    """
+    try:
+        return model.model_validate(_harmless(document, "the answer"), extra=extra)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ValueError(one_line(f"{place or 'the answer'}: {first['msg']}")) from error
 
 
-class StateDocument(_Document):
-    """The state and its causes, the worst first."""
+def _harmless(value: object, place: str) -> object:
+    """Return a JSON value without control characters, which a terminal would execute.
 
-    signal: Text
-    for_s: Number
-    causes: Annotated[tuple[CauseDocument, ...], Field(max_length=_MAX_LISTED)]
-
-
-class SpanDocument(_Document):
-    """The availability in one span of time; ``share`` None: not known yet."""
-
-    share: Number | None
-    observed_s: Number
-
-
-class ComponentDocument(_Document):
-    """One component."""
-
-    state: Text
-    message: Text
-    for_s: Number
-
-
-class StatusDocument(_Document):
-    """``/api/v1/status``."""
-
-    version: Text
-    serial: Text
-    calibration: Text = "not known"
-    state: StateDocument
-    availability: dict[Text, SpanDocument]
-    components: Annotated[dict[Text, ComponentDocument], Field(max_length=_MAX_LISTED)]
+    Raises ValueError for what is too long or too large.
+    """
+    if isinstance(value, str):
+        return one_line(value)
+    limit = _MAX_COUNT if isinstance(value, int) else _MAX_NUMBER
+    if isinstance(value, int | float) and not abs(value) <= limit:
+        raise ValueError(f"{place}: a number beyond {limit:g}")
+    if isinstance(value, dict):
+        if len(value) > _MAX_LISTED:
+            raise ValueError(f"{place}: more than {_MAX_LISTED} keys")
+        return {one_line(str(key)): _harmless(item, one_line(str(key))) for key, item in value.items()}
+    if isinstance(value, list):
+        is_listed = any(isinstance(item, dict | str) for item in value)
+        if len(value) > (_MAX_LISTED if is_listed else _MAX_CORNERS):
+            raise ValueError(f"{place}: a list that is too long")
+        return [_harmless(item, place) for item in value]
+    return value
 
 
-_Texts = Annotated[tuple[Text, ...], Field(max_length=_MAX_LISTED)]
+class StatusDocument(Status):
+    """``/api/v1/status`` of a daemon, which always knows its state."""
+
+    calibration: str = "not known"
+    state: UnitState
+    availability: Availability
 
 
-class PartDocument(_Document):
-    """The verdict on one target, or on yaw and pitch; ``error`` None: not known."""
+class SelfCheckDocument(SelfCheck):
+    """``/api/v1/self-check``, or the answer of ``altd selfcheck`` with the ``origin`` of its frames."""
 
-    of: Text
-    verdict: Text
-    unit: Text
-    error: Number | None
-    sigma: Number | None
-    suspect: Number
-    bad: Number
+    origin: str = ""
 
 
-class LedsDocument(_Document):
-    """The LEDs of one target."""
-
-    leds_expected: int
-    leds_found: int
-    leds: _Texts
-    detail: Text
+_Millimetres = Annotated[float, Field(ge=-_MAX_MM, le=_MAX_MM)]
+_Size = Annotated[float, Field(ge=1.0, le=_MAX_MM)]
 
 
-class SelfCheckDocument(_Document):
-    """``/api/v1/self-check``; ``verdict`` None: there was none, and ``reasons`` give the reason."""
+class TargetDocument(TargetArea):
+    """One target, whose outline can be drawn."""
 
-    verdict: Text | None
-    reasons: _Texts = ()
-    time: Text | None = None
-    parts: Annotated[tuple[PartDocument, ...], Field(max_length=_MAX_LISTED)] = ()
-    targets: Annotated[dict[Text, LedsDocument], Field(max_length=_MAX_LISTED)] = {}
-    notes: _Texts = ()
-    origin: Text = ""
+    valid_mm: list[tuple[_Millimetres, _Millimetres]]
 
 
-class CalibratedTargetDocument(_Document):
-    """Quality of one target's calibration; ``flat`` None: without a flat."""
-
-    name: Text
-    left_out_px: Number | None
-    residuals: dict[Text, Number | None]
-    flat: Text | None
-
-
-class CalibrationDocument(_Document):
-    """``/api/v1/calibration``; without targets no calibration is loaded."""
-
-    targets: Annotated[tuple[CalibratedTargetDocument, ...], Field(max_length=_MAX_LISTED)] = ()
-
-
-class TargetDocument(_Document):
-    """One target: the outline of the area in which it is measured, mm in the unit frame."""
-
-    name: Text
-    valid_mm: Annotated[tuple[tuple[_Millimetres, _Millimetres], ...], Field(max_length=10_000)]
-
-
-class TargetsDocument(_Document):
-    """``/api/v1/targets``: targets in beam order, and the size of the area that the unit is designed for."""
+class TargetsDocument(Targets):
+    """``/api/v1/targets``, in a size that can be drawn."""
 
     area_mm: tuple[_Size, _Size]
-    targets: Annotated[tuple[TargetDocument, ...], Field(max_length=_MAX_LISTED)]
+    targets: list[TargetDocument]  # type: ignore[assignment]  # of the same keys
+
+
+class CalibratedTargetDocument(Answer):
+    """Quality of one target's calibration; ``flat`` None: without a flat."""
+
+    name: str
+    left_out_px: float | None
+    residuals: dict[str, float | None]
+    flat: str | None
+
+
+class CalibrationDocument(Answer):
+    """``/api/v1/calibration``; without targets no calibration is loaded."""
+
+    targets: list[CalibratedTargetDocument] = Field(default=[])
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,31 +135,29 @@ class Reading:
     spots: Mapping[str, tuple[float, float] | None]
 
 
-class _MeasurementDocument(_Document):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False, extra="allow")
-
+class _MeasurementDocument(BaseModel):
     sequence: int
-    time: Text | None
+    time: str | None
     frames: int
     valid: bool
-    status: Annotated[tuple[Text, ...], Field(max_length=_MAX_LISTED)]
-    age_s: Number | None
-    sigma: dict[str, Number | None]
-    sigma_now: dict[str, Number | None]
+    status: tuple[str, ...]
+    age_s: float | None
+    sigma: dict[str, float | None]
+    sigma_now: dict[str, float | None]
 
 
-class _NothingYet(_Document):
-    error: Text
-    status: tuple[Text, ...]
+class _NothingYet(BaseModel):
+    error: str
+    status: tuple[str, ...]
 
 
-class _Place(_Document):
-    x_mm: Number | None
-    y_mm: Number | None
+class _Place(BaseModel):
+    x_mm: float | None
+    y_mm: float | None
 
 
-class _Number(_Document):
-    value: Number | None
+class _Number(BaseModel):
+    value: float | None
 
 
 def reading_of(document: object, quantities: Quantities) -> Reading | None:
@@ -214,9 +167,9 @@ def reading_of(document: object, quantities: Quantities) -> Reading | None:
     is missing.
     """
     if isinstance(document, dict) and "error" in document:
-        _NothingYet.checked(document)
+        checked(_NothingYet, document)
         return None
-    measured = _MeasurementDocument.checked(document)
+    measured = checked(_MeasurementDocument, document, "allow")
     given: Mapping[str, Any] = measured.model_extra or {}
     own = {quantity.key for quantity in quantities.of_unit}
     return Reading(
@@ -259,9 +212,9 @@ def _numbers(measured: _MeasurementDocument, given: Mapping[str, Any], quantitie
 
 
 def _number(given: Mapping[str, Any], key: str) -> float | None:
-    return _Number.checked({"value": given.get(key)}).value
+    return checked(_Number, {"value": given.get(key)}).value
 
 
 def _place(value: object) -> tuple[float, float] | None:
-    place = _Place.checked(value)
+    place = checked(_Place, value)
     return None if place.x_mm is None or place.y_mm is None else (place.x_mm, place.y_mm)

@@ -10,9 +10,9 @@ from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Origin, counted
 from altd.selfcheck.records import Limits
 from altd.status.health import duration
+from altd.status.models import Cause
 from altd.terminal.documents import (
     CalibrationDocument,
-    CauseDocument,
     Reading,
     SelfCheckDocument,
     Shown,
@@ -44,7 +44,7 @@ def verdict_text(reading: Reading) -> str:
     return ", ".join(origins) or "VALID"
 
 
-def cause_text(cause: CauseDocument) -> str:
+def cause_text(cause: Cause) -> str:
     """A cause with its remedy, in the wording of the table of causes."""
     of = f" ({cause.of})" if cause.of else ""
     just_now = "" if cause.active else ", just now"
@@ -74,7 +74,7 @@ def availability_text(status: StatusDocument) -> str:
     """Share of time in which the unit measured, for each span; rounded down."""
     shares = [
         f"{int(span.share * 1e4) / 100:.2f} % {_SPANS.get(name, name)}"
-        for name, span in status.availability.items()
+        for name, span in status.availability
         if span.share is not None
     ]
     return "; ".join(shares) or "not known yet"

@@ -26,7 +26,21 @@ CHECK: dict[str, Any] = {
             "bad": 0.1,
         }
     ],
-    "targets": {"front": {"leds_expected": 6, "leds_found": 6, "leds": ["used"] * 6, "detail": ""}},
+    "targets": {
+        "front": {
+            "leds_expected": 6,
+            "leds_found": 6,
+            "shift_px": [0.012, -0.004],
+            "turn_deg": 0.0002,
+            "scale_ppm": 3.1,
+            "rms_px": 0.011,
+            "significance": 1.4,
+            "is_similarity": True,
+            "leds": ["used"] * 6,
+            "foreign_px": [],
+            "detail": "",
+        }
+    },
 }
 
 CALIBRATION: dict[str, Any] = {
@@ -111,7 +125,13 @@ def invalid(*status: str) -> dict[str, Any]:
 
 def status(*causes: dict[str, Any], signal: str = "good", **components: dict[str, Any]) -> dict[str, Any]:
     """The unit's state with these causes and further components."""
-    span = {"share": 0.99996, "valid_s": 3599.9, "observed_s": 3600.0, "lost_s": {"stale": 0.1}}
+    span = {
+        "share": 0.99996,
+        "valid_s": 3599.9,
+        "observed_s": 3600.0,
+        "lost_s": {"stale": 0.1},
+        "since": None,
+    }
     return {
         "version": "0.1.0",
         "serial": "ALT-0007",

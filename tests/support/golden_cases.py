@@ -288,7 +288,7 @@ SHAKEN = {key: Value(of.value, of.sigma and 0.05, of.sigma) for key, of in MEASU
 
 
 def of_row(names: tuple[str, ...], shown: Measurement, **more: Any) -> Case:
-    corners = ((-40, -40), (40, -40), (0, 40))
+    corners = ((-40.0, -40.0), (40.0, -40.0), (0.0, 40.0))
     areas = tuple(TargetArea(name, 1000.0 * place, corners) for place, name in enumerate(names))
     return Case(shown, before=ROW, unit={"quantities": quantities_of(names), "areas": areas, **more})
 

@@ -40,7 +40,7 @@ from altd.status.measurement_json import as_object
 from altd.status.state import TICK_S
 from altd.tables import flat_row, measurement_columns, table_in
 from altd.terminal.canvas import Canvas
-from altd.terminal.documents import SelfCheckDocument, StatusDocument, TargetsDocument, reading_of
+from altd.terminal.documents import SelfCheckDocument, StatusDocument, TargetsDocument, checked, reading_of
 from altd.terminal.knowledge import Knowledge
 from altd.terminal.screen import PAGES, View, draw
 from support.cli import altd_here
@@ -215,8 +215,8 @@ async def local(unit: GoldenUnit, bench: Bench) -> Parts:
             yield "altd " + " ".join(arguments), f"{said.status}\n{said.out}{said.err}"
         names = ("self-check", "targets", "measurement", "status")
         documents = {name: json.loads((await got(f"/api/v1/{name}", socket=path))[1]) for name in names}
-    knowledge, check = Knowledge(), SelfCheckDocument.checked(documents["self-check"])
-    knowledge.set_documents(check, TargetsDocument.checked(documents["targets"]))
+    knowledge, check = Knowledge(), checked(SelfCheckDocument, documents["self-check"])
+    knowledge.set_documents(check, checked(TargetsDocument, documents["targets"]))
     try:
         reading = reading_of(documents["measurement"], unit.quantities)
     except ValueError as error:
@@ -224,7 +224,7 @@ async def local(unit: GoldenUnit, bench: Bench) -> Parts:
         return
     for second in range(2):
         knowledge.set_reading(reading, float(second))
-    knowledge.set_status(StatusDocument.checked(documents["status"]), 1.0)
+    knowledge.set_status(checked(StatusDocument, documents["status"]), 1.0)
     for page, (name, _) in enumerate(PAGES):
         canvas = Canvas(24, 80, is_utf8=bool(page % 2))
         draw(knowledge, 1.2, View(page), canvas)

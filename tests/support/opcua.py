@@ -28,6 +28,7 @@ from altd.runtime.clock import SystemClock
 from altd.status.board import Board
 from altd.status.health import Health, UnitFacts
 from altd.status.measurement_json import checked_line, with_proof
+from altd.status.models import state_of
 from altd.status.proof import Identity, Stamps
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
@@ -85,7 +86,7 @@ class OpcUaUnit:
 
     def state_line(self) -> bytes:
         report = self.health.state()
-        return with_proof(report.as_object(), self.board, self.stamps.next()).encode() + b"\n"
+        return with_proof(state_of(report).as_object(), self.board, self.stamps.next()).encode() + b"\n"
 
     @contextlib.asynccontextmanager
     async def served(self) -> AsyncIterator[ServedUnit]:

@@ -15,7 +15,7 @@ from support.led_unit import MOVED, POSE, LedUnit, Poll, codes, config, driven_l
 
 from altd.measuring.calibration import Calibration
 from altd.records import Frame
-from altd.selfcheck.records import as_object
+from altd.status.models import self_check_of
 from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement
 from hw_sim.targets import LED_POSITIONS_MM
@@ -65,9 +65,9 @@ async def test_a_camera_that_moved_is_found_and_nothing_is_valid_until_it_is_bac
         assert (await running.report(1)).check.verdict == "good"
         running.unit.displace(REAR, MOVED)
         report = await running.check()
-        rear = as_object(report.check)["targets"]["rear"]
+        rear = self_check_of(report.check).targets["rear"]
         assert report.check.verdict == "bad"
-        assert rear["turn_deg"] == pytest.approx(0.1, abs=0.01)
+        assert rear.turn_deg == pytest.approx(0.1, abs=0.01)
         after = await running.measured(valid=False)
         assert "geometry_drift" in codes(after)
         assert running.daemon.health.component("self-check").state == "failed"
@@ -169,7 +169,7 @@ async def test_a_spot_over_an_led_does_not_move_it(calibration_of_unit_3: Calibr
         running.unit.displace(FRONT, MOVED)
         report = await running.check()
         assert report.check.verdict == "bad"
-        assert as_object(report.check)["targets"]["front"]["turn_deg"] == pytest.approx(0.1, abs=0.02)
+        assert self_check_of(report.check).targets["front"].turn_deg == pytest.approx(0.1, abs=0.02)
 
 
 async def test_a_daemon_that_is_stopped_during_a_check_leaves_the_leds_dark(

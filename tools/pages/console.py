@@ -22,6 +22,7 @@ from altd.publish.serial.lines import MAX_LINE_CHARACTERS, MAX_RECALLED_LINES, B
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, State
 from altd.status.measurement_json import checked_line
+from altd.status.models import status_of
 from altd.status.target_area import AREA_MM
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import (
@@ -29,6 +30,7 @@ from altd.terminal.documents import (
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
+    checked,
     reading_of,
 )
 from altd.terminal.knowledge import HOLD_S, PATH_S, Knowledge
@@ -67,9 +69,9 @@ Uncertainties are combined standard uncertainties (1 sigma, [budget](budget.md))
 
 def _local() -> str:
     pages = ", ".join(f"*{name}*" for name, _ in PAGES)
-    calibration = CalibrationDocument.checked({"targets": _CALIBRATED})
+    calibration = checked(CalibrationDocument, {"targets": _CALIBRATED})
     shown = status_text(
-        _reading(0), StatusDocument.checked(_status()), SelfCheckDocument.checked(_CHECK), calibration
+        _reading(0), checked(StatusDocument, _status()), checked(SelfCheckDocument, _CHECK), calibration
     )
     return f"""## altd status
 
@@ -212,33 +214,36 @@ def _reading(second: int) -> Any:
 def _status() -> dict[str, Any]:
     unit = health()
     unit.component(MEASURING).set_state(State.OK)
-    document = dict(unit.as_object())
-    span = {"share": 0.99996, "observed_s": 3600.0}
+    document = status_of(unit).as_object()
+    span = {"share": 0.99996, "valid_s": 3599.9, "observed_s": 3600.0, "lost_s": {}, "since": None}
     dusty = {
         "code": str(Condition.DUSTY),
         "signal": str(Condition.DUSTY.signal),
         "of": "front",
         "active": True,
         "for_s": 75.0,
+        "times": 1,
         "brief": Condition.DUSTY.brief,
         "remedy": Condition.DUSTY.remedy,
         "detail": "0.08 % of the area under the spot",
     }
     return document | {
-        "state": {"signal": str(Condition.DUSTY.signal), "for_s": 75.0, "causes": [dusty]},
+        "state": {"signal": str(Condition.DUSTY.signal), "number": 4, "for_s": 75.0, "causes": [dusty]},
         "availability": {"last_hour": span, "last_day": span, "last_31_days": span, "since_start": span},
     }
 
 
 def _screen() -> str:
     knowledge = Knowledge()
-    targets = [{"name": name, "valid_mm": _OUTLINE_MM} for name in ("front", "rear")]
-    knowledge.set_documents(
-        SelfCheckDocument.checked(_CHECK), TargetsDocument.checked({"area_mm": AREA_MM, "targets": targets})
-    )
+    targets = [
+        {"name": name, "z_mm": z_mm, "valid_mm": _OUTLINE_MM}
+        for name, z_mm in (("front", 0.0), ("rear", 280.0))
+    ]
+    areas = checked(TargetsDocument, {"area_mm": list(AREA_MM), "targets": targets})
+    knowledge.set_documents(checked(SelfCheckDocument, _CHECK), areas)
     for second in range(1, _SECONDS + 1):
         knowledge.set_reading(_reading(second), float(second))
-    knowledge.set_status(StatusDocument.checked(_status()), float(_SECONDS))
+    knowledge.set_status(checked(StatusDocument, _status()), float(_SECONDS))
     canvas = Canvas(24, 80, is_utf8=True)
     draw(knowledge, float(_SECONDS), View(), canvas)
     return canvas.text()

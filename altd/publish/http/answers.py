@@ -28,9 +28,9 @@ from altd.records import Quantities, Quantity
 from altd.status.board import Board
 from altd.status.health import Component, Health
 from altd.status.measurement_json import checked_line
+from altd.status.models import self_check_of, status_of, targets_of
 from altd.status.proof import Stamps
 from altd.status.services import SelfCheckService
-from altd.status.target_area import as_object
 
 _FOLDER = Path(__file__).with_name("page_files")
 
@@ -170,11 +170,11 @@ class Answers:
 
     async def status(self, _: Request) -> Response:
         """Return the unit's facts and its components."""
-        return JSONResponse(self._health.as_object())
+        return JSONResponse(status_of(self._health).as_object())
 
     async def targets(self, _: Request) -> Response:
         """Return the areas in which the targets are measured."""
-        return JSONResponse(as_object(self._health.targets))
+        return JSONResponse(targets_of(self._health.targets).as_object())
 
     async def stream(self, request: Request) -> Response:
         """Stream measurements as they are published."""
@@ -244,7 +244,7 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
         if service.latest is None:
             why = service.unavailable or "there was no self-check since the unit started"
             return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
-        return JSONResponse(service.latest.as_object())
+        return JSONResponse(self_check_of(service.latest.check, service.latest).as_object())
     by = guard.requester(request)
     if service.waiting >= MAX_WAITING:
         return refusal(503, f"{service.waiting} wait for a self-check already; /api/self-check has it soon")
@@ -255,7 +255,7 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
     except TimeoutError:
         why = f"the self-check has not ended within {SELF_CHECK_WAIT_S:g} s; /api/status has the reason"
         return refusal(504, why)
-    return JSONResponse(report.as_object())
+    return JSONResponse(self_check_of(report.check, report).as_object())
 
 
 async def _login_of(request: Request) -> Login:

@@ -12,7 +12,7 @@ from starlette.responses import JSONResponse, Response
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard
 from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
-from altd.status.models import Answer
+from altd.status.answer import Answer
 from altd.status.services import CalibrationFiles, CalibrationService, NoReportError
 
 Range = tuple[float | None, float | None]

@@ -32,7 +32,7 @@ from altd.runtime.threads import SingleCall, call_in_thread
 from altd.status.board import Board
 from altd.status.health import DiagnosticPart, Health
 from altd.status.measurement_json import as_object_now
-from altd.status.target_area import as_object
+from altd.status.models import self_check_of, status_of, targets_of
 
 ZIP = "application/zip"
 MAX_PART_BYTES = 16_000_000
@@ -93,12 +93,14 @@ class Diagnostics:
 
     def _parts(self, now: datetime) -> Iterator[Part]:
         yield part_of(
-            "status.json", "state of each part of the unit", lambda: _json(self._health.as_object())
+            "status.json",
+            "state of each part of the unit",
+            lambda: _json(status_of(self._health).as_object()),
         )
         yield part_of("measurement.json", "the latest measurement", self._measurement)
         yield part_of("self-check.json", "the last self-check", self._self_check)
         targets = "the targets, and where each is measured"
-        yield part_of("targets.json", targets, lambda: _json(as_object(self._health.targets)))
+        yield part_of("targets.json", targets, lambda: _json(targets_of(self._health.targets).as_object()))
         calibration = "content of the calibration"
         yield part_of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
         yield part_of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
@@ -116,7 +118,7 @@ class Diagnostics:
         service = self._health.self_check
         if service.latest is None:
             raise LookupError(service.unavailable or "there was no self-check since the unit started")
-        return _json(service.latest.as_object())
+        return _json(self_check_of(service.latest.check, service.latest).as_object())
 
 
 async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes:

@@ -1,7 +1,4 @@
-"""Pydantic models of the responses, from which the OpenAPI document is generated.
-
-The responses themselves are made elsewhere, byte for byte (``altd/status``); tests check them by the models.
-"""
+"""Pydantic models of the responses that only this interface sends."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from altd.status.health import State
-from altd.status.models import Answer, UnitState
+from altd.status.answer import Answer
 
 
 class Error(Answer):
@@ -20,126 +16,6 @@ class Error(Answer):
     """Reason, as one sentence for people."""
     status: list[str] = Field(default=[])
     """Codes of the reasons, only if a measurement was requested and there is none."""
-
-
-class Span(Answer):
-    """Share of a time span in which the measurement was valid."""
-
-    share: float | None
-    valid_s: float
-    observed_s: float
-    lost_s: dict[str, float]
-    """Lost time by the code of its reason, s."""
-    since: str | None
-    """Start of the observed time, UTC, not earlier than the span's name implies; null: not known."""
-
-
-class Availability(Answer):
-    """Shares of time in which the unit made valid measurements, by span."""
-
-    last_hour: Span
-    last_day: Span
-    last_31_days: Span
-    since_start: Span
-
-
-class Component(Answer):
-    """A component of the daemon; its figures and counters are further keys."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, int | float | str | None] = Field(init=False)
-    state: State
-    message: str
-    for_s: float
-    """Time since its state last changed, s."""
-
-
-class Status(Answer):
-    """Identity of the unit, its state, its availability and its components."""
-
-    version: str = ""
-    serial: str = ""
-    unit_number: str = ""
-    """CRC-32 of the serial number, as `unit` in every message."""
-    calibration: str = ""
-    config_sha256: str = ""
-    """SHA-256 of the config file as the daemon read it."""
-    spot_fit: str = ""
-    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
-    state: UnitState | None = None
-    availability: Availability | None = None
-    components: dict[str, Component]
-
-
-class TargetDrift(Answer):
-    """Result of a self-check for one target."""
-
-    leds_expected: int
-    leds_found: int
-    shift_px: list[float] | None
-    turn_deg: float | None
-    scale_ppm: float | None
-    rms_px: float | None
-    significance: float | None
-    is_similarity: bool | None
-    leds: list[str]
-    foreign_px: list[list[float]]
-    detail: str
-
-
-class PartVerdict(Answer):
-    """Verdict on one target, or on yaw and pitch."""
-
-    of: str
-    verdict: Literal["good", "suspect", "bad", "unknown"]
-    unit: str
-    error: float | None
-    """Largest error anywhere in the calibrated area, in `unit`; null: too few LEDs were found."""
-    sigma: float | None
-    suspect: float
-    """Limit of `error` above which the verdict is `suspect`; likewise `bad`."""
-    bad: float
-
-
-class SelfCheck(Answer):
-    """Report of the last self-check; without one, `verdict` is null and `reasons` gives the cause."""
-
-    verdict: Literal["good", "suspect", "bad", "unknown"] | None
-    reasons: list[str]
-    parts: list[PartVerdict] = Field(default=[])
-    unavailable: str = ""
-    """Reason why this unit cannot make self-checks; empty: it can."""
-    targets: dict[str, TargetDrift] = Field(default={})
-    yaw_deg: float | None = None
-    """Error that the drift causes at the beam's position, measured minus true; likewise the next three."""
-    pitch_deg: float | None = None
-    x_mm: float | None = None
-    y_mm: float | None = None
-    sigma: dict[str, float | None] = Field(default={})
-    number: int = 0
-    """Number of this check since the start, from 1."""
-    cause: str = ""
-    time: str | None = None
-    exposures_lost: int = 0
-    notes: list[str] = Field(default=[])
-
-
-class TargetArea(Answer):
-    """A target and its area of valid spots."""
-
-    name: str
-    z_mm: float
-    """Distance from the front target along the beam, mm."""
-    valid_mm: list[tuple[float, float]]
-    """Corners (x, y) of the area in which a spot is valid, in the unit frame, counter-clockwise, mm."""
-
-
-class Targets(Answer):
-    """Targets in beam order."""
-
-    area_mm: tuple[float, float]
-    """Width and height of the area that the unit is made for, mm; its centre is the unit frame's origin."""
-    targets: list[TargetArea]
 
 
 class Login(Answer):

@@ -17,7 +17,7 @@ from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.models import Error
 from altd.publish.http.operations import COMMON_ERRORS, JSON, Operation, ServedPath
 from altd.records import Quantities
-from altd.status.models import measurement_model
+from altd.status.measurement_json import measurement_model
 
 _SCHEMA = "#/components/schemas/{model}"
 _ANYBODY: dict[str, list[str]] = {}

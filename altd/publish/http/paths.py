@@ -10,6 +10,7 @@ from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
 from altd.publish.http.diagnostics import ZIP
 from altd.publish.http.operations import Operation, Parameter, ServedPath
 from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
+from altd.status import models as unit
 from altd.status.event_log import EventKind
 
 HTML = "text/html"
@@ -35,17 +36,17 @@ _MEASUREMENT = {
         errors={503: "nothing was measured since the unit started; `status` has the codes of the reasons"},
     )
 }
-_STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", models.Status)}
+_STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", unit.Status)}
 _SELF_CHECK = {
     "GET": Operation(
         lambda to, request: self_check(request, to.self_check, to.guard),
         "The result of the last self-check",
-        models.SelfCheck,
+        unit.SelfCheck,
     ),
     "POST": Operation(
         lambda to, request: self_check(request, to.self_check, to.guard),
         "Make a self-check and return its result",
-        models.SelfCheck,
+        unit.SelfCheck,
         errors={
             **_NOT_ALLOWED,
             409: "the unit cannot check itself",
@@ -218,7 +219,7 @@ PATHS = (
     ServedPath(
         "/api/v1/targets",
         "the targets, and the outline of valid spots on each",
-        {"GET": Operation(Answers.targets, "The targets and their areas", models.Targets)},
+        {"GET": Operation(Answers.targets, "The targets and their areas", unit.Targets)},
     ),
     ServedPath("/api/v1/self-check", "as `/api/self-check`", _SELF_CHECK),
     ServedPath("/api/v1/stream", "as `/api/stream`, and resumes", _RESUMED_STREAM),

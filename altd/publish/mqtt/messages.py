@@ -14,10 +14,12 @@ from pydantic.json_schema import models_json_schema
 from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Measurement, Quantities, Quantity, utc_text
+from altd.status import models
+from altd.status.answer import Answer
 from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Health
-from altd.status.models import Answer, UnitState, measurement_model
+from altd.status.measurement_json import measurement_model
 
 ONLINE, OFFLINE = "online", "offline"
 
@@ -64,7 +66,7 @@ def birth_of(board: Board, health: Health, clock: Clock) -> dict[str, Any]:
 
 def state_of(report: StateReport, clock: Clock) -> dict[str, Any]:
     """Return the state message: the state of the unit at the time of sending."""
-    return {"time": _now(clock), **report.as_object()}
+    return {"time": _now(clock), **models.state_of(report).as_object()}
 
 
 def summary_of(measurements: Sequence[Measurement], board: Board, clock: Clock) -> dict[str, Any]:
@@ -178,7 +180,7 @@ class Birth(_Checked):
     """`label`, `unit` and `meaning` of each quantity, by its key in the payloads."""
 
 
-class State(UnitState, _Checked):
+class State(models.UnitState, _Checked):
     """State of the unit in the signals of NAMUR NE 107; retained, sent when it changes and every 10 s."""
 
 

@@ -30,6 +30,7 @@ from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import checked_line, with_proof
+from altd.status.models import state_of
 from altd.status.proof import Stamps
 from altd.status.services import NoSelfCheckError
 from altd.status.target_area import AREA_MM
@@ -174,7 +175,7 @@ class OpcUaPublisher:
             state, now_ns = self._health.state(), self._component.clock.monotonic_ns()
             if (shown := _shown(state)) != sent or now_ns >= due_ns:
                 sent, due_ns = shown, now_ns + round(STATE_INTERVAL_S * 1e9)
-                document = {} if state is None else state.as_object()
+                document = {} if state is None else state_of(state).as_object()
                 pipe.write(with_proof(document, self._board, self._stamps.next()).encode() + b"\n")
 
     def _start(self) -> Start:

@@ -16,6 +16,7 @@ from support.page import POSE, SIZES, Seen, browser, seen, watched_unit
 
 from altd.measuring.calibration import Calibration
 from altd.records import Frame
+from altd.status.models import status_of
 from hw_sim.beam import BeamPose
 
 pytestmark = [pytest.mark.real_time, pytest.mark.asyncio(loop_scope="module")]
@@ -218,7 +219,7 @@ async def test_simulated_frames_are_named_once_and_hide_no_fault(
         ]
         signal = "failure" if "failure" in others else "check_function"
         state = {"signal": signal, "for_s": 9.0, "causes": causes}
-        await route.fulfill(json={**running.daemon.health.as_object(), "state": state})
+        await route.fulfill(json={**status_of(running.daemon.health).as_object(), "state": state})
 
     async with watched(started, calibration_of_unit_3) as (running, shown):
         await shown.page.route("**/api/v1/status", simulated)

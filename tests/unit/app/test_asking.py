@@ -162,13 +162,13 @@ def test_the_local_socket_is_asked_first(tmp_path: Path) -> None:
             connection, _ = server.accept()
             with connection:
                 assert connection.recv(65536).startswith(b"POST /api/self-check HTTP/1.1\r\n")
-                connection.sendall(http(b'{"verdict": "good"}'))
+                connection.sendall(http(b'{"verdict": "good", "reasons": []}'))
 
         thread = threading.Thread(target=serve)
         thread.start()
         said = altd_here("selfcheck", "--config", path, "--json")
         thread.join()
-    assert (said.status, said.objects) == (0, [{"verdict": "good"}])
+    assert (said.status, said.objects) == (0, [{"verdict": "good", "reasons": []}])
 
 
 def test_where_neither_answers_both_are_told(tmp_path: Path) -> None:
@@ -193,7 +193,9 @@ def test_a_daemon_that_nobody_can_ask_is_a_fault_of_the_config(tmp_path: Path) -
 
 @pytest.mark.parametrize(("verdict", "status"), [("good", 0), ("suspect", 1), ("unknown", 1)])
 def test_a_verdict_is_written_as_it_came(tmp_path: Path, verdict: str, status: int) -> None:
-    with answered(tmp_path, http(json.dumps({"verdict": verdict, "number": 3}).encode())) as config:
+    with answered(
+        tmp_path, http(json.dumps({"verdict": verdict, "reasons": [], "number": 3}).encode())
+    ) as config:
         said = altd_here("selfcheck", "--config", config, "--json")
     assert (said.status, said.err) == (status, "")
-    assert said.objects == [{"verdict": verdict, "number": 3}]
+    assert said.objects == [{"verdict": verdict, "reasons": [], "number": 3}]

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from support.history import ABOUT, MAX_BYTES, WallClock, record_seconds
@@ -17,6 +17,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.health import Health
+from altd.status.models import status_of
 from altd.status.state import UnitState
 
 START_NS = 10**12
@@ -40,7 +41,7 @@ class Restarted:
         record_seconds(self.folder, from_s, [10.0] * seconds, rate=2)
 
     def hour(self) -> dict[str, Any]:
-        return cast("dict[str, Any]", self.availability.as_object()["last_hour"])
+        return self.availability.spans()["last_hour"].as_object()
 
     async def until(self, true: Callable[[], bool]) -> None:
         async with asyncio.timeout(60):
@@ -130,7 +131,7 @@ async def test_a_daemon_counts_what_its_history_holds(tmp_path: Path) -> None:
             while not hour.get("valid_s"):
                 await unit.clock.advance(CHECK_INTERVAL_S)
                 await asyncio.sleep(0.01)  # the disk's thread, in real time
-                hour = cast("dict[str, Any]", health.as_object()["availability"])["last_hour"]
+                hour = status_of(health).as_object()["availability"]["last_hour"]
     assert hour["valid_s"] == pytest.approx(60, abs=1)
     assert hour["lost_s"]["not_running"] == pytest.approx(60, abs=1)
 

@@ -19,7 +19,7 @@ from altd.calibration.file import load_calibration, save_calibration
 from altd.errors import BadInputError
 from altd.records.sensors import Quality, SensorValue
 from altd.status.measurement_json import as_scan_object, checked_line
-from altd.status.target_area import as_object
+from altd.status.models import targets_of
 from tools.pages.example import MEASURED, STAMP, board
 
 
@@ -45,7 +45,7 @@ def test_a_spot_is_valid_inside_and_nowhere_outside(played_unit: PlayedUnit) -> 
                     assert inside(area.valid_mm, place), place
                 if outside_mm > known.map.margin_mm + 0.02:
                     assert not inside(area.valid_mm, place), place
-    document = as_object(areas)
+    document = targets_of(areas).as_object()
     assert document["area_mm"] == [140.0, 110.0]
 
 

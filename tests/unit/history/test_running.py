@@ -5,7 +5,7 @@ START_S is 08:00:00Z; of 20 measurements a second each is valid or not as the te
 
 import sqlite3
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from support.history import ABOUT, START_S, US, batch, record_seconds, state, store, write_seconds
@@ -34,7 +34,7 @@ def last_hour(folder: Path, start_s: float) -> dict[str, Any]:
     """The availability of the hour before a daemon's start, at that start."""
     availability = Availability(0)
     availability.before = before(folder, start_s)
-    return cast("dict[str, Any]", availability.as_object()["last_hour"])
+    return availability.spans()["last_hour"].as_object()
 
 
 @pytest.mark.parametrize(
@@ -90,10 +90,10 @@ def test_what_was_more_than_a_day_ago_is_told_by_hours(tmp_path: Path) -> None:
     ran(tmp_path, START_S - day_s - 5, 10, LOST)
     availability = Availability(0)
     availability.before = before(tmp_path, START_S, 31 * day_s)
-    month = cast("dict[str, Any]", availability.as_object()["last_31_days"])
+    month = availability.spans()["last_31_days"].as_object()
     assert month["valid_s"] == pytest.approx(10, abs=1)
     assert month["lost_s"] == pytest.approx({"spot_missing": 10, "not_running": 3 * day_s - 20}, abs=2)
-    day = cast("dict[str, Any]", availability.as_object()["last_day"])
+    day = availability.spans()["last_day"].as_object()
     assert day["lost_s"] == pytest.approx({"spot_missing": 5, "not_running": day_s - 5}, abs=2)
 
 

@@ -2,7 +2,7 @@
 
 import pickle
 from datetime import timedelta
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from support.clock import START
@@ -26,7 +26,7 @@ class Watched:
             self.availability.update(self.now_ns, lost_to)
 
     def span(self, name: str) -> dict[str, Any]:
-        return cast("dict[str, Any]", self.availability.as_object()[name])
+        return self.availability.spans()[name].as_object()
 
 
 def ran(*spans: tuple[int, str | None]) -> Watched:
@@ -153,11 +153,11 @@ def test_since_when_it_is_known_is_told_in_utc() -> None:
     availability = Availability(0, lambda t_ns: START + timedelta(microseconds=t_ns / 1000))
     for second in range(601):
         availability.update(second * SECOND, None)
-    since = {name: cast("dict[str, Any]", span)["since"] for name, span in availability.as_object().items()}
+    since = {name: span.since for name, span in availability.spans().items()}
     spans = ("last_hour", "last_day", "last_31_days", "since_start")
     assert since == dict.fromkeys(spans, "2026-11-20T08:00:00.000Z")
     availability.before = half_an_hour_before()
-    shown = cast("dict[str, dict[str, Any]]", availability.as_object())
+    shown = {name: span.as_object() for name, span in availability.spans().items()}
     assert shown["last_hour"]["since"] == "2026-11-20T07:30:00.000Z"
     assert shown["since_start"]["since"] == "2026-11-20T08:00:00.000Z"
 

@@ -23,8 +23,13 @@ from altd.records import Fault, Measurement
 from altd.records.sensors import Quality, SensorValue
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.measurement_json import as_object, as_object_now, checked_line, targets_object
-from altd.status.models import measurement_model
+from altd.status.measurement_json import (
+    as_object,
+    as_object_now,
+    checked_line,
+    measurement_model,
+    targets_object,
+)
 from altd.status.proof import Stamps
 from tools.pages.example import AGE_S, MEASURED
 

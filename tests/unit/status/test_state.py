@@ -12,6 +12,7 @@ from altd.status.cause import HOLD_S, MAINTENANCE_DELAY_S, Cause, Kind
 from altd.status.causes import START_S
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, State
+from altd.status.models import status_of
 from altd.status.state import UnitState
 
 from .clocked_unit import Unit, kinds
@@ -169,7 +170,7 @@ class TestJson:
         unit.health.state = unit.state.read
         unit.watched = [Cause(Condition.TOO_HOT, "housing", "61.0 C")]
         unit.measure(Fault(Reason.SPOT_MISSING, "front", "dark"), for_s=4)
-        document = unit.health.as_object()
+        document = status_of(unit.health).as_object()
         assert document["state"] == {
             "signal": "out_of_specification",
             "number": 3,

@@ -17,6 +17,7 @@ from altd.terminal.documents import (
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
+    checked,
     reading_of,
 )
 from altd.terminal.knowledge import Knowledge
@@ -36,6 +37,11 @@ def test_a_measurement_is_read_by_the_units_own_quantities() -> None:
     assert reading.spots == {"front": (35.0123, -27.5), "rear": (-36.0, 13.75)}
 
 
+def test_a_daemon_may_say_more_than_this_program_knows() -> None:
+    newer = status(DUSTY | {"new": 1}) | {"new": []}
+    assert checked(StatusDocument, newer).state.causes[0].code == "dusty"
+
+
 def test_an_invalid_one_has_targets_without_places() -> None:
     reading = reading_of(invalid("stale"), QUANTITIES)
     assert not reading.valid
@@ -50,7 +56,7 @@ def test_an_invalid_one_has_targets_without_places() -> None:
         ({}, "sequence"),
         (measurement(valid="perhaps"), "valid"),
         (measurement(x_mm="many"), "value"),
-        (measurement(x_mm=float("nan")), "value"),
+        (measurement(x_mm=float("nan")), "x_mm"),
         (measurement(age_s=float("inf")), "age_s"),
         (measurement(status=["stale"] * 1000), "status"),
         (measurement(front={"x_mm": 1e999, "y_mm": 0.0}), "x_mm"),
@@ -65,15 +71,15 @@ def test_what_is_no_measurement_names_the_place(document: object, place: str) ->
 def test_control_characters_do_not_reach_a_terminal() -> None:
     nasty = "\x1b[2J\x1b]0;owned\x07\r\n\x9b31m\u202e\u200b"
     cause = DUSTY | {"brief": nasty, "remedy": nasty, "detail": nasty, "of": nasty}
-    state = StatusDocument.checked(status(cause) | {"serial": nasty, "version": nasty, "calibration": nasty})
+    state = checked(StatusDocument, status(cause) | {"serial": nasty, "version": nasty, "calibration": nasty})
     reading = reading_of(measurement(status=[nasty], time=nasty), QUANTITIES)
-    check = SelfCheckDocument.checked({"verdict": nasty, "reasons": [nasty], "time": nasty})
+    check = checked(SelfCheckDocument, {"verdict": "bad", "reasons": [nasty], "time": nasty})
     target = {"name": nasty, "left_out_px": 1.0, "residuals": {}, "flat": nasty}
-    calibration = CalibrationDocument.checked({"targets": [target]})
+    calibration = checked(CalibrationDocument, {"targets": [target]})
     knowledge = Knowledge()
     knowledge.set_reading(reading, 0.0)
     knowledge.set_status(state, 0.0)
-    targets = TargetsDocument.checked(TARGETS | {"targets": [{"name": nasty, "valid_mm": []}]})
+    targets = checked(TargetsDocument, TARGETS | {"targets": [{"name": nasty, "z_mm": 0.0, "valid_mm": []}]})
     knowledge.set_documents(check, targets)
     shown = [status_text(reading, state, check, calibration)]
     for page in range(len(PAGES)):
@@ -135,10 +141,10 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
     for number in range(2_500):
         asked = (
             lambda: reading_of(_spoilt(chance, measurement()), QUANTITIES),
-            lambda: StatusDocument.checked(_spoilt(chance, status(DUSTY))),
-            lambda: SelfCheckDocument.checked(_spoilt(chance, CHECK)),
-            lambda: TargetsDocument.checked(_spoilt(chance, TARGETS)),
-            lambda: CalibrationDocument.checked(_spoilt(chance, CALIBRATION)),
+            lambda: checked(StatusDocument, _spoilt(chance, status(DUSTY))),
+            lambda: checked(SelfCheckDocument, _spoilt(chance, CHECK)),
+            lambda: checked(TargetsDocument, _spoilt(chance, TARGETS)),
+            lambda: checked(CalibrationDocument, _spoilt(chance, CALIBRATION)),
         )
         told: list[Any] = []
         for ask in asked:

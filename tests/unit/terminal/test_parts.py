@@ -1,7 +1,7 @@
 """Pictures, trends and lines of text, each against what can be said of it beforehand."""
 
 import pytest
-from support.daemon_documents import CALIBRATION, TARGETS, measurement, status
+from support.daemon_documents import CALIBRATION, CHECK, TARGETS, measurement, status
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas, Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
@@ -11,6 +11,7 @@ from altd.terminal.documents import (
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
+    checked,
     reading_of,
 )
 from altd.terminal.lines import WIDTH, is_healthy, self_check_table, status_text
@@ -18,7 +19,7 @@ from altd.terminal.lines import WIDTH, is_healthy, self_check_table, status_text
 
 @pytest.fixture
 def targets() -> TargetsDocument:
-    return TargetsDocument.checked(TARGETS)
+    return checked(TargetsDocument, TARGETS)
 
 
 class TestPicture:
@@ -94,16 +95,17 @@ def reading(**changes: object) -> Reading:
 
 class TestStatus:
     def test_it_is_this_text(self) -> None:
-        check = SelfCheckDocument.checked(
-            {"verdict": None, "reasons": ["there was no self-check since the unit started"]}
+        check = checked(
+            SelfCheckDocument,
+            {"verdict": None, "reasons": ["there was no self-check since the unit started"]},
         )
         laser = {"state": "failed", "message": "lost: no such thing", "for_s": 3.0}
         assert (
             status_text(
                 reading(),
-                StatusDocument.checked(status(laser=laser)),
+                checked(StatusDocument, status(laser=laser)),
                 check,
-                CalibrationDocument.checked(CALIBRATION),
+                checked(CalibrationDocument, CALIBRATION),
             )
             == """\
 unit         ALT-0007, altd 0.1.0, calibration 2026-11-02, workshop, stage 2
@@ -136,20 +138,19 @@ ok           camera front, measuring"""
             (True, "check_function", False),
             (True, "out_of_specification", False),
             (True, "failure", False),
-            (True, "splendid", False),
             (False, "good", False),
         ],
     )
     def test_fine_is_who_may_be_used(self, valid: bool, signal: str, fine: bool) -> None:
-        assert is_healthy(reading(valid=valid), StatusDocument.checked(status(signal=signal))) is fine
-        assert not is_healthy(None, StatusDocument.checked(status()))
+        assert is_healthy(reading(valid=valid), checked(StatusDocument, status(signal=signal))) is fine
+        assert not is_healthy(None, checked(StatusDocument, status()))
 
     def test_a_self_check_is_this_table(self) -> None:
         part = {"of": "rear", "verdict": "bad", "unit": "mm", "error": 0.13755, "sigma": 0.00153}
         limits = {"suspect": 0.03, "bad": 0.1}
-        lit = {"leds_expected": 6, "leds_found": 6, "leds": ["used"] * 6, "detail": ""}
+        lit = CHECK["targets"]["front"]
         leds = [*["always_lit"] * 3, "dark", "used", "used"]
-        stuck = {"leds_expected": 6, "leds_found": 2, "leds": leds, "detail": "2 of 6 LEDs can be used"}
+        stuck = lit | {"leds_found": 2, "leds": leds, "detail": "2 of 6 LEDs can be used"}
         document = {
             "verdict": "bad",
             "reasons": ["rear: moved by up to 0.138 °", "front: 2 of 6 LEDs can be used"],
@@ -162,7 +163,7 @@ ok           camera front, measuring"""
             "origin": "simulated",
         }
         assert (
-            "\n".join(self_check_table(SelfCheckDocument.checked(document)))
+            "\n".join(self_check_table(checked(SelfCheckDocument, document)))
             == """\
 check        verdict  good if   bad if   value, +/- 1 sigma
 LEDs rear    good     >= 3               6 of 6 used
@@ -180,8 +181,8 @@ judged from SIMULATED frames"""
 
     def test_no_line_is_wider_than_a_screen(self) -> None:
         parts = {"serial /dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K1XYZ-if00-port0": {"x" * 90: 1}}
-        components = {name: {"state": "degraded" * 9, "message": "m" * 300, "for_s": 1e9} for name in parts}
-        check = SelfCheckDocument.checked({"verdict": "v" * 200})
-        calibration = CalibrationDocument.checked(CALIBRATION)
-        text = status_text(reading(), StatusDocument.checked(status(**components)), check, calibration)
+        components = {name: {"state": "degraded", "message": "m" * 300, "for_s": 1e9} for name in parts}
+        check = checked(SelfCheckDocument, {"verdict": "bad", "reasons": ["v" * 200]})
+        calibration = checked(CalibrationDocument, CALIBRATION)
+        text = status_text(reading(), checked(StatusDocument, status(**components)), check, calibration)
         assert max(map(len, text.split("\n"))) <= WIDTH < 80

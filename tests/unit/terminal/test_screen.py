@@ -15,6 +15,7 @@ from altd.terminal.documents import (
     SelfCheckDocument,
     StatusDocument,
     TargetsDocument,
+    checked,
     reading_of,
 )
 from altd.terminal.knowledge import HOLD_S, Knowledge
@@ -31,7 +32,7 @@ def hear(knowledge: Knowledge, document: dict[str, Any], now_s: float) -> None:
 def after_a_minute() -> Knowledge:
     """At ``LAST_S`` the front spot is at x 35, y -27.5 mm; each second before, 3 mm to the left."""
     knowledge = Knowledge()
-    knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+    knowledge.set_documents(checked(SelfCheckDocument, CHECK), checked(TargetsDocument, TARGETS))
     for second in range(60):
         back = second - 59
         place = {"x_mm": 35.0123 + 3 * back, "y_mm": -27.5}
@@ -40,7 +41,7 @@ def after_a_minute() -> Knowledge:
         document = invalid("rear_spot_missing") if lost else seen
         hear(knowledge, document, 1000.0 + second)
     state = status(SPOT_MISSING, DUSTY, signal="out_of_specification")
-    knowledge.set_status(StatusDocument.checked(state), LAST_S)
+    knowledge.set_status(checked(StatusDocument, state), LAST_S)
     return knowledge
 
 
@@ -58,7 +59,7 @@ def screen(
     return canvas.text()
 
 
-CHECKED = SelfCheckDocument.checked(CHECK)
+CHECKED = checked(SelfCheckDocument, CHECK)
 SCREENS = Path(__file__).with_name("screens")
 """Checked by eye; ``test_the_spot_stands_where_…`` checks the places of spots in them by arithmetic."""
 
@@ -122,10 +123,10 @@ def test_a_number_is_whole_or_absent_on_any_size(rows: int) -> None:
         **place,
     )  # fmt: skip
     knowledge = Knowledge()
-    knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
+    knowledge.set_documents(checked(SelfCheckDocument, CHECK), checked(TargetsDocument, TARGETS))
     hear(knowledge, document, LAST_S)
     document = status(SPOT_MISSING, DUSTY, signal="out_of_specification")
-    knowledge.set_status(StatusDocument.checked(document), LAST_S)
+    knowledge.set_status(checked(StatusDocument, document), LAST_S)
     for page, columns in itertools.product(range(len(PAGES)), range(20, 101)):
         text = screen(knowledge, LAST_S, rows, columns, utf8=columns % 2 == 0, page=page)
         assert not numbers_on(text) - MEASURED - FURTHER, text
@@ -192,7 +193,7 @@ def test_numbers_that_are_not_of_now_are_not_called_valid(code: str) -> None:
     assert text.startswith(f"{code.upper()}, 0.5 s old, mean of 20 exposures; exposures_lost, {code}")
     assert style is Style.WARNING
     reading = reading_of(measurement(status=[code]), QUANTITIES)
-    shown = status_text(reading, StatusDocument.checked(status()), CHECKED, CalibrationDocument())
+    shown = status_text(reading, checked(StatusDocument, status()), CHECKED, CalibrationDocument())
     assert f"measuring    {code.upper()}, 0.50 s old" in shown
 
 
@@ -202,7 +203,7 @@ def test_the_age_grows_between_two_answers() -> None:
 
 def test_another_unit_has_another_past() -> None:
     knowledge = after_a_minute()
-    knowledge.set_status(StatusDocument.checked(status() | {"serial": "ALT-0008"}), LAST_S + 1)
+    knowledge.set_status(checked(StatusDocument, status() | {"serial": "ALT-0008"}), LAST_S + 1)
     hear(knowledge, measurement(), LAST_S + 1)
     assert knowledge.trend("x_mm", LAST_S + 1, 60, 1.0)[:-1] == [None] * 59
 
@@ -236,8 +237,8 @@ class TestView:
         }
         knowledge = Knowledge()
         hear(knowledge, measurement(), 0.0)
-        knowledge.set_documents(SelfCheckDocument.checked(CHECK), TargetsDocument.checked(TARGETS))
-        knowledge.set_status(StatusDocument.checked(status(**parts)), 0.0)
+        knowledge.set_documents(checked(SelfCheckDocument, CHECK), checked(TargetsDocument, TARGETS))
+        knowledge.set_status(checked(StatusDocument, status(**parts)), 0.0)
         view = View(3)
         for _ in range(500):
             view = draw(knowledge, 0.0, view.pressed("down"), Canvas(24, 80, is_utf8=False))
@@ -252,11 +253,11 @@ class TestView:
 
 def test_a_hundred_causes_leave_the_keys_in_sight() -> None:
     cause = {
-        "code": "stale", "signal": "failure", "of": None, "active": True, "for_s": 1.0,
+        "code": "stale", "signal": "failure", "of": None, "active": True, "for_s": 1.0, "times": 1,
         "brief": "no new measurement", "remedy": "look", "detail": "",
     }  # fmt: skip
     knowledge = after_a_minute()
-    knowledge.set_status(StatusDocument.checked(status(*[cause] * 100, signal="failure")), LAST_S)
+    knowledge.set_status(checked(StatusDocument, status(*[cause] * 100, signal="failure")), LAST_S)
     lines = screen(knowledge, LAST_S).split("\n")
     assert lines[-1].startswith("tab, arrows: [targets]")
     assert lines[-2] == "... more on the page of causes"
