@@ -9,6 +9,7 @@ from datetime import datetime
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from altd.selfcheck.records import SelfCheck
+from altd.status.answer import Answer
 from altd.status.event_log import EventKind, EventLog
 
 Provider = TypeVar("Provider")
@@ -172,32 +173,20 @@ class NoExposureError(NotKeptError):
     """There is nothing to keep: the cameras delivered nothing, which they report themselves."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeptRecording:
-    """A recording on the unit's disk. ``start`` is UTC, ISO 8601; empty if it is not known.
-
-    ``why`` is the code of the cause with its target or component, or the user who requested the recording.
-    """
+class KeptRecording(Answer):
+    """Frames of the last seconds, kept on the unit."""
 
     name: str
     why: str
-    start: str
+    """Code of the cause with its target or component, or the user that requested the recording."""
+    start: str | None
+    """Time of its first frame, UTC; null: not known."""
     seconds: float
     exposures: int
     bytes: int
-    is_marked: bool
-
-    def as_object(self) -> dict[str, object]:
-        """Return the recording as plain JSON types."""
-        return {
-            "name": self.name,
-            "why": self.why,
-            "start": self.start or None,
-            "seconds": round(self.seconds, 3),
-            "exposures": self.exposures,
-            "bytes": self.bytes,
-            "marked": self.is_marked,
-        }
+    """Size on the unit's disk, bytes."""
+    marked: bool
+    """Whether the recording is kept when space is needed."""
 
 
 class RecordingKeeper(Protocol):

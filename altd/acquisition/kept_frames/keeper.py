@@ -117,7 +117,7 @@ class FrameKeeper:
 
     async def mark(self, name: str, is_marked: bool) -> KeptRecording:
         """Mark a recording, so that it is never removed, or unmark it; raises NotKeptError."""
-        before = any(each.name == name and each.is_marked for each in self._recordings)
+        before = any(each.name == name and each.marked for each in self._recordings)
         kept = await self._on_disk(
             partial(self._store.mark, name, is_marked), lambda _: self._store.mark(name, before)
         )

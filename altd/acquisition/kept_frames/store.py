@@ -11,7 +11,7 @@ import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -111,7 +111,7 @@ class RecordingStore:
         path = self.folder_of(name)
         if (found := self._read(name)) is None:
             raise NotKeptError("the recording cannot be read")
-        number, kept = found[0], replace(found[1], is_marked=is_marked)
+        number, kept = found[0], found[1].model_copy(update={"marked": is_marked})
         try:
             _write_about(path, number, kept)
         except (BadInputError, OSError) as error:
@@ -142,13 +142,13 @@ class RecordingStore:
                 if not written.exposures:
                     raise NoExposureError("there is no exposure of all cameras in the last seconds")
                 kept = KeptRecording(
-                    self._new_name(why, start),
-                    one_line(why)[:_MAX_WHY_CHARACTERS],
-                    "" if start is None else utc_text(start),
-                    written.seconds,
-                    written.exposures,
-                    _bytes_of(under_way) + _BLOCK_BYTES,
-                    is_marked=False,
+                    name=self._new_name(why, start),
+                    why=one_line(why)[:_MAX_WHY_CHARACTERS],
+                    start=None if start is None else utc_text(start),
+                    seconds=round(written.seconds, 3),
+                    exposures=written.exposures,
+                    bytes=_bytes_of(under_way) + _BLOCK_BYTES,
+                    marked=False,
                 )
                 newest = max((number for number, _ in self._numbered()), default=0)
                 _write_about(under_way, min(newest + 1, _MAX_NUMBER), kept)
@@ -171,12 +171,12 @@ class RecordingStore:
         free = shutil.disk_usage(self._folder).free - MIN_FREE_BYTES
         lacking = max(sum(kept.bytes for kept in there) + max_bytes - self._max_bytes, max_bytes - free)
         going = []
-        for oldest in (kept for kept in reversed(there) if not kept.is_marked):
+        for oldest in (kept for kept in reversed(there) if not kept.marked):
             if lacking > 0:
                 going.append(oldest.name)
                 lacking -= oldest.bytes
         if lacking > 0:
-            marked = sum(kept.bytes for kept in there if kept.is_marked)
+            marked = sum(kept.bytes for kept in there if kept.marked)
             allowed = f"of {self._max_bytes >> 20} MB (kept_frames.disk_mb)"
             held = (
                 f"marked recordings take {marked >> 20} {allowed}"
@@ -218,7 +218,15 @@ class RecordingStore:
             return None
         facts = about if isinstance(about, dict) else {}
         number, why, start, seconds, exposures = _believed(facts) or (0, _DAMAGED, "", 0.0, 0)
-        kept = KeptRecording(name, why, start, seconds, exposures, taken, facts.get("marked") is True)
+        kept = KeptRecording(
+            name=name,
+            why=why,
+            start=start or None,
+            seconds=round(seconds, 3),
+            exposures=exposures,
+            bytes=taken,
+            marked=facts.get("marked") is True,
+        )
         return number, kept
 
     def _refused(self, error: BadInputError | OSError) -> NotKeptError:

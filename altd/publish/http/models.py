@@ -7,6 +7,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from altd.status.answer import Answer
+from altd.status.services import KeptRecording
 
 
 class Error(Answer):
@@ -88,28 +89,12 @@ class Events(Answer):
     events: list[Event]
 
 
-class Recording(Answer):
-    """Frames of the last seconds, kept on the unit."""
-
-    name: str
-    why: str
-    """Code of the cause with its target or component, or the user that requested the recording."""
-    start: str | None
-    """Time of its first frame, UTC; null: not known."""
-    seconds: float
-    exposures: int
-    bytes: int
-    """Size on the unit's disk, bytes."""
-    marked: bool
-    """Whether the recording is kept when space is needed."""
-
-
 class Recordings(Answer):
     """Recordings that the unit has kept."""
 
     unavailable: str
     """Reason why the unit keeps no recordings; empty: it keeps them."""
-    recordings: list[Recording]
+    recordings: list[KeptRecording]
     """Recordings, the newest first."""
 
 

@@ -12,6 +12,7 @@ from altd.publish.http.operations import Operation, Parameter, ServedPath
 from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
 from altd.status import models as unit
 from altd.status.event_log import EventKind
+from altd.status.services import KeptRecording
 
 HTML = "text/html"
 EVENT_STREAM = "text/event-stream"
@@ -123,7 +124,7 @@ _RECORDINGS = {
     "POST": Operation(
         lambda to, request: to.recordings.keep(request),
         "Keep the frames of the last seconds as a recording",
-        models.Recording,
+        KeptRecording,
         status=201,
         errors={**_NOT_ALLOWED, 409: "disabled on this unit, or not possible now"},
         acts=True,
@@ -133,7 +134,7 @@ _RECORDINGS = {
 _MARK = Operation(
     lambda to, request: to.recordings.mark(request),
     "Mark a recording, so that it is never removed to make room",
-    models.Recording,
+    KeptRecording,
     errors={**_NOT_ALLOWED, **_NO_RECORDING},
     query=(_RECORDING_NAME,),
     acts=True,

@@ -38,7 +38,17 @@ RECORDING = "20261120T012345Z-spot_missing-front"
 class Keeper:
     """Has one recording."""
 
-    recordings = (KeptRecording(RECORDING, "spot_missing front", "", 12.0, 240, 1 << 20, is_marked=False),)
+    recordings = (
+        KeptRecording(
+            name=RECORDING,
+            why="spot_missing front",
+            start=None,
+            seconds=12.0,
+            exposures=240,
+            bytes=1 << 20,
+            marked=False,
+        ),
+    )
 
     async def keep(self, why: str) -> KeptRecording:
         raise NotKeptError("not here")

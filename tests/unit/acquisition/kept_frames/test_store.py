@@ -51,7 +51,7 @@ def test_a_recording_is_found_by_its_time_and_its_cause(tmp_path: Path) -> None:
     kept = shelf.add()
     assert kept.name == "20261120T012346Z-front_spot_missing-front"
     assert kept.start == "2026-11-20T01:23:46.000Z"
-    assert (kept.exposures, kept.seconds, kept.is_marked) == (3, 0.15, False)
+    assert (kept.exposures, kept.seconds, kept.marked) == (3, 0.15, False)
     assert 10 * KIB <= kept.bytes <= 24 * KIB
     assert shelf.store.recordings() == (kept,)
     folder = shelf.store.folder_of(kept.name)
@@ -135,7 +135,7 @@ def test_two_of_one_second_have_two_names(tmp_path: Path) -> None:
 
 def test_a_clock_that_knows_no_time_gives_no_invented_one(tmp_path: Path) -> None:
     kept = RecordingStore(tmp_path, 1 << 20).add("asked", None, KIB, content(KIB))  # type: ignore[arg-type]
-    assert (kept.name, kept.start) == ("unknown-time-asked", "")
+    assert (kept.name, kept.start) == ("unknown-time-asked", None)
 
 
 def test_the_oldest_make_room(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_those_of_before_there_were_numbers_are_the_oldest(tmp_path: Path) -> No
 def test_a_marked_one_stays(tmp_path: Path) -> None:
     shelf = Shelf(tmp_path, max_bytes=100 * KIB)
     marked = shelf.add(20 * KIB)
-    assert shelf.store.mark(marked.name, is_marked=True).is_marked
+    assert shelf.store.mark(marked.name, is_marked=True).marked
     for _ in range(6):
         last = shelf.add(20 * KIB)
     assert marked.name in shelf.names()
@@ -374,7 +374,7 @@ def test_the_mark_of_one_that_is_damaged_counts_and_can_be_taken_away(tmp_path: 
     (tmp_path / marked.name / "kept.json").write_text('{"seconds": NaN, "marked": true}')
     with pytest.raises(NotKeptError, match="marked recordings take"):
         shelf.add(60 * KIB)
-    assert not shelf.store.mark(marked.name, is_marked=False).is_marked
+    assert not shelf.store.mark(marked.name, is_marked=False).marked
     assert shelf.names() == [marked.name]
     last = shelf.add(60 * KIB)
     assert shelf.names() == [last.name]

@@ -6,7 +6,6 @@ import json
 import subprocess
 import tarfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,15 @@ from altd.status.health import Health
 from altd.status.services import KeptRecording, NotKeptError
 
 NAME = "20261120T012345Z-spot_missing-front"
-KEPT = KeptRecording(NAME, "spot_missing front", "2026-11-20T01:23:45.000Z", 12.0, 240, 50_000_000, False)
+KEPT = KeptRecording(
+    name=NAME,
+    why="spot_missing front",
+    start="2026-11-20T01:23:45.000Z",
+    seconds=12.0,
+    exposures=240,
+    bytes=50_000_000,
+    marked=False,
+)
 FILES = "empty", "front/000000.png", "recording.json"
 ACT = "X-Altd-Request: test\r\n"
 
@@ -35,11 +42,11 @@ class Keeper:
     async def keep(self, why: str) -> KeptRecording:
         self._check()
         self.asked.append(why)
-        return replace(KEPT, why=why)
+        return KEPT.model_copy(update={"why": why})
 
     async def mark(self, name: str, is_marked: bool) -> KeptRecording:
         self._check()
-        self.recordings = (replace(KEPT, is_marked=is_marked),)
+        self.recordings = (KEPT.model_copy(update={"marked": is_marked}),)
         return self.recordings[0]
 
     async def files(self, name: str) -> Sequence[str]:
