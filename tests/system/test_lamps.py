@@ -82,10 +82,13 @@ class TestDaemon:
         assert seen["let go"]["indicators"]["message"] == seen["let go"]["lamps"]["message"] == ""
 
     def test_notices_a_chip_that_went_away_and_gets_it_back(self, seen: dict[str, Any]) -> None:
+        said = (
+            "no GPIO chip 'unit'",
+            "gone",
+            "the driver does not answer within 1 s",
+        )  # the last: on a busy machine
         for name in ("indicators", "lamps"):
-            assert (
-                "no GPIO chip 'unit'" in (message := seen["unplugged"][name]["message"]) or "gone" in message
-            )
+            assert any(words in seen["unplugged"][name]["message"] for words in said)
             assert seen["plugged"][name]["state"] == "ok"
         assert seen["unplugged"]["after_s"] < 5
         assert seen["valid while unplugged"] > 0
