@@ -53,12 +53,17 @@ def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
     The stretch is half the difference of the logarithms of the radii along and across x, then along and
     across the diagonal. ``mm_per_px`` is d(x, y)/d(u, v), (2, 2).
     """
-    px_per_mm = np.linalg.inv(mm_per_px)
-    form = px_per_mm.T @ np.array([[shape.a, shape.b], [shape.b, shape.c]]) @ px_per_mm
-    # at 1/e² of the peak q^order = 2, and q = ½ xᵀ form x
-    values, vectors = np.linalg.eigh(form / (2 * 2 ** (1 / shape.order)))
-    logs = (vectors * (-0.5 * np.log(np.maximum(values, 1e-12)))) @ vectors.T
-    return np.array([(logs[0, 0] + logs[1, 1]) / 2, (logs[0, 0] - logs[1, 1]) / 2, logs[0, 1], shape.order])
+    (xu, xv), (yu, yv) = mm_per_px.tolist()
+    # at 1/e² of the peak q^order = 2, and q = ½ (xx dx² + 2 xy dx dy + yy dy²)
+    scale = 1 / (2 * 2 ** (1 / shape.order) * (xu * yv - xv * yu) ** 2)
+    xx = scale * (shape.a * yv * yv - 2 * shape.b * yu * yv + shape.c * yu * yu)
+    xy = scale * (shape.b * (xu * yv + xv * yu) - shape.a * xv * yv - shape.c * xu * yu)
+    yy = scale * (shape.a * xv * xv - 2 * shape.b * xu * xv + shape.c * xu * xu)
+    mean, half = (xx + yy) / 2, (xx - yy) / 2
+    apart = math.hypot(half, xy)
+    shorter, longer = (-0.5 * math.log(max(value, 1e-12)) for value in (mean + apart, mean - apart))
+    stretch = (shorter - longer) / (2 * apart) if apart else 0.0
+    return np.array([(shorter + longer) / 2, stretch * half, stretch * xy, shape.order])
 
 
 def unlike_a_laser(
