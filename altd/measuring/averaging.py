@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -157,16 +158,15 @@ def mean_spots(
     light that one spot does not explain is not averaged down, since it is the same in all frame sets. With
     three frame sets or fewer the motion is unknown.
     """
-    usable = [frame_set for frame_set in frame_sets if not frame_set.faults()]
-    is_lost = len(frame_sets) >= _MAX_UNUSABLE_AT_END and all(
-        e.faults() for e in frame_sets[-_MAX_UNUSABLE_AT_END:]
-    )
+    rows = [_rows_of(frame_set, targets) for frame_set in frame_sets]
+    is_lost = len(rows) >= _MAX_UNUSABLE_AT_END and all(row is None for row in rows[-_MAX_UNUSABLE_AT_END:])
+    usable = [row for row in rows if row is not None]
     least = math.ceil(window / 2)
     if is_lost or len(usable) + passed_over < least:
         return _reasons_of_unusable(frame_sets)
     if len(usable) < least:
         return (_WARMING_UP,)
-    spots = np.array([[_numbers_of(frame_set, target) for target in targets] for frame_set in usable])
+    spots = np.array(usable)
     px = spots[:, :, :2].reshape(len(usable), 2 * len(targets))
     typical_noise = np.repeat(median(spots[:, :, _SIGMA], axis=0), 2)
     is_inlier = _is_inlier(px, typical_noise, usual_px)
@@ -174,7 +174,7 @@ def mean_spots(
     too_many = len(usable) - count > _MAX_OUTLIER_FRACTION * len(usable)
     if too_many or _has_two_clusters(px[is_inlier], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
-    times_ns = [frame_set.t_ns for frame_set in usable]
+    times_ns = [frame_set.t_ns for frame_set, row in zip(frame_sets, rows, strict=True) if row is not None]
     middle_ns = _middle_ns([t_ns for t_ns, near in zip(times_ns, is_inlier, strict=True) if near])
     since_middle_ns = np.array([t_ns - middle_ns for t_ns in times_ns], dtype=np.float64)
     inliers = spots[is_inlier]
@@ -184,6 +184,7 @@ def mean_spots(
     covariance_px2 = _covariance_of_mean(
         deviations_px[is_inlier], speed, since_middle_ns[is_inlier], typical_noise
     )
+    behind_ns = mean[:, _BEHIND_NS].tolist()
     return MeanSpots(
         targets=targets,
         px=mean[:, :2] - speed.reshape(-1, 2) * mean[:, _BEHIND_NS, None],
@@ -196,7 +197,7 @@ def mean_spots(
         excess_px=tuple(math.sqrt(square) for square in mean[:, _EXCESS2].tolist()),
         log_lights=inliers[:, :, _LIGHT],
         motion=_motion(deviations_px, since_middle_ns, is_inlier, covariance_px2, typical_noise),
-        apart_s=float(np.ptp(mean[:, _BEHIND_NS])) * 1e-9,
+        apart_s=(max(behind_ns) - min(behind_ns)) * 1e-9,
     )
 
 
@@ -207,6 +208,17 @@ _LIGHT_SIGMA_DIAMETERS = 8.0
 _NO_SHAPE = (math.nan,) * 4
 _SHAPE_PARTS = 3
 """Number of parts of a window whose shapes are compared: a disturbance of a third is not averaged down."""
+
+
+@lru_cache(maxsize=256)
+def _rows_of(frame_set: FrameSet, targets: tuple[str, ...]) -> FloatArray | None:
+    """Return the numbers of the targets' spots, (targets, numbers); None if the frame set is not usable.
+
+    They are kept, since a sliding window needs them as often as it has frame sets.
+    """
+    if frame_set.faults():
+        return None
+    return np.array([_numbers_of(frame_set, target) for target in targets])
 
 
 def _numbers_of(frame_set: FrameSet, target: str) -> tuple[float, ...]:
@@ -242,8 +254,12 @@ def _motion(
 
 def _mean_shapes(spots: FloatArray) -> tuple[SpotShape | None, ...]:
     """Return the mean shape of each target's spots (frame sets, targets, numbers); None if none is known."""
-    known = [shapes[~np.isnan(shapes[:, 0])] for shapes in np.moveaxis(spots[:, :, _SHAPE], 1, 0)]
-    return tuple(SpotShape(*each.mean(axis=0).tolist()) if len(each) else None for each in known)
+    shapes = spots[:, :, _SHAPE]
+    means = shapes.mean(axis=0)
+    for target in np.flatnonzero(np.isnan(means[:, 0])):
+        known = shapes[~np.isnan(shapes[:, target, 0]), target]
+        means[target] = known.mean(axis=0) if len(known) else math.nan
+    return tuple(None if math.isnan(a) else SpotShape(a, b, c, order) for a, b, c, order in means.tolist())
 
 
 def _middle_ns(times_ns: Sequence[int]) -> int:
@@ -280,7 +296,8 @@ def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
         if not _MIN_CLUSTER_FRAME_SETS <= split <= len(px) - _MIN_CLUSTER_FRAME_SETS:
             continue
         sides = ordered[:split, column], ordered[split:, column]
-        within = math.sqrt(sum(float(np.square(side - side.mean()).sum()) for side in sides) / len(px))
+        centred = [side - side.sum() / len(side) for side in sides]
+        within = math.sqrt(sum(float(side @ side) for side in centred) / len(px))
         if gaps[split - 1, column] > _MIN_GAP_SIGMAS * (within + noise[column]):
             return True
     return False

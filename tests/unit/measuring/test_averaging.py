@@ -81,9 +81,10 @@ def test_light_that_one_spot_does_not_explain_is_not_averaged_down() -> None:
         places = rng.normal((300, 200, 310, 220), noise_px, (count, 4))
         frame_sets = [frame_set(n, tuple(at[:2]), tuple(at[2:])) for n, at in enumerate(places)]
         plain.append(mean_of(frame_sets).covariance_px2)
-        for one in frame_sets:
-            one.spots["rear"] = replace(one.spots["rear"], excess_px=excess_px)
-        mean = mean_of(frame_sets)
+        spots_of = [
+            one.spots | {"rear": replace(one.spots["rear"], excess_px=excess_px)} for one in frame_sets
+        ]
+        mean = mean_of([replace(one, spots=spots) for one, spots in zip(frame_sets, spots_of, strict=True)])
         assert mean.excess_px == pytest.approx((0.0, excess_px))
         covariances.append(mean.covariance_px2)
     added = np.mean(covariances, axis=0) - np.mean(plain, axis=0)
