@@ -134,6 +134,12 @@ FRAMES = 20
 RANDOM = np.random.default_rng(27)
 
 
+@pytest.fixture(autouse=True)
+def same_noise() -> None:
+    """Each test draws the same numbers, whichever ran before it in its process."""
+    RANDOM.bit_generator.state = np.random.default_rng(27).bit_generator.state
+
+
 def mean(
     t_s: float,
     front: FloatArray | float = 1000.0,
