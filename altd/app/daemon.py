@@ -25,6 +25,7 @@ from altd.acquisition.pictures import Pictures
 from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.self_check.exposing import CheckExposer
 from altd.acquisition.self_check.frames import MarkedFrames
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.acquisition.self_check.service import SelfChecks
 from altd.app.baseline import BaselineKeeper, with_baseline_kept
 from altd.app.calibration_files import ReadCalibrationFiles
@@ -44,7 +45,7 @@ from altd.app.parts import (
     switches_of,
 )
 from altd.app.reloading import Reloading
-from altd.app.self_check import check_parts_of, fps_of, why_unchecked
+from altd.app.self_check import check_parts_of, fps_of, geometry_of, why_unchecked
 from altd.config import (
     CameraLampsSettings,
     CameraSwitchesSettings,
@@ -52,7 +53,6 @@ from altd.config import (
     LiveCameraSettings,
 )
 from altd.errors import BadInputError, one_line, unwrap_group
-from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.chain import MeasuringChain, Provenance
 from altd.ports import Camera, Clock, Indicators, Lamps, Switches
 from altd.records import Fault, Quantities, origin_faults
@@ -87,7 +87,13 @@ class Daemon:
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
-        instrument = live_instrument(config, calibration, lambda: self._maintenance.frame_celsius())
+        geometry = geometry_of(config, calibration, self.clock)
+        instrument = live_instrument(
+            config,
+            calibration,
+            lambda: self._maintenance.frame_celsius(),
+            None if geometry is None else geometry.correct,
+        )
         identity = Identity.drawn(config.unit.serial)
         facts = UnitFacts(
             version=__version__,
@@ -138,22 +144,23 @@ class Daemon:
             )
         )
         self._baseline = BaselineKeeper.of(config, calibration, self.chain, self.board, self.health)
-        self.checks = self._self_checks(calibration)
+        self.checks = self._self_checks(geometry)
         self._exposure = {
             name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
             for name, settings in config.cameras.items()
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
 
-    def _self_checks(self, calibration: AnyCalibration) -> SelfChecks | None:
+    def _self_checks(self, geometry: GeometryState | None) -> SelfChecks | None:
         """Return the checks with the frame LEDs of a beam's targets; None: the unit cannot make them."""
-        if isinstance(calibration, PlanarCalibration) or not isinstance(self.chain, MeasuringChain):
+        if geometry is None or not isinstance(self.chain, MeasuringChain):
             self.health.self_check.unavailable = "this instrument has no frame LEDs"
             return None
-        if why := why_unchecked(calibration, self._cameras, self.lamps is not None):
+        if why := why_unchecked(geometry.calibration, self._cameras, self.lamps is not None):
             self.health.self_check.unavailable = why
             return None
-        parts = check_parts_of(self.config, calibration, views_of(self.config), self.chain, self.clock)
+        views, locators = views_of(self.config), self.chain.locators
+        parts = check_parts_of(self.config, geometry, views, locators, self.clock)
         targets = {view.camera: view.target for view in self._views}
         component = self.health.component("self-check")
         return SelfChecks(parts, targets, self.health.self_check, component, self.clock)

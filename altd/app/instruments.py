@@ -24,7 +24,7 @@ from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
-from altd.records import CameraIdentity, Quantities
+from altd.records import CameraIdentity, MeanSpots, Quantities
 from altd.status.services import TargetView
 from altd.status.target_area import TargetArea
 
@@ -50,11 +50,15 @@ class LiveInstrument:
 
 
 def live_instrument(
-    config: Config, calibration: AnyCalibration, celsius: Callable[[], float | None] = lambda: None
+    config: Config,
+    calibration: AnyCalibration,
+    celsius: Callable[[], float | None] = lambda: None,
+    correct: Callable[[MeanSpots], MeanSpots] | None = None,
 ) -> LiveInstrument:
     """Return the instrument of a config; the calibration was checked against the config.
 
-    ``celsius`` returns the temperature of a beam's frame, °C; None: not known.
+    ``celsius`` returns the temperature of a beam's frame, °C; None: not known. ``correct`` removes a known
+    drift of a beam's cameras from the mean spots.
     """
     if isinstance(calibration, PlanarCalibration):
         return _planar(config, calibration)
@@ -62,7 +66,7 @@ def live_instrument(
         _ = target.inverse  # computed now: in the first measurement it would block the loop
     by_name = {target.name: target for target in calibration.targets}
     is_row = config.unit.instrument == "chain"
-    parts = _row(config, calibration) if is_row else _beam(config, calibration, celsius)
+    parts = _row(config, calibration) if is_row else _beam(config, calibration, celsius, correct)
     quantities, chain, stale_after_s = parts
     summary = summary_of(
         calibration, [target.name for target in config.targets], config.unit.calibration.name
@@ -83,7 +87,12 @@ _Parts = tuple[Quantities, Callable[[Provenance], Chain], float]
 """Quantities, chain factory, and the age at which a measurement is stale, s."""
 
 
-def _beam(config: Config, calibration: Calibration, celsius: Callable[[], float | None]) -> _Parts:
+def _beam(
+    config: Config,
+    calibration: Calibration,
+    celsius: Callable[[], float | None],
+    correct: Callable[[MeanSpots], MeanSpots] | None,
+) -> _Parts:
     measuring = config.measuring
     instrument = BeamInstrument(calibration, measuring, config.installation, celsius)
     stale_after_s, is_switched = measuring.stale_after_s, bool(config.switched_targets)
@@ -93,7 +102,9 @@ def _beam(config: Config, calibration: Calibration, celsius: Callable[[], float 
     def chain(provenance: Provenance) -> Chain:
         names = tuple(target.name for target in config.targets)
         switched = SwitchedWindow(names, measuring.window, measuring.every) if is_switched else None
-        return MeasuringChain(views_of(config), calibration, measuring, instrument, provenance, switched)
+        return MeasuringChain(
+            views_of(config), calibration, measuring, instrument, provenance, switched, correct
+        )
 
     return instrument.quantities, chain, stale_after_s
 

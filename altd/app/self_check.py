@@ -11,9 +11,12 @@ from altd.acquisition.self_check.judging import CheckJudge, limits_of
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Schedule
 from altd.acquisition.self_check.service import CheckParts
+from altd.app.parts import AnyCalibration
 from altd.config import Config, LiveCameraSettings
+from altd.instruments.planar.instrument import PlanarCalibration
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import View
+from altd.measuring.spot_locator import SpotLocator
 from altd.ports import Camera, Clock
 
 _USUAL_FPS = 20.0
@@ -37,17 +40,28 @@ def fps_of(config: Config) -> float:
     return min(rates, default=_USUAL_FPS)
 
 
+def geometry_of(config: Config, calibration: AnyCalibration, clock: Clock) -> GeometryState | None:
+    """Return the state of the geometry, before the first check; None: of a plate, which has no frame LEDs."""
+    if isinstance(calibration, PlanarCalibration):
+        return None
+    return GeometryState(config.self_check, limits_of(config.self_check), calibration, clock)
+
+
 def check_parts_of(
-    config: Config, calibration: Calibration, views: Sequence[View], chain: MeasuringChain, clock: Clock
+    config: Config,
+    geometry: GeometryState,
+    views: Sequence[View],
+    locators: Mapping[str, SpotLocator],
+    clock: Clock,
 ) -> CheckParts:
     """Return the parts for the checks of a config."""
-    settings, limits = config.self_check, limits_of(config.self_check)
+    settings, calibration = config.self_check, geometry.calibration
     period_ns = round(1e9 / fps_of(config))
     return CheckParts(
         LedLog(clock, {view.camera: period_ns for view in views}),
         Schedule(clock, settings.interval_s, settings.enabled),
-        CheckJudge(views, calibration, limits, config.installation),
-        GeometryState(settings, limits, calibration, clock),
-        Correction(chain, calibration, {view.camera: view.target for view in views}),
+        CheckJudge(views, calibration, limits_of(settings), config.installation),
+        geometry,
+        Correction(locators, calibration, {view.camera: view.target for view in views}),
         CheckMemory(calibration, clock),
     )

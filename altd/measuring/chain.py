@@ -89,13 +89,14 @@ class MeasuringChain:
 
     ``switched`` is the window of a unit with a switched front target: a frame set shows only the opaque
     target, and one without an opaque target is not measured. None: each frame set shows all targets.
+    ``correct`` removes a known drift of the cameras from the mean spots, before they are mapped.
 
     ``push`` runs all steps. A daemon runs the three steps on separate threads: ``pairer`` makes frame sets,
     ``locators`` locate the spots, by camera, and ``add`` processes the results. The steps share only the
     figures that ``pairer`` counts.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  the parts of a unit
         self,
         views: Sequence[View],
         calibration: Calibration,
@@ -103,6 +104,7 @@ class MeasuringChain:
         instrument: Instrument,
         provenance: Provenance = _UNKNOWN,
         switched: Window | None = None,
+        correct: Callable[[MeanSpots], MeanSpots] | None = None,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -143,8 +145,7 @@ class MeasuringChain:
         self._changed_light: tuple[float, ...] = ()
         self._motion_memory = MotionMemory()
         self._gate = Gate()
-        self.correct: Callable[[MeanSpots], MeanSpots] | None = None
-        """Correction of the mean spots for a known drift of the cameras, applied before mapping."""
+        self._correct = correct
         self._breaks_in_window = dict.fromkeys(self._views, 0)
         self._last_frame_set: FrameSet | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
@@ -322,7 +323,7 @@ class MeasuringChain:
         spots = mean.at_newest() if self._is_of_now else mean
         if spots is None:
             return self._invalid(frame_set, mean.t_ns, (_MOTION_UNKNOWN,))
-        solution = self._instrument.solve(spots if self.correct is None else self.correct(spots))
+        solution = self._instrument.solve(self._correct(spots) if self._correct else spots)
         if isinstance(solution, Fault):
             return self._invalid(frame_set, spots.t_ns, (solution,))
         self._light_balance.update(mean)

@@ -1,6 +1,6 @@
 """Measurements of a beam, for the tests of boards and publishers; the chain that makes them of frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -12,7 +12,7 @@ from altd.instruments.chain.measurement import quantities_of
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.reasons import Reason
-from altd.records import Fault, Measurement, Value
+from altd.records import Fault, MeanSpots, Measurement, Value
 
 BEAM = Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011)
 POINTS_MM = {"front": (10.012, 4.987), "rear": (15.613, -3.413)}
@@ -110,8 +110,10 @@ def beam_chain(
     measuring: Measuring,
     installation: Installation | None = None,
     provenance: Provenance | None = None,
+    correct: Callable[[MeanSpots], MeanSpots] | None = None,
 ) -> MeasuringChain:
     """The chain of a beam, each of whose targets has a camera of its name."""
     views = [View(target.name, target.name) for target in calibration.targets]
     instrument = BeamInstrument(calibration, measuring, installation)
-    return MeasuringChain(views, calibration, measuring, instrument, provenance or Provenance())
+    of = provenance or Provenance()
+    return MeasuringChain(views, calibration, measuring, instrument, of, correct=correct)

@@ -44,9 +44,9 @@ class Bench:
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._chain = beam_chain(calibration, Measuring(window=WINDOW))
         self._geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
-        self._correction = Correction(self._chain, calibration, {camera: camera for camera in CAMERAS})
+        self._chain = beam_chain(calibration, Measuring(window=WINDOW), correct=self._geometry.correct)
+        self._correction = Correction(self._chain.locators, calibration, {name: name for name in CAMERAS})
         self._sequence = 1000
         self.unit = Unit(UnitConfig(seed=3, lux=LUX))
 

@@ -1,4 +1,4 @@
-"""Correction of a drift in the running chain: corrects mean spots, moves flats and fingerprints."""
+"""Correction of a drift in the running chain: moves the flats and fingerprints of its locators."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.measuring.calibration import Calibration, TargetCalibration
-from altd.measuring.chain import MeasuringChain
-from altd.measuring.spot_locator import Appearance
+from altd.measuring.spot_locator import Appearance, SpotLocator
 from altd.records import FloatArray
 from altd.selfcheck.records import Similarity
 from altd.selfcheck.verdict import flat_now
@@ -21,10 +20,12 @@ _MIN_CHANGE_PX = 0.1
 
 
 class Correction:
-    """Keeps a chain corrected by the last check. ``targets`` names the target of each camera."""
+    """Keeps the locators as the last check found the targets. ``targets`` names the target of each camera."""
 
-    def __init__(self, chain: MeasuringChain, calibration: Calibration, targets: Mapping[str, str]) -> None:
-        self._chain = chain
+    def __init__(
+        self, locators: Mapping[str, SpotLocator], calibration: Calibration, targets: Mapping[str, str]
+    ) -> None:
+        self._locators = locators
         self._known = {target.name: target for target in calibration.targets}
         self._targets = targets
         self._flats: dict[str, tuple[Similarity, Flat]] = {}
@@ -37,11 +38,10 @@ class Correction:
                 self._flat_now(camera, self._known[name], transforms[name])
 
     def apply(self, geometry: GeometryState) -> None:
-        """Correct the chain for a state of the geometry from now on."""
-        self._chain.correct = geometry.correct
+        """Move the targets' appearance to a state of the geometry from now on."""
         for camera, name in self._targets.items():
             seen = self._seen(camera, self._known[name], geometry.transforms.get(name))
-            self._chain.locators[camera].appearance = seen
+            self._locators[camera].appearance = seen
 
     def _seen(self, camera: str, target: TargetCalibration, transform: Similarity | None) -> Appearance:
         """Return the appearance of a target moved by the transform; without one, as it was calibrated."""

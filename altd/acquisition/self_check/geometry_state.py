@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
 from altd.config import SelfCheckSettings
 from altd.measuring.calibration import Calibration
@@ -34,7 +33,7 @@ class GeometryState:
     ) -> None:
         self._settings = settings
         self._limits = limits
-        self._calibration = calibration
+        self.calibration = calibration
         self._clock = clock
         self._known: SelfCheck | None = None
         self._known_ns = 0
@@ -59,12 +58,9 @@ class GeometryState:
         """Whether no measurement is valid because no check has ended yet."""
         return bool(self._pending)
 
-    @property
-    def correct(self) -> Callable[[MeanSpots], MeanSpots] | None:
-        """Function that corrects the mean spots for the drift; None: no correction."""
-        if self._compensation is None:
-            return None
-        return partial(compensated, compensation=self._compensation)
+    def correct(self, mean: MeanSpots) -> MeanSpots:
+        """Return the mean spots corrected for the drift that the last check proved, if it did."""
+        return mean if self._compensation is None else compensated(mean, self._compensation)
 
     def take(self, check: SelfCheck, slow_drift: str = "") -> None:
         """Apply a completed check; ``slow_drift`` is the finding of all checks together, as text."""
@@ -151,7 +147,7 @@ class GeometryState:
     def _compensation_of(self, check: SelfCheck) -> tuple[Compensation | None, str]:
         if not self._settings.compensate or not _is_proven(check):
             return None, ""
-        compensation = compensation_of(check, self._calibration, self._limits)
+        compensation = compensation_of(check, self.calibration, self._limits)
         if isinstance(compensation, Compensation):
             return compensation, ""
         return None, f"; not corrected: {compensation.detail}"

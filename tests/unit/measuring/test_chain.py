@@ -114,8 +114,11 @@ def test_what_threads_of_their_own_have_located_is_measured_alike(calibration: C
 
 
 def test_mean_spots_are_corrected_before_they_are_mapped(calibration: Calibration) -> None:
-    plain, corrected = chain(calibration), chain(calibration)
-    corrected.correct = lambda mean: replace(mean, px=mean.px + np.array([[0.5, 0.0], [0.5, 0.0]]))
+    measuring = Measuring(window=4)
+    plain, corrected = (
+        MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring), correct=correct)
+        for correct in (None, lambda mean: replace(mean, px=mean.px + np.array([[0.5, 0.0], [0.5, 0.0]])))
+    )
     frames = shots([(10.0, 5.0)] * 4)
     targets = [last(measured, frames).targets["rear"] for measured in (plain, corrected)]
     moved_mm = targets[1]["x_mm"].value - targets[0]["x_mm"].value  # type: ignore[index]

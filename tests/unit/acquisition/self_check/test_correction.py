@@ -50,9 +50,9 @@ class Bench:
         measuring = Measuring(window=2)
         instrument = BeamInstrument(calibration, measuring)
         self.calibration = calibration
-        self.chain = MeasuringChain(views, calibration, measuring, instrument)
         self.geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
-        self.correction = Correction(self.chain, calibration, CAMERAS)
+        self.chain = MeasuringChain(views, calibration, measuring, instrument, correct=self.geometry.correct)
+        self.correction = Correction(self.chain.locators, calibration, CAMERAS)
         self._rng = np.random.default_rng(3)
         self._number = 0
 

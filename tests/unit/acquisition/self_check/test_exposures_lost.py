@@ -49,7 +49,7 @@ class Bench:
             Schedule(self._clock, 600.0, automatic=False),
             CheckJudge(views, calibration, limits, Installation()),
             GeometryState(settings, limits, calibration, self._clock),
-            Correction(self._chain, calibration, CAMERAS),
+            Correction(self._chain.locators, calibration, CAMERAS),
             CheckMemory(calibration, self._clock),
         )
         component = Health(self._clock).component("self-check")

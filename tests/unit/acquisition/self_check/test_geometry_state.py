@@ -147,7 +147,7 @@ class TestCompensation:
     def test_is_off_unless_asked_for(self) -> None:
         of_unit = state_of()
         of_unit.take(self.PROVEN)
-        assert of_unit.correct is None
+        assert of_unit.transforms == {}
         assert codes(of_unit) == (False, ["geometry_drift"])
 
     def test_takes_out_what_is_proven_and_says_so(self) -> None:
@@ -156,16 +156,14 @@ class TestCompensation:
         assert codes(of_unit) == (True, ["compensated"])
         px = np.array([[300.0, 200.0], [400.0, 250.0]])
         mean = MeanSpots(("front", "rear"), px, 1e-4 * np.eye(4), 0, 20, 0)
-        correct = of_unit.correct
-        assert correct is not None
-        corrected = correct(mean)
+        corrected = of_unit.correct(mean)
         assert corrected.px == pytest.approx(px - [[0.5, 0.0]] * 2)
         assert all(corrected.covariance_px2.diagonal() > 1.9e-4)  # the check's own 1e-4 px² is added
 
     def test_leaves_alone_what_chance_may_be(self) -> None:
         of_unit = state_of(compensate=True)
         of_unit.take(check(Verdict.SUSPECT, "suspect", shift_px=0.05, significance=3.0))
-        assert of_unit.correct is None
+        assert of_unit.transforms == {}
         assert codes(of_unit) == (True, ["geometry_suspect"])
 
     def test_never_goes_beyond_its_limit(self) -> None:
@@ -173,7 +171,7 @@ class TestCompensation:
         of_unit.take(check(Verdict.BAD, "bad", shift_px=math.inf, significance=50.0))
         assert codes(of_unit) == (False, ["geometry_drift"])
         of_unit.take(check(Verdict.BAD, "bad", shift_px=20.0, significance=5000.0))
-        assert of_unit.correct is None
+        assert of_unit.transforms == {}
         assert codes(of_unit) == (False, ["geometry_drift"])
         assert "not corrected: front" in of_unit.faults[0].detail
 
@@ -181,10 +179,10 @@ class TestCompensation:
         of_unit = state_of(compensate=True)
         of_unit.take(self.PROVEN)
         of_unit.take(UNKNOWN)
-        assert of_unit.correct is not None
+        assert of_unit.transforms != {}
         assert codes(of_unit) == (True, ["compensated", "geometry_unknown"])
         of_unit.take(GOOD)
-        assert of_unit.correct is None
+        assert of_unit.transforms == {}
         assert codes(of_unit) == (True, [])
 
     def test_holds_through_a_check_that_saw_but_a_part_unless_that_is_bad(self) -> None:
@@ -198,7 +196,7 @@ class TestCompensation:
         assert of_unit.transforms == before
         assert codes(of_unit) == (True, ["compensated", "geometry_unknown"])
         of_unit.take(replace(BAD_IN_PART, targets=rear_only))
-        assert of_unit.correct is None
+        assert of_unit.transforms == {}
         assert codes(of_unit) == (False, ["geometry_drift", "geometry_unknown"])
 
     @pytest.mark.parametrize(
@@ -226,11 +224,10 @@ class TestCompensation:
             clock.now_ns += 10_000_000_000
             of_unit.take(UNKNOWN)
             assert not of_unit.lapse()
-        assert of_unit.correct is not None
+        assert of_unit.transforms != {}
         clock.now_ns += 1
         assert of_unit.lapse()
         assert not of_unit.lapse()
-        assert of_unit.correct is None
         assert of_unit.transforms == {}
         assert codes(of_unit) == (valid, says)
         of_unit.take(UNKNOWN)
