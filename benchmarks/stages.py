@@ -22,7 +22,8 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.measuring.averaging import FrameSetWindow
 from altd.measuring.calibration import TargetCalibration
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.frame_chain import Provenance
 from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.gate import Gate
 from altd.measuring.light_balance import LightBalance

@@ -8,11 +8,13 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Generic
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.frame_pairs import FramePairs, steps
+from altd.measuring.frame_chain import Item, Locator
 from altd.measuring.pairing import Pair
+from altd.measuring.spot_locator import Located
 from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
@@ -29,57 +31,22 @@ _MIN_PIXELS_BESIDE = 1_000_000
 pair of 752 × 480 takes 13 % more CPU and 0.9 ms longer. Serially, 12 Mpx are too slow for 20 pairs/s."""
 
 
-class Seen(Protocol):
-    """Content of a frame: the spot of a beam (``Located``), or the lights of a plate."""
-
-    @property
-    def camera(self) -> str:
-        """Name of the frame's camera in the config."""
-
-    @property
-    def sequence(self) -> int:
-        """Number of the exposure."""
-
-    @property
-    def t_ns(self) -> int:
-        """Middle of the exposure."""
-
-    @property
-    def leds_on(self) -> bool:
-        """Whether the frame LEDs were lit or being switched."""
-
-    @property
-    def spot(self) -> Spot | NoSpot | str:
-        """Result for display."""
-
-    @property
-    def found(self) -> Spot | NoSpot | None:
-        """Result for exposure control; None: exposure control does not use this frame."""
-
-
-class Locator(Protocol):
-    """One camera's part of an instrument's chain; called by one thread."""
-
-    def locate(self, frame: Frame) -> Seen:
-        """Return the content of a frame."""
-
-
 class LocatingStalledError(Exception):
     """The locating of a frame does not end: a defect that a new process may not have."""
 
 
-class LocatedPairs:
+class LocatedPairs(Generic[Item]):
     """Passes the results for ``frames`` from the locating thread to the loop; create it in that loop."""
 
     def __init__(self, frames: FramePairs) -> None:
         self.frames = frames
         self._loop = asyncio.get_running_loop()
         self._ready = asyncio.Event()
-        self._pairs: deque[Pair[Any]] = deque()
+        self._pairs: deque[Pair[Item]] = deque()
         self._taken = threading.Condition()
         self._is_closed = False
 
-    def put(self, pair: Pair[Any]) -> None:
+    def put(self, pair: Pair[Item]) -> None:
         """Pass on a frame set, from the thread; wait while ``MAX_WAITING_PAIRS`` are not yet taken."""
         with self._taken:
             while len(self._pairs) >= MAX_WAITING_PAIRS and not self._is_closed:
@@ -90,7 +57,7 @@ class LocatedPairs:
         except RuntimeError:
             return  # the loop is closed: the process is ending
 
-    async def take(self) -> list[Pair[Any]]:
+    async def take(self) -> list[Pair[Item]]:
         """Wait for a wake-up; return all waiting frame sets, oldest first; may be empty."""
         await self._ready.wait()
         self._ready.clear()
@@ -112,7 +79,7 @@ class LocatedPairs:
             self._taken.notify_all()
 
 
-class Locating:
+class Locating(Generic[Item]):
     """Locates the spots of frame sets; large frames of a set in parallel, with one thread per camera.
 
     ``exposures`` (by camera) sample each frame with its result, and ``show`` is called with each frame and
@@ -121,7 +88,7 @@ class Locating:
 
     def __init__(
         self,
-        locators: Mapping[str, Locator],
+        locators: Mapping[str, Locator[Item]],
         exposures: Mapping[str, ExposureControl],
         show: Callable[[Frame, Spot | NoSpot | str], None] = lambda frame, spot: None,
     ) -> None:
@@ -137,7 +104,7 @@ class Locating:
         """Wake the locating thread, from any thread: frame sets wait."""
         self._arrived.set()
 
-    async def run(self, located: LocatedPairs) -> None:
+    async def run(self, located: LocatedPairs[Item]) -> None:
         """Locate the spots of each frame set until cancelled or until the cameras end.
 
         Raises a locator's exception, and LocatingStalledError if a locator does not return.
@@ -162,7 +129,7 @@ class Locating:
         done.result()
         located.wake()  # no later frame set wakes the reader
 
-    def _locate_all(self, located: LocatedPairs) -> None:
+    def _locate_all(self, located: LocatedPairs[Item]) -> None:
         _, *others = self._locators
         helpers = {camera: _Helper(self._locate) for camera in others}
         is_at_end = False
@@ -179,7 +146,7 @@ class Locating:
             for helper in helpers.values():
                 helper.end()
 
-    def _locate_pair(self, pair: Pair[Frame], helpers: Mapping[str, _Helper]) -> Pair[Any]:
+    def _locate_pair(self, pair: Pair[Frame], helpers: Mapping[str, _Helper[Item]]) -> Pair[Item]:
         """Start helpers on their large frames, locate the other frames here, and wait for the helpers."""
         beside = {
             frame.camera
@@ -192,7 +159,7 @@ class Locating:
         own = iter([self._locate(frame) for frame in pair.all_items if frame.camera not in beside])
         return pair.of(lambda frame: helpers[frame.camera].located() if frame.camera in beside else next(own))
 
-    def _locate(self, frame: Frame) -> Seen:
+    def _locate(self, frame: Frame) -> Item:
         self._in_hand[frame.camera], began_ns = frame, time.perf_counter_ns()
         located = locate_frame(frame, self._locators[frame.camera], self._exposures.get(frame.camera))
         self._in_hand[frame.camera] = None
@@ -204,20 +171,20 @@ class Locating:
         return located
 
 
-class _Helper:
+class _Helper(Generic[Item]):
     """Locates the frames of one camera in a separate thread."""
 
-    def __init__(self, locate: Callable[[Frame], Seen]) -> None:
+    def __init__(self, locate: Callable[[Frame], Item]) -> None:
         self._locate = locate
         self._frames: SimpleQueue[Frame | None] = SimpleQueue()
-        self._located: SimpleQueue[Seen | BaseException] = SimpleQueue()
+        self._located: SimpleQueue[Item | BaseException] = SimpleQueue()
         threading.Thread(target=self._run, name="locate beside", daemon=True).start()
 
     def begin(self, frame: Frame) -> None:
         """Start locating the spot of a frame."""
         self._frames.put(frame)
 
-    def located(self) -> Seen:
+    def located(self) -> Item:
         """Wait for the result of the started frame and return it; raises the locator's exception."""
         located = self._located.get()
         if isinstance(located, BaseException):
@@ -236,9 +203,9 @@ class _Helper:
                 self._located.put(error)
 
 
-def locate_frame(frame: Frame, locator: Locator, exposure: ExposureControl | None = None) -> Seen:
-    """Locate the spot of one frame; ``exposure`` samples it."""
+def locate_frame(frame: Frame, locator: Locator[Item], exposure: ExposureControl | None = None) -> Item:
+    """Return the content of one frame; ``exposure`` samples a spot in it."""
     located = locator.locate(frame)
-    if exposure is not None and located.found is not None:
+    if exposure is not None and isinstance(located, Located) and located.found is not None:
         exposure.sample(frame, located.found)
     return located

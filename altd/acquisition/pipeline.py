@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Generic
 
 from altd.acquisition.frame_pairs import steps
-from altd.acquisition.locating import LocatedPairs, Locator
+from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.self_check.service import SelfChecks
-from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.frame_chain import FrameChain, Item
+from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
-from altd.records import Frame, Measurement
+from altd.records import Measurement
 from altd.runtime.service_manager import status_line
 from altd.status.board import Board
 from altd.status.health import Component, State
@@ -23,35 +24,8 @@ _HEARTBEAT_S = 4.0
 """Maximum silence of a live pipeline: it is woken at least every ``silent_after_s``, which is 2 s at most."""
 
 
-class Chain(Protocol):
-    """The chain of an instrument: ``pairer``, ``locators`` and ``add`` run in separate threads."""
-
-    pairer: Pairer[Frame]
-    frame_sets: int
-
-    @property
-    def locators(self) -> Mapping[str, Locator]:
-        """The locators by camera."""
-
-    @property
-    def silent_after_s(self) -> float:
-        """Time without a frame after which a camera is silent, s."""
-
-    def add(self, pair: Pair[Any]) -> Measurement | None:
-        """Take the content of a frame set; return the measurement that it completes, if any."""
-
-    def silence(self, t_ns: int) -> Measurement:
-        """Return the measurement for a moment at which no camera delivers."""
-
-    def seen(self) -> Mapping[str, str] | str:
-        """Return the last finding of each target or camera as text; a sentence if there is none."""
-
-    def figures(self) -> Mapping[str, float | str | None]:
-        """Return figures for health; None: not known."""
-
-
 @dataclass(eq=False)
-class Pipeline:
+class Pipeline(Generic[Item]):
     """One daemon's pipeline.
 
     While no camera delivers, the board reports it every ``chain.silent_after_s``. ``progress`` feeds the
@@ -60,8 +34,8 @@ class Pipeline:
     measurement. ``record`` takes each measurement as it is published; it must neither block nor fail.
     """
 
-    located: LocatedPairs
-    chain: Chain
+    located: LocatedPairs[Item]
+    chain: FrameChain[Item]
     board: Board
     component: Component
     progress: Callable[[], None] = lambda: None
@@ -99,19 +73,20 @@ class Pipeline:
         self._heard_ns = max(self._heard_ns, self.located.frames.delivered_ns)
         return (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
 
-    def _measure(self, pairs: list[Pair[Any]]) -> None:
+    def _measure(self, pairs: list[Pair[Item]]) -> None:
         self.component.is_alive()
         is_silent = self._silent_for_s() >= self._silent_after_s
         if not pairs and not is_silent:
             return
         before = self.chain.frame_sets, self.board.published
         for pair in pairs:
-            for located in pair.all_items:
-                if isinstance(located, Located) and located.is_shown:
+            spots = [one for one in pair.all_items if isinstance(one, Located)]
+            for located in spots:
+                if located.is_shown:
                     self._add_located(located)
             measurement = self.chain.add(pair)
             if measurement is None:
-                why = "its LEDs were lit" if any(one.leds_on for one in pair.all_items) else "no mean is due"
+                why = "its LEDs were lit" if any(one.leds_on for one in spots) else "no mean is due"
                 steps.debug("exposure %d: %s", pair.sequence, why)
             else:
                 self._publish(measurement)

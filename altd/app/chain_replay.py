@@ -16,11 +16,15 @@ from altd.instruments.chain.displacement import BaselineMeans
 from altd.instruments.chain.frames import RowChain
 from altd.instruments.chain.measurement import quantities_of
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import Provenance, View
+from altd.measuring.chain import View
+from altd.measuring.frame_chain import Provenance
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording
 from altd.records import Measurement, Origin, Quantities, origin_faults
 from altd.status.measurement_json import as_object
+
+_MAX_PAUSE_S = 1e9
+"""Maximum time between two frames of a round: a recording may leave out what is not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +85,8 @@ class ChainReplay:
             utc=lambda t_ns: utc_of(header.start, t_ns),
         )
         views = [View(target, camera) for camera, target in self.targets.items()]
-        return RowChain(views, self.calibration, self.settings, Measuring(), provenance, self.means)
+        measuring = Measuring().model_copy(update={"silent_after_s": _MAX_PAUSE_S})
+        return RowChain(views, self.calibration, self.settings, measuring, provenance, self.means)
 
     def _measured(self, chain: RowChain, progress: Progress) -> Iterator[Measurement]:
         total, last = len(self.recording.rows), None
@@ -89,8 +94,7 @@ class ChainReplay:
             if row.opaque and not row.leds_on and row.camera in self.targets:
                 _check_exposure(self.recording, row, last)
                 last = row
-                if (measurement := chain.push(self.recording.frame(row))) is not None:
-                    yield measurement
+                yield from chain.push(self.recording.frame(row))
             progress(done, total)
         yield from chain.flush()
 

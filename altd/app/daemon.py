@@ -53,7 +53,8 @@ from altd.config import (
     LiveCameraSettings,
 )
 from altd.errors import BadInputError, one_line, unwrap_group
-from altd.measuring.chain import MeasuringChain, Provenance
+from altd.measuring.chain import MeasuringChain
+from altd.measuring.frame_chain import Provenance, Seen
 from altd.ports import Camera, Clock, Indicators, Lamps, Switches
 from altd.records import Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
@@ -224,7 +225,7 @@ class Daemon:
         pairs = FramePairs(
             self.chain.pairer, locating.arrived, self.clock, self._marks(tasks), self._ring(tasks)
         )
-        located = LocatedPairs(pairs)
+        located: LocatedPairs[Seen] = LocatedPairs(pairs)
         for name, camera in self._cameras.items():
             exposure, health = self._exposure.get(name), self.health.component(f"camera {name}")
             acquiring = tasks.create_task(acquire(camera, pairs, health, exposure), name=health.name)

@@ -10,7 +10,6 @@ import numpy as np
 
 from altd.acquisition.glasses import MAX_PAUSE_SHARE, round_s
 from altd.acquisition.pictures import outlined, view_of
-from altd.acquisition.pipeline import Chain
 from altd.app.baseline import baseline_file
 from altd.app.calibration_summary import planar_summary_of, summary_of, target_areas_of
 from altd.app.parts import AnyCalibration
@@ -23,7 +22,8 @@ from altd.instruments.chain.switched_window import SwitchedWindow
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.frame_chain import FrameChain, Provenance
 from altd.records import CameraIdentity, MeanSpots, Quantities
 from altd.status.services import TargetView
 from altd.status.target_area import TargetArea
@@ -42,7 +42,7 @@ class LiveInstrument:
     """
 
     quantities: Quantities
-    chain: Callable[[Provenance], Chain]
+    chain: Callable[[Provenance], FrameChain[Any]]
     summary: Mapping[str, Any]
     views: tuple[TargetView, ...]
     areas: tuple[TargetArea, ...]
@@ -83,7 +83,7 @@ def live_instrument(
     )
 
 
-_Parts = tuple[Quantities, Callable[[Provenance], Chain], float]
+_Parts = tuple[Quantities, Callable[[Provenance], FrameChain[Any]], float]
 """Quantities, chain factory, and the age at which a measurement is stale, s."""
 
 
@@ -99,7 +99,7 @@ def _beam(
     if config.switches is not None:  # no measurement while the glasses settle
         stale_after_s += config.switches.settle_s * (1.0 + MAX_PAUSE_SHARE)
 
-    def chain(provenance: Provenance) -> Chain:
+    def chain(provenance: Provenance) -> FrameChain[Any]:
         names = tuple(target.name for target in config.targets)
         switched = SwitchedWindow(names, measuring.window, measuring.every) if is_switched else None
         return MeasuringChain(
@@ -116,7 +116,7 @@ def _row(config: Config, calibration: Calibration) -> _Parts:
     means = None if file is None else file.load()
     longest_s = round_s(config, fps_of(config))[1]
 
-    def chain(provenance: Provenance) -> Chain:
+    def chain(provenance: Provenance) -> FrameChain[Any]:
         return RowChain(views_of(config), calibration, settings, config.measuring, provenance, means)
 
     return (

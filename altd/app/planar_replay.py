@@ -12,7 +12,7 @@ from altd.calibration.planar_file import check_planar_recording, load_planar_cal
 from altd.config import Measuring
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
-from altd.measuring.chain import Place, Provenance
+from altd.measuring.frame_chain import Place, Provenance
 from altd.recording.reader import Recording
 from altd.records import Measurement, Origin, counted, origin_faults
 from altd.status.measurement_json import as_object
@@ -63,9 +63,7 @@ class PlanarReplay:
         total, pose = len(self.recording.rows), None
         for done, row in enumerate(self.recording.rows, start=1):
             stay, pose = stay + (row.pose != pose), row.pose
-            measurement = chain.push(self.recording.frame(row))
-            if measurement is not None:
-                yield measurement
+            yield from chain.push(self.recording.frame(row))
             progress(done, total)
 
     def as_object(self, measurement: Measurement) -> Mapping[str, Any]:

@@ -16,7 +16,8 @@ from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.chain.switched_window import SwitchedWindow
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, Place, Provenance, View
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.frame_chain import Place, Provenance
 from altd.recording.frames_table import Row
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording, open_recording

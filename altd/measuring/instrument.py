@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from altd.records import Fault, MeanSpots, Quantities, Value
@@ -19,8 +20,26 @@ class Solution:
     """
 
     values: Mapping[str, Value]
-    targets: Mapping[str, Mapping[str, Value]]
+    targets: Mapping[str, Mapping[str, Value] | None]
     motions: Mapping[str, Motion] = field(default_factory=dict)
+
+    def with_motion_in_sigma(self) -> Solution | None:
+        """Return the values with sigmas about the true value at their time, vibration included.
+
+        None: the motion of a quantity with a sigma is not known.
+        """
+        values = dict(self.values)
+        for key, value in self.values.items():
+            if value.sigma is not None:
+                since = self.motions[key].variance_since(0.0) if key in self.motions else None
+                if since is None:
+                    return None
+                values[key] = Value(value.value, math.sqrt(value.sigma**2 + since))
+        motions = {key: replace(motion, is_in_sigma=True) for key, motion in self.motions.items()}
+        return replace(self, values=values, motions=motions)
+
+
+NO_SOLUTION = Solution({}, {})
 
 
 class Instrument(Protocol):

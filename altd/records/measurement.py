@@ -125,23 +125,6 @@ class Measurement:
         """Return the measurement of the same moment, invalid for these reasons."""
         return replace(self, values={}, targets=dict.fromkeys(self.targets), status=status, motions={})
 
-    def with_motion_in_sigma(self) -> Measurement | None:
-        """Return the measurement with sigmas about the true value at ``t_ns``, vibration included.
-
-        None: the motion of a quantity with a sigma is not known.
-        """
-        values = dict(self.values)
-        for quantity in self.quantities.of_unit:
-            value = values.get(quantity.key)
-            if value is None or value.sigma is None:
-                continue
-            sigma = self.sigma_at(quantity.key, 0.0)
-            if sigma is None:
-                return None
-            values[quantity.key] = Value(value.value, sigma)
-        motions = {key: replace(motion, is_in_sigma=True) for key, motion in self.motions.items()}
-        return replace(self, values=values, motions=motions)
-
     @property
     def valid(self) -> bool:
         """Whether the numbers may be used."""

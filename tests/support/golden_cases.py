@@ -15,6 +15,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam
 from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.measuring.instrument import NO_SOLUTION, Solution
 from altd.publish.serial.parts_text import Past
 from altd.reasons import Reason, Scope, Signal
 from altd.records import Fault, Measurement, Value
@@ -153,6 +154,9 @@ class Case:
         store = Store(path, MAX_BYTES, about)
         store.write(Batch(now_ns, wall_us + 2 * US, items, unit.health.events.after(0)))
         store.end(None)
+
+
+OF_NOW = Solution(MEASURED.values, {}, MEASURED.motions).with_motion_in_sigma() or NO_SOLUTION
 
 
 def invalid(*faults: Fault, of: Measurement = MEASURED) -> Measurement:
@@ -332,7 +336,7 @@ CASES: dict[str, Case] = {
     "hidden vibration": Case(replace(MEASURED, values=SHAKEN)),
     "negative zero": Case(beam(-0.0, -0.00004, -0.0, -0.000004, 0.00004, 0.0, 0.000004, 0.00001)),
     "halves": Case(beam(0.00005, 2.00015, 0.00025, -1.000005, 0.00045, 0.00055, 0.000005, 0.000015)),
-    "sigma with motion": Case(MEASURED.with_motion_in_sigma()),
+    "sigma with motion": Case(replace(MEASURED, values=OF_NOW.values, motions=OF_NOW.motions)),
     "maintenance": Case(act=seen(*with_signal(Signal.MAINTENANCE_REQUIRED)), for_s=12.0),
     "out of specification": Case(act=seen(*with_signal(Signal.OUT_OF_SPECIFICATION))),
     "failure": Case(act=seen(*with_signal(Signal.FAILURE))),

@@ -10,7 +10,8 @@ from altd.instruments.beam.instrument import QUANTITIES, BeamInstrument, values_
 from altd.instruments.beam.solver import Beam
 from altd.instruments.chain.measurement import quantities_of
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.frame_chain import Provenance
 from altd.reasons import Reason
 from altd.records import Fault, MeanSpots, Measurement, Value
 

@@ -18,7 +18,7 @@ from support.measurements import beam_chain, beam_of
 
 from altd.calibration.file import load_calibration
 from altd.config import Measuring
-from altd.measuring.chain import Provenance
+from altd.measuring.frame_chain import Provenance
 from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 from hw_sim.unit import CAMERAS

@@ -20,7 +20,8 @@ from altd.calibration.file import load_calibration
 from altd.config import Config, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.frame_chain import Provenance
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Measurement
 from altd.vision.hot_pixels import HotPixels, places_of

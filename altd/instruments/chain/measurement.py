@@ -1,14 +1,14 @@
-"""Quantities of a row, and conversion of a round to a measurement."""
+"""Quantities of a row, and their values in a round."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime
 
 import numpy as np
 
 from altd.instruments.chain.instrument import RoundResult, TargetResult
-from altd.records import Fault, FloatArray, Measurement, Quantities, Quantity, Value
+from altd.measuring.instrument import Solution
+from altd.records import FloatArray, Quantities, Quantity, Value
 
 MEASURED = Quantity("measured", "measured", "", "number of targets that were measured", 1, has_sigma=False)
 _OF_TARGET = (
@@ -47,10 +47,8 @@ def quantities_of(targets: Sequence[str]) -> Quantities:
     return Quantities("chain", (MEASURED, *places), _OF_TARGET)
 
 
-def as_measurement(
-    result: RoundResult, quantities: Quantities, time: datetime | None, origins: Sequence[Fault]
-) -> Measurement:
-    """A round as a measurement, valid if any target was measured; ``origins``: warnings of the source."""
+def solution_of(result: RoundResult) -> Solution:
+    """Return the values of a round, empty if no target was measured."""
     measured = {name: of for name, of in result.targets.items() if of.place is not None}
     values = {MEASURED.key: Value(float(len(measured)))} if measured else {}
     for name, of in measured.items():
@@ -58,18 +56,7 @@ def as_measurement(
             moved = of.displacement
             axes = _axes(moved.mm, moved.covariance_mm2, moved.random_mm2)
             values |= {f"{name}_d{axis}_mm": value for axis, value in axes}
-    faults = [fault for of in result.targets.values() for fault in of.status]
-    return Measurement(
-        sequence=result.sequence,
-        t_ns=result.t_ns,
-        time=time,
-        frames=result.frames,
-        quantities=quantities,
-        values=values,
-        targets={name: _of_target(of) for name, of in result.targets.items()},
-        status=(*result.status, *faults, *origins),
-        last_exposure_ns=result.last_ns,
-    )
+    return Solution(values, {name: _of_target(of) for name, of in result.targets.items()})
 
 
 def _of_target(of: TargetResult) -> Mapping[str, Value] | None:

@@ -26,10 +26,6 @@ class Observation:
     spot: Spot | NoSpot
     breaks: int = 0
     camera: str = ""
-    leds_on = False
-    """A row has no frame LEDs."""
-    found = None
-    """None: a spot that appears and vanishes with the glasses does not control the exposure."""
 
 
 @dataclass(slots=True)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from altd.config import Measuring
-from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
+from altd.instruments.planar.instrument import QUANTITIES, Leds, PlanarCalibration, PlanarInstrument
 from altd.instruments.planar.leds import find_leds, led_image
-from altd.measuring.chain import Place, Provenance, calibration_faults
+from altd.measuring.frame_chain import FrameChain, Place, Provenance
 from altd.measuring.freshness import FreshnessCheck
-from altd.measuring.gate import Gate
-from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.instrument import NO_SOLUTION, Solution
+from altd.measuring.pairing import Pair
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Fault, FaultCause, FloatArray, Frame, Measurement, Value, counted
+from altd.records import CameraIdentity, Fault, FaultCause, FloatArray, Frame, Measurement, counted
 from altd.vision.led_discs import Disc
 
 _MAX_STILL_CHI2_SIGMAS = 6.0
@@ -35,10 +35,6 @@ class PlateFrame:
     sequence: int
     t_ns: int
     lights: tuple[Disc, ...] | Fault
-    leds_on = False
-    """False: the LEDs of the plate are not frame LEDs, and each frame is measured."""
-    found = None
-    """None: the plate's LEDs do not control the exposure."""
 
     @property
     def spot(self) -> str:
@@ -80,15 +76,13 @@ class _Exposure:
     leds: Leds | Fault
 
 
-class PlanarChain:
+class PlanarChain(FrameChain[PlateFrame]):
     """Averages the frames of one pose and solves it; its only state is the window.
 
     ``measuring`` sets the number of exposures that are averaged, and the number from one measurement to the
     next, counted from the first exposure. No window mixes two poses: it restarts at a frame whose LEDs moved,
     after a gap, and at another ``place`` of ``provenance``. ``expected`` is the camera named in the config,
     in addition to the calibrated one.
-
-    ``push`` runs the whole chain; a daemon runs ``pairer``, ``locators`` and ``add`` in separate threads.
     """
 
     def __init__(
@@ -100,31 +94,17 @@ class PlanarChain:
         expected: CameraIdentity | None = None,
     ) -> None:
         self._instrument, self._noise_px = PlanarInstrument(calibration), calibration.frame_noise_px
-        self._measuring, self._provenance = measuring, provenance
-        self._calibration_origin = calibration_faults(calibration.simulated)
+        self._window, self._every = measuring.window, measuring.every
         self._camera = camera
-        self.pairer: Pairer[Frame] = Pairer(
-            (camera,), measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
-        )
         cameras = (calibration.camera, expected or CameraIdentity())
-        self._locator = PlateLocator(cameras, partial(provenance.identity, camera))
-        self.locators: Mapping[str, PlateLocator] = {camera: self._locator}
-        self.frame_sets = 0
-        """Number of frames processed."""
+        locators = {camera: PlateLocator(cameras, partial(provenance.identity, camera))}
+        super().__init__(locators, measuring, provenance, QUANTITIES, (), calibration.simulated)
         self._exposures: deque[_Exposure] = deque()
         self._still: list[Leds] = []
         """LEDs of the exposures at this pose, the newest last."""
         self._place: Place | None = None
         self._last: PlateFrame | None = None
-        self._silent_at = 0
-        """Number of the last exposure before a silence."""
         self._since = 0
-        self._gate = Gate()
-
-    @property
-    def silent_after_s(self) -> float:
-        """Time without a frame after which a camera is silent, s."""
-        return self._measuring.silent_after_s
 
     def seen(self) -> dict[str, str]:
         """Last finding of the camera as text."""
@@ -135,53 +115,36 @@ class PlanarChain:
         newest = self._exposures[-1].leds if self._exposures else None
         return {"leds": len(newest.numbers) if isinstance(newest, Leds) else 0}
 
-    def push(self, frame: Frame) -> Measurement | None:
-        """Process one frame; return the measurement that it completes, or None."""
-        return self._take(self._locator.locate(frame))
-
-    def add(self, pair: Pair[PlateFrame]) -> Measurement | None:
-        """Process the content of a frame; a late frame is not measured."""
-        seen = pair.items.get(self._camera)
-        return None if seen is None else self._take(seen)
-
-    def silence(self, t_ns: int) -> Measurement:
-        """Return the measurement of a moment at which the camera does not deliver."""
-        self._forget()
-        sequence, self._last = self._last.sequence if self._last else self._silent_at, None
-        self._silent_at = sequence
-        silent = Fault(Reason.CAMERA_SILENT, detail="no frame comes")
-        return self._as_measurement(_Exposure(sequence, t_ns, silent), t_ns, 0, {}, (silent,))
-
-    def _take(self, seen: PlateFrame) -> Measurement | None:
-        last, self._last = self._last, seen
-        place, self._place = self._place, self._provenance.place(seen.sequence)
-        self.frame_sets += 1
-        gap_s = 0.0 if last is None else (seen.t_ns - last.t_ns) * 1e-9
-        is_later = last is None or seen.sequence > last.sequence
-        if self._place != place or not is_later or not 0.0 <= gap_s <= self.silent_after_s:
-            self._forget()
-        is_next = self._exposures and seen.sequence == self._exposures[-1].sequence + 1
+    def take(self, pair: Pair[PlateFrame]) -> Measurement | None:
+        """Process the lights of a frame; return the measurement that it completes, if any."""
+        sequence, seen = pair.sequence, pair.items[self._camera]
+        place, self._place = self._place, self._provenance.place(sequence)
+        if self._place != place or sequence <= self._last_sequence:
+            self.forget()
+        is_next = self._exposures and sequence == self._exposures[-1].sequence + 1
         before = self._still[-1] if self._still and is_next else None
         leds = (
             seen.lights if isinstance(seen.lights, Fault) else self._instrument.identify(seen.lights, before)
         )
-        if isinstance(leds, Leds) and self._has_moved(leds):
-            self._forget()
         if isinstance(leds, Leds):
-            self._still = [*self._still, leds][-self._measuring.window :]
-        while self._exposures and seen.sequence - self._exposures[0].sequence >= self._measuring.window:
+            if self._has_moved(leds):
+                self.forget()
+            self._still = [*self._still, leds][-self._window :]
+        while self._exposures and sequence - self._exposures[0].sequence >= self._window:
             self._exposures.popleft()
-        self._exposures.append(_Exposure(seen.sequence, seen.t_ns, leds))
+        self._exposures.append(_Exposure(sequence, seen.t_ns, leds))
+        self._last = seen
         self._since += 1
-        if self._since < self._measuring.every:
+        if self._since < self._every:
             return None
         self._since = 0
-        return self._gate.admit(self._measurement())
+        return self._measurement()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """Clear the window, so that it does not span this moment."""
         self._exposures.clear()
         self._still.clear()
+        self._last = None
 
     def _has_moved(self, leds: Leds) -> bool:
         """Whether the LEDs differ from those of earlier frames by more than their noise."""
@@ -202,7 +165,7 @@ class PlanarChain:
         usable = [each for each in self._exposures if isinstance(each.leds, Leds)]
         lost = len(self._exposures) - len(usable)
         faults: tuple[Fault, ...] = ()
-        values: dict[str, Value] = {}
+        solution = NO_SOLUTION
         if isinstance(newest.leds, Fault):
             faults = (newest.leds,)
         elif lost > _MAX_UNUSABLE_SHARE * len(self._exposures):
@@ -213,31 +176,12 @@ class PlanarChain:
             if isinstance(solved, Fault):
                 faults = (solved,)
             else:
-                values = solved
+                solution = Solution(solved, {})
                 faults = (Fault(Reason.EXPOSURES_LOST, detail=f"{lost} in this window"),) if lost else ()
-        t_ns = round(sum(each.t_ns for each in usable) / len(usable)) if values else newest.t_ns
-        return self._as_measurement(newest, t_ns, len(usable) if values else 0, values, faults)
-
-    def _as_measurement(
-        self,
-        newest: _Exposure,
-        t_ns: int,
-        frames: int,
-        values: Mapping[str, Value],
-        faults: tuple[Fault, ...],
-    ) -> Measurement:
-        origins = {fault.reason: fault for fault in (*self._calibration_origin, *self._provenance.origins())}
-        return Measurement(
-            sequence=newest.sequence,
-            t_ns=t_ns,
-            time=self._provenance.utc(t_ns),
-            frames=frames,
-            quantities=self._instrument.quantities,
-            values=values,
-            targets={},
-            status=faults + tuple(origins[reason] for reason in sorted(origins)),
-            last_exposure_ns=newest.t_ns,
-        )
+        if not solution.values:
+            return self._finished(newest.sequence, newest.t_ns, newest.t_ns, faults)
+        t_ns = round(sum(each.t_ns for each in usable) / len(usable))
+        return self._finished(newest.sequence, newest.t_ns, t_ns, faults, len(usable), solution)
 
 
 def mean_leds(exposures: list[Leds]) -> Leds:

@@ -25,7 +25,7 @@ from support.ports import free_port
 from altd.calibration.planar_file import load_planar_calibration
 from altd.config import Measuring
 from altd.instruments.planar.chain import PlanarChain
-from altd.measuring.chain import Provenance
+from altd.measuring.frame_chain import Provenance
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame
 from hw_sim.planar import Light, PlanarScene, Stay, known_and_unknown, places_mm, record
@@ -327,8 +327,9 @@ class TestLive:
         one, two, three = self.frames(scene, ALL, ALL, (0, 3))
         chain.push(one)
         (paused, later) = (replace(two, t_ns=two.t_ns + 10**9), replace(three, t_ns=three.t_ns + 10**9))
-        seen = [chain.push(frame) for frame in (paused, later, replace(later, sequence=0))]
-        assert [one.frames for one in seen if one is not None] == [1, 2, 0], "two LEDs alone are not followed"
+        anew = replace(later, sequence=0, t_ns=later.t_ns + 50_000_000)
+        seen = [one for frame in (paused, later, anew) for one in chain.push(frame)]
+        assert [one.frames for one in seen] == [1, 2, 0], "two LEDs alone are not followed"
         silent = chain.silence(3 * 10**9)
         assert silent.sequence == 0
         assert silent.status[0].reason is Reason.CAMERA_SILENT
@@ -342,15 +343,12 @@ class TestLive:
             scene.expose(scene.mean_electrons((a, b, phi + 180.0), of)) for of in (ALL, (0, 3))
         )
         assert turned is not None
-        measured = chain.push(Frame("plate", 0, 0, first))
-        assert measured is not None
+        [measured] = chain.push(Frame("plate", 0, 0, first))
         assert measured.valid
-        followed = chain.push(Frame("plate", 1, 50_000_000, second))
-        assert followed is not None
+        [followed] = chain.push(Frame("plate", 1, 50_000_000, second))
         assert followed.valid
         again = scene.expose(scene.mean_electrons((a, b, phi + 180.0), (0, 3)))
-        after = chain.push(Frame("plate", 2, 10**9, again))
-        assert after is not None
+        [after] = chain.push(Frame("plate", 2, 10**9, again))
         assert not after.valid or abs(after.values["phi_deg"].value - measured.values["phi_deg"].value) > 90.0
 
     def test_another_camera_and_a_changing_exposure_give_no_pose(
@@ -360,12 +358,12 @@ class TestLive:
         of = Provenance(identity=lambda camera: self.camera)
         chain = PlanarChain("plate", known, Measuring(), of)
         same, other, changing = self.frames(scene, ALL, ALL, ALL)
-        seen = [chain.push(same)]
+        seen = chain.push(same)
         self.camera = CameraIdentity("2", "cam", "aravis")
-        seen.append(chain.push(other))
+        seen += chain.push(other)
         self.camera = CameraIdentity("1", "cam", "aravis")
-        seen.append(chain.push(replace(changing, changing=True)))
-        assert [(one.valid, str(one.status[0].reason)) for one in seen if one is not None] == [
+        seen += chain.push(replace(changing, changing=True))
+        assert [(one.valid, str(one.status[0].reason)) for one in seen] == [
             (True, "simulated"),
             (False, "wrong_camera"),
             (False, "exposure_changing"),

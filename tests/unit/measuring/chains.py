@@ -8,7 +8,8 @@ from support.recordings import picture
 from altd.config import Installation, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, Provenance, View
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.frame_chain import Provenance
 from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 

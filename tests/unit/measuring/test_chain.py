@@ -14,7 +14,8 @@ from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
-from altd.measuring.chain import MeasuringChain, Provenance
+from altd.measuring.chain import MeasuringChain
+from altd.measuring.frame_chain import Provenance
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
 

@@ -14,7 +14,7 @@ from altd.instruments.planar.chain import PlanarChain, PlateFrame, PlateLocator
 from altd.instruments.planar.fitting import PlateView, fit_plane
 from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.mapping.grid import convex_hull_mm
-from altd.measuring.chain import Place, Provenance
+from altd.measuring.frame_chain import Place, Provenance
 from altd.measuring.pairing import Pair
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Fault, Frame, Measurement, Origin, Value
