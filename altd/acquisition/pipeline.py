@@ -14,7 +14,7 @@ from altd.acquisition.self_check.service import SelfChecks
 from altd.measuring.frame_chain import FrameChain, Item
 from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
-from altd.records import Measurement
+from altd.records import Finding, Measurement
 from altd.runtime.service_manager import status_line
 from altd.status.board import Board
 from altd.status.health import Component, State
@@ -30,8 +30,8 @@ class Pipeline(Generic[Item]):
 
     While no camera delivers, the board reports it every ``chain.silent_after_s``. ``progress`` feeds the
     watchdog: it is called only when an exposure is processed or a measurement is published, not for frames
-    without a result. ``checks`` and ``trends`` receive located spots; ``checks`` add their faults to each
-    measurement. ``record`` takes each measurement as it is published; it must neither block nor fail.
+    without a result. ``checks`` and ``trends`` receive located spots; the board adds the faults of ``checks``
+    to each measurement. ``record`` takes each measurement as it is published; it must neither block nor fail.
     """
 
     located: LocatedPairs[Item]
@@ -108,13 +108,11 @@ class Pipeline(Generic[Item]):
             self.trends.add(located)
 
     def _publish(self, measurement: Measurement) -> None:
-        if self.checks is not None:
-            checked = self.checks.apply(measurement)
-            if checked is None:
-                steps.debug("exposure %d: held back by a self-check", measurement.sequence)
-                return
-            measurement = checked
-        measurement = self.board.publish(measurement)
+        geometry = Finding() if self.checks is None else self.checks.finding(measurement)
+        if geometry is None:
+            steps.debug("exposure %d: held back by a self-check", measurement.sequence)
+            return
+        measurement = self.board.publish(measurement, geometry)
         self.record(measurement)
         if steps.isEnabledFor(logging.DEBUG):
             after_ms = (self._clock.monotonic_ns() - measurement.light_ns) * 1e-6

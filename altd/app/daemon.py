@@ -56,7 +56,7 @@ from altd.errors import BadInputError, one_line, unwrap_group
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.frame_chain import Provenance, Seen
 from altd.ports import Camera, Clock, Indicators, Lamps, Switches
-from altd.records import Fault, Quantities, origin_faults
+from altd.records import Fault, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.threads import real_time_interpreter
@@ -115,11 +115,15 @@ class Daemon:
         self._state_folder: Path | None = None
         if (inclinometer := inclinometer_of(config)) is not None:
             component = self.health.component("inclinometer")
-            self._inclination = InclinationMonitor(
-                *inclinometer, instrument.quantities, config.installation, component, self.clock
-            )
-        self._stale_after_s = instrument.stale_after_s
-        self.board = self._board(instrument.quantities, identity, rehearsal)
+            self._inclination = InclinationMonitor(*inclinometer, config.installation, component, self.clock)
+        self.board = Board(
+            self.clock,
+            instrument.stale_after_s,
+            instrument.quantities,
+            identity,
+            None if self._inclination is None else self._inclination.sense,
+            rehearsal,
+        )
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)
         self.health.state = self.state.read
@@ -165,12 +169,6 @@ class Daemon:
         targets = {view.camera: view.target for view in self._views}
         component = self.health.component("self-check")
         return SelfChecks(parts, targets, self.health.self_check, component, self.clock)
-
-    def _board(self, quantities: Quantities, identity: Identity, rehearsal: bool) -> Board:
-        monitor, stale_after_s = self._inclination, self._stale_after_s
-        if monitor is None:
-            return Board(self.clock, stale_after_s, quantities, identity, rehearsal=rehearsal)
-        return Board(self.clock, stale_after_s, monitor.quantities, identity, monitor.complete, rehearsal)
 
     def keep_state_in(self, folder: Path) -> None:
         """Keep persistent data of checks and recordings in this folder. Call before ``run``."""

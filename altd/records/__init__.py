@@ -6,7 +6,7 @@ Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/co
 from altd.records.faults import Fault, FaultCause, origin_faults
 from altd.records.frames import CameraIdentity, ComplexArray, FloatArray, Frame, Origin, PixelArray
 from altd.records.limits import Limits
-from altd.records.measurement import Measurement, Quantities, Quantity, Value, counted, utc_text
+from altd.records.measurement import Finding, Measurement, Quantities, Quantity, Value, counted, utc_text
 from altd.records.spots import GLASS_INDEX, FrameSet, Glass, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "ComplexArray",
     "Fault",
     "FaultCause",
+    "Finding",
     "FloatArray",
     "Frame",
     "FrameSet",

@@ -91,6 +91,18 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
+class Finding:
+    """What is found about a measurement after it was solved: faults, and values of other sensors.
+
+    ``withdraws``: the measurement loses its numbers, and these faults come first in its status, else last.
+    """
+
+    faults: tuple[Fault, ...] = ()
+    withdraws: bool = False
+    from_sensors: Mapping[str, SensorValue] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class Measurement:
     """The result of one window of exposures.
 
@@ -124,6 +136,18 @@ class Measurement:
     def without_numbers(self, status: tuple[Fault, ...]) -> Measurement:
         """Return the measurement of the same moment, invalid for these reasons."""
         return replace(self, values={}, targets=dict.fromkeys(self.targets), status=status, motions={})
+
+    def with_findings(self, *findings: Finding | None) -> Measurement:
+        """Return the finished measurement: with all that is found about it; later only its age changes it."""
+        status, from_sensors, is_withdrawn = self.status, dict(self.from_sensors), False
+        for finding in filter(None, findings):
+            status = (*finding.faults, *status) if finding.withdraws else (*status, *finding.faults)
+            from_sensors |= finding.from_sensors
+            is_withdrawn |= finding.withdraws
+        if (status, from_sensors) == (self.status, self.from_sensors):
+            return self
+        whole = replace(self, status=status, from_sensors=from_sensors)
+        return whole.without_numbers(status) if is_withdrawn else whole
 
     @property
     def valid(self) -> bool:

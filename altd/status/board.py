@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 
 from altd.ports import Clock
 from altd.reasons import NOT_FROM_CAMERAS, Reason
-from altd.records import Fault, Measurement, Quantities
+from altd.records import Fault, Finding, Measurement, Quantities, Value
 from altd.status.proof import Identity
 
-_REHEARSAL = Fault(Reason.REHEARSAL)
+_REHEARSAL = Finding((Fault(Reason.REHEARSAL),))
 
 
 class Board:
     """Holds the latest measurement; each waiting reader has its own cursor, which counts skipped ones.
 
-    ``complete`` adds the values of other sensors to each measurement. Without ``rehearsal``, a measurement
-    loses its numbers if its frames are played or simulated, or its calibration was made from simulated
-    frames.
+    ``sense`` returns the present values of other sensors, and what they show together with the values of a
+    measurement. Without ``rehearsal``, a measurement loses its numbers if its frames are played or simulated,
+    or its calibration was made from simulated frames.
     """
 
     def __init__(
@@ -28,13 +27,13 @@ class Board:
         stale_after_s: float,
         quantities: Quantities,
         identity: Identity = Identity(),  # noqa: B008  frozen; a board without an identity is of no unit
-        complete: Callable[[Measurement], Measurement] = lambda measurement: measurement,
+        sense: Callable[[Mapping[str, Value]], Finding] | None = None,
         rehearsal: bool = False,
     ) -> None:
         self.quantities = quantities
         """Quantities of its measurements; known before the first one."""
         self.stale_after_s = stale_after_s
-        self._complete = complete
+        self._sense = sense
         self.is_rehearsal = rehearsal
         """Whether numbers that are not live are valid."""
         self.identity = identity
@@ -55,9 +54,11 @@ class Board:
         """Number of measurements published so far."""
         return self._count
 
-    def publish(self, measurement: Measurement) -> Measurement:
-        """Publish a measurement and wake all waiting readers; returns it as published."""
-        published = self._as_live(self._complete(measurement))
+    def publish(self, measurement: Measurement, geometry: Finding | None = None) -> Measurement:
+        """Finish a measurement, publish it and wake all waiting readers; returns it as published."""
+        values = {} if geometry and geometry.withdraws else measurement.values
+        sensed = self._sense(values) if self._sense else None
+        published = measurement.with_findings(geometry, sensed, self._origin(measurement))
         self._latest, self._stale = published, None
         self._published_ns = self._clock.monotonic_ns()
         self._count += 1
@@ -65,15 +66,13 @@ class Board:
         self._changed = asyncio.Event()
         return published
 
-    def _as_live(self, measurement: Measurement) -> Measurement:
-        """Return the measurement with its numbers if it is live or in rehearsal; else without them."""
+    def _origin(self, measurement: Measurement) -> Finding | None:
+        """Return what follows from the source: without rehearsal, only live data have numbers."""
         if self.is_rehearsal:
-            return replace(measurement, status=(*measurement.status, _REHEARSAL))
+            return _REHEARSAL
         why = [str(fault.reason) for fault in measurement.status if fault.reason in NOT_FROM_CAMERAS]
-        if not why:
-            return measurement
         not_live = Fault(Reason.NOT_LIVE, detail=" and ".join(why))
-        return measurement.without_numbers((not_live, *measurement.status))
+        return Finding((not_live,), withdraws=True) if why else None
 
     async def published_after(self, count: int) -> int:
         """Wait until the number of published measurements differs from ``count``; return that number."""

@@ -73,7 +73,7 @@ class Bench:
             self._sequence += 1
             for camera in CAMERAS:
                 told = self._chain.push((expose or self.exposed)(camera, self._sequence))
-        return self._geometry.applied_to(told[-1])
+        return told[-1].with_findings(self._geometry.finding(told[-1].valid))
 
 
 def codes(measurement: Measurement) -> set[str]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 from altd.acquisition.inclination.judging import InclinationJudge
@@ -26,7 +27,7 @@ from altd.ports import (
     InclinometerTimeoutError,
 )
 from altd.reasons import Reason
-from altd.records import Fault, Measurement, Quantities
+from altd.records import Fault, Finding, Value
 from altd.records.sensors import Quality, SensorValue
 from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
@@ -89,7 +90,7 @@ _MAX_FAILURES = 3
 
 
 class InclinationMonitor:
-    """Reads one inclinometer. ``complete`` adds its roll to a measurement.
+    """Reads one inclinometer. ``sense`` returns its roll for a measurement.
 
     ``installation`` converted the beam's pitch for the controller; the comparison of pitch reverts that.
     """
@@ -98,13 +99,10 @@ class InclinationMonitor:
         self,
         driver: Inclinometer,
         settings: InclinometerSettings,
-        quantities: Quantities,
         installation: Installation,
         component: Component,
         clock: Clock,
     ) -> None:
-        self.quantities = quantities.with_sensor(ROLL)
-        """Quantities of the unit's instrument, and roll from this sensor."""
         self._driver = driver
         self._settings = settings
         self._installation = installation
@@ -119,22 +117,22 @@ class InclinationMonitor:
         self._gravity_pitch_deg: float | None = None
         """Pitch against gravity of the newest reading; None: it is not credible or has no pitch."""
 
-    def complete(self, measurement: Measurement) -> Measurement:
-        """Return the measurement with the current roll."""
+    def sense(self, values: Mapping[str, Value]) -> Finding:
+        """Return the current roll, and whether ``values`` of a valid measurement diverge from gravity."""
         now_ns = self._clock.monotonic_ns()
-        said = self._latest.at(now_ns)
+        said, faults = self._latest.at(now_ns), list[Fault]()
         if said.value is not None:
             said = replace(said, age_s=(now_ns - said.t_ns) * 1e-9)
-        elif self._failure is not None:
-            said = self._failure
-        whole = replace(measurement, quantities=self.quantities).with_sensors({ROLL: said})
-        if said.value is not None and self._gravity_pitch_deg is not None:
-            self._compare_pitch(measurement, self._gravity_pitch_deg, now_ns)
+            if self._gravity_pitch_deg is not None and "pitch_deg" in values:
+                self._compare_pitch(values["pitch_deg"].value, self._gravity_pitch_deg, now_ns)
+        else:
+            said = self._failure or said
+            faults.append(Fault(Reason.ROLL_MISSING, detail=said.detail))
         divergence_deg = self._divergence.divergence_deg(now_ns)
-        if divergence_deg is None or abs(divergence_deg) <= self._settings.max_divergence_deg:
-            return whole
-        detail = f"the beam's inclination against gravity has changed by {divergence_deg:+.2f} deg"
-        return replace(whole, status=(*whole.status, Fault(Reason.PITCH_DIVERGES, detail=detail)))
+        if divergence_deg is not None and abs(divergence_deg) > self._settings.max_divergence_deg:
+            detail = f"the beam's inclination against gravity has changed by {divergence_deg:+.2f} deg"
+            faults.append(Fault(Reason.PITCH_DIVERGES, detail=detail))
+        return Finding(tuple(faults), from_sensors={ROLL: said})
 
     async def run(self) -> None:
         """Read until cancelled."""
@@ -177,10 +175,8 @@ class InclinationMonitor:
             due_ns = max(due_ns + round(self._settings.interval_s * 1e9), now_ns)
             await self._clock.sleep((due_ns - now_ns) * 1e-9)
 
-    def _compare_pitch(self, measurement: Measurement, gravity_pitch_deg: float, now_ns: int) -> None:
+    def _compare_pitch(self, pitch_deg: float, gravity_pitch_deg: float, now_ns: int) -> None:
         """Add a sample of the beam's inclination: its pitch in the unit plus the unit's against gravity."""
-        if not measurement.valid or (pitch_deg := measurement.number("pitch_deg")) is None:
-            return
         optical_deg = self._installation.sign_pitch * (pitch_deg - self._installation.offset_pitch_deg)
         self._divergence.add(now_ns, optical_deg + gravity_pitch_deg)
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from altd.config import SelfCheckSettings
 from altd.measuring.calibration import Calibration
 from altd.ports import Clock
 from altd.reasons import Reason
-from altd.records import Fault, MeanSpots, Measurement
+from altd.records import Fault, Finding, MeanSpots
 from altd.selfcheck.records import Limits, SelfCheck, Similarity, Verdict
 from altd.selfcheck.verdict import SIGNIFICANT, Compensation, compensated, compensation_of
 from altd.status.health import State
@@ -125,15 +124,10 @@ class GeometryState:
             return State.FAILED
         return State.DEGRADED if self.faults else State.OK
 
-    def applied_to(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with the faults of the geometry; without numbers if an error forbids them."""
+    def finding(self, is_valid: bool) -> Finding:
+        """Return the faults of a measurement now; an error takes the numbers of a valid one."""
         faults = self.faults
-        if not faults:
-            return measurement
-        errors = tuple(fault for fault in faults if not fault.reason.is_warning)
-        if errors and measurement.valid:
-            return measurement.without_numbers((*faults, *measurement.status))
-        return replace(measurement, status=(*measurement.status, *faults))
+        return Finding(faults, is_valid and any(not fault.reason.is_warning for fault in faults))
 
     def _changes_nothing(self, check: SelfCheck) -> bool:
         """Whether the earlier state remains: no verdict, or corrected and suspect from some targets only."""

@@ -19,7 +19,7 @@ from altd.measuring.shock import ShockWatch
 from altd.measuring.spot_locator import Located
 from altd.ports import Clock
 from altd.reasons import Reason
-from altd.records import Measurement, Spot
+from altd.records import Finding, Measurement, Spot
 from altd.runtime.threads import call_in_thread
 from altd.selfcheck.records import SelfCheck, Verdict, unknown
 from altd.status.health import Component, State
@@ -89,20 +89,20 @@ class SelfChecks:
             self._geometry.note_shock()
             self._has_jumped = True
 
-    def apply(self, measurement: Measurement) -> Measurement | None:
-        """Return a measurement with the faults of the geometry.
+    def finding(self, measurement: Measurement) -> Finding | None:
+        """Return the faults of the geometry for a measurement.
 
         None: only exposures taken by a check are missing; the measurement on the board remains, and ages.
         """
         if self._is_valid and self._lacks_exposures(measurement):
             return None
-        passed = self._geometry.applied_to(measurement)
+        finding = self._geometry.finding(measurement.valid)
         self._is_valid = measurement.valid
         if self._geometry.lapse():  # this measurement was still corrected, and is marked so
             self._correction.apply(self._geometry)
             self._component.set_state(self._geometry.state, _LAPSED)
             log.warning("self-check: %s", _LAPSED)
-        return passed
+        return finding
 
     async def run(self, exposer: CheckExposer, lamps: FrameLamps, frames: MarkedFrames) -> None:
         """Run checks until cancelled."""

@@ -168,7 +168,8 @@ class BeamInstrument:
 
     A beam whose scatter exceeds ``measuring.max_sigma_…`` is a fault. ``installation`` converts the beam from
     the unit frame to the coordinates of the controller. ``celsius`` returns the frame's temperature, None if
-    it is not known; its difference from that of the calibration replaces the stated ``temperature_k``.
+    it is not known; its difference from that of the calibration replaces the stated ``temperature_k``. An
+    inclinometer adds the sigma of roll to the quantities.
     """
 
     min_targets = 2
@@ -179,6 +180,7 @@ class BeamInstrument:
         measuring: Measuring,
         installation: Installation | None = None,
         celsius: Callable[[], float | None] = lambda: None,
+        has_inclinometer: bool = False,
     ) -> None:
         self._calibration = {target.name: target for target in calibration.targets}
         self._stated = calibration.limits
@@ -186,6 +188,8 @@ class BeamInstrument:
         self._measuring = measuring
         self._installation = installation or Installation()
         self.quantities = quantities_of(self._installation)
+        if has_inclinometer:
+            self.quantities = self.quantities.with_sensor("roll_deg")
         self._refraction = Refraction.of(calibration)
         self._vibration = measuring.vibration_mm, measuring.vibration_mrad
 

@@ -19,7 +19,7 @@ from altd.publish.mqtt.home_assistant import discovery_of
 from altd.publish.mqtt.messages import Topics, summary_of
 from altd.publish.serial.words import measurement_text
 from altd.reasons import Reason
-from altd.records import Fault, Measurement
+from altd.records import Fault, Finding, Measurement
 from altd.records.sensors import Quality, SensorValue
 from altd.status.board import Board
 from altd.status.health import Health
@@ -192,7 +192,7 @@ def test_roll_stays_when_the_beam_is_blocked() -> None:
 class TestBoard:
     def test_drops_roll_by_its_own_age_and_keeps_the_beam(self) -> None:
         clock = FakeClock(8_000_000_000)
-        board = Board(clock, 1.0, FITTED, complete=lambda plain: plain.with_sensors({"roll_deg": GOOD}))
+        board = Board(clock, 1.0, FITTED, sense=lambda _: Finding(from_sensors={"roll_deg": GOOD}))
         board.publish(replace(measurement(), quantities=FITTED))
         clock.now_ns = GOOD.expires_ns
         assert board.read().number("roll_deg") == -1.25  # type: ignore[union-attr]
@@ -207,7 +207,7 @@ class TestBoard:
     def test_a_stale_measurement_drops_it_too(self) -> None:
         clock = FakeClock(8_000_000_000)
         late = replace(GOOD, expires_ns=9_500_000_000)
-        board = Board(clock, 1.0, FITTED, complete=lambda plain: plain.with_sensors({"roll_deg": late}))
+        board = Board(clock, 1.0, FITTED, sense=lambda _: Finding(from_sensors={"roll_deg": late}))
         board.publish(replace(measurement(), quantities=FITTED))
         clock.now_ns = 9_400_000_000
         assert reasons(board.read()) == [Reason.STALE]

@@ -13,7 +13,6 @@ from support.measurements import BEAM, beam_of, measurement
 from altd.acquisition.inclination import monitor
 from altd.acquisition.inclination.monitor import InclinationMonitor, PitchDivergence
 from altd.config import InclinometerSettings, Installation
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import (
     InclinometerAccuracy,
     InclinometerDisturbedError,
@@ -83,7 +82,6 @@ class Bench:
         self.monitor = InclinationMonitor(
             self.sensor,
             InclinometerSettings.model_validate(table),
-            QUANTITIES,
             Installation(sign_pitch=-1, offset_pitch_deg=0.5),
             self.component,
             self.clock,
@@ -91,7 +89,7 @@ class Bench:
         self.task = asyncio.create_task(self.monitor.run())
 
     def now(self) -> Measurement:
-        return self.monitor.complete(measurement())
+        return measurement().with_findings(self.monitor.sense(measurement().values))
 
     @property
     def quality(self) -> Quality:
@@ -217,7 +215,7 @@ async def test_a_slow_change_of_the_beams_inclination_is_warned_of_and_nothing_e
     bench.now()
     assert added == [pytest.approx(0.0, abs=1e-9)]
     added.clear()
-    bench.monitor.complete(measurement(160, 8_000_000_000, Reason.SPOT_MISSING))
+    bench.monitor.sense(measurement(160, 8_000_000_000, Reason.SPOT_MISSING).values)
     assert added == []
     for divergence_deg, warned in ((0.49, []), (-0.51, ["pitch_diverges"]), (None, [])):
         monkeypatch.setattr(PitchDivergence, "divergence_deg", lambda _, now_ns, it=divergence_deg: it)

@@ -76,7 +76,7 @@ class Bench:
                 shown = frame(lit, self._rng, 1.0, camera=camera)
                 at = replace(shown, sequence=self._number, t_ns=self._number * 50_000_000)
                 told = self.chain.push(at)
-        return self.geometry.applied_to(told[-1])
+        return told[-1].with_findings(self.geometry.finding(told[-1].valid))
 
 
 @pytest.fixture

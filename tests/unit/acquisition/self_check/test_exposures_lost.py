@@ -77,8 +77,8 @@ class Bench:
 
     def _push(self, frame: Frame) -> None:
         for measurement in self._chain.push(frame):
-            passed = self._checks.apply(measurement)
-            if passed is not None:
+            if (finding := self._checks.finding(measurement)) is not None:
+                passed = measurement.with_findings(finding)
                 self.told[measurement.sequence] = ", ".join(
                     str(fault) for fault in passed.status if not fault.reason.is_warning
                 )

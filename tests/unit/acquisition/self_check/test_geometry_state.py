@@ -49,7 +49,8 @@ def state_of(clock: FakeClock | None = None, **settings: object) -> GeometryStat
 
 def codes(state: GeometryState, of: Measurement | None = None) -> tuple[bool, list[str]]:
     """Whether a valid measurement still is, and what it says."""
-    passed = state.applied_to(of or measured())
+    of = of or measured()
+    passed = of.with_findings(state.finding(of.valid))
     return passed.valid, [str(fault) for fault in passed.status]
 
 
@@ -108,9 +109,10 @@ def test_what_was_bad_before_the_start_stays_so_until_a_check_has_a_verdict() ->
 def test_the_reason_is_told_and_those_of_the_measurement_stay() -> None:
     of_unit = state_of()
     of_unit.take(check(Verdict.BAD, "rear: moved by 0.3 mm", "yaw is off"))
-    passed = of_unit.applied_to(measurement(1, 0, Reason.CAMERA_SILENT))
-    assert [str(fault) for fault in passed.status] == ["camera_silent", "geometry_drift"]
-    assert passed.status[-1].detail == "rear: moved by 0.3 mm; yaw is off"
+    assert codes(of_unit, measurement(1, 0, Reason.CAMERA_SILENT)) == (
+        *(False, ["camera_silent", "geometry_drift"]),
+    )
+    assert of_unit.faults[-1].detail == "rear: moved by 0.3 mm; yaw is off"
 
 
 def test_a_slow_drift_is_a_warning_while_all_is_good() -> None:

@@ -87,8 +87,9 @@ class Running:
     @property
     def passed(self) -> tuple[bool, list[str]]:
         """Whether a measurement that is valid stays so, and what it says."""
-        measurement = self.checks.apply(measured())
-        assert measurement is not None
+        finding = self.checks.finding(measured())
+        assert finding is not None
+        measurement = measured().with_findings(finding)
         return measurement.valid, [str(fault) for fault in measurement.status]
 
 

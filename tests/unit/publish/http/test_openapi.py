@@ -17,7 +17,7 @@ from altd.publish.http import publisher
 from altd.publish.http.openapi import api_page_of, document_of
 from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
-from altd.records import Fault, Measurement, Value
+from altd.records import Fault, Finding, Measurement, Value
 from altd.records.sensors import Quality, SensorValue
 from altd.selfcheck.records import LedState, SelfCheck, Similarity, TargetDrift, Verdict
 from altd.status.board import Board
@@ -81,7 +81,7 @@ async def test_a_unit_with_an_inclinometer_has_a_document_of_its_own(
 ) -> None:
     quantities = QUANTITIES.with_sensor("roll_deg")
     said = SensorValue(Quality.GOOD, "", 0.5, 0.01, clock.now_ns, 0.2, clock.now_ns + 10**9)
-    board = Board(clock, 1.0, quantities, complete=lambda plain: plain.with_sensors({"roll_deg": said}))
+    board = Board(clock, 1.0, quantities, sense=lambda _: Finding(from_sensors={"roll_deg": said}))
     board.publish(measured(quantities=quantities))
     async with served_with(board, health, None) as unit:
         document = (await unit.ask("/api/v1/openapi.json")).json
