@@ -95,6 +95,16 @@ def test_a_second_under_leds_is_no_silence(calibration: Calibration) -> None:
     assert [found.startswith("spot at") for found in measured.seen().values()] == [True, True]
 
 
+def test_no_mean_spans_a_pause_that_ends_under_leds(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    frames = lit(shots([(10.0, 5.0)] * 4 + [(10.3, 5.0)] * 6), ("left", 4), ("right", 4))
+    frames = [replace(f, t_ns=f.t_ns + (f.sequence >= 4) * 1_000_000_000) for f in frames]
+    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
+    means = {sequence: beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None}
+    assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
+    assert set(means) == {1, 2, 3, 6, 7, 8, 9}
+
+
 def test_a_change_of_exposure_under_leds_ends_the_window_all_the_same(calibration: Calibration) -> None:
     measured = chain(calibration)
     frames = lit(shots([(10.0, 5.0)] * 6), ("left", 4), ("right", 4))

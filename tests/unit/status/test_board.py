@@ -1,6 +1,7 @@
 import asyncio
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ from support.measurements import measurement, points_of
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
+from altd.records import Fault, Finding, Value
 from altd.status.board import Board
 from altd.status.proof import Identity, Stamps, unit_number
 
@@ -94,6 +96,32 @@ def test_what_is_not_from_this_units_cameras_is_invalid_however_good(board: Boar
     assert points_of(published) == {"front": None, "rear": None}
     assert [str(fault) for fault in published.status] == ["not_live", str(origin)]
     assert published.status[0].detail == str(origin)
+
+
+@pytest.mark.parametrize(
+    ("is_bad", "rehearsal", "status"),
+    [
+        (True, False, ["not_live", "geometry_drift", "simulated", "roll_missing"]),
+        (True, True, ["geometry_drift", "simulated", "roll_missing", "rehearsal"]),
+        (False, False, ["not_live", "simulated", "geometry_drift", "roll_missing"]),
+        (False, True, ["simulated", "geometry_drift", "roll_missing", "rehearsal"]),
+    ],
+)
+def test_what_takes_the_numbers_comes_first_and_a_sensor_sees_only_numbers_that_stay(
+    clock: FakeClock, is_bad: bool, rehearsal: bool, status: list[str]
+) -> None:
+    compared: list[object] = []
+
+    def sense(values: Mapping[str, Value]) -> Finding:
+        compared.append(values)
+        return Finding((Fault(Reason.ROLL_MISSING),))
+
+    board = Board(clock, 1.0, QUANTITIES, sense=sense, rehearsal=rehearsal)
+    solved = measurement(3, 0, Reason.SIMULATED)
+    published = board.publish(solved, Finding((Fault(Reason.GEOMETRY_DRIFT),), withdraws=is_bad))
+    assert [str(fault) for fault in published.status] == status
+    assert published.valid is (rehearsal and not is_bad)
+    assert compared == [{} if is_bad else solved.values]
 
 
 def test_in_a_rehearsal_it_keeps_its_numbers_and_every_measurement_says_so(clock: FakeClock) -> None:
