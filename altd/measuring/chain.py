@@ -20,7 +20,6 @@ from altd.measuring.synchrony import SynchronyCheck
 from altd.measuring.view_check import shift_fault
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Fault, FaultCause, FrameSet, MeanSpots, Measurement, NoSpot, Spot
-from altd.records.spots import Motion
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
 _SCATTER_UNKNOWN = Fault(
@@ -249,7 +248,9 @@ class MeasuringChain(FrameChain[Located]):
             return self._invalid(frame_set, spots.t_ns, (solution,))
         self._light_balance.update(mean)
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
-        solution = replace(solution, motions=self._motions(mean, frame_set.t_ns, solution.motions))
+        span_s = mean.motion.span_s if mean.motion else 0.0
+        motions = self._motion_memory.add(mean.t_ns, frame_set.t_ns, span_s, solution.motions)
+        solution = replace(solution, motions=motions)
         published = solution.with_motion_in_sigma() if self._is_of_now else solution
         if published is None:
             return self._invalid(frame_set, spots.t_ns, (_MOTION_UNKNOWN,))
@@ -268,13 +269,6 @@ class MeasuringChain(FrameChain[Located]):
                 return None
             mean = replace(widened, is_even=self._sampling.found is None)
         return self._synchrony.with_lag_in_sigma(mean)
-
-    def _motions(
-        self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]
-    ) -> Mapping[str, Motion]:
-        """Return the motion of the quantities, extended by that of earlier windows."""
-        span_s = mean.motion.span_s if mean.motion else 0.0
-        return self._motion_memory.add(mean.t_ns, newest_ns, span_s, of_window)
 
     def _invalid(self, newest: FrameSet, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
         return self._finished(newest.sequence, newest.t_ns, t_ns, faults)

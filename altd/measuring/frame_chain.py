@@ -48,14 +48,6 @@ class Seen(Protocol):
     """Content of a frame: the spot of a beam (``Located``), or the lights of a plate."""
 
     @property
-    def camera(self) -> str:
-        """Name of the frame's camera in the config."""
-
-    @property
-    def sequence(self) -> int:
-        """Number of the exposure."""
-
-    @property
     def t_ns(self) -> int:
         """Middle of the exposure."""
 

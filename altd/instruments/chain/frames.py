@@ -27,7 +27,7 @@ class ObservationLocator:
     def locate(self, frame: Frame) -> Observation:
         """Return the finding of a frame, with the target that was opaque then."""
         of = self._locator.locate(frame)
-        return Observation(self.target, frame.opaque, of.sequence, of.t_ns, of.spot, of.breaks, of.camera)
+        return Observation(self.target, frame.opaque, of.sequence, of.t_ns, of.spot, of.breaks)
 
 
 class RowChain(FrameChain[Observation]):
@@ -65,7 +65,8 @@ class RowChain(FrameChain[Observation]):
 
     def seen(self) -> dict[str, str] | str:
         """Last finding of the opaque target's camera, as text."""
-        shown = {one.camera: str(one.spot) for one in self._last.values() if one.opaque == one.target}
+        last = self._last.items()
+        shown = {camera: str(one.spot) for camera, one in last if one.opaque == one.target}
         return shown or "the glasses settle"
 
     def figures(self) -> dict[str, float | str | None]:

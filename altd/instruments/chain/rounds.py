@@ -25,7 +25,6 @@ class Observation:
     t_ns: int
     spot: Spot | NoSpot
     breaks: int = 0
-    camera: str = ""
 
 
 @dataclass(slots=True)

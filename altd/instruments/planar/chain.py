@@ -31,8 +31,6 @@ _MAX_UNUSABLE_SHARE = 0.5
 class PlateFrame:
     """Content of a frame: its lights, or why they cannot be measured. ``spot`` describes it as text."""
 
-    camera: str
-    sequence: int
     t_ns: int
     lights: tuple[Disc, ...] | Fault
 
@@ -66,7 +64,7 @@ class PlateLocator:
             if said := next(different, None):
                 fault = Fault(Reason.WRONG_CAMERA, detail=said, cause=FaultCause.OTHER_CAMERA)
         lights = fault or find_leds(led_image(frame.pixels))
-        return PlateFrame(frame.camera, frame.sequence, frame.t_ns, lights)
+        return PlateFrame(frame.t_ns, lights)
 
 
 @dataclass(frozen=True, slots=True)

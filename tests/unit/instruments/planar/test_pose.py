@@ -207,7 +207,7 @@ class Row:
     def add(self, sequence: int, seen: Pose | Reason = REST, late_ns: int = 0) -> Measurement | None:
         t_ns = sequence * PERIOD_NS + late_ns
         lights = Fault(seen) if isinstance(seen, Reason) else tuple(discs(placed(seen), self._rng))
-        items = {"top": PlateFrame("top", sequence, t_ns, lights)}
+        items = {"top": PlateFrame(t_ns, lights)}
         return self.chain.add(Pair(sequence, t_ns, 0, items, {}, {"top": 0}))
 
     def frames(self, sequence: int, seen: Pose | Reason = REST, late_ns: int = 0) -> int:
