@@ -20,6 +20,7 @@ from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.measuring.chain import MeasuringChain
+from altd.measuring.spot_locator import Located
 from altd.ports import Stop
 from altd.reasons import Reason
 from altd.records import FloatArray, Frame, Measurement, PixelArray
@@ -226,7 +227,7 @@ async def _read(
     chain = chain_of(rig.calibration, measuring)
     component = Health(clock).component("measuring")
     pairs = FramePairs(chain.pairer, lambda: None, clock)
-    located = LocatedPairs(pairs)
+    located: LocatedPairs[Located] = LocatedPairs(pairs)
     pipeline = Pipeline(located, chain, board, component)
     task = asyncio.create_task(pipeline.run())
     found: list[tuple[int, Measurement | None]] = []
