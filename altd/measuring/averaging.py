@@ -291,13 +291,15 @@ def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
     gaps = ordered[1:] - ordered[:-1]
     if not len(gaps):
         return False
-    for column in np.flatnonzero(gaps.max(axis=0) > _MIN_GAP_SIGMAS * noise):
+    largest = gaps.max(axis=0)
+    # The least scatter of two sides whose ranges add up to the rest; a vibration has more.
+    least = (ordered[-1] - ordered[0] - largest) / math.sqrt(4 * len(px))
+    for column in np.flatnonzero(largest > _MIN_GAP_SIGMAS * (least + noise)):
         split = int(gaps[:, column].argmax()) + 1
         if not _MIN_CLUSTER_FRAME_SETS <= split <= len(px) - _MIN_CLUSTER_FRAME_SETS:
             continue
         sides = ordered[:split, column], ordered[split:, column]
-        centred = [side - side.sum() / len(side) for side in sides]
-        within = math.sqrt(sum(float(side @ side) for side in centred) / len(px))
+        within = math.sqrt(sum(float(np.square(side - side.mean()).sum()) for side in sides) / len(px))
         if gaps[split - 1, column] > _MIN_GAP_SIGMAS * (within + noise[column]):
             return True
     return False

@@ -23,10 +23,10 @@ _MULTIPLES = np.arange(1, 7)
 """Multiples of the rate that are examined; an exposure of some ms averages over higher ones."""
 _MAX_EXCESS = 4.0
 """Maximum of n |mean exp|²: above it the error is more than twice what the scatter shows."""
-_STEP, _STEPS, _COARSE_STEPS = 0.025, 16, 14
-_LOWEST_COARSE_FINE = 2j * np.pi * np.array([[0.9], [_STEPS * _STEP], [_STEP]])
-"""Frequencies, per mean rate, at which the phases of a window are compared: two in the width of a line. Each
-is the lowest, up to 13 coarse and up to 15 fine steps."""
+_STEPS = 2j * np.pi * np.array([[0.4], [0.025]])
+_COARSE, _FINE = np.arange(2, 16)[:, None], np.arange(4, 20)[:, None]
+"""Frequencies, per mean rate, at which the phases of a window are compared: sums of a number of coarse steps
+and one of fine steps, from 0.9 to 6.475, two in the width of a line."""
 _USUAL_EXCESS = 6.5
 """Of the worst of these frequencies in an uneven window of 20; few windows exceed it."""
 _UNEVEN_BY = 0.08
@@ -75,12 +75,9 @@ class SamplingCheck:
                 return 0.0
         last = np.array(list(self._times_ns)[-frames:], dtype=np.float64)
         last = (last - last[0]) / self._period_ns
-        # A product of powers of two steps takes a tenth of the time of an exponential for each frequency.
-        powers = np.empty((_STEPS, 2, len(last)), dtype=np.complex128)
-        powers[0] = 1.0
-        powers[0, 0], powers[1:, 0], powers[1:, 1] = np.exp(_LOWEST_COARSE_FINE * last)
-        np.multiply.accumulate(powers, axis=0, out=powers)
-        sums = powers[:_COARSE_STEPS, 0] @ powers[:, 1].T
+        # Products of powers of two factors take a sixth of the time of an exponential for each frequency.
+        coarse, fine = np.exp(_STEPS * last)
+        sums = coarse**_COARSE @ (fine**_FINE).T
         return float(np.abs(sums).max() ** 2 / len(last))
 
     def _periods(self) -> FloatArray:
@@ -134,7 +131,7 @@ class ScatterMemory:
         motion = mean.motion
         if motion is None:
             return mean
-        of_window_px2 = motion.rate_covariance * motion.spread_s2 * mean.frames
+        of_window_px2 = motion.rate_covariance * (motion.spread_s2 * mean.frames)
         newest_ns = mean.t_ns + round(motion.newest_s * 1e9)
         since_s, self._newest_ns = abs(newest_ns - self._newest_ns) * 1e-9, newest_ns
         new = mean.frames * min(since_s / motion.span_s, 1.0)
@@ -149,15 +146,15 @@ class ScatterMemory:
             return None
         usual = _USUAL_EXCESS * self._known_share
         expected_px2 = scatter_px2 * max(excess / usual, 1.0)
-        # For a few targets cv2 takes a third of numpy's time; exact to 1e-15 px².
-        _, variances_px2, axes = cv2.eigen(expected_px2 - of_window_px2)
+        _, variances_px2, axes = cv2.eigen(expected_px2 - of_window_px2)  # in a third of numpy's time
         more_px2 = axes.T @ (np.maximum(variances_px2, 0.0) * axes)
+        of_mean_px2 = more_px2 / mean.frames
         return replace(
             mean,
-            covariance_px2=mean.covariance_px2 + more_px2 / mean.frames,
+            covariance_px2=mean.covariance_px2 + of_mean_px2,
             motion=replace(
                 motion,
-                rate_covariance=motion.rate_covariance + more_px2 / (motion.spread_s2 * mean.frames),
+                rate_covariance=motion.rate_covariance + of_mean_px2 / motion.spread_s2,
                 vibration_px2=motion.vibration_px2 + more_px2,
             ),
         )
