@@ -200,8 +200,9 @@ def all_published(running: LedUnit, monkeypatch: pytest.MonkeyPatch) -> dict[str
     board, published = running.daemon.board, dict[str, Measurement]()
     publish = board.publish
 
-    def keep(measurement: Measurement) -> Measurement:
-        published[str(measurement.sequence)] = shown = publish(measurement)
+    def keep(*finished: Any) -> Measurement:
+        shown = publish(*finished)
+        published[str(shown.sequence)] = shown
         return shown
 
     monkeypatch.setattr(board, "publish", keep)
