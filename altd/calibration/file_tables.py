@@ -1,9 +1,8 @@
-"""The tables of the calibration file: its keys, the limits of its numbers, and a camera's fingerprint."""
+"""Tables in the calibration file: keys, limits, and how they hold a target's map, flat, spot, fingerprint."""
 
 from __future__ import annotations
 
 import base64
-from datetime import datetime
 from typing import Annotated, Any, Literal, get_type_hints
 
 import cv2
@@ -14,23 +13,57 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    GetCoreSchemaHandler,
     GetPydanticSchema,
+    PlainSerializer,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    WrapSerializer,
     create_model,
 )
-from pydantic_core import CoreSchema, core_schema
 
-from altd.config.table import Celsius
+from altd.config.table import complaint
 from altd.files.picture import decode_png
+from altd.files.record_tables import At, attributes_of, held_in
 from altd.mapping.grid import Axis
-from altd.mapping.tensor_map import ROUND, Model
-from altd.records import GLASS_INDEX, Limits, Origin
-from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
+from altd.mapping.tensor_map import ROUND, Model, TensorMap
+from altd.records import FloatArray, Origin
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat, Source
 from altd.vision.hot_pixels import MAX_PIXELS, HotPixels, places_of
-from altd.vision.settings import LightReference, ShapeReference, SpotReference, SpotSettings
+from altd.vision.settings import (
+    UNKNOWN_SPOT,
+    LightReference,
+    ShapeReference,
+    SpotReference,
+    SpotSettings,
+)
 from altd.vision.texture import Texture
+
+
+class Table(BaseModel):
+    """Table that permits only its own keys and finite numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def array_of(key: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
+    """Return the numbers as an array; refuse the ``key`` of a table if they do not have this shape."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except ValueError:
+        array = np.empty(0)
+    if array.shape != shape:
+        raise complaint(((key,), f"expected {' × '.join(map(str, shape))} numbers"))
+    return array
+
+
+def listed(array: FloatArray) -> Any:
+    """Return an array as a file has it."""
+    return array.tolist()
+
+
+ARRAY = AfterValidator(np.array), PlainSerializer(listed)
+"""Marks numbers that are a list in the file and an array in the record."""
 
 _ZERO_LEVEL = 128
 _LEVELS_PER_UNIT = 200.0
@@ -38,10 +71,17 @@ _LEVELS_PER_UNIT = 200.0
 a plain plate is a few hundredths."""
 
 _Pixel = tuple[Annotated[int, Field(ge=0, le=20_000)], Annotated[int, Field(ge=0, le=20_000)]]
-_Pixels = Annotated[list[_Pixel], Field(max_length=MAX_PIXELS)]
+_Pixels = Annotated[list[_Pixel], Field(max_length=MAX_PIXELS), PlainSerializer(listed)]
 
 
-class FingerprintTable(BaseModel):
+def _scan_png(fingerprint: Fingerprint) -> str | None:
+    if fingerprint.source != "scan" or fingerprint.texture is None:
+        return None
+    levels = np.rint(fingerprint.texture.relative * _LEVELS_PER_UNIT + _ZERO_LEVEL)
+    return png_text(np.clip(levels, 0, 255).astype(np.uint8))
+
+
+class FingerprintTable(Table):
     """``fingerprint``: hot pixels as (u, v), and the source of the texture.
 
     ``texture`` ``flat``: the target's flat in the same file; ``scan``: the grey picture ``png``, base64, in
@@ -49,53 +89,36 @@ class FingerprintTable(BaseModel):
     doubled picture on good spots, px; 95 % of them show less.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    hot_px: _Pixels
-    sometimes_hot_px: _Pixels
-    texture: Literal["flat", "scan"] | None
-    png: str | None
-    doubled_px: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] | None = None
+    hot_px: Annotated[_Pixels, At("hot.permanent")]
+    sometimes_hot_px: Annotated[_Pixels, At("hot.intermittent")]
+    texture: Annotated[Literal["flat", "scan"] | None, At("source")]
+    png: Annotated[str | None, At(""), PlainSerializer(_scan_png)]
+    doubled_px: Annotated[float | None, Field(ge=0, le=100), At("usual_doubled_px")] = None
 
 
-def fingerprint_document(fingerprint: Fingerprint | None) -> dict[str, Any] | None:
-    """Return the table of a fingerprint; None without one."""
-    if fingerprint is None:
+def _fingerprint_of(table: FingerprintTable, info: ValidationInfo) -> Fingerprint | None:
+    """Build the fingerprint, if the target that it belongs to has a size; refuse inconsistent values."""
+    if not {"width", "height"} <= info.data.keys():
         return None
-    png = None
-    if fingerprint.source == "scan" and fingerprint.texture is not None:
-        levels = np.rint(fingerprint.texture.relative * _LEVELS_PER_UNIT + _ZERO_LEVEL)
-        png = png_text(np.clip(levels, 0, 255).astype(np.uint8))
-    return {
-        "hot_px": fingerprint.hot.permanent.tolist(),
-        "sometimes_hot_px": fingerprint.hot.intermittent.tolist(),
-        "texture": fingerprint.source,
-        "png": png,
-        "doubled_px": fingerprint.usual_doubled_px,
-    }
-
-
-def fingerprint_of(
-    place: str, table: FingerprintTable | None, width: int, height: int, flat: Flat | None
-) -> Fingerprint | None:
-    """Build the fingerprint from a table; raises ValueError with the ``place`` of an inconsistent value."""
-    if table is None:
-        return None
+    width, height, flat = info.data["width"], info.data["height"], info.data.get("flat")
     if (table.texture == "scan") != (table.png is not None):
-        raise ValueError(f"{place}.png: belongs to texture 'scan' and to no other")
+        raise complaint((("png",), "belongs to texture 'scan' and to no other"))
     hot = HotPixels(places_of(table.hot_px), places_of(table.sometimes_hot_px))
     for key, pixels in (("hot_px", hot.permanent), ("sometimes_hot_px", hot.intermittent)):
         if (pixels >= (width, height)).any():
-            raise ValueError(f"{place}.{key}: a pixel lies outside {width} × {height}")
+            raise complaint(((key,), f"a pixel lies outside {width} × {height}"))
     texture = None
     if table.png is not None:
-        levels = png_levels(f"{place}.png", table.png, width, height)
+        levels = _levels_of(table.png, width, height)
         texture = Texture((levels.astype(np.float32) - _ZERO_LEVEL) / np.float32(_LEVELS_PER_UNIT))
     elif table.texture == "flat":
         if flat is None:
-            raise ValueError(f"{place}.texture: 'flat', but the target has none")
+            raise complaint((("texture",), "'flat', but the target has none"))
         texture = Texture.of_flat(flat)
     return Fingerprint(hot, texture, table.texture, table.doubled_px)
+
+
+FingerprintInFile = Annotated[Fingerprint, held_in(FingerprintTable, Fingerprint, _fingerprint_of)]
 
 
 def png_text(levels: npt.NDArray[np.uint8]) -> str:
@@ -103,16 +126,14 @@ def png_text(levels: npt.NDArray[np.uint8]) -> str:
     return base64.b64encode(cv2.imencode(".png", levels)[1].tobytes()).decode("ascii")
 
 
-def png_levels(place: str, text: str, width: int, height: int) -> npt.NDArray[np.uint8]:
-    """Decode the grey picture in a text of ``png_text``; raises ValueError with the ``place``."""
+def _levels_of(text: str, width: int, height: int) -> npt.NDArray[np.uint8]:
+    """Decode the grey picture ``png`` of a table."""
     try:
         png = base64.b64decode(text, validate=True)
         return np.asarray(decode_png(png, width, height, bits=8), dtype=np.uint8)
     except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
+        raise complaint((("png",), str(error))) from error
 
-
-FORMAT = "altd-calibration/1"
 
 _MIN_SHAPE_DETERMINANT = 0.01
 """Minimum determinant of a noise shape of trace 2; a spot 20 times as long as wide has less."""
@@ -124,16 +145,11 @@ PositivePixels = Annotated[float, Field(gt=0, le=1000)]
 """Misfit, noise or limit, px."""
 Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 """Position in px times the root of the grid's number of nodes: the Gram polynomials are orthonormal."""
+UpTo1000 = Annotated[float, Field(ge=0, le=1000)]
 Side = Annotated[int, Field(ge=16, le=20_000)]
 
 
-class Table(BaseModel):
-    """Table that permits only its own keys and finite numbers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
+def table_of(record: type, **narrower: Any) -> GetPydanticSchema:
     """Read a dataclass from a table that has exactly its fields.
 
     ``narrower`` contains the types of the fields whose values are limited in a file; with a default, of those
@@ -143,20 +159,12 @@ def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
     fields: dict[str, Any] = {
         name: type_ if isinstance(type_, tuple) else (type_, ...) for name, type_ in types.items()
     }
-    table = create_model(f"{record.__name__}Table", __base__=Table, **fields)
-
-    def schema(_: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(
-            lambda read: record(**{name: getattr(read, name) for name in types}),
-            handler.generate_schema(table),
-        )
-
-    return GetPydanticSchema(schema)
+    return held_in(create_model(f"{record.__name__}Table", __base__=Table, **fields), record)
 
 
-_Localiser = Annotated[
+Localiser = Annotated[
     SpotSettings,
-    _table_of(
+    table_of(
         SpotSettings,
         smoothing_px=Annotated[float, Field(ge=0, le=100)],
         threshold=Annotated[float, Field(gt=0, lt=1)],
@@ -173,7 +181,7 @@ _Localiser = Annotated[
 ]
 _Axis = Annotated[
     Axis,
-    _table_of(
+    table_of(
         Axis,
         first_mm=Millimetres,
         step_mm=Annotated[float, Field(gt=0, le=10_000)],
@@ -184,7 +192,7 @@ _Feature = Annotated[float, Field(ge=-10, le=10)]
 _Scatter = Annotated[float, Field(ge=0, le=10)]
 _Shape = Annotated[
     ShapeReference,
-    _table_of(
+    table_of(
         ShapeReference,
         mean=tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]],
         sigma=tuple[_Scatter, _Scatter, _Scatter, _Scatter],
@@ -193,7 +201,7 @@ _Shape = Annotated[
 _LogLight = Annotated[float, Field(ge=-1000, le=1000)]
 _Light = Annotated[
     LightReference,
-    _table_of(
+    table_of(
         LightReference,
         log_light=tuple[_LogLight, _LogLight, _LogLight, _LogLight, _LogLight, _LogLight],
         sigma=Annotated[float, Field(gt=0, le=10)],
@@ -201,7 +209,7 @@ _Light = Annotated[
 ]
 _Spot = Annotated[
     SpotReference,
-    _table_of(
+    table_of(
         SpotReference,
         grain=Annotated[float, Field(gt=0, le=10)] | None,
         misfit_ratio=Annotated[float, Field(ge=1, le=1000)],
@@ -212,6 +220,15 @@ _Spot = Annotated[
     ),
 ]
 
+
+def _written_spot(spot: SpotReference, write: SerializerFunctionWrapHandler) -> Any:
+    return None if spot == UNKNOWN_SPOT else write(spot)
+
+
+SpotInFile = Annotated[
+    _Spot | None, AfterValidator(lambda spot: spot or UNKNOWN_SPOT), WrapSerializer(_written_spot)
+]
+"""Figures of the laser spots; null: not known."""
 
 _Share = Annotated[float, Field(ge=0, le=2)]
 _Mixed = Annotated[float, Field(ge=-1, le=1)]
@@ -224,6 +241,9 @@ def _checked_shape(shape: tuple[float, float, float]) -> tuple[float, float, flo
     return shape
 
 
+_Rows = Annotated[list[list[Coefficient]], PlainSerializer(listed)]
+
+
 class MapTable(Table):
     """Map of a target, or the second map that checks it."""
 
@@ -232,87 +252,46 @@ class MapTable(Table):
     x_axis: _Axis
     y_axis: _Axis
     degree: tuple[Annotated[int, Field(ge=0, le=100)], Annotated[int, Field(ge=0, le=100)]]
-    spectrum_u_px: list[list[Coefficient]]
-    spectrum_v_px: list[list[Coefficient]]
-    spread_u_px: list[list[Coefficient]]
-    spread_v_px: list[list[Coefficient]]
+    spectrum_u_px: Annotated[_Rows, At("spectra.0")]
+    spectrum_v_px: Annotated[_Rows, At("spectra.1")]
+    spread_u_px: Annotated[_Rows, At("covariance_factor_px.0")]
+    spread_v_px: Annotated[_Rows, At("covariance_factor_px.1")]
     noise_px: PositivePixels
     noise_shape: Annotated[tuple[_Share, _Mixed, _Share], AfterValidator(_checked_shape)] = ROUND
-    hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
-    margin_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
-    beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3), *ARRAY]
+    margin_mm: UpTo1000 = 0.0
+    beyond_px_per_mm: UpTo1000 = 0.0
 
 
-class _CrossCheck(Table):
-    map: MapTable
-    left_out_px: PositivePixels
-    bound_px: PositivePixels
-    largest_px: Annotated[float, Field(ge=0, le=1000)]
+def _map_of(table: MapTable, _: ValidationInfo) -> TensorMap:
+    values = attributes_of(table)
+    columns, rows = (degree + 1 for degree in values.pop("degree"))
+    spectra, spread = (
+        [values.pop(f"{name}.{along}") for along in range(2)] for name in ("spectra", "covariance_factor_px")
+    )
+    errors = len(spread[0][0]) if spread[0] else 0
+    return TensorMap(
+        spectra=array_of("spectrum", spectra, (2, rows, columns)),
+        covariance_factor_px=array_of("spread", spread, (2, rows * columns, errors)),
+        **values,
+    )
 
 
-class _Residuals(Table):
-    mean_mm: Annotated[float, Field(ge=0, le=1000)]
-    std_mm: Annotated[float, Field(ge=0, le=1000)]
-    max_mm: Annotated[float, Field(ge=0, le=1000)]
+MapInFile = Annotated[TensorMap, held_in(MapTable, TensorMap, _map_of)]
 
 
 class _Flat(Table):
     source: Source
     origin: Origin = Origin.CAMERA
-    png: str
+    png: Annotated[str, At("levels"), PlainSerializer(png_text)]
 
 
-class TargetTable(Table):
-    """Entry of ``targets``."""
-
-    name: str
-    z_mm: Millimetres
-    camera_serial: str | None
-    camera_model: str | None = None
-    camera_driver: str | None = None
-    origin: Origin = Origin.CAMERA
-    width: Side
-    height: Side
-    localiser: _Localiser
-    flat: _Flat | None
-    map: MapTable
-    cross_check: _CrossCheck
-    left_out_px: PositivePixels
-    residuals: _Residuals
-    repeatability_px: tuple[Annotated[float, Field(ge=0, le=1000)], Annotated[float, Field(ge=0, le=1000)]]
-    leds_px: list[tuple[Pixels, Pixels]]
-    spot: _Spot | None = None
-    fingerprint: FingerprintTable | None = None
-    glass_mm: Annotated[float, Field(gt=0, le=100)] | None = None
-    glass_index: Annotated[float, Field(ge=1, le=3)] = GLASS_INDEX
+def _flat_of(table: _Flat, info: ValidationInfo) -> Flat | None:
+    """Build the flat, if the target that it belongs to has a size."""
+    if not {"width", "height"} <= info.data.keys():
+        return None
+    levels = _levels_of(table.png, info.data["width"], info.data["height"])
+    return Flat(levels, table.source, table.origin)
 
 
-_Limit = Annotated[float, Field(ge=0, le=MAX_LIMIT)] | None
-_Limits = Annotated[
-    Limits, _table_of(Limits, **dict.fromkeys(LIMIT_KEYS, _Limit) | {"temperature_k": (_Limit, None)})
-]
-
-
-class UnitTable(Table):
-    """Table ``unit``."""
-
-    serial: str
-
-
-class RecordingTable(Table):
-    """Table ``recording``: the source of the calibration."""
-
-    note: str
-    sha256: str
-
-
-class CalibrationTable(Table):
-    """The whole file except its checksum."""
-
-    format: Literal["altd-calibration/1"]
-    unit: UnitTable
-    created: datetime
-    recording: RecordingTable
-    limits: _Limits = NO_LIMITS
-    temperature_c: Celsius | None = None
-    targets: Annotated[list[TargetTable], Field(min_length=1)]
+FlatInFile = Annotated[Flat, held_in(_Flat, Flat, _flat_of)]
