@@ -10,7 +10,7 @@ from pydantic import BaseModel, GetCoreSchemaHandler, GetPydanticSchema, Validat
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-Table = TypeVar("Table", bound=BaseModel)
+AnyTable = TypeVar("AnyTable", bound=BaseModel)
 Read = Callable[[Any, ValidationInfo], Any]
 
 
@@ -19,10 +19,12 @@ class At:
     """The attribute of the record that a field holds, where it is not the one of the field's name.
 
     ``path`` may lead through attributes and indices, as ``camera.serial`` or ``spectra.0``; empty: the record
-    itself, as for a table of some of its attributes. ``or_absent``: a file has no such key where it is None.
+    itself, as for a table of some of its attributes. ``shown`` converts a value that is not read back.
+    ``or_absent``: a file has no such key where it is None.
     """
 
     path: str
+    shown: Callable[[Any], Any] | None = None
     or_absent: bool = False
 
 
@@ -49,7 +51,7 @@ def _attribute(record: Any, path: str) -> Any:
     return record
 
 
-def table_from(table: type[Table], record: object, **given: Any) -> Table:
+def table_from(table: type[AnyTable], record: object, **given: Any) -> AnyTable:
     """Return the table of a record, with unchecked values; ``given`` are those that it does not have."""
     values = dict(given)
     for name, field in table.model_fields.items():
@@ -57,8 +59,12 @@ def table_from(table: type[Table], record: object, **given: Any) -> Table:
             continue
         at, inner = _place_of(name, field), _table_in(field)
         value = _constant(field) or _attribute(record, at.path)
+        if value is not None and inner is not None:
+            value = table_from(inner, value)
+        elif value is not None and at.shown is not None:
+            value = at.shown(value)
         if not (value is None and at.or_absent):
-            values[name] = value if inner is None or value is None else table_from(inner, value)
+            values[name] = value
     return table.model_construct(**values)
 
 

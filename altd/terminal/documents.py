@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field, ValidationError
 from altd.errors import one_line
 from altd.records import Quantities
 from altd.status.answer import Answer
+from altd.status.calibration_summary import CalibratedTarget
 from altd.status.models import Availability, SelfCheck, Status, TargetArea, Targets, UnitState
 
 _MAX_LISTED = 200
@@ -92,19 +93,10 @@ class TargetsDocument(Targets):
     targets: list[TargetDocument]  # type: ignore[assignment]  # of the same keys
 
 
-class CalibratedTargetDocument(Answer):
-    """Quality of one target's calibration; ``flat`` None: without a flat."""
-
-    name: str
-    left_out_px: float | None
-    residuals: dict[str, float | None]
-    flat: str | None
-
-
 class CalibrationDocument(Answer):
     """``/api/v1/calibration``; without targets no calibration is loaded."""
 
-    targets: list[CalibratedTargetDocument] = Field(default=[])
+    targets: list[CalibratedTarget] = Field(default=[])
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,7 +153,7 @@ def _further(
     for target in calibration.targets:
         figures = (
             (target.left_out_px, "rms", "px"),
-            (target.residuals.get("max_mm"), "largest residual", "mm"),
+            (target.residuals.max_mm, "largest residual", "mm"),
         )
         known = [f"{what} {value:.3f} {unit}" for value, what, unit in figures if value is not None]
         text = ", ".join([*known, "without flat" if target.flat is None else "with flat"])

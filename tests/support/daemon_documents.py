@@ -43,11 +43,30 @@ CHECK: dict[str, Any] = {
     },
 }
 
+
+def calibrated(name: str, left_out_px: float | None, max_mm: float, flat: str | None) -> dict[str, Any]:
+    return {
+        "name": name,
+        "z_mm": 0.0,
+        "simulated": False,
+        "camera": {"serial": None, "model": None, "driver": None},
+        "width": 752,
+        "height": 480,
+        "map": "lens",
+        "x_mm": [-84.0, 84.0],
+        "y_mm": [-70.0, 70.0],
+        "left_out_px": left_out_px,
+        "residuals": {"mean_mm": 0.004, "std_mm": 0.002, "max_mm": max_mm},
+        "repeatability_px": [0.01, 0.01],
+        "leds": 4,
+        "cross_check": {"map": "tensor 4 × 4", "left_out_px": 0.03, "bound_px": 0.1, "largest_px": 0.05},
+        "flat": flat,
+        "fingerprint": None,
+    }
+
+
 CALIBRATION: dict[str, Any] = {
-    "targets": [
-        {"name": "front", "left_out_px": 0.02104, "residuals": {"max_mm": 0.0123}, "flat": "abc"},
-        {"name": "rear", "left_out_px": None, "residuals": {"max_mm": 0.0101}, "flat": None},
-    ]
+    "targets": [calibrated("front", 0.02104, 0.0123, "recording"), calibrated("rear", None, 0.0101, None)]
 }
 
 DUSTY: dict[str, Any] = {

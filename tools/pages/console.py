@@ -19,6 +19,7 @@ from altd.publish.serial.commands import (
 )
 from altd.publish.serial.console import PAGE_LINES, QUESTION_S, Console
 from altd.publish.serial.lines import MAX_LINE_CHARACTERS, MAX_RECALLED_LINES, BadLine
+from altd.status.calibration_summary import CalibratedTarget, Residuals
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, State
 from altd.status.measurement_json import checked_line
@@ -44,10 +45,12 @@ _SECONDS = 60
 _OUTLINE_MM = [[-84.0, -70.0], [84.0, -70.0], [84.0, 70.0], [-84.0, 70.0]]
 _CHECK = {"verdict": "good", "reasons": [], "time": "2026-11-20T08:10:00.000Z"}
 
-_CALIBRATED = [
-    {"name": name, "left_out_px": rms_px, "residuals": {"max_mm": max_mm}, "flat": "a flat"}
+_CALIBRATED = tuple(
+    CalibratedTarget.model_construct(
+        name=name, left_out_px=rms_px, residuals=Residuals.model_construct(max_mm=max_mm), flat="recording"
+    )
     for name, rms_px, max_mm in (("front", 0.024, 0.011), ("rear", 0.021, 0.009))
-]
+)
 
 
 def page() -> str:
@@ -69,7 +72,7 @@ Uncertainties are combined standard uncertainties (1 sigma, [budget](budget.md))
 
 def _local() -> str:
     pages = ", ".join(f"*{name}*" for name, _ in PAGES)
-    calibration = checked(CalibrationDocument, {"targets": _CALIBRATED})
+    calibration = CalibrationDocument.model_construct(targets=_CALIBRATED)
     shown = status_text(
         _reading(0), checked(StatusDocument, _status()), checked(SelfCheckDocument, _CHECK), calibration
     )

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 from altd.publish.http import models
 from altd.publish.http.answers import Answers, self_check
-from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
+from altd.publish.http.calibration import CalibrationFile
 from altd.publish.http.diagnostics import ZIP
 from altd.publish.http.operations import Operation, Parameter, ServedPath
 from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
+from altd.status.calibration_summary import CalibrationSummary
 from altd.status import models as unit
 from altd.status.event_log import EventKind
 from altd.status.services import KeptRecording

@@ -17,18 +17,19 @@ from support.unit_toml import played_toml
 
 from altd.app import calibration_files
 from altd.app.calibration_files import ReadCalibrationFiles
-from altd.app.calibration_summary import MAX_TEXT_CHARACTERS, summary_of, target_areas_of
+from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.settings import load_settings
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.report.content import report_on
 from altd.calibration.report.write import Source
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.publish.http.calibration import CalibrationSummary
 from altd.publish.serial.console import Console
 from altd.recording.header import RecordingHeader
 from altd.records import CameraIdentity, Origin
+from altd.status.calibration_summary import MAX_TEXT_CHARACTERS, CalibrationSummary
 from altd.status.health import Health
 from altd.status.services import NoCalibrationFileError, NoReportError
+from altd.terminal.documents import CalibrationDocument
 
 
 def page_of(checksum: str) -> str:
@@ -163,6 +164,8 @@ def test_it_says_what_stands_in_the_file(tmp_path: Path) -> None:
         assert (shown["leds"], shown["width"], shown["height"]) == (len(of["leds_px"]), 752, 480)
         assert (shown["flat"], shown["fingerprint"], shown["simulated"]) == (None, None, False)
     CalibrationSummary.model_validate({**told, **REPORT})
+    read = CalibrationDocument.checked({**told, **REPORT})
+    assert [target.model_dump(mode="json") for target in read.targets] == told["targets"]
 
 
 def test_the_expected_sigma_of_straight_maps_is_the_closed_form() -> None:

@@ -22,7 +22,10 @@ from altd.records import CameraIdentity, Glass, Limits
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.hot_pixels import HotPixels, places_of
+from altd.vision.settings import UNKNOWN_SPOT
 from altd.vision.texture import Texture
+
+HOT = HotPixels(places_of([(3, 4), (700, 20)]), places_of([(5, 6)]))
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +121,42 @@ def test_a_file_keeps_the_temperature_and_has_no_key_of_it_without(
     save_calibration(replace(calibration, temperature_c=21.5, limits=limits), tmp_path / "warm.json")
     read = load_calibration(tmp_path / "warm.json")
     assert (read.temperature_c, read.limits) == (21.5, limits)
+
+
+KEYS = (
+    "name z_mm camera_serial camera_model camera_driver origin width height localiser flat map cross_check "
+    "left_out_px residuals repeatability_px leds_px spot fingerprint"
+)
+OF_MAP = (
+    "basis model x_axis y_axis degree spectrum_u_px spectrum_v_px spread_u_px spread_v_px noise_px "
+    "noise_shape hull_mm margin_mm beyond_px_per_mm"
+)
+
+
+def test_a_file_has_these_keys_in_this_order_and_is_the_same_when_saved_again(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    front, rear = calibration.targets
+    surface = Texture(np.zeros((480, 752), np.float32))
+    front = replace(
+        front, glass=Glass(4.0), fingerprint=Fingerprint(HOT, surface, "scan", 0.3), spot=UNKNOWN_SPOT
+    )
+    rear = replace(rear, fingerprint=Fingerprint(HOT, None, None))
+    save_calibration(replace(calibration, targets=(front, rear)), tmp_path / "first.json")
+    written = json.loads((tmp_path / "first.json").read_text())
+    assert " ".join(written) == "format unit created recording limits targets checksum"
+    assert [" ".join(target) for target in written["targets"]] == [f"{KEYS} glass_mm glass_index", KEYS]
+    of_front, of_rear = written["targets"]
+    assert (of_front["spot"], of_front["glass_index"], of_rear["fingerprint"]["png"]) == (None, 1.52, None)
+    assert " ".join(of_front["map"]) == " ".join(of_rear["cross_check"]["map"]) == OF_MAP
+    assert " ".join(of_front["cross_check"]) == "map left_out_px bound_px largest_px"
+    assert of_front["residuals"] == {
+        "mean_mm": front.residual_mean_mm,
+        "std_mm": front.residual_std_mm,
+        "max_mm": front.residual_max_mm,
+    }
+    save_calibration(load_calibration(tmp_path / "first.json"), tmp_path / "second.json")
+    assert (tmp_path / "second.json").read_bytes() == (tmp_path / "first.json").read_bytes()
 
 
 def test_a_file_keeps_the_map_that_checks_and_its_bound(calibration: Calibration, file: Path) -> None:
@@ -244,9 +283,6 @@ def test_a_measurement_recording_is_no_scan(tmp_path: Path) -> None:
     recording = open_recording(write_beams(tmp_path / "rec", [(0, 0, 0, 0)]))
     with pytest.raises(BadInputError, match="is of kind 'measurement'; a calibration needs a 'scan'"):
         calibrate([recording])
-
-
-HOT = HotPixels(places_of([(3, 4), (700, 20)]), places_of([(5, 6)]))
 
 
 def reloaded(calibration: Calibration, folder: Path) -> Calibration:

@@ -7,7 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from support.daemon_documents import CALIBRATION, CHECK, DUSTY, TARGETS, invalid, measurement, status
+from support.daemon_documents import (
+    CALIBRATION,
+    CHECK,
+    DUSTY,
+    TARGETS,
+    calibrated,
+    invalid,
+    measurement,
+    status,
+)
 
 from altd.files.documents import parse_json
 from altd.instruments.beam.instrument import QUANTITIES
@@ -74,8 +83,7 @@ def test_control_characters_do_not_reach_a_terminal() -> None:
     state = checked(StatusDocument, status(cause) | {"serial": nasty, "version": nasty, "calibration": nasty})
     reading = reading_of(measurement(status=[nasty], time=nasty), QUANTITIES)
     check = checked(SelfCheckDocument, {"verdict": "bad", "reasons": [nasty], "time": nasty})
-    target = {"name": nasty, "left_out_px": 1.0, "residuals": {}, "flat": nasty}
-    calibration = checked(CalibrationDocument, {"targets": [target]})
+    calibration = checked(CalibrationDocument, {"targets": [calibrated(nasty, 1.0, 0.01, nasty)]})
     knowledge = Knowledge()
     knowledge.set_reading(reading, 0.0)
     knowledge.set_status(state, 0.0)
