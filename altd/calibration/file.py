@@ -25,20 +25,17 @@ from altd.calibration.file_tables import (
     ARRAY,
     FingerprintInFile,
     FlatInFile,
-    Localiser,
     MapInFile,
-    Millimetres,
     Pixels,
     PositivePixels,
     Side,
     SpotInFile,
-    Table,
     UpTo1000,
     listed,
     table_of,
 )
 from altd.calibration.result import check_calibration
-from altd.config.table import FAULTS, Celsius
+from altd.config.table import FAULTS, Celsius, Millimetres, Table
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file
@@ -48,7 +45,7 @@ from altd.measuring.calibration import Calibration, CalibrationFile, TargetCalib
 from altd.recording.header import RecordingHeader
 from altd.records import GLASS_INDEX, CameraIdentity, Glass, Limits, Origin, utc_text
 from altd.records.limits import LIMIT_KEYS, MAX_LIMIT, NO_LIMITS
-from altd.vision.settings import UNKNOWN_SPOT
+from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 MAX_BYTES = 1 << 26
 """Maximum size of a file, bytes: that of two incompressible flats of 20 megapixels."""
@@ -80,7 +77,7 @@ class TargetTable(Table):
     origin: Origin = Origin.CAMERA
     width: Side
     height: Side
-    localiser: Localiser
+    localiser: Annotated[SpotSettings, table_of(SpotSettings)]
     flat: FlatInFile | None
     map: MapInFile
     cross_check: _CrossCheck

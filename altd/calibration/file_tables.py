@@ -10,8 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     GetPydanticSchema,
     PlainSerializer,
@@ -21,7 +19,7 @@ from pydantic import (
     create_model,
 )
 
-from altd.config.table import complaint
+from altd.config.table import Millimetres, Table, complaint
 from altd.files.picture import decode_png
 from altd.files.record_tables import At, attributes_of, held_in
 from altd.mapping.grid import Axis
@@ -35,15 +33,8 @@ from altd.vision.settings import (
     LightReference,
     ShapeReference,
     SpotReference,
-    SpotSettings,
 )
 from altd.vision.texture import Texture
-
-
-class Table(BaseModel):
-    """Table that permits only its own keys and finite numbers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def array_of(key: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
@@ -138,7 +129,6 @@ def _levels_of(text: str, width: int, height: int) -> npt.NDArray[np.uint8]:
 _MIN_SHAPE_DETERMINANT = 0.01
 """Minimum determinant of a noise shape of trace 2; a spot 20 times as long as wide has less."""
 
-Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
 """Coordinate in or near a picture of at most 20 000 px."""
 PositivePixels = Annotated[float, Field(gt=0, le=1000)]
@@ -149,74 +139,24 @@ UpTo1000 = Annotated[float, Field(ge=0, le=1000)]
 Side = Annotated[int, Field(ge=16, le=20_000)]
 
 
-def table_of(record: type, **narrower: Any) -> GetPydanticSchema:
-    """Read a dataclass from a table that has exactly its fields.
+def table_of(record: type, **given: Any) -> GetPydanticSchema:
+    """Read a dataclass from a table with its fields and their limits, all of which a file must have.
 
-    ``narrower`` contains the types of the fields whose values are limited in a file; with a default, of those
-    that a file may lack.
+    ``given`` contains the types of fields that are not plain ones; with a default, of those that it may lack.
     """
-    types = get_type_hints(record) | narrower
+    types = get_type_hints(record, include_extras=True) | given
     fields: dict[str, Any] = {
         name: type_ if isinstance(type_, tuple) else (type_, ...) for name, type_ in types.items()
     }
     return held_in(create_model(f"{record.__name__}Table", __base__=Table, **fields), record)
 
 
-Localiser = Annotated[
-    SpotSettings,
-    table_of(
-        SpotSettings,
-        smoothing_px=Annotated[float, Field(ge=0, le=100)],
-        threshold=Annotated[float, Field(gt=0, lt=1)],
-        power=Annotated[float, Field(gt=0, le=10)],
-        min_diameter_px=Annotated[float, Field(gt=0, le=10_000)],
-        max_diameter_px=Annotated[float, Field(gt=0, le=20_000)] | None,
-        max_aspect=Annotated[float, Field(ge=1, le=100)],
-        min_fill=Annotated[float, Field(ge=0, le=1)],
-        like_size=Annotated[float, Field(gt=0, le=1)],
-        max_saturated=Annotated[float, Field(ge=0, le=1)],
-        max_sigma_px=PositivePixels,
-        full_well_electrons=Annotated[float, Field(ge=100, le=10_000_000)],
-    ),
-]
-_Axis = Annotated[
-    Axis,
-    table_of(
-        Axis,
-        first_mm=Millimetres,
-        step_mm=Annotated[float, Field(gt=0, le=10_000)],
-        nodes=Annotated[int, Field(ge=2, le=10_000)],
-    ),
-]
-_Feature = Annotated[float, Field(ge=-10, le=10)]
-_Scatter = Annotated[float, Field(ge=0, le=10)]
-_Shape = Annotated[
-    ShapeReference,
-    table_of(
-        ShapeReference,
-        mean=tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]],
-        sigma=tuple[_Scatter, _Scatter, _Scatter, _Scatter],
-    ),
-]
-_LogLight = Annotated[float, Field(ge=-1000, le=1000)]
-_Light = Annotated[
-    LightReference,
-    table_of(
-        LightReference,
-        log_light=tuple[_LogLight, _LogLight, _LogLight, _LogLight, _LogLight, _LogLight],
-        sigma=Annotated[float, Field(gt=0, le=10)],
-    ),
-]
 _Spot = Annotated[
     SpotReference,
     table_of(
         SpotReference,
-        grain=Annotated[float, Field(gt=0, le=10)] | None,
-        misfit_ratio=Annotated[float, Field(ge=1, le=1000)],
-        pattern_px=Annotated[float, Field(ge=0, le=100)] | None,
-        noise_px=Annotated[float, Field(ge=0, le=100)],
-        shape=_Shape | None,
-        light=(_Light | None, None),
+        shape=Annotated[ShapeReference, table_of(ShapeReference)] | None,
+        light=(Annotated[LightReference, table_of(LightReference)] | None, None),
     ),
 ]
 
@@ -249,8 +189,8 @@ class MapTable(Table):
 
     basis: Literal["gram"]
     model: Model
-    x_axis: _Axis
-    y_axis: _Axis
+    x_axis: Annotated[Axis, table_of(Axis)]
+    y_axis: Annotated[Axis, table_of(Axis)]
     degree: tuple[Annotated[int, Field(ge=0, le=100)], Annotated[int, Field(ge=0, le=100)]]
     spectrum_u_px: Annotated[_Rows, At("spectra.0")]
     spectrum_v_px: Annotated[_Rows, At("spectra.1")]

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, TypeAdapter, ValidationInfo
 
 from altd.calibration.file import RecordingTable, UnitTable, content_of, read_calibration
-from altd.calibration.file_tables import ARRAY, Side, Table, array_of, listed
-from altd.config.table import complaint
+from altd.calibration.file_tables import ARRAY, Side, array_of, listed
+from altd.config.table import Table, complaint
 from altd.errors import BadInputError
 from altd.files.record_tables import At, attributes_of, held_in, record_from
 from altd.files.writing import write_file

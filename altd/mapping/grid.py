@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
+from altd.config.table import Millimetres
 from altd.records import FloatArray
 
 _EDGE_TOLERANCE_MM = 1e-3
@@ -71,11 +73,11 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Equidistant positions along one axis, mm."""
+    """Equidistant positions along one axis, mm; the limits are those of a calibration file."""
 
-    first_mm: float
-    step_mm: float
-    nodes: int
+    first_mm: Millimetres
+    step_mm: Annotated[float, Field(gt=0, le=10_000)]
+    nodes: Annotated[int, Field(ge=2, le=10_000)]
 
     @property
     def last_mm(self) -> float:

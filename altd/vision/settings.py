@@ -1,12 +1,16 @@
-"""Localiser's part of a calibration file: its settings, and statistics of the target's good spots."""
+"""Localiser's part of a calibration file: its settings, and statistics of the target's good spots.
+
+The limits of the numbers apply to those that are read from a file.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from altd.records import FloatArray
 
@@ -23,34 +27,37 @@ class SpotSettings:
     method: Method = "auto"
     """``profile`` fits a super-Gaussian through the flat, ``moment`` takes the first moment, which a printed
     pattern without a flat disturbs less; ``auto`` chooses by whether the spot is on print."""
-    smoothing_px: float = 4.0
+    smoothing_px: Annotated[float, Field(ge=0, le=100)] = 4.0
     """Sigma of the Gaussian that bridges the printed dots: about one dot pitch. 0 switches it off."""
-    threshold: float = 0.07
+    threshold: Annotated[float, Field(gt=0, lt=1)] = 0.07
     """Threshold T of (I − T)₊ as a fraction of the smoothed spot's peak over the background."""
-    power: float = 0.4
+    power: Annotated[float, Field(gt=0, le=10)] = 0.4
     """Exponent p of Eq. 2.7. Below 1 it flattens the weights, which suits noise that increases with the
     light, such as speckle and printed dots: on six simulated units and unit-a, 0.4 above 7 % scatters 10 to
     30 % less than 1 above 10 %."""
-    min_diameter_px: float = 8.0
+    min_diameter_px: Annotated[float, Field(gt=0, le=10_000)] = 8.0
     """Minimum 1/e² diameter; spots outside the limits are ``wrong_size``."""
-    max_diameter_px: float | None = None
+    max_diameter_px: Annotated[float, Field(gt=0, le=20_000)] | None = None
     """Maximum 1/e² diameter; None: 0.6 of the image's smaller side."""
-    max_aspect: float = 3.5
+    max_aspect: Annotated[float, Field(ge=1, le=100)] = 3.5
     """Maximum aspect ratio; longer is ``wrong_shape``. A laser diode's ellipse reaches 2.6 (App. A.2)."""
-    min_fill: float = 0.8
+    min_fill: Annotated[float, Field(ge=0, le=1)] = 0.8
     """Minimum area over that of the ellipse with the same second moments; rings and crescents have less."""
-    like_size: float = 0.3
+    like_size: Annotated[float, Field(gt=0, le=1)] = 0.3
     """Share of the first spot's light from which a second spot makes the frame ``ambiguous``."""
-    max_saturated: float = 0.5
+    max_saturated: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Saturated fraction of the spot's bright pixels above which it is ``saturated``: a Gaussian reaches it
     when it is over-exposed twofold. Below that the fit excludes clipped pixels and loses little."""
-    max_sigma_px: float = 0.5
+    max_sigma_px: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """Maximum uncertainty of a spot's centre, px; above it the spot is too dim."""
-    full_well_electrons: float = 15_000.0
+    full_well_electrons: Annotated[float, Field(ge=100, le=10_000_000)] = 15_000.0
     """Electrons at full scale, for the shot noise in ``sigma_px``."""
 
 
 ShapeVector = tuple[float, float, float, float]
+_Feature = Annotated[float, Field(ge=-10, le=10)]
+_Scatter = Annotated[float, Field(ge=0, le=10)]
+_LogLight = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +68,8 @@ class ShapeReference:
     ``altd.measuring.spot_shape.shape_in_mm`` returns them.
     """
 
-    mean: ShapeVector
-    sigma: ShapeVector
+    mean: tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]]
+    sigma: tuple[_Scatter, _Scatter, _Scatter, _Scatter]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +80,8 @@ class LightReference:
     ``sigma`` is the scatter of single spots about it.
     """
 
-    log_light: tuple[float, float, float, float, float, float]
-    sigma: float
+    log_light: tuple[_LogLight, _LogLight, _LogLight, _LogLight, _LogLight, _LogLight]
+    sigma: Annotated[float, Field(gt=0, le=10)]
 
     @staticmethod
     def powers(px: FloatArray) -> FloatArray:
@@ -95,10 +102,10 @@ class SpotReference:
     the scan is not known. The names are the calibration file's.
     """
 
-    grain: float | None
-    misfit_ratio: float
-    pattern_px: float | None
-    noise_px: float
+    grain: Annotated[float, Field(gt=0, le=10)] | None
+    misfit_ratio: Annotated[float, Field(ge=1, le=1000)]
+    pattern_px: Annotated[float, Field(ge=0, le=100)] | None
+    noise_px: Annotated[float, Field(ge=0, le=100)]
     shape: ShapeReference | None
     light: LightReference | None = None
 
