@@ -18,20 +18,22 @@ from altd.records.spots import SpotMotion
 from altd.statistics import MAD_TO_SIGMA, median
 
 
-def spot_motion(
+def _motion(
     deviations_px: FloatArray,
     since_middle_s: FloatArray,
     exposure_covariance_px2: FloatArray,
     noise_px: FloatArray,
     newest: tuple[FloatArray, float] | None,
-) -> SpotMotion:
-    """Return the motion over n frame sets without outliers.
+) -> SpotMotion | None:
+    """Return the motion over n frame sets without outliers; None: too few.
 
     ``deviations_px`` (n, coordinates) are from their mean, at ``since_middle_s`` (n,) from the mean time;
     ``exposure_covariance_px2`` is the covariance of one frame set about steady motion, ``noise_px`` the
     spots' own noise. ``newest`` holds deviation and time of the newest frame set if it is an outlier: a beam
     that starts to move first appears as one, and does not move the mean.
     """
+    if len(deviations_px) < _MIN_FRAME_SETS_FOR_MOTION:
+        return None
     square_s2 = float(since_middle_s @ since_middle_s)
     rate = since_middle_s @ deviations_px / square_s2
     last_s = float(since_middle_s[-1])
@@ -180,10 +182,10 @@ def mean_spots(
     inliers = spots[is_inlier]
     mean = inliers.mean(axis=0)
     deviations_px = px - mean[:, :2].ravel()
-    speed = _speed_px_per_ns(deviations_px[is_inlier], since_middle_ns[is_inlier])
-    covariance_px2 = _covariance_of_mean(
-        deviations_px[is_inlier], speed, since_middle_ns[is_inlier], typical_noise
-    )
+    newest = None if is_inlier[-1] else (deviations_px[-1], float(since_middle_ns[-1] * 1e-9))
+    near_px, near_ns = deviations_px[is_inlier], since_middle_ns[is_inlier]
+    speed = _speed_px_per_ns(near_px, near_ns)
+    covariance_px2 = _covariance_of_mean(near_px, speed, near_ns, typical_noise)
     behind_ns = mean[:, _BEHIND_NS].tolist()
     return MeanSpots(
         targets=targets,
@@ -196,7 +198,7 @@ def mean_spots(
         shape_parts=tuple(_mean_shapes(part) for part in np.array_split(inliers, min(_SHAPE_PARTS, count))),
         excess_px=tuple(math.sqrt(square) for square in mean[:, _EXCESS2].tolist()),
         log_lights=inliers[:, :, _LIGHT],
-        motion=_motion(deviations_px, since_middle_ns, is_inlier, covariance_px2, typical_noise),
+        motion=_motion(near_px, near_ns * 1e-9, covariance_px2 * count, typical_noise, newest),
         apart_s=(max(behind_ns) - min(behind_ns)) * 1e-9,
     )
 
@@ -231,24 +233,6 @@ def _numbers_of(frame_set: FrameSet, target: str) -> tuple[float, ...]:
         math.log(spot.light_per_ms) if spot.light_per_ms else math.nan,
         _LIGHT_SIGMA_DIAMETERS * spot.sigma_px / spot.diameter_px,
         *(_NO_SHAPE if shape is None else (shape.a, shape.b, shape.c, shape.order)),
-    )
-
-
-def _motion(
-    deviations: FloatArray,
-    since_middle_ns: FloatArray,
-    is_inlier: BoolArray,
-    covariance_of_mean_px2: FloatArray,
-    noise: FloatArray,
-) -> SpotMotion | None:
-    """Return the motion of the spots from all usable frame sets (n, coordinates), including the outliers."""
-    count = int(np.count_nonzero(is_inlier))
-    if count < _MIN_FRAME_SETS_FOR_MOTION:
-        return None
-    since_middle_s = since_middle_ns * 1e-9
-    newest = None if is_inlier[-1] else (deviations[-1], float(since_middle_s[-1]))
-    return spot_motion(
-        deviations[is_inlier], since_middle_s[is_inlier], covariance_of_mean_px2 * count, noise, newest
     )
 
 

@@ -9,15 +9,12 @@ import math
 from collections.abc import Iterable
 from typing import Annotated
 
-from pydantic import AfterValidator
-
 from altd.errors import one_line
 from altd.files.record_tables import At
 from altd.records import utc_text
-from altd.status.models import Answer
+from altd.status.answer import Answer
 
 MAX_TEXT_CHARACTERS = 300
-_MAX_FIGURE = 1e9
 _DIGITS = 4
 
 Range = tuple[float | None, float | None]
@@ -42,27 +39,17 @@ def _span(places: Iterable[float]) -> Range:
     return float(min(places)), float(max(places))
 
 
-def _checked(figure: float | None) -> float | None:
-    if figure is not None and abs(figure) > _MAX_FIGURE:
-        raise ValueError("is no figure of a calibration")
-    return figure
-
-
-Text = Annotated[str, AfterValidator(one_line)]
-Figure = Annotated[float | None, AfterValidator(_checked)]
-
-
 class CalibrationRecording(Answer):
     """Recordings and settings that a calibration was made from."""
 
-    note: Annotated[Text, At("recording_note", shown)]
-    sha256: Annotated[Text, At("recording_sha256", shown)]
+    note: Annotated[str, At("recording_note", shown)]
+    sha256: Annotated[str, At("recording_sha256", shown)]
 
 
 class CalibrationFileFacts(Answer):
     """The file of the calibration; null checksums: it was not read from a file."""
 
-    name: Text
+    name: str
     sha256: Annotated[str | None, At("file.sha256")]
     """SHA-256 of all bytes of the file, as from `sha256sum`; the report and the console show the same."""
     checksum: Annotated[str | None, At("file.checksum")]
@@ -72,26 +59,26 @@ class CalibrationFileFacts(Answer):
 class CalibratedCamera(Answer):
     """The camera that was calibrated; null: not known."""
 
-    serial: Annotated[Text | None, At("serial", shown)]
-    model: Annotated[Text | None, At("model", shown)]
-    driver: Annotated[Text | None, At("driver", shown)]
+    serial: Annotated[str | None, At("serial", shown)]
+    model: Annotated[str | None, At("model", shown)]
+    driver: Annotated[str | None, At("driver", shown)]
 
 
 class Residuals(Answer):
     """Distances between the mapped and the known positions of the nodes (Eq. 3.1)."""
 
-    mean_mm: Annotated[Figure, At("residual_mean_mm", rounded)]
-    std_mm: Annotated[Figure, At("residual_std_mm", rounded)]
-    max_mm: Annotated[Figure, At("residual_max_mm", rounded)]
+    mean_mm: Annotated[float | None, At("residual_mean_mm", rounded)]
+    std_mm: Annotated[float | None, At("residual_std_mm", rounded)]
+    max_mm: Annotated[float | None, At("residual_max_mm", rounded)]
 
 
 class CalibrationCrossCheck(Answer):
     """The second map, and its difference from the first one."""
 
     map: Annotated[str, At("map.name")]
-    left_out_px: Annotated[Figure, At("leave_one_out_px", rounded)]
-    bound_px: Annotated[Figure, At("limit_px", rounded)]
-    largest_px: Annotated[Figure, At("max_difference_px", rounded)]
+    left_out_px: Annotated[float | None, At("leave_one_out_px", rounded)]
+    bound_px: Annotated[float | None, At("limit_px", rounded)]
+    largest_px: Annotated[float | None, At("max_difference_px", rounded)]
 
 
 class CalibrationFingerprint(Answer):
@@ -106,7 +93,7 @@ class CalibrationFingerprint(Answer):
 class CalibratedTarget(Answer):
     """Calibration of one target."""
 
-    name: Text
+    name: str
     z_mm: float
     simulated: bool
     """Whether it was made from simulated frames and is not for a real unit."""
@@ -118,7 +105,7 @@ class CalibratedTarget(Answer):
     x_mm: Annotated[Range, At("valid_mm.T.0", _span)]
     """Lowest and highest x in the area in which spots are valid, mm."""
     y_mm: Annotated[Range, At("valid_mm.T.1", _span)]
-    left_out_px: Annotated[Figure, At("leave_one_out_px", rounded)]
+    left_out_px: Annotated[float | None, At("leave_one_out_px", rounded)]
     """Rms of the leave-one-out residuals, px: distances of nodes from the map fitted without them."""
     residuals: Annotated[Residuals, At("")]
     repeatability_px: Annotated[Range, At("repeatability_px", _both_rounded)]
@@ -143,7 +130,7 @@ class CalibrationReport(Answer):
 class CalibrationFigures(Answer):
     """The loaded calibration, without its report."""
 
-    unit: Annotated[Text, At("unit_serial", shown)]
+    unit: Annotated[str, At("unit_serial", shown)]
     created: Annotated[str, At("created", utc_text)]
     """Time at which the calibration was made, UTC."""
     simulated: bool

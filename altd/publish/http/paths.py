@@ -10,8 +10,8 @@ from altd.publish.http.calibration import CalibrationFile
 from altd.publish.http.diagnostics import ZIP
 from altd.publish.http.operations import Operation, Parameter, ServedPath
 from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
-from altd.status.calibration_summary import CalibrationSummary
 from altd.status import models as unit
+from altd.status.calibration_summary import CalibrationSummary
 from altd.status.event_log import EventKind
 from altd.status.services import KeptRecording
 

@@ -29,7 +29,7 @@ from altd.records import CameraIdentity, Origin
 from altd.status.calibration_summary import MAX_TEXT_CHARACTERS, CalibrationSummary
 from altd.status.health import Health
 from altd.status.services import NoCalibrationFileError, NoReportError
-from altd.terminal.documents import CalibrationDocument
+from altd.terminal.documents import CalibrationDocument, checked
 
 
 def page_of(checksum: str) -> str:
@@ -164,7 +164,7 @@ def test_it_says_what_stands_in_the_file(tmp_path: Path) -> None:
         assert (shown["leds"], shown["width"], shown["height"]) == (len(of["leds_px"]), 752, 480)
         assert (shown["flat"], shown["fingerprint"], shown["simulated"]) == (None, None, False)
     CalibrationSummary.model_validate({**told, **REPORT})
-    read = CalibrationDocument.checked({**told, **REPORT})
+    read = checked(CalibrationDocument, {**told, **REPORT})
     assert [target.model_dump(mode="json") for target in read.targets] == told["targets"]
 
 
