@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from altd.calibration.report.prediction import EXPOSURES, predict
 from altd.config import Config
@@ -53,13 +52,13 @@ _SIGMA_DIGITS = 7
 """Significant digits of a sigma; more than are shown, for rounding twice could differ from the report."""
 
 
-def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> dict[str, Any]:
+def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> CalibrationFigures:
     """Return the calibration of these targets from the file ``name``."""
     chosen = [target for each in targets if (target := calibration.target(each)) is not None]
     return _summary(calibration, name, _expected_sigma(calibration), chosen)
 
 
-def planar_summary_of(calibration: PlanarCalibration, name: str) -> dict[str, Any]:
+def planar_summary_of(calibration: PlanarCalibration, name: str) -> CalibrationFigures:
     """Return the calibration of a plate from the file ``name``; the sigma is that of the known poses."""
     of_place_mm, of_phi_deg = calibration.rms.get(calibration.fit.camera.model, (math.nan, math.nan))
     keys = (quantity.key for quantity in PLANAR_QUANTITIES.of_unit)
@@ -72,8 +71,8 @@ def _summary(
     name: str,
     expected_sigma: Mapping[str, float],
     targets: Iterable[TargetCalibration] = (),
-) -> dict[str, Any]:
-    figures = table_from(
+) -> CalibrationFigures:
+    return table_from(
         CalibrationFigures,
         calibration,
         file=table_from(CalibrationFileFacts, calibration, name=shown(name)),
@@ -81,7 +80,6 @@ def _summary(
         expected_sigma={key: rounded(sigma, _SIGMA_DIGITS) for key, sigma in expected_sigma.items()},
         targets=[table_from(CalibratedTarget, target) for target in targets],
     )
-    return figures.model_dump(mode="json")
 
 
 def _expected_sigma(calibration: Calibration) -> dict[str, float]:

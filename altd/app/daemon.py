@@ -109,7 +109,7 @@ class Daemon:
         """Reloads the settings; None: they were not read from a file."""
         self._calibrated = calibration.created.date()
         self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
-        self.health.calibration.open(instrument.summary, self._calibration_files)
+        self.health.calibration.open(instrument.figures, self._calibration_files)
         self.health.diagnostics = diagnostic_parts(config)
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.frame_chain import FrameChain, Provenance
 from altd.records import CameraIdentity, MeanSpots, Quantities
+from altd.status.calibration_summary import CalibrationFigures
 from altd.status.services import TargetView
 from altd.status.target_area import TargetArea
 
@@ -43,7 +44,7 @@ class LiveInstrument:
 
     quantities: Quantities
     chain: Callable[[Provenance], FrameChain[Any]]
-    summary: Mapping[str, Any]
+    figures: CalibrationFigures
     views: tuple[TargetView, ...]
     areas: tuple[TargetArea, ...]
     stale_after_s: float
@@ -68,15 +69,16 @@ def live_instrument(
     is_row = config.unit.instrument == "chain"
     parts = _row(config, calibration) if is_row else _beam(config, calibration, celsius, correct)
     quantities, chain, stale_after_s = parts
-    summary = summary_of(
+    figures = summary_of(
         calibration, [target.name for target in config.targets], config.unit.calibration.name
     )
     if is_row:
-        summary["expected_sigma"] = {}  # it applies only to a beam through all targets
+        # it applies only to a beam through all targets
+        figures = figures.model_copy(update={"expected_sigma": {}})
     return LiveInstrument(
         quantities,
         chain,
-        summary,
+        figures,
         tuple(view_of(of.camera, by_name[of.name]) for of in config.targets),
         target_areas_of(config, calibration),
         stale_after_s,

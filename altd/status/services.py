@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 from altd.selfcheck.records import SelfCheck
 from altd.status.answer import Answer
+from altd.status.calibration_summary import CalibrationFigures
 from altd.status.event_log import EventKind, EventLog
 
 Provider = TypeVar("Provider")
@@ -61,16 +62,35 @@ class CalibrationFiles(Protocol):
         """Return the report, an HTML page; raises NoReportError."""
 
 
+@dataclass(frozen=True, slots=True)
+class CalibrationIdentity:
+    """Identity of the loaded calibration: when it was made, UTC, and the checksum in its file.
+
+    None: no calibration is loaded, or it was not read from a file.
+    """
+
+    created: str | None = None
+    checksum: str | None = None
+    simulated: bool | None = None
+
+
 class CalibrationService:
-    """Calibration; ``summary`` (plain JSON types) is empty and ``files`` None until it is loaded."""
+    """Calibration; ``figures`` and ``files`` are None until it is loaded."""
 
     def __init__(self) -> None:
-        self.summary: Mapping[str, Any] = {}
+        self.figures: CalibrationFigures | None = None
         self.files: CalibrationFiles | None = None
 
-    def open(self, summary: Mapping[str, Any], files: CalibrationFiles) -> None:
+    def open(self, figures: CalibrationFigures, files: CalibrationFiles) -> None:
         """Make the calibration available."""
-        self.summary, self.files = summary, files
+        self.figures, self.files = figures, files
+
+    @property
+    def identity(self) -> CalibrationIdentity:
+        """Identity of the loaded calibration."""
+        if (of := self.figures) is None:
+            return CalibrationIdentity()
+        return CalibrationIdentity(of.created, of.file.checksum, of.simulated)
 
 
 Points = tuple[tuple[float, float], ...]

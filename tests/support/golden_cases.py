@@ -22,6 +22,7 @@ from altd.records import Fault, Measurement, Value
 from altd.records.sensors import Quality, SensorValue
 from altd.selfcheck.records import LedState, PartVerdict, SelfCheck, TargetDrift, Verdict
 from altd.status.availability import Before, RunningSpan
+from altd.status.calibration_summary import CalibrationFigures
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.event_log import EventKind
@@ -80,7 +81,7 @@ class GoldenUnit(OpcUaUnit):
             config_sha256="0123abcd" * 8,
         )
         health.zero = Zero(health.events, 4711)
-        health.calibration.open(CALIBRATION, FILES)
+        health.calibration.open(CalibrationFigures.model_validate(CALIBRATION), FILES)
         state = UnitState(self.board, health, self.clock, [lambda _: self.watched])
         health.state, self.availability = state.read, state.availability
         self.observer = StateEvents(health.events, state.read, health.self_check, self.clock)

@@ -7,6 +7,7 @@ import pytest
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.selfcheck.records import SelfCheck, Verdict
 from altd.status.board import Board
+from altd.status.calibration_summary import CalibrationFigures, CalibrationFileFacts, CalibrationRecording
 from altd.status.health import Health, UnitFacts
 from altd.status.proof import Identity
 from altd.status.services import SelfCheckReport
@@ -33,3 +34,18 @@ def checked(
 ) -> SelfCheckReport:
     """Return the report of a check of no target."""
     return SelfCheckReport(number, SelfCheck(Verdict(verdict), {}, {}, reasons), "request", time)
+
+
+def figures_of(created: str, checksum: str, *, simulated: bool = False) -> CalibrationFigures:
+    """Return figures of a calibration that are no more than its identity."""
+    file = CalibrationFileFacts(name="cal.json", sha256=None, checksum=checksum)
+    return CalibrationFigures(
+        unit="",
+        created=created,
+        simulated=simulated,
+        recording=CalibrationRecording(note="", sha256=""),
+        file=file,
+        exposures=20,
+        expected_sigma={},
+        targets=[],
+    )

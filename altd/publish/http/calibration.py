@@ -41,14 +41,16 @@ class LoadedCalibration:
 
     async def summary(self, _: Request) -> Response:
         """Return the figures of the calibration, and whether there is a report on it."""
-        if self._service.files is None:
+        if self._service.files is None or self._service.figures is None:
             return refusal(503, _NONE)
         why = ""
         try:
             await self._service.files.check_report()
         except NoReportError as error:
             why = str(error)
-        return JSONResponse({**self._service.summary, "report": {"available": not why, "why": why}})
+        return JSONResponse(
+            {**self._service.figures.as_object(), "report": {"available": not why, "why": why}}
+        )
 
     async def file(self, request: Request) -> Response:
         """Return the file as it was loaded."""

@@ -102,7 +102,7 @@ class Diagnostics:
         targets = "the targets, and where each is measured"
         yield part_of("targets.json", targets, lambda: _json(targets_of(self._health.targets).as_object()))
         calibration = "content of the calibration"
-        yield part_of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
+        yield part_of("calibration.json", calibration, self._calibration)
         yield part_of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
         yield from history_parts(self._past.history, now)
         for part in self._health.diagnostics:
@@ -113,6 +113,10 @@ class Diagnostics:
         if measurement is None:
             raise LookupError("nothing was measured since the unit started")
         return _json(as_object_now(measurement, self._board.age_s()))
+
+    def _calibration(self) -> bytes:
+        figures = self._health.calibration.figures
+        return _json({} if figures is None else figures.as_object())
 
     def _self_check(self) -> bytes:
         service = self._health.self_check

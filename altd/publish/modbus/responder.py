@@ -56,11 +56,11 @@ _CONFORMITY = 0x83
 
 def objects_of(health: Health) -> Mapping[int, bytes]:
     """Return the objects of function 43/14, as ASCII; unknown ones are absent."""
-    summary = health.calibration.summary
+    calibration = health.calibration.identity
     texts = OBJECTS | {
         SERIAL: health.facts.serial,
-        CALIBRATION_DATE: str(summary.get("created") or "")[: len("2026-11-02")],
-        CALIBRATION_CHECKSUM: summary.get("file", {}).get("checksum"),
+        CALIBRATION_DATE: (calibration.created or "")[: len("2026-11-02")],
+        CALIBRATION_CHECKSUM: calibration.checksum,
     }
     return {number: text.encode("ascii", "replace") for number, text in texts.items() if text}
 

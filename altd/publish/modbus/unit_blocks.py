@@ -32,7 +32,7 @@ def _of_health(read: Callable[[Health], Any]) -> Reading:
 
 
 def _calibration(health: Health) -> datetime | None:
-    created = health.calibration.summary.get("created")
+    created = health.calibration.identity.created
     return None if created is None else datetime.fromisoformat(created)
 
 
@@ -76,7 +76,7 @@ _UNIT_ROWS = (
         Type.U32,
         "",
         "first 32 bits of its checksum",
-        _of_health(lambda health: _first_32_bits(health.calibration.summary.get("file", {}).get("checksum"))),
+        _of_health(lambda health: _first_32_bits(health.calibration.identity.checksum)),
     ),
     Register(
         314,

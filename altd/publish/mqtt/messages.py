@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Self
 from urllib.parse import quote
 
@@ -44,18 +44,12 @@ class Topics:
 
 def birth_of(board: Board, health: Health, clock: Clock) -> dict[str, Any]:
     """Return the birth message: the identity of the unit, and what it publishes."""
-    calibration = health.calibration.summary
-    file = calibration.get("file", {})
     return {
         "time": _now(clock),
         "serial": health.facts.serial or None,
         "version": health.facts.version or None,
         "instrument": board.quantities.instrument,
-        "calibration": {
-            "created": calibration.get("created"),
-            "checksum": file.get("checksum"),
-            "simulated": calibration.get("simulated"),
-        },
+        "calibration": asdict(health.calibration.identity),
         "targets": [target.name for target in health.targets],
         "quantities": {
             quantity.key: {"label": quantity.label, "unit": quantity.unit, "meaning": quantity.meaning}

@@ -15,6 +15,7 @@ import os
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib.util import find_spec
 
 from altd.config import Installation, OpcUaSettings
@@ -180,7 +181,6 @@ class OpcUaPublisher:
 
     def _start(self) -> Start:
         board, health = self._board, self._health
-        calibration = health.calibration.summary
         return Start(
             settings=self._settings,
             port=self.port,
@@ -199,11 +199,7 @@ class OpcUaPublisher:
                 }
                 for area in health.targets
             },
-            calibration={
-                "created": calibration.get("created"),
-                "checksum": calibration.get("file", {}).get("checksum"),
-                "simulated": calibration.get("simulated"),
-            },
+            calibration=asdict(health.calibration.identity),
             history=self._history.path,
             declared=(*OF_BEAM.of_unit, *OF_PLATE.of_unit),
         )

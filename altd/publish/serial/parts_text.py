@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 from altd.history.history import History, NoHistoryError
 from altd.history.records import SummaryPoint
 from altd.publish.serial.words import NO_MEASUREMENT, WIDTH, ascii_unit, component_lines, hanging
 from altd.records import Measurement, Quantities
+from altd.status.calibration_summary import CalibrationFigures
 from altd.status.conditions import Condition
 from altd.status.event_log import Event, EventLog
 from altd.status.health import MEASURING, Health
@@ -53,22 +53,22 @@ def calibration_text(health: Health, quantities: Quantities) -> str:
         kind = shown.cause.kind
         if kind in _ABOUT_CALIBRATION:
             lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {shown.cause.remedy}", 4))
-    if summary := health.calibration.summary:
-        file = summary["file"]
-        lines.append(hanging("  file", f"{file['name']}, SHA-256 {file['sha256'] or 'not known'}", 13))
-        lines.append(hanging("  expected", _expected(summary, quantities), 13))
+    if (figures := health.calibration.figures) is not None:
+        file = figures.file
+        lines.append(hanging("  file", f"{file.name}, SHA-256 {file.sha256 or 'not known'}", 13))
+        lines.append(hanging("  expected", _expected(figures, quantities), 13))
     lines += [hanging(f"  {target.name}", _where(target), 13) for target in health.targets]
     return "\n".join(lines)
 
 
-def _expected(summary: Mapping[str, Any], quantities: Quantities) -> str:
+def _expected(figures: CalibrationFigures, quantities: Quantities) -> str:
     """Expected sigma of a measurement, with the decimals of the report and the page."""
     sigmas = [
         f"{quantity.label} {sigma:.4f} {ascii_unit(quantity)}"
         for quantity in quantities.of_unit
-        if (sigma := summary["expected_sigma"].get(quantity.key)) is not None
+        if (sigma := figures.expected_sigma.get(quantity.key)) is not None
     ]
-    return f"sigma of {summary['exposures']} exposures: {', '.join(sigmas) or 'not known'}"
+    return f"sigma of {figures.exposures} exposures: {', '.join(sigmas) or 'not known'}"
 
 
 def _where(target: TargetArea) -> str:

@@ -152,7 +152,7 @@ def test_it_says_what_stands_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "unit-7.json"
     save_calibration(calibration(), path)
     written = json.loads(path.read_text())
-    told = summary_of(load_calibration(path), BOTH, path.name)
+    told = summary_of(load_calibration(path), BOTH, path.name).as_object()
     assert told["unit"] == written["unit"]["serial"]
     assert told["created"] == written["created"] == "2026-11-20T08:15:30.000Z"
     assert told["recording"] == written["recording"]
@@ -170,7 +170,7 @@ def test_it_says_what_stands_in_the_file(tmp_path: Path) -> None:
 
 def test_the_expected_sigma_of_straight_maps_is_the_closed_form() -> None:
     """0.03 px of pattern, 0.01 px of a common shift, 0.02 px of scatter of one exposure: all independent."""
-    told = summary_of(calibration(), BOTH, "cal.json")
+    told = summary_of(calibration(), BOTH, "cal.json").as_object()
     one_mm = math.sqrt(0.03**2 + 0.01**2 + 0.02**2 / 20) / PX_PER_MM
     angle_deg = math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM)
     assert told["exposures"] == 20
@@ -192,9 +192,10 @@ def test_report_api_and_console_show_one_hash_one_sigma_and_one_valid_area(tmp_p
     report = repr(report_on(Source(made, seen, {}, "altd calibrate", (header_of_scan,))))
 
     loaded = load_calibration(path)
-    told = summary_of(loaded, BOTH, path.name)
+    figures = summary_of(loaded, BOTH, path.name)
+    told = figures.as_object()
     health = Health(FakeClock())
-    health.calibration.open(told, ReadCalibrationFiles(path, loaded.file))
+    health.calibration.open(figures, ReadCalibrationFiles(path, loaded.file))
     settings = tmp_path / "altd.toml"
     settings.write_text(played_toml(path, tmp_path))
     health.targets = target_areas_of(load_settings(settings), loaded)
@@ -221,13 +222,13 @@ def test_report_api_and_console_show_one_hash_one_sigma_and_one_valid_area(tmp_p
 def test_targets_without_a_common_area_have_no_expected_sigma() -> None:
     rear = target("rear")
     aside = replace(rear.map, hull_mm=rear.map.hull_mm + np.array([0.0, 200.0]))
-    told = summary_of(calibration(target("front"), replace(rear, map=aside)), BOTH, "cal.json")
+    told = summary_of(calibration(target("front"), replace(rear, map=aside)), BOTH, "cal.json").as_object()
     assert told["expected_sigma"] == {}
 
 
 def test_what_was_simulated_says_so_and_only_the_units_targets_are_told() -> None:
     made = calibration(target("front"), replace(target("rear"), origin=Origin.SIMULATED))
-    told = summary_of(made, ("front",), "cal.json")
+    told = summary_of(made, ("front",), "cal.json").as_object()
     assert told["simulated"] is True
     assert [(each["name"], each["simulated"]) for each in told["targets"]] == [("front", False)]
 
@@ -241,7 +242,7 @@ def test_texts_of_a_foreign_file_stay_short_and_are_json() -> None:
         recording_note=evil,
         recording_sha256=evil,
     )
-    told = summary_of(made, ("front",), evil)
+    told = summary_of(made, ("front",), evil).as_object()
     text = json.dumps(told, ensure_ascii=False, allow_nan=False).encode("utf-8")
     assert len(text) < 20 * MAX_TEXT_CHARACTERS
     assert told["recording"]["note"].startswith("<img src=x onerror=alert(1)>\\ud800\\x1b[2J\\u202eAAA")
@@ -249,5 +250,5 @@ def test_texts_of_a_foreign_file_stay_short_and_are_json() -> None:
 
 def test_a_number_that_is_none_is_null() -> None:
     broken = replace(target("front"), residual_mean_mm=math.nan, leave_one_out_px=math.inf)
-    (told,) = summary_of(calibration(broken), ("front",), "cal.json")["targets"]
+    (told,) = summary_of(calibration(broken), ("front",), "cal.json").as_object()["targets"]
     assert (told["residuals"]["mean_mm"], told["left_out_px"]) == (None, None)

@@ -27,7 +27,8 @@ def files(health: Health) -> Files:
 
 async def test_everybody_is_told_what_it_says(unit: Unit, files: Files, health: Health) -> None:
     told = fits(DOCUMENT, "/api/v1/calibration", await unit.ask("/api/v1/calibration"))
-    assert told == {**health.calibration.summary, "report": {"available": True, "why": ""}}
+    assert health.calibration.figures is not None
+    assert told == {**health.calibration.figures.as_object(), "report": {"available": True, "why": ""}}
     files.no_report = "unit-7.html next to the calibration is the report of another calibration"
     told = fits(DOCUMENT, "/api/v1/calibration", await unit.ask("/api/v1/calibration"))
     assert told["report"] == {"available": False, "why": files.no_report}

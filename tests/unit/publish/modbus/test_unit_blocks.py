@@ -16,7 +16,7 @@ from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Client, Measured, connected
 from support.serving import serving
-from support.status_fixtures import checked
+from support.status_fixtures import checked, figures_of
 from support.wire import socat_line
 
 from altd.config import ModbusRtuPortSettings
@@ -51,8 +51,7 @@ class NoFiles:
 def health(clock: FakeClock) -> Health:
     """Of a unit whose front target is seen by a camera of another name."""
     health = Health(clock, UnitFacts(version="0.1.0", serial="ALT-0007", config_sha256="01234567" + 56 * "f"))
-    summary = {"created": CREATED, "file": {"checksum": CHECKSUM}}
-    health.calibration.open(summary, NoFiles())  # type: ignore[arg-type]
+    health.calibration.open(figures_of(CREATED, CHECKSUM), NoFiles())  # type: ignore[arg-type]
     health.targets = (TargetArea("front", 0.0, (), "left"), TargetArea("rear", 280.0, (), "rear"))
     health.component("camera left").observe({"exposure_ms": 2.5, "gain_db": 3.0})
     health.component("camera left").count("lost", 3)

@@ -18,6 +18,7 @@ from support.history import ABOUT, MAX_BYTES, START_S, batch, sample
 from support.measurements import BEAM, changed, measurement
 from support.mqtt import ChosenBroker, PublishingUnit
 from support.places import DOCS
+from support.status_fixtures import figures_of
 
 from altd.history.history import History
 from altd.history.outbox import Outbox
@@ -39,7 +40,7 @@ def test_each_payload_fits_the_schema_of_its_topic_and_no_other(
 ) -> None:
     board.publish(measurement())
     stamps = Stamps(board, "mqtt")
-    health.calibration.summary = {"created": "2026-11-02", "simulated": False, "file": {"checksum": "1"}}
+    health.calibration.figures = figures_of(created="2026-11-02", checksum="1")
     payloads = {
         "birth": with_proof(birth_of(board, health, clock), board, stamps.next()),
         "summary": with_proof(summary_of([measurement()], board, clock), board, stamps.next()),
@@ -179,11 +180,7 @@ def test_a_second_without_a_measurement_has_no_number_of_an_earlier_one(
 def test_a_birth_names_unit_calibration_and_quantities(
     board: Board, health: Health, clock: FakeClock
 ) -> None:
-    health.calibration.summary = {
-        "created": "2026-11-02",
-        "simulated": True,
-        "file": {"checksum": "sha256:1"},
-    }
+    health.calibration.figures = figures_of("2026-11-02", "sha256:1", simulated=True)
     birth = birth_of(board, health, clock)
     assert (birth["serial"], birth["version"]) == ("ALT-0007", "0.1.0")
     assert birth["calibration"] == {"created": "2026-11-02", "checksum": "sha256:1", "simulated": True}
