@@ -92,7 +92,7 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is found about a measurement after it was solved: faults, and values of other sensors.
+    """Finding about a solved measurement: faults, and values of other sensors.
 
     ``withdraws``: the measurement loses its numbers, and these faults come first in its status, else last.
     """
