@@ -139,7 +139,7 @@ class FrameChain(ABC, Generic[Item]):
         return self.locators[frame.camera].locate(frame)
 
     def add(self, pair: Pair[Item]) -> Measurement | None:
-        """Process the contents of a frame set; after a silence, or a step back in time, start a new window."""
+        """Process the contents of a frame set; start a new window after a silence or a step back in time."""
         self._now_ns = max(item.t_ns for item in pair.all_items)
         since_last_ns = 1 if self._last_ns is None else pair.t_ns - self._last_ns
         if not 0 < since_last_ns <= self._silent_after_ns:
