@@ -13,6 +13,7 @@ from support.evidence import calibration
 from support.history import START_S, batch, event, sample, store
 from support.measurements import measurement
 from support.serving import serving
+from support.status_fixtures import checked
 
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of
@@ -28,7 +29,6 @@ from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.services import SelfCheckReport
 from altd.tcp_port import Rate
 
 SCHEMATHESIS = (sys.executable, "-m", "schemathesis.cli", "run", "--no-color", "--checks", "all")
@@ -54,7 +54,7 @@ async def port(
         monkeypatch.setattr(guard, name, Rate(burst=10**6, per_s=1e6))
     board.publish(measurement())
     service = health.self_check
-    report = SelfCheckReport(1, "good", {"verdict": "good", "reasons": []})
+    report = checked(1)
     service.open(lambda: asyncio.get_running_loop().call_soon(service.publish, report) and None)
     digest = token_digest(token)
     change(tmp_path / "credentials", "press", lambda known: known.with_token("press", digest))

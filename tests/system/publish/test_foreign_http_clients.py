@@ -16,13 +16,13 @@ from support.foreign import need_program
 from support.measurements import measurement
 from support.places import DOCS
 from support.serving import serving
+from support.status_fixtures import checked
 
 from altd.config import HttpSettings
 from altd.publish.http.clients import REQUESTS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.services import SelfCheckReport
 
 
 @asynccontextmanager
@@ -63,7 +63,7 @@ async def test_curl_acts_by_token_and_by_session_over_tls(
     assert altd_here("password", credentials, "ana", stdin="open sesame\n").status == 0
     token = altd_here("token", credentials, "press").out.strip()
     desk = health.self_check
-    report = SelfCheckReport(1, "good", {"verdict": "good", "reasons": []})
+    report = checked(1)
     desk.open(lambda: asyncio.get_running_loop().call_soon(desk.publish, report) and None)
     ours = ("--cacert", certificate, "-H", "X-Altd-Request: 1")
     login = json.dumps({"name": "ana", "password": "open sesame"})
