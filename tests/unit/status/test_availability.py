@@ -1,5 +1,6 @@
 """The share of time in which the unit measured, by hand-made time."""
 
+import math
 import pickle
 from datetime import timedelta
 from typing import Any
@@ -7,7 +8,15 @@ from typing import Any
 import pytest
 from support.clock import START
 
-from altd.status.availability import MAX_GAP_S, NOT_RUNNING, NOT_WATCHED, Availability, Before, RunningSpan
+from altd.status.availability import (
+    MAX_GAP_S,
+    NOT_RUNNING,
+    NOT_WATCHED,
+    Availability,
+    Before,
+    RunningSpan,
+    Span,
+)
 
 SECOND = 10**9
 
@@ -173,3 +182,8 @@ def test_the_31_days_hold_hours_and_what_was_before_the_start() -> None:
     month = watched.span("last_31_days")
     assert month["lost_s"] == {NOT_WATCHED: month["observed_s"]}
     assert 31 * 86_400 - 3600 < month["observed_s"] <= 31 * 86_400
+
+
+def test_no_document_has_a_number_that_json_lacks() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        Span(share=math.nan, valid_s=0.0, observed_s=0.0, lost_s={}, since=None)
