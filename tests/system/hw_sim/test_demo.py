@@ -237,9 +237,10 @@ def test_the_tutorial_works_as_it_is_written(unit_3: Path, tmp_path: Path) -> No
         shows(command(telegram), "front_spot_missing+rear_spot_missing")
         shows(status, "  - no laser spot (front) [")
         shows(keep, '"why":"asked by http 127.0.0.1"')
-        kept = shows(f"{events} --follow", "frames are kept: spot_missing front")
+        kept = shows(f"{events} --follow", "frames are kept: spot_missing ")
         assert b"front: no laser spot: " in kept
-        shows(replay, ",false,front_spot_missing rear_spot_missing simulated,")
+        first = "rear" if b"spot_missing rear" in kept else "front"  # a beam may go between their exposures
+        shows(replay.replace("-front", f"-{first}"), ",false,front_spot_missing rear_spot_missing simulated,")
 
         os.write(terminal, b"c")
         for key, verdict in ((b"", b": good"), (b"m", b": bad: rear: the picture moved"), (b"c", b": good")):
