@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -321,7 +320,7 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     if (folder := state_folder()) is not None:
         daemon.keep_state_in(folder)
     digest = sha256(place.read_bytes()).hexdigest()
-    daemon.health.facts = replace(daemon.health.facts, config_sha256=digest)
+    daemon.health.facts = daemon.health.facts.model_copy(update={"config_sha256": digest})
     daemon.past.keep_as(config, calibration)
     daemon.reloading = Reloading(place, loaded, calibration, daemon.health)
     return daemon

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -67,7 +66,7 @@ class Reloading:
             self._refuse(f"a defect: {type(error).__name__}")
         else:
             self._config = config
-            self._health.facts = replace(self._health.facts, config_sha256=digest)
+            self._health.facts = self._health.facts.model_copy(update={"config_sha256": digest})
             self._health.diagnostics = diagnostic_parts(config)
             self._report(State.OK, f"settings reloaded: {', '.join(changed) or 'nothing changed'}")
 

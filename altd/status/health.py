@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 
 from altd.ports import Clock
+from altd.status.answer import Answer
 from altd.status.cause import StateReport
 from altd.status.event_log import EventLog
 from altd.status.services import CalibrationService, PictureService, RecordingService, SelfCheckService
@@ -160,31 +161,29 @@ class Component:
         self.data_given += 1
 
 
-@dataclass(frozen=True, slots=True)
-class UnitFacts:
+class UnitFacts(Answer):
     """Constants of a unit; empty: not known."""
 
     version: str = ""
-    """Version of the daemon."""
     serial: str = ""
     unit_number: str = ""
-    """CRC-32 of the serial number, 8 hexadecimal digits."""
+    """CRC-32 of the serial number, as `unit` in every message."""
     spot_fit: str = ""
-    """Spot fit in use: ``compiled``, or ``numpy`` and the reason."""
+    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
     calibration: str = ""
-    """Date, note and origin of the calibration."""
     config_sha256: str = ""
-    """SHA-256 of the config file as the daemon read it; reloading the settings changes it."""
+    """SHA-256 of the config file as the daemon read it."""
 
-    def as_object(self) -> dict[str, str]:
-        """Return the known facts by name."""
-        return {name: fact for name, fact in asdict(self).items() if fact}
+    @property
+    def known(self) -> dict[str, str]:
+        """Known facts by name."""
+        return self.model_dump(exclude_defaults=True)
 
 
 class Health:
     """Components of one daemon, in the order in which they started."""
 
-    def __init__(self, clock: Clock, facts: UnitFacts = UnitFacts()) -> None:
+    def __init__(self, clock: Clock, facts: UnitFacts = UnitFacts()) -> None:  # noqa: B008  frozen
         self.clock = clock
         self.facts = facts
         self._components: dict[str, Component] = {}

@@ -14,7 +14,7 @@ from altd.status import target_area
 from altd.status.answer import Answer
 from altd.status.availability import Span
 from altd.status.cause import StateReport
-from altd.status.health import Health, State
+from altd.status.health import Health, State, UnitFacts
 from altd.status.services import SelfCheckReport
 
 
@@ -95,18 +95,9 @@ class Component(Answer):
     """Time since its state last changed, s."""
 
 
-class Status(Answer):
+class Status(UnitFacts):
     """Identity of the unit, its state, its availability and its components."""
 
-    version: str = ""
-    serial: str = ""
-    unit_number: str = ""
-    """CRC-32 of the serial number, as `unit` in every message."""
-    spot_fit: str = ""
-    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
-    calibration: str = ""
-    config_sha256: str = ""
-    """SHA-256 of the config file as the daemon read it."""
     state: UnitState | None = None
     availability: Availability | None = None
     components: dict[str, Component]
@@ -128,7 +119,7 @@ def status_of(health: Health) -> Status:
         for component in health
     }
     state = {} if report is None else {"state": state_of(report), "availability": availability_of(report)}
-    return Status.model_validate({**health.facts.as_object(), **state, "components": components})
+    return Status.model_validate({**health.facts.known, **state, "components": components})
 
 
 class TargetDrift(Answer):

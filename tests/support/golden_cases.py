@@ -239,7 +239,7 @@ def zeroed(unit: GoldenUnit) -> None:
 
 def uncalibrated(unit: GoldenUnit) -> None:
     unit.health.calibration = CalibrationService()
-    unit.health.facts = replace(unit.health.facts, calibration="")
+    unit.health.facts = unit.health.facts.model_copy(update={"calibration": ""})
 
 
 def long_past(unit: GoldenUnit) -> None:

@@ -167,7 +167,7 @@ class PublishingUnit:
     ) -> Self:
         clock = clock or SystemClock()
         health, board = Health(clock), Board(clock, 10.0, QUANTITIES, Identity.drawn(serial))
-        health.facts = replace(health.facts, serial=serial, version="0.1.0")
+        health.facts = health.facts.model_copy(update={"serial": serial, "version": "0.1.0"})
         health.state = UnitState(board, health, clock).read
         component = health.component("mqtt")
         mqtt = MqttSettings(**{"host": "127.0.0.1", "port": port} | settings)

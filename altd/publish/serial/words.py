@@ -130,7 +130,7 @@ def status_text(
     """
     components = list(health)
     report = health.state()
-    facts = {**health.facts.as_object(), MEASURING: _measuring(measurement, components)}
+    facts = {**health.facts.known, MEASURING: _measuring(measurement, components)}
     if measurement is not None and measurement.valid:
         facts["sigma now"] = _uncertainty(measurement, age_s)
     facts |= {} if report is None else state_facts(report, whole=whole)

@@ -83,7 +83,7 @@ async def unit(
     health.component("camera front").count("lost", 2)
     health.component("measuring").count("dropped_front", 1)
     health.component("temperature camera front").observe({"celsius": 31.2})
-    health.facts = replace(health.facts, serial=serial, version="0")
+    health.facts = health.facts.model_copy(update={"serial": serial, "version": "0"})
     health.pictures.open(Maker())
     health.recordings.open(Keeper())
     settings = HttpSettings(host="127.0.0.1", port=port, credentials=credentials)

@@ -6,7 +6,6 @@ import subprocess
 import threading
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -156,7 +155,7 @@ async def test_a_part_that_is_too_long_ends_at_a_line_and_says_so(
 
 
 async def test_names_that_are_no_names_break_nothing(board: Board, health: Health, tmp_path: Path) -> None:
-    health.facts = replace(health.facts, serial='a/../b"\r\nX-Evil: 1\u202e<script>\ud800')
+    health.facts = health.facts.model_copy(update={"serial": 'a/../b"\r\nX-Evil: 1\u202e<script>\ud800'})
     async with served_with(board, health, None) as unit:
         answer = await unit.ask(PATH)
     assert "x-evil" not in answer.headers

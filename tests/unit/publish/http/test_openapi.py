@@ -56,7 +56,7 @@ async def test_it_is_made_once_for_all_interfaces_and_requests(
         return document_of(*arguments)
 
     monkeypatch.setattr(publisher, "document_of", observed)
-    health.facts = replace(health.facts, version="of this test")
+    health.facts = health.facts.model_copy(update={"version": "of this test"})
     async with served() as unit, served() as other:
         for each in (unit, other, unit):
             told = (await each.ask("/api/v1/openapi.json")).json

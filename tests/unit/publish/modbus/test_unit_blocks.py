@@ -4,7 +4,6 @@ import asyncio
 import struct
 import subprocess
 import zlib
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -132,7 +131,7 @@ async def test_the_unit_says_which_it_is(
 
 
 async def test_a_serial_of_any_length_and_letters_is_text(client: Client, health: Health) -> None:
-    health.facts = replace(health.facts, serial="Ä" + 63 * "7")
+    health.facts = health.facts.model_copy(update={"serial": "Ä" + 63 * "7"})
     assert (await read(client, 324, 16)) == b"?" + 31 * b"7"
 
 
@@ -296,7 +295,7 @@ async def test_pymodbus_reads_the_identification_with_serial_and_calibration(
 async def test_the_identification_of_the_longest_serial_fits_into_one_response(
     client: Client, health: Health
 ) -> None:
-    health.facts = replace(health.facts, serial=64 * "7")
+    health.facts = health.facts.model_copy(update={"serial": 64 * "7"})
     answer = await client.ask(bytes.fromhex("2b 0e 03 00"))
     assert answer[6] == 7
     assert len(answer) <= 253
@@ -361,7 +360,7 @@ class TestSerialLine:
 async def test_a_defect_costs_the_request_that_meets_it_and_no_client_its_connection(
     client: Client, health: Health, caplog: pytest.LogCaptureFixture
 ) -> None:
-    health.facts = replace(health.facts, config_sha256="no digits")
+    health.facts = health.facts.model_copy(update={"config_sha256": "no digits"})
     for _ in range(3):
         assert await client.ask(bytes.fromhex("03 012c 0032")) == bytes.fromhex("83 04")
     assert await client.ask(bytes.fromhex("04 0066 0002")) == bytes.fromhex("04 04 12345678")

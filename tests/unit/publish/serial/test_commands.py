@@ -157,7 +157,7 @@ class TestForPrograms:
     def test_the_identification_has_four_fields(self) -> None:
         assert answer("*IDN?") == ["altd,Active Laser Target,ALT-0007,0.1.0"]
         nasty = well()
-        nasty.facts = replace(nasty.facts, serial="A,B;C\n\x1b[2J\u00e4")
+        nasty.facts = nasty.facts.model_copy(update={"serial": "A,B;C\n\x1b[2J\u00e4"})
         assert identification(nasty).split(",")[2] == "A_B_C__[2J_"
         assert identification(nasty).count(",") == 3
 

@@ -123,7 +123,7 @@ def test_no_line_is_wider_than_the_screen() -> None:
     crowd = tuple(Fault(reason, "front", "because of " + "something " * 20) for reason in Reason)
     unit = Console(lambda: replace(SPOT_LOST, status=crowd), health(), QUANTITIES)
     unit.health.component("a" * 60).set_state(State.DEGRADED, "very " * 60 + "x" * 200)
-    unit.health.facts = replace(unit.health.facts, calibration="long " * 40)
+    unit.health.facts = unit.health.facts.model_copy(update={"calibration": "long " * 40})
     shown = unit.feed(b"status\rmeasure\rwatch\rq" + b"zzz " * 16 + b"\r").decode("ascii")
     assert max(map(len, shown.split("\r\n"))) < 80
     assert shown.count("\n") == shown.count("\r\n")
