@@ -30,9 +30,10 @@ from altd.records import Fault, Measurement
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import keep_running
 from altd.status.board import Board
-from altd.status.health import MEASURING, Health, State, UnitFacts
+from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit, UnitFacts
 from benchmarks.fleet import servers
 from benchmarks.harness import Parser, end
 
@@ -54,17 +55,17 @@ class DemoUnit:
         self._clock = SystemClock()
         serial = f"ALT-{number:04d}"
         self._board = Board(self._clock, _AGE_S, QUANTITIES, Identity.drawn(serial), rehearsal=True)
-        self._health = Health(self._clock, UnitFacts(serial=serial, version="demo"))
-        self._health.component(MEASURING).set_state(State.OK)
-        state = UnitState(self._board, self._health, self._clock)
-        self._health.state = state.read
-        self._past = DaemonHistory(self._board, self._health, state, self._clock)
+        health = Health(self._clock)
+        health.component(MEASURING).set_state(State.OK)
+        state, facts = UnitState(self._board, health, self._clock), UnitFacts(serial=serial, version="demo")
+        unit = PublishedUnit(self._board, health, facts, state=state.read)
+        self._past = DaemonHistory(unit, state)
         about = About(columns_of(QUANTITIES, ()), {"serial": serial})
         self._past.keep_in(folder / f"{serial}.db", _MAX_BYTES, about, has_outbox=True)
-        self._component = self._health.component("mqtt")
+        self._component = health.component("mqtt")
         settings = MqttSettings(host="127.0.0.1", port=port, store_and_forward=True)
         self._publisher = MqttPublisher(
-            settings, self._board, self._health, self._component, random.Random(number), self._past.outbox
+            settings, unit, self._component, random.Random(number), self._past.outbox
         )
 
     async def run(self) -> None:

@@ -60,9 +60,10 @@ from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.threads import real_time_interpreter
 from altd.status.board import Board
-from altd.status.health import MEASURING, Health, State, UnitFacts
+from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity, unit_number
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit, UnitFacts
 from altd.vision import kernel
 
 
@@ -102,14 +103,10 @@ class Daemon:
             spot_fit=kernel.description,
             calibration=_about(calibration),
         )
-        self.health = Health(self.clock, facts)
-        self.health.targets = instrument.areas
+        self.health = Health(self.clock)
         self.reloading: Reloading | None = None
         """Reloads the settings; None: they were not read from a file."""
         self._calibrated = calibration.created.date()
-        self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
-        self.health.calibration.open(instrument.figures, self._calibration_files)
-        self.health.diagnostics = diagnostic_parts(config)
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None
         if (inclinometer := inclinometer_of(config)) is not None:
@@ -125,15 +122,18 @@ class Daemon:
         )
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)
-        self.health.state = self.state.read
-        self.past = DaemonHistory(self.board, self.health, self.state, self.clock)
+        self.unit = PublishedUnit(self.board, self.health, facts, instrument.areas, self.state.read)
+        self.unit.calibration = instrument.figures
+        self.unit.calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
+        self.unit.diagnostics = diagnostic_parts(config)
+        self.past = DaemonHistory(self.unit, self.state)
         self.lamps: FrameLamps | None = None
         if lamps is not None:
             self.lamps = FrameLamps(lamps, self.health.component("lamps"), self.clock)
         self._indicators: IndicatorPanel | None = None
         if indicators is not None:
             component = self.health.component("indicators")
-            self._indicators = IndicatorPanel(indicators, self.board, self.health, component, self.clock)
+            self._indicators = IndicatorPanel(indicators, self.unit, component)
         self._switches: LampController[str] | None = None
         if switches is not None:
             component = self.health.component("switches")
@@ -158,16 +158,16 @@ class Daemon:
     def _self_checks(self, geometry: GeometryState | None) -> SelfChecks | None:
         """Return the checks with the frame LEDs of a beam's targets; None: the unit cannot make them."""
         if geometry is None or not isinstance(self.chain, MeasuringChain):
-            self.health.self_check.unavailable = "this instrument has no frame LEDs"
+            self.unit.self_check.unavailable = "this instrument has no frame LEDs"
             return None
         if why := why_unchecked(geometry.calibration, self._cameras, self.lamps is not None):
-            self.health.self_check.unavailable = why
+            self.unit.self_check.unavailable = why
             return None
         views, locators = views_of(self.config), self.chain.locators
         parts = check_parts_of(self.config, geometry, views, locators, self.clock)
         targets = {view.camera: view.target for view in self._views}
         component = self.health.component("self-check")
-        return SelfChecks(parts, targets, self.health.self_check, component, self.clock)
+        return SelfChecks(parts, targets, self.unit.self_check, component, self.clock)
 
     def keep_state_in(self, folder: Path) -> None:
         """Keep persistent data of checks and recordings in this folder. Call before ``run``."""
@@ -196,7 +196,7 @@ class Daemon:
                     tasks.create_task(self._baseline.run(), name="baseline")
                 self._maintenance.start(tasks)
                 about = clock, self._calibrated, config.installation
-                interfaces = Interfaces(board, self.health, self.past, *about, tasks)
+                interfaces = Interfaces(self.unit, self.past, *about, tasks)
                 await interfaces.start(config)
                 with real_time_interpreter():
                     self._measure(tasks, manager)
@@ -216,7 +216,7 @@ class Daemon:
     def _measure(self, tasks: asyncio.TaskGroup, manager: ServiceManager) -> None:
         """Start a thread per camera, one to locate the spots of the newest frame set, and the pipeline."""
         pictures = Pictures(self._views, self.clock)
-        self.health.pictures.open(pictures)
+        self.unit.pictures.open(pictures)
         tasks.create_task(pictures.run(), name="pictures")
         locating = Locating(self.chain.locators, self._exposure, pictures.put)
         pairs = FramePairs(
@@ -242,7 +242,7 @@ class Daemon:
 
     def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
         """Start the keeper of the last frames and return its ring; None: the config does not allow it."""
-        recordings, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
+        recordings, folder = self.unit.recordings, folder_of_recordings(self.config, self._state_folder)
         if self.config.unit.instrument == "planar" and self.config.plate is None:
             recordings.unavailable = "there is no [plate] table, which a recording of a plate needs"
             return None
@@ -253,7 +253,7 @@ class Daemon:
             recordings.unavailable = "kept_frames.folder is not set, and there is no service folder"
             return None
         note = self.past.note_recording
-        keeper = frame_keeper(self.config, self._cameras, folder, self.state, self.health, note)
+        keeper = frame_keeper(self.config, self._cameras, folder, self.state, self.unit, note)
         tasks.create_task(keeper.run(), name="kept frames")
         return keeper.ring
 
@@ -320,9 +320,9 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     if (folder := state_folder()) is not None:
         daemon.keep_state_in(folder)
     digest = sha256(place.read_bytes()).hexdigest()
-    daemon.health.facts = daemon.health.facts.model_copy(update={"config_sha256": digest})
+    daemon.unit.facts = daemon.unit.facts.model_copy(update={"config_sha256": digest})
     daemon.past.keep_as(config, calibration)
-    daemon.reloading = Reloading(place, loaded, calibration, daemon.health)
+    daemon.reloading = Reloading(place, loaded, calibration, daemon.unit)
     return daemon
 
 

@@ -28,7 +28,7 @@ from altd.history.history import History
 from altd.local_socket import NoAnswerError, ask_content
 from altd.publish.http.diagnostics import Part, archive_name, archive_of, further_part, history_parts, part_of
 from altd.runtime.threads import SingleCall
-from altd.status.health import DiagnosticPart
+from altd.status.unit import DiagnosticPart
 
 _PATH = "/api/v1/diagnostics"
 _TIMEOUT_S = 60.0

@@ -28,8 +28,8 @@ from altd.errors import BadInputError
 from altd.ports import Clock
 from altd.runtime.supervision import Publisher, keep_running
 from altd.runtime.threads import call_in_thread
-from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component
+from altd.status.unit import PublishedUnit
 from altd.tcp_port import listen
 
 _FIRST_TRY_TIMEOUT_S = 1.0
@@ -72,8 +72,7 @@ class _Interface:
 class Interfaces:
     """The interfaces of a unit, each supervised in one of ``tasks``; ``calibrated``: calibration date."""
 
-    board: Board
-    health: Health
+    unit: PublishedUnit
     past: DaemonHistory
     clock: Clock
     calibrated: date
@@ -119,11 +118,11 @@ class Interfaces:
             raise
         finally:
             for place in (old.keys() | wanted.keys()) - self._running.keys():
-                self.health.remove(place)
+                self.unit.health.remove(place)
 
     async def _made(self, tables: Mapping[str, _Settings]) -> dict[str, _Interface]:
         """Create the interfaces in a thread: importing one takes up to half a second."""
-        components = {place: self.health.component(place) for place in tables}
+        components = {place: self.unit.health.component(place) for place in tables}
 
         def made() -> dict[str, _Interface]:
             return {
@@ -164,7 +163,7 @@ class Interfaces:
     async def _serve(
         self, place: str, publisher: Publisher, first_try: asyncio.Future[None], *, refuses: bool
     ) -> None:
-        component, clock = self.health.component(place), self.clock
+        component, clock = self.unit.health.component(place), self.clock
 
         def up() -> None:
             if not first_try.done():
@@ -180,33 +179,33 @@ class Interfaces:
 
     def _publisher(self, settings: _Settings, component: Component) -> Publisher:
         """Return the publisher of a table; raises BadInputError for an unusable file in it."""
-        board, health, past = self.board, self.health, self.past
+        unit, past = self.unit, self.past
         if isinstance(settings, ModbusTcpSettings):
             from altd.publish.modbus.tcp import ModbusTcpPublisher
 
-            return ModbusTcpPublisher(settings, board, component, health)
+            return ModbusTcpPublisher(settings, unit, component)
         if isinstance(settings, HttpSettings):
             from altd.publish.http.publisher import HttpPublisher
 
-            return HttpPublisher(settings, board, health, component, past.history, past.events)
+            return HttpPublisher(settings, unit, component, past.history, past.events)
         if isinstance(settings, MqttSettings):
             spread = random.Random()  # noqa: S311  spreads reconnections
             if settings.sparkplug is None:
                 from altd.publish.mqtt.publisher import MqttPublisher
 
-                about = board, health, component, spread, past.outbox
+                about = unit, component, spread, past.outbox
                 return MqttPublisher(settings, *about, lambda: self._http)
             from altd.publish.mqtt.edge_node import EdgeNodePublisher
 
-            return EdgeNodePublisher(settings, board, health, component, spread)
+            return EdgeNodePublisher(settings, unit, component, spread)
         if isinstance(settings, OpcUaSettings):
             from altd.publish.opcua.publisher import OpcUaPublisher
 
-            return OpcUaPublisher(settings, board, health, component, past.history, self.installation)
+            return OpcUaPublisher(settings, unit, component, past.history, self.installation)
         if isinstance(settings, Path):
             from altd.publish.http.publisher import LocalPublisher
 
-            return LocalPublisher(settings, board, health, component, past.history)
+            return LocalPublisher(settings, unit, component, past.history)
         return self._serial_publisher(settings, component)
 
     def _serial_publisher(self, port: AnySerialPortSettings, component: Component) -> Publisher:
@@ -214,14 +213,18 @@ class Interfaces:
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
         from altd.publish.serial.telegram import Nameplate
 
-        board, health = self.board, self.health
+        unit = self.unit
         if isinstance(port, ModbusRtuPortSettings):
-            return ModbusRtuPublisher(port, board, component, health)
+            return ModbusRtuPublisher(port, unit, component)
         if isinstance(port, TelegramPortSettings):
-            unit, serial = board.identity.unit, health.facts.serial
-            nameplate = Nameplate(unit=unit, serial=serial, firmware=__version__, calibrated=self.calibrated)
-            return TelegramPublisher(port, board, component, self.clock, nameplate)
-        return ConsolePublisher(port, board, health, component, self.clock, self.past.for_console())
+            nameplate = Nameplate(
+                unit=unit.board.identity.unit,
+                serial=unit.facts.serial,
+                firmware=__version__,
+                calibrated=self.calibrated,
+            )
+            return TelegramPublisher(port, unit.board, component, self.clock, nameplate)
+        return ConsolePublisher(port, unit, component, self.past.for_console())
 
 
 async def _end(interfaces: Mapping[str, _Interface]) -> None:

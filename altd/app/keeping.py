@@ -33,11 +33,11 @@ from altd.recording.header import Kind, target_headers, unit_header
 from altd.records import Measurement, Quantities
 from altd.runtime.service_manager import state_folder
 from altd.status.availability import MONTH_S, Availability, Before
-from altd.status.board import Board
 from altd.status.event_log import EventKind
-from altd.status.health import Health, State
+from altd.status.health import State
 from altd.status.services import KeptRecording
 from altd.status.state import StateEvents, UnitState
+from altd.status.unit import PublishedUnit
 
 RECORDINGS = "recordings"
 """Name of the recordings' folder in the service's folder."""
@@ -58,27 +58,27 @@ def frame_keeper(
     cameras: Mapping[str, Camera],
     folder: Path,
     state: UnitState,
-    health: Health,
+    unit: PublishedUnit,
     note: Callable[[str, KeptRecording | None], None],
 ) -> FrameKeeper:
-    """Return the keeper of frames for a config, and open the recordings service in ``health``."""
+    """Return the keeper of frames for a config, and open the recordings service of the unit."""
     settings = config.kept_frames
     length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
     ring = FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
-    unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
+    header, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
     by, plate = "altd run, frames kept", led_plate_of(config)
     kind: Kind = "measurement" if plate is None else "planar"
     has_opaque = bool(config.switched_targets)
-    plan = RecordingPlan(settings.before_s, unit, targets or None, kind, by, plate, has_opaque=has_opaque)
+    plan = RecordingPlan(settings.before_s, header, targets or None, kind, by, plate, has_opaque=has_opaque)
     keeper = FrameKeeper(
         Source(ring, cameras, config.measuring, plan),
         settings,
         RecordingStore(folder, settings.disk_mb << 20),
         state.read,
-        health.component("kept frames"),
+        unit.health.component("kept frames"),
         note,
     )
-    health.recordings.open(keeper)
+    unit.recordings.open(keeper)
     return keeper
 
 
@@ -177,16 +177,15 @@ def history_about(config: Config, calibration: AnyCalibration, quantities: Quant
 class DaemonHistory:
     """One daemon's events and, if ``keep_in`` was called, its history file."""
 
-    def __init__(self, board: Board, health: Health, state: UnitState, clock: Clock) -> None:
-        self.events = health.events
+    def __init__(self, unit: PublishedUnit, state: UnitState) -> None:
+        self.events = unit.events
         self.history = History(None, "this daemon keeps no history")
         """The history for interfaces."""
         self.outbox: Outbox | None = None
-        self._board = board
-        self._health = health
+        self._unit = unit
         self._state = state
-        self._clock = clock
-        self._observer = StateEvents(self.events, state.read, health.self_check, clock)
+        self._clock = unit.clock
+        self._observer = StateEvents(self.events, state.read, unit.self_check, unit.clock)
         self._recorder: HistoryRecorder | None = None
 
     def keep_as(self, config: Config, calibration: AnyCalibration) -> None:
@@ -195,12 +194,12 @@ class DaemonHistory:
         if path is None:
             self.leave_out(why)
         else:
-            about = history_about(config, calibration, self._board.quantities)
+            about = history_about(config, calibration, self._unit.board.quantities)
             self.keep_in(path, config.history.max_mb * 10**6, about, config.has_outbox)
 
     def keep_in(self, path: Path, max_bytes: int, about: About, has_outbox: bool = False) -> None:
         """Keep the history in this file. Call before ``recorded``."""
-        component = self._health.component(COMPONENT)
+        component = self._unit.health.component(COMPONENT)
         store = Store(path, max_bytes, about, has_outbox)
         self.history = History(path, serial=about.facts.get("serial"))
         self.outbox = Outbox(self.history) if has_outbox else None
@@ -225,7 +224,7 @@ class DaemonHistory:
 
     def leave_out(self, why: str) -> None:
         """Keep no history, and report the reason."""
-        self._health.component(COMPONENT).set_state(State.OK, why)
+        self._unit.health.component(COMPONENT).set_state(State.OK, why)
         self.history = History(None, f"the history is {why}")
 
     @asynccontextmanager

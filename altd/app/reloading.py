@@ -21,7 +21,8 @@ from altd.files.reading import read_file
 from altd.runtime.service_manager import ServiceManager
 from altd.runtime.threads import call_in_thread
 from altd.status.event_log import EventKind
-from altd.status.health import Health, State
+from altd.status.health import State
+from altd.status.unit import PublishedUnit
 
 RELOADED = ("modbus_tcp", "http", "mqtt", "opcua", "local", "serial", "stage", "scan")
 """Tables that may change: the interfaces' tables, and tables that only other commands read."""
@@ -38,11 +39,11 @@ log = logging.getLogger("altd")
 class Reloading:
     """Reloads one daemon's settings from ``place``; ``config`` and ``calibration`` are in use."""
 
-    def __init__(self, place: Path, config: Config, calibration: AnyCalibration, health: Health) -> None:
+    def __init__(self, place: Path, config: Config, calibration: AnyCalibration, unit: PublishedUnit) -> None:
         self._place = place
         self._config = config
         self._calibration = calibration
-        self._health = health
+        self._unit = unit
 
     async def run(self, requested: asyncio.Event, interfaces: Interfaces, manager: ServiceManager) -> None:
         """Reload at each request, until cancelled; requests during a reload count as one."""
@@ -66,8 +67,8 @@ class Reloading:
             self._refuse(f"a defect: {type(error).__name__}")
         else:
             self._config = config
-            self._health.facts = self._health.facts.model_copy(update={"config_sha256": digest})
-            self._health.diagnostics = diagnostic_parts(config)
+            self._unit.facts = self._unit.facts.model_copy(update={"config_sha256": digest})
+            self._unit.diagnostics = diagnostic_parts(config)
             self._report(State.OK, f"settings reloaded: {', '.join(changed) or 'nothing changed'}")
 
     async def _read(self) -> tuple[Config, str, list[str]]:
@@ -107,8 +108,8 @@ class Reloading:
 
     def _report(self, state: State, text: str) -> None:
         log.info("%s", text)  # not a warning: a repeated warning is suppressed
-        self._health.events.note(EventKind.CONFIG, text)
-        self._health.component("settings").set_state(state, text)
+        self._unit.events.note(EventKind.CONFIG, text)
+        self._unit.health.component("settings").set_state(state, text)
 
 
 def changed_keys(old: object, new: object, place: str = "") -> Iterator[str]:

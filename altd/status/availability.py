@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
@@ -27,6 +27,9 @@ _MINUTE_NS = 60 * 10**9
 _HOUR_NS = 60 * _MINUTE_NS
 _SPANS = {"last_hour": (_MINUTE_NS, 60), "last_day": (_MINUTE_NS, 1440), "last_31_days": (_HOUR_NS, 744)}
 """Tally length of each span, ns, and its number of tallies."""
+
+SHARES_INTERVAL_S = 10.0
+"""Minimum interval between counts of the shares: counting 31 days takes milliseconds."""
 
 SPANS = (*_SPANS, "since_start")
 """Names of the spans of time."""
@@ -144,6 +147,8 @@ class Availability:
         self._last_ns = started_ns
         self._last: str | None = "starting"
         self._since_start = _Tally()
+        self._shares: Mapping[str, float | None] | None = None
+        self._shares_ns = started_ns
         self._rings = {
             length_ns: _Ring(
                 length_ns, deque(maxlen=max(n for of_ns, n in _SPANS.values() if of_ns == length_ns))
@@ -163,6 +168,13 @@ class Availability:
             ring.add(begun_ns - self.started_ns, now_ns - self.started_ns, why)
         if now_ns > begun_ns:
             self._since_start.add(now_ns - begun_ns, why)
+
+    def shares(self) -> Mapping[str, float | None]:
+        """Return the share of each of ``SPANS``, counted at most every ``SHARES_INTERVAL_S``."""
+        if self._shares is None or self._last_ns - self._shares_ns >= SHARES_INTERVAL_S * 1e9:
+            self._shares = {name: span.share for name, span in self.spans().items()}
+            self._shares_ns = self._last_ns
+        return self._shares
 
     def spans(self) -> dict[str, Span]:
         """Return each of ``SPANS`` up to the last observation."""

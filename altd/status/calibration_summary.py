@@ -127,6 +127,15 @@ class CalibrationReport(Answer):
     """Reason why it is not available; empty: it is."""
 
 
+class CalibrationIdentity(Answer):
+    """Identity of the loaded calibration; null: no calibration is loaded, or it was not read from a file."""
+
+    created: str | None
+    checksum: str | None
+    simulated: bool | None
+    """Whether it was made from simulated frames."""
+
+
 class CalibrationFigures(Answer):
     """The loaded calibration, without its report."""
 
@@ -143,6 +152,13 @@ class CalibrationFigures(Answer):
     """Sigma of a measurement of `exposures`, by quantity: predicted, rms over the area that the nodes of all
     targets span; for a plate, leave-one-out rms of the known poses. Report and console show the same."""
     targets: list[CalibratedTarget]
+
+    @property
+    def identity(self) -> CalibrationIdentity:
+        """Identity of the calibration."""
+        return CalibrationIdentity(
+            created=self.created, checksum=self.file.checksum, simulated=self.simulated
+        )
 
 
 class CalibrationSummary(CalibrationFigures):

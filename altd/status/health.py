@@ -1,4 +1,4 @@
-"""Reports of the components, for the technician and for the status pages."""
+"""Components of the daemon and the unit's events: what they report, and what interfaces show of it."""
 
 from __future__ import annotations
 
@@ -8,25 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 
 from altd.ports import Clock
-from altd.status.answer import Answer
-from altd.status.cause import StateReport
 from altd.status.event_log import EventLog
-from altd.status.services import CalibrationService, PictureService, RecordingService, SelfCheckService
-from altd.status.target_area import TargetArea
-from altd.status.zero import Zero
-
-
-@dataclass(frozen=True, slots=True)
-class DiagnosticPart:
-    """One file of the diagnostics; ``meaning`` describes it in a few words.
-
-    ``make`` returns its content and runs in a thread; an exception in it loses only this part.
-    """
-
-    name: str
-    meaning: str
-    make: Callable[[], bytes]
-
 
 MEASURING = "measuring"
 """Name of the component whose state follows the latest measurement."""
@@ -63,6 +45,37 @@ class CameraTrouble(Enum):
     EXPOSURE_REFUSED = "check its limits in the config"
 
 
+@dataclass(frozen=True, slots=True)
+class ComponentReport:
+    """Report of one component at one instant."""
+
+    name: str
+    kind: str
+    state: State
+    trouble: CameraTrouble | None
+    for_s: float
+    """Time since its state last changed, s."""
+    message: str
+    """Sentence that explains the state."""
+    findings: Findings
+    """Findings; empty if the component reports a sentence."""
+    counters: Mapping[str, int]
+    figures: Mapping[str, float | str | None]
+    """Current figures by name; None: not known, or too old to be true now."""
+    data_given: int
+    """Number of data deliveries to clients."""
+
+    @property
+    def is_faulty_camera(self) -> bool:
+        """Whether it is a camera that does not deliver as it should."""
+        return self.kind == "camera" and self.state not in (State.OK, State.STARTING)
+
+    def figure(self, name: str) -> float | None:
+        """Return a figure that is a number; None: not known."""
+        value = self.figures.get(name)
+        return value if isinstance(value, (int, float)) else None
+
+
 @dataclass(slots=True)
 class Component:
     """One component's state, the sentence that explains it, and its counters."""
@@ -86,11 +99,6 @@ class Component:
     def kind(self) -> str:
         """Kind of the component, the first word of its name: ``camera`` of ``camera front``."""
         return self.name.partition(" ")[0]
-
-    @property
-    def is_faulty_camera(self) -> bool:
-        """Whether it is a camera that does not deliver as it should."""
-        return self.kind == "camera" and self.state not in (State.OK, State.STARTING)
 
     @property
     def message(self) -> str:
@@ -160,45 +168,29 @@ class Component:
         """Count a delivery of data: a response, a telegram, an event."""
         self.data_given += 1
 
-
-class UnitFacts(Answer):
-    """Constants of a unit; empty: not known."""
-
-    version: str = ""
-    serial: str = ""
-    unit_number: str = ""
-    """CRC-32 of the serial number, as `unit` in every message."""
-    spot_fit: str = ""
-    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
-    calibration: str = ""
-    config_sha256: str = ""
-    """SHA-256 of the config file as the daemon read it."""
-
-    @property
-    def known(self) -> dict[str, str]:
-        """Known facts by name."""
-        return self.model_dump(exclude_defaults=True)
+    def report(self) -> ComponentReport:
+        """Return the report of this moment."""
+        return ComponentReport(
+            name=self.name,
+            kind=self.kind,
+            state=self.state,
+            trouble=self.trouble,
+            for_s=(self.clock.monotonic_ns() - self.since_ns) * 1e-9,
+            message=self.message,
+            findings=self.findings,
+            counters=dict(self.counters),
+            figures=self.figures,
+            data_given=self.data_given,
+        )
 
 
 class Health:
-    """Components of one daemon, in the order in which they started."""
+    """Components of one daemon, in the order in which they started, and its events."""
 
-    def __init__(self, clock: Clock, facts: UnitFacts = UnitFacts()) -> None:  # noqa: B008  frozen
+    def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self.facts = facts
-        self._components: dict[str, Component] = {}
-        self.targets: tuple[TargetArea, ...] = ()
-        """Targets in beam order."""
         self.events = EventLog(clock)
-        self.self_check = SelfCheckService(self.events)
-        self.zero = Zero(self.events)
-        self.recordings = RecordingService("this unit keeps no frames")
-        self.pictures = PictureService("this unit shows no pictures")
-        self.calibration = CalibrationService()
-        self.diagnostics: tuple[DiagnosticPart, ...] = ()
-        """Contents of the diagnostics beyond what every interface shows."""
-        self.state: Callable[[], StateReport | None] = lambda: None
-        """Returns the unit's present state; None: it is not determined."""
+        self._components: dict[str, Component] = {}
 
     def component(self, name: str) -> Component:
         """Return the component of that name; create it if it does not exist."""

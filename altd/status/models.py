@@ -14,8 +14,9 @@ from altd.status import target_area
 from altd.status.answer import Answer
 from altd.status.availability import Span
 from altd.status.cause import StateReport
-from altd.status.health import Health, State, UnitFacts
+from altd.status.health import State
 from altd.status.services import SelfCheckReport
+from altd.status.unit import UnitFacts, UnitView
 
 
 class Cause(Answer):
@@ -103,23 +104,23 @@ class Status(UnitFacts):
     components: dict[str, Component]
 
 
-def status_of(health: Health) -> Status:
+def status_of(view: UnitView) -> Status:
     """Return facts, state, availability and components of a unit."""
-    now_ns, report = health.clock.monotonic_ns(), health.state()
     components = {
         component.name: Component.model_validate(
             {
                 "state": component.state,
                 "message": component.message,
-                "for_s": round((now_ns - component.since_ns) * 1e-9, 1),
+                "for_s": round(component.for_s, 1),
                 **component.figures,
                 **component.counters,
             }
         )
-        for component in health
+        for component in view.components
     }
+    report = view.state
     state = {} if report is None else {"state": state_of(report), "availability": availability_of(report)}
-    return Status.model_validate({**health.facts.known, **state, "components": components})
+    return Status.model_validate({**view.facts.known, **state, "components": components})
 
 
 class TargetDrift(Answer):

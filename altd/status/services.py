@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import ClassVar, Generic, Protocol, TypeVar
 
 from altd.selfcheck.records import SelfCheck
 from altd.status.answer import Answer
-from altd.status.calibration_summary import CalibrationFigures
 from altd.status.event_log import EventKind, EventLog
 
 Provider = TypeVar("Provider")
@@ -60,37 +59,6 @@ class CalibrationFiles(Protocol):
 
     async def report(self) -> bytes:
         """Return the report, an HTML page; raises NoReportError."""
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationIdentity:
-    """Identity of the loaded calibration: when it was made, UTC, and the checksum in its file.
-
-    None: no calibration is loaded, or it was not read from a file.
-    """
-
-    created: str | None = None
-    checksum: str | None = None
-    simulated: bool | None = None
-
-
-class CalibrationService:
-    """Calibration; ``figures`` and ``files`` are None until it is loaded."""
-
-    def __init__(self) -> None:
-        self.figures: CalibrationFigures | None = None
-        self.files: CalibrationFiles | None = None
-
-    def open(self, figures: CalibrationFigures, files: CalibrationFiles) -> None:
-        """Make the calibration available."""
-        self.figures, self.files = figures, files
-
-    @property
-    def identity(self) -> CalibrationIdentity:
-        """Identity of the loaded calibration."""
-        if (of := self.figures) is None:
-            return CalibrationIdentity()
-        return CalibrationIdentity(of.created, of.file.checksum, of.simulated)
 
 
 Points = tuple[tuple[float, float], ...]
@@ -256,6 +224,8 @@ class SelfCheckReport:
     cause: str
     time: datetime | None = None
     exposures_lost: int = 0
+    ended_ns: int = 0
+    """Time at which it was published."""
 
 
 class SelfCheckService:
@@ -267,8 +237,6 @@ class SelfCheckService:
     def __init__(self, events: EventLog) -> None:
         self.unavailable = "this unit has no frame LEDs that the daemon switches"
         self.latest: SelfCheckReport | None = None
-        self.ended_ns: int | None = None
-        """Time at which the latest report was published."""
         self.waiting = 0
         """Number of clients that wait for a report."""
         self._begun = 0
@@ -287,7 +255,7 @@ class SelfCheckService:
 
     def publish(self, report: SelfCheckReport) -> None:
         """Publish the report of a check that has ended."""
-        self.latest, self.ended_ns = report, self._events.clock.monotonic_ns()
+        self.latest = replace(report, ended_ns=self._events.clock.monotonic_ns())
         self._changed.set()
         self._changed = asyncio.Event()
 

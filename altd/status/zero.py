@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import secrets
+from dataclasses import dataclass
 
 from altd.records import Measurement, Value
 from altd.status.board import Board
@@ -21,38 +22,16 @@ class NoZeroError(Exception):
     """There is no measurement to use as the zero; the message gives the reason."""
 
 
-class Zero:
-    """A measurement used as zero, and differences from it.
+@dataclass(frozen=True, slots=True)
+class ZeroState:
+    """A measurement used as zero, and differences from it."""
 
-    A zero is set only with the present ``next_number``, so a late, repeated or replayed request sets nothing.
-    ``first_number`` is random: a request of an earlier session fails too.
-    """
-
-    def __init__(self, events: EventLog, first_number: int | None = None) -> None:
-        self.measurement: Measurement | None = None
-        """Measurement used as zero; None: no zero was set since the daemon started."""
-        self.count = 0
-        """Number of zeros set since the daemon started."""
-        self._first_number = secrets.randbelow(_NUMBERS) if first_number is None else first_number
-        self._events = events
-
-    @property
-    def next_number(self) -> int:
-        """Number with which the next zero is set."""
-        return (self._first_number + self.count) % _NUMBERS
-
-    def set(self, board: Board, by: str) -> None:
-        """Use the board's measurement as the zero; raises NoZeroError if it is not valid.
-
-        The board's measurement is valid only while it is fresh and, unless in rehearsal, live. ``by`` is the
-        requesting interface, for the events.
-        """
-        measurement = board.read()
-        if measurement is None or not measurement.valid:
-            raise NoZeroError("the measurement is not valid")
-        self.measurement = measurement
-        self.count += 1
-        self._events.note(EventKind.REQUEST, f"zero {self.count} was set", by)
+    measurement: Measurement | None
+    """Measurement used as zero; None: no zero was set since the daemon started."""
+    count: int
+    """Number of zeros set since the daemon started."""
+    next_number: int
+    """Number with which the next zero is set."""
 
     def difference(self, key: str, measurement: Measurement | None) -> Value | None:
         """Return a quantity of ``measurement`` minus that of the zero; None: one of the two is not known.
@@ -67,3 +46,29 @@ class Zero:
             return None
         sigma = None if now.sigma is None or then.sigma is None else math.hypot(now.sigma, then.sigma)
         return Value(now.value - then.value, sigma)
+
+
+class Zero:
+    """Sets the zero.
+
+    A zero is set only with the present ``next_number``, so a late, repeated or replayed request sets nothing.
+    ``first_number`` is random: a request of an earlier session fails too.
+    """
+
+    def __init__(self, events: EventLog, first_number: int | None = None) -> None:
+        first_number = secrets.randbelow(_NUMBERS) if first_number is None else first_number
+        self.state = ZeroState(None, 0, first_number)
+        self._events = events
+
+    def set(self, board: Board, by: str) -> None:
+        """Use the board's measurement as the zero; raises NoZeroError if it is not valid.
+
+        The board's measurement is valid only while it is fresh and, unless in rehearsal, live. ``by`` is the
+        requesting interface, for the events.
+        """
+        measurement = board.read()
+        if measurement is None or not measurement.valid:
+            raise NoZeroError("the measurement is not valid")
+        count, next_number = self.state.count + 1, (self.state.next_number + 1) % _NUMBERS
+        self.state = ZeroState(measurement, count, next_number)
+        self._events.note(EventKind.REQUEST, f"zero {count} was set", by)

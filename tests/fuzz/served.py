@@ -19,7 +19,8 @@ from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board
-from altd.status.health import Component, Health, UnitFacts
+from altd.status.health import Component, Health
+from altd.status.unit import PublishedUnit, UnitFacts
 from tools.pages.example import MEASURED
 
 Result = TypeVar("Result")
@@ -32,9 +33,9 @@ class Faces:
         self.clock = FakeClock(MEASURED.t_ns + 520_000_000)
         self.board = Board(self.clock, 1.0, QUANTITIES)
         self.board.publish(MEASURED)
-        self.health = Health(
-            self.clock, UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02")
-        )
+        self.health = Health(self.clock)
+        facts = UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02")
+        self.published = PublishedUnit(self.board, self.health, facts)
         self.said = Said()
         self._loop = asyncio.new_event_loop()
         self._serving: list[asyncio.Task[None]] = []

@@ -32,6 +32,7 @@ from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import Publisher, keep_running
 from altd.status.board import Board
 from altd.status.health import Health, State
+from altd.status.unit import PublishedUnit
 
 GADGET = Path("/sys/kernel/config/usb_gadget/adapter")
 NAMES = Path("by-id")
@@ -153,6 +154,7 @@ class Unit:
         self.clock = SystemClock()
         self.board = Board(self.clock, 3600.0, QUANTITIES)
         self.health = Health(self.clock)
+        self.published = PublishedUnit(self.board, self.health)
         self.slowest_s = 0.0
         """The longest that the event loop was held."""
 
@@ -164,12 +166,8 @@ class Unit:
             nameplate = Nameplate(unit=None, serial="ALT-0007", firmware="", calibrated=None)
             return TelegramPublisher(telegram, self.board, component, self.clock, nameplate)
         if speaks == "console":
-            return ConsolePublisher(
-                ConsolePortSettings(**line), self.board, self.health, component, self.clock
-            )
-        return ModbusRtuPublisher(
-            ModbusRtuPortSettings(**line, unit_id=UNIT), self.board, component, self.health
-        )
+            return ConsolePublisher(ConsolePortSettings(**line), self.published, component)
+        return ModbusRtuPublisher(ModbusRtuPortSettings(**line, unit_id=UNIT), self.published, component)
 
     def states(self) -> list[State]:
         return [component.state for component in self.health]

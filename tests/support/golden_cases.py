@@ -26,11 +26,12 @@ from altd.status.calibration_summary import CalibrationFigures
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.event_log import EventKind
-from altd.status.health import MEASURING, CameraTrouble, State, UnitFacts
+from altd.status.health import MEASURING, CameraTrouble, State
 from altd.status.proof import Identity, unit_number
-from altd.status.services import CalibrationService, NoReportError, SelfCheckReport
+from altd.status.services import NoReportError, SelfCheckReport
 from altd.status.state import TICK_S, StateEvents, UnitState
 from altd.status.target_area import TargetArea
+from altd.status.unit import UnitFacts
 from altd.status.zero import Zero
 from support.clock import FakeClock
 from support.history import MAX_BYTES, US
@@ -71,20 +72,21 @@ class GoldenUnit(OpcUaUnit):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        health = self.health
-        health.facts = UnitFacts(
-            version=health.facts.version,
+        health, published = self.health, self.published
+        published.facts = UnitFacts(
+            version=published.facts.version,
             serial=self.serial,
             unit_number=f"{self.identity.unit:08X}",
             spot_fit="compiled",
             calibration="2026-11-02, workshop, stage 2",
             config_sha256="0123abcd" * 8,
         )
-        health.zero = Zero(health.events, 4711)
-        health.calibration.open(CalibrationFigures.model_validate(CALIBRATION), FILES)
+        published.zero = Zero(health.events, 4711)
+        published.calibration = CalibrationFigures.model_validate(CALIBRATION)
+        published.calibration_files = FILES
         state = UnitState(self.board, health, self.clock, [lambda _: self.watched])
-        health.state, self.availability = state.read, state.availability
-        self.observer = StateEvents(health.events, state.read, health.self_check, self.clock)
+        published.state, self.availability = state.read, state.availability
+        self.observer = StateEvents(health.events, state.read, published.self_check, self.clock)
         for name in ("camera front", "camera rear", MEASURING, "opcua"):
             health.component(name).set_state(State.OK)
 
@@ -143,7 +145,7 @@ class Case:
     def record(self, path: Path) -> None:
         """Write the history of this unit: its last measurement, its state and its events."""
         unit = self.made()
-        now_ns, report = unit.clock.monotonic_ns(), unit.health.state()
+        now_ns, report = unit.clock.monotonic_ns(), unit.published.state()
         wall_us = round(unit.clock.utc(now_ns).timestamp() * US)  # type: ignore[union-attr]
         worst = report.causes[0] if report is not None and report.causes else None
         fault = (0, "") if worst is None else (worst.signal.severity, str(worst.cause.kind))
@@ -204,7 +206,7 @@ def checked(
     notes: str = "",
 ) -> Act:
     def act(unit: GoldenUnit) -> None:
-        service = unit.health.self_check
+        service = unit.published.self_check
         service.open(lambda: None)
         drift = TargetDrift("front", 6, 6, (LedState.USED,) * 6)
         check = SelfCheck(Verdict(verdict), {"front": drift}, {}, reasons, parts=(of,), notes=notes)
@@ -234,12 +236,12 @@ def silent(unit: GoldenUnit) -> None:
 
 
 def zeroed(unit: GoldenUnit) -> None:
-    unit.health.zero.set(unit.board, "modbus")
+    unit.published.zero.set(unit.board, "modbus")
 
 
 def uncalibrated(unit: GoldenUnit) -> None:
-    unit.health.calibration = CalibrationService()
-    unit.health.facts = unit.health.facts.model_copy(update={"calibration": ""})
+    unit.published.calibration = unit.published.calibration_files = None
+    unit.published.facts = unit.published.facts.model_copy(update={"calibration": ""})
 
 
 def long_past(unit: GoldenUnit) -> None:

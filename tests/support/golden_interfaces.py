@@ -96,7 +96,7 @@ def hexadecimal(data: bytes) -> str:
 
 async def modbus(unit: GoldenUnit, bench: Bench) -> Parts:
     component, settings = unit.health.component("modbus_tcp"), ModbusTcpSettings(**LOCAL)
-    tcp = ModbusTcpPublisher(settings, unit.board, component, unit.health)
+    tcp = ModbusTcpPublisher(settings, unit.published, component)
     async with serving(tcp):
         reader, writer = await asyncio.open_connection("127.0.0.1", tcp.port)
         for name, request in MODBUS.items():
@@ -108,9 +108,7 @@ async def modbus(unit: GoldenUnit, bench: Bench) -> Parts:
         writer.transport.abort()
     with laid() as wire:
         line = ModbusRtuPortSettings(device=wire.device, speaks="modbus_rtu", baud=115200, word_order="CDAB")
-        async with serving(
-            ModbusRtuPublisher(line, unit.board, unit.health.component("serial a"), unit.health)
-        ):
+        async with serving(ModbusRtuPublisher(line, unit.published, unit.health.component("serial a"))):
             for name, request in (("checked", MODBUS["checked"]), ("server id", b"\x11")):
                 wire.send(frame(request, 1))
                 answer = await wire.receive(lambda data: len(data) > 2 and len(data) == 5 + data[2])
@@ -139,7 +137,7 @@ async def telegram(unit: GoldenUnit, bench: Bench) -> Parts:
 
 
 async def console(unit: GoldenUnit, bench: Bench) -> Parts:
-    shown = Console(unit.board.read, unit.health, unit.quantities, unit.board.age_s, unit.past)
+    shown = Console(unit.published, unit.past)
     yield "welcome", shown.welcome().decode("ascii")
     further = ("history day", "history month", "watch 0.5", "watch 0", "status x")
     for line in (*COMMANDS, "status all", *(further if bench.is_first(unit, "console") else ())):
@@ -170,8 +168,7 @@ async def got(path: str, port: int = 0, socket: Path | None = None) -> tuple[str
 async def http(unit: GoldenUnit, bench: Bench) -> Parts:
     publisher = HttpPublisher(
         HttpSettings(**LOCAL),
-        unit.board,
-        unit.health,
+        unit.published,
         unit.health.component("http"),
         unit.history,
         unit.health.events,
@@ -207,9 +204,7 @@ def text_of(body: bytes) -> str:
 
 async def local(unit: GoldenUnit, bench: Bench) -> Parts:
     path = bench.folder / "socket"
-    async with serving(
-        LocalPublisher(path, unit.board, unit.health, unit.health.component("local"), unit.history)
-    ):
+    async with serving(LocalPublisher(path, unit.published, unit.health.component("local"), unit.history)):
         for arguments in [("status",), ("status", "--json")][: 1 + bench.is_first(unit, "local")]:
             said = await asyncio.to_thread(altd_here, *arguments, "--socket", path)
             yield "altd " + " ".join(arguments), f"{said.status}\n{said.out}{said.err}"
@@ -242,7 +237,7 @@ async def mqtt(unit: GoldenUnit, bench: Bench) -> Parts:
             continue
         async with ChosenBroker() as broker:
             chosen = MqttSettings.model_validate({"host": "127.0.0.1", "port": broker.port} | settings)
-            made: Any = kind(chosen, unit.board, unit.health, unit.health.component("mqtt"), random.Random(1))
+            made: Any = kind(chosen, unit.published, unit.health.component("mqtt"), random.Random(1))
             async with serving(made), asyncio.timeout(60):
                 sent: list[Published] = []
                 if name != "measurement":

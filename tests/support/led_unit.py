@@ -126,11 +126,11 @@ class LedUnit:
     async def report(self, number: int, timeout_s: float = 30.0) -> SelfCheckReport:
         """The report of check ``number``, once it has ended."""
         async with asyncio.timeout(timeout_s):
-            return await self.daemon.health.self_check.report(number)
+            return await self.daemon.unit.self_check.report(number)
 
     async def check(self) -> SelfCheckReport:
         """Ask for a check."""
-        return await self.report(self.daemon.health.self_check.ask())
+        return await self.report(self.daemon.unit.self_check.ask())
 
     async def measured(self, **wanted: bool) -> Measurement:
         """The next measurement, or the next that is ``valid`` or is not."""

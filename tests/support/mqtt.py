@@ -25,6 +25,7 @@ from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.proof import Identity
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit, UnitFacts
 from support.foreign import need_program
 from support.ports import free_port
 from support.tcp_server import TcpServer
@@ -167,11 +168,11 @@ class PublishingUnit:
     ) -> Self:
         clock = clock or SystemClock()
         health, board = Health(clock), Board(clock, 10.0, QUANTITIES, Identity.drawn(serial))
-        health.facts = health.facts.model_copy(update={"serial": serial, "version": "0.1.0"})
-        health.state = UnitState(board, health, clock).read
+        facts, state = UnitFacts(serial=serial, version="0.1.0"), UnitState(board, health, clock)
+        unit = PublishedUnit(board, health, facts, state=state.read)
         component = health.component("mqtt")
         mqtt = MqttSettings(**{"host": "127.0.0.1", "port": port} | settings)
-        about = (mqtt, board, health, component, random.Random(1))
+        about = (mqtt, unit, component, random.Random(1))
         publisher = EdgeNodePublisher(*about) if mqtt.sparkplug else MqttPublisher(*about, outbox)
         return cls(board, health, component, publisher, clock)
 

@@ -26,12 +26,13 @@ from altd.publish.opcua.start import Start
 from altd.records import Measurement, Quantities
 from altd.runtime.clock import SystemClock
 from altd.status.board import Board
-from altd.status.health import Health, UnitFacts
+from altd.status.health import Health
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.models import state_of
 from altd.status.proof import Identity, Stamps
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
+from altd.status.unit import PublishedUnit, UnitFacts
 from altd.tcp_port import listen
 from support.foreign import need_npm, need_program
 from support.places import ROOT
@@ -60,11 +61,14 @@ class OpcUaUnit:
     def __post_init__(self) -> None:
         about = self.quantities, self.identity
         self.board = Board(self.clock, self.stale_after_s, *about, rehearsal=self.rehearsal)
-        self.health = Health(self.clock, UnitFacts(serial=SERIAL, version="0.1.0"))
-        self.health.targets = self.areas
-        self.health.state = UnitState(self.board, self.health, self.clock).read
+        self.health = Health(self.clock)
+        facts, state = (
+            UnitFacts(serial=SERIAL, version="0.1.0"),
+            UnitState(self.board, self.health, self.clock),
+        )
+        self.published = PublishedUnit(self.board, self.health, facts, self.areas, state.read)
         self.component = self.health.component("opcua")
-        self.publisher = OpcUaPublisher(self.settings, self.board, self.health, self.component, self.history)
+        self.publisher = OpcUaPublisher(self.settings, self.published, self.component, self.history)
         self.stamps = Stamps(self.board, "test")
 
     @property
@@ -85,7 +89,7 @@ class OpcUaUnit:
         return checked_line(self.board, measurement, self.stamps.next()).encode() + b"\n"
 
     def state_line(self) -> bytes:
-        report = self.health.state()
+        report = self.published.state()
         return with_proof(state_of(report).as_object(), self.board, self.stamps.next()).encode() + b"\n"
 
     @contextlib.asynccontextmanager

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 
 from altd.publish.modbus.checked_block import CheckedBlock
 from altd.publish.modbus.registers import WordOrder
-from altd.publish.modbus.values import Snapshot
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.proof import Identity, Stamp
 from support.measurements import measured, measurement
+from tools.pages.example import view_of
 
 SERIAL, SESSION = "ALT-0007", 0x5C1E90A7
 UNIT = zlib.crc32(SERIAL.encode())
@@ -36,7 +36,7 @@ def block(
     stamp = Stamp(Identity(unit, session), message, 7000 + 100 * message if clock_ms is None else clock_ms)
     count = message if published is None else published
     age_s = None if age_ms is None else age_ms / 1000
-    return struct.pack(">80H", *CheckedBlock(order).at(Snapshot(of, age_s, count, stamp)))
+    return struct.pack(">80H", *CheckedBlock(order).at(view_of(of, age_s, count, stamp)))
 
 
 def forged(data: bytes, words: dict[int, int]) -> bytes:

@@ -8,9 +8,10 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.selfcheck.records import SelfCheck, Verdict
 from altd.status.board import Board
 from altd.status.calibration_summary import CalibrationFigures, CalibrationFileFacts, CalibrationRecording
-from altd.status.health import Health, UnitFacts
+from altd.status.health import Health
 from altd.status.proof import Identity
 from altd.status.services import SelfCheckReport
+from altd.status.unit import PublishedUnit, UnitFacts
 from support.clock import FakeClock
 
 
@@ -26,7 +27,13 @@ def board(clock: FakeClock) -> Board:
 
 @pytest.fixture
 def health(clock: FakeClock) -> Health:
-    return Health(clock, UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02"))
+    return Health(clock)
+
+
+@pytest.fixture
+def published(board: Board, health: Health) -> PublishedUnit:
+    facts = UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02")
+    return PublishedUnit(board, health, facts)
 
 
 def checked(

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from support.clock import FakeClock
 from support.measurements import beam_chain, beam_of
 
 from altd.config import Measuring
@@ -13,12 +12,12 @@ from altd.measuring.calibration import Calibration
 from altd.ports import CameraTimeoutError
 from altd.publish.serial.words import status_text
 from altd.records import Measurement
-from altd.status.health import Health
 from altd.status.measurement_json import as_object
 from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
 from hw_sim.unit import Unit, UnitConfig
+from tools.pages.serial_examples import unit_that_shows
 
 SEED = 3
 WINDOW = 4
@@ -116,7 +115,7 @@ REMEDIES = {
 
 
 def test_the_console_names_the_cause_and_no_other(fault: Fault, measurements: list[Measurement]) -> None:
-    told = " ".join(status_text(measurements[-1], Health(FakeClock())).split())
+    told = " ".join(status_text(unit_that_shows(measurements[-1]).view()).split())
     assert REMEDIES[fault] in told, told
     others = set(REMEDIES.values()) - {REMEDIES[fault]}
     assert not [other for other in others if other in told], told

@@ -24,7 +24,7 @@ NUMBERS = "x_mm", "y_mm", "yaw_deg", "pitch_deg"
 async def kept(running: LedUnit, why: str) -> KeptRecording:
     async with asyncio.timeout(30):
         while True:
-            for recording in running.daemon.health.recordings.recordings:
+            for recording in running.daemon.unit.recordings.recordings:
                 if recording.why.startswith(why):
                     return recording
             await asyncio.sleep(0.05)
@@ -51,7 +51,7 @@ async def test_the_frames_of_a_fault_are_replayed_as_they_were_measured(
             if (measurement := poll.measurement) is not None and measurement.time is not None:
                 live[measurement.time] = measurement
         folder = tmp_path / "recordings" / recording.name
-        assert (await running.daemon.health.recordings.provider.keep("asked")).exposures > 20
+        assert (await running.daemon.unit.recordings.provider.keep("asked")).exposures > 20
     assert 2.5 < recording.seconds < 3.3
 
     replayed = altd_here("replay", folder, "--calibration", unit_3 / "cal.json", "--window", WINDOW)

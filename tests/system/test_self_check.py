@@ -178,7 +178,7 @@ async def test_a_daemon_that_is_stopped_during_a_check_leaves_the_leds_dark(
     async with driven_led_unit(calibration_of_unit_3, config(exposures=20)) as running:
         await running.lit()
     assert running.leds.line[-1][1] is False
-    assert running.daemon.health.self_check.latest is None
+    assert running.daemon.unit.self_check.latest is None
 
 
 async def test_a_unit_without_references_measures_as_ever_and_says_why_it_is_not_checked(
@@ -189,7 +189,7 @@ async def test_a_unit_without_references_measures_as_ever_and_says_why_it_is_not
     async with driven_led_unit(without, config()) as running:
         assert codes(await running.measured(valid=True)) <= {"simulated", "rehearsal", "exposures_lost"}
         assert running.leds.lit_s == []
-        assert running.daemon.health.self_check.unavailable == (
+        assert running.daemon.unit.self_check.unavailable == (
             "the calibration has no LED references for front, rear"
         )
         assert "self-check" not in [component.name for component in running.daemon.health]

@@ -39,7 +39,7 @@ from altd.terminal.lines import status_text
 from altd.terminal.screen import MIN_COLUMNS, MIN_ROWS, PAGES, View, draw
 from tools.markdown import wrapped
 from tools.pages.example import AGE_S, MEASURED, STAMP, board
-from tools.pages.serial_examples import health
+from tools.pages.serial_examples import unit_that_shows
 
 _SECONDS = 60
 _OUTLINE_MM = [[-84.0, -70.0], [84.0, -70.0], [84.0, 70.0], [-84.0, 70.0]]
@@ -182,9 +182,9 @@ Enter.
 ### Queries for programs
 
 Programs can send the queries of IEEE 488.2-1992. Each answer is one line after the echo.
-`*IDN?` gives `{identification(health())}`. `*TST?` gives the result of the last self-check without starting
-one: {results}, {NO_TEST} none since the start. `*STB?` gives the sum of these weights; the causes are those
-of [states](reasons.md):
+`*IDN?` gives `{identification(unit_that_shows(None).facts)}`. `*TST?` gives the result of the last self-check
+without starting one: {results}, {NO_TEST} none since the start. `*STB?` gives the sum of these weights; the
+causes are those of [states](reasons.md):
 
 | weight | meaning |
 |---|---|
@@ -192,7 +192,7 @@ of [states](reasons.md):
 
 
 def _session(line: str) -> str:
-    console = Console(lambda: MEASURED, health(), QUANTITIES, lambda: AGE_S)
+    console = Console(unit_that_shows(MEASURED, age_s=AGE_S))
     shown = (console.welcome() + console.feed(f"{line}\r".encode())).decode("ascii").replace("\r", "")
     return f"{_block(shown.strip().removesuffix('>').rstrip())}\n"
 
@@ -215,9 +215,9 @@ def _reading(second: int) -> Any:
 
 
 def _status() -> dict[str, Any]:
-    unit = health()
-    unit.component(MEASURING).set_state(State.OK)
-    document = status_of(unit).as_object()
+    unit = unit_that_shows(MEASURED)
+    unit.health.component(MEASURING).set_state(State.OK)
+    document = status_of(unit.view()).as_object()
     span = {"share": 0.99996, "valid_s": 3599.9, "observed_s": 3600.0, "lost_s": {}, "since": None}
     dusty = {
         "code": str(Condition.DUSTY),

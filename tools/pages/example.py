@@ -1,5 +1,6 @@
 """The example measurement on the pages of all interfaces, so that readers can compare them."""
 
+from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 
 from altd.instruments.beam.instrument import QUANTITIES, values_of
@@ -9,7 +10,9 @@ from altd.publish.serial.telegram import Nameplate
 from altd.records import Measurement, Value
 from altd.records.spots import Motion
 from altd.status.board import Board
+from altd.status.health import Health
 from altd.status.proof import Identity, Stamp, unit_number
+from altd.status.unit import PublishedUnit, UnitView
 
 
 def _motion(rate: float, sigma_rate: float, vibration: float, acceleration: float) -> Motion:
@@ -73,3 +76,14 @@ def board() -> Board:
     board = Board(clock(), 1.0, QUANTITIES, STAMP.identity)
     board.publish(MEASURED)
     return board
+
+
+def view_of(
+    measurement: Measurement | None = MEASURED,
+    age_s: float | None = AGE_S,
+    published: int = 1,
+    stamp: Stamp | None = None,
+) -> UnitView:
+    """View of a unit that shows this measurement."""
+    shown = PublishedUnit(board(), Health(clock())).view(stamp)
+    return replace(shown, measurement=measurement, age_s=age_s, published=published)

@@ -44,20 +44,15 @@ from altd.publish.modbus.values import (
     STATUS_BITS,
     VALID,
     WITHOUT_BIT,
-    Snapshot,
     StatusBit,
 )
 from altd.reasons import Reason, Signal
 from altd.status.health import FIGURE_AGE_S
 from altd.tcp_port import BACKLOG, CONNECTIONS, HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
 from tools.markdown import wrapped
-from tools.pages.example import MEASURED
+from tools.pages.example import view_of
 
-EXAMPLE = Snapshot(
-    MEASURED,
-    age_s=0.52,
-    published=141,
-)
+EXAMPLE = view_of(published=141)
 """Example measurement that the page shows."""
 
 SHOWN = FLOAT_BLOCK[:7]

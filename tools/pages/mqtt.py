@@ -16,7 +16,7 @@ from altd.publish.mqtt.publisher import DISCOVERY_EXPIRY_S, REFRESH_INTERVAL_S
 from altd.runtime.supervision import MAX_BACKOFF_S, MIN_BACKOFF_S
 from altd.status.measurement_json import with_proof
 from tools.markdown import wrapped
-from tools.pages.example import MEASURED, SERIAL, STAMP, board, clock
+from tools.pages.example import MEASURED, SERIAL, STAMP, board, view_of
 from tools.pages.mqtt_schema import TOPICS
 
 _TOPICS = Topics.of("altd", SERIAL)
@@ -33,7 +33,7 @@ def page() -> str:
     """Page as Markdown."""
     shown = board()
     shared = set(summary_model(QUANTITIES).model_fields) & set(Birth.model_fields)
-    summary = json.loads(with_proof(summary_of([MEASURED], shown, clock()), shown, STAMP))
+    summary = json.loads(with_proof(summary_of([MEASURED], view_of()), shown, STAMP))
     identifier = f"altd_{STAMP.identity.unit:08x}"
     refresh = f"{REFRESH_INTERVAL_S:g} s"
     silent = f"{1.5 * KEEP_ALIVE_S:g} s"

@@ -5,11 +5,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.config import ConsolePortSettings, TelegramPortSettings
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import Stop
 from altd.publish.serial.publisher import console_message, telegram_message
 from altd.reasons import Reason
-from altd.records import Fault
-from altd.status.health import MEASURING, Health, State, UnitFacts
+from altd.records import Fault, Measurement
+from altd.status.board import Board
+from altd.status.health import MEASURING, Health, State
+from altd.status.unit import PublishedUnit, UnitFacts
 from tools.pages.example import MEASURED
 
 SPOT_LOST = replace(
@@ -45,12 +48,33 @@ class _TwoHoursLater:
         return None
 
 
+class _Shows(Board):
+    """A board with one measurement, always of the same age."""
+
+    def __init__(self, measurement: Measurement | None, age_s: float | None) -> None:
+        super().__init__(_TwoHoursLater(), 1.0, QUANTITIES)
+        self._shown = measurement
+        self._age_s = age_s
+
+    def read(self) -> Measurement | None:
+        return self._shown
+
+    def age_s(self) -> float | None:
+        return self._age_s
+
+
+def unit_that_shows(
+    measurement: Measurement | None, components: Health | None = None, age_s: float | None = None
+) -> PublishedUnit:
+    """Return a unit that shows this measurement, with these components or those of ``health``."""
+    facts = UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02, workshop, stage 2")
+    return PublishedUnit(_Shows(measurement, age_s), components or health(), facts)
+
+
 def health() -> Health:
     """Health of a unit whose beam was blocked a moment ago; all its components work."""
     clock = _TwoHoursLater()
-    unit = Health(
-        clock, UnitFacts(version="0.1.0", serial="ALT-0007", calibration="2026-11-02, workshop, stage 2")
-    )
+    unit = Health(clock)
     telegram = TelegramPortSettings(device=Path("/dev/ttyS1"), speaks="telegram")
     console = ConsolePortSettings(device=Path("/dev/ttyS2"), speaks="console")
     for name, message in (

@@ -17,9 +17,8 @@ from altd.publish.mqtt.sparkplug import (
     measurement_metrics,
     state_metrics,
 )
-from altd.status.health import Health
 from tools.markdown import wrapped
-from tools.pages.example import MEASURED, SERIAL, board, clock
+from tools.pages.example import MEASURED, SERIAL, board, clock, view_of
 
 _MEANINGS = {
     "bdSeq": "number of the connection, the same in NBIRTH and NDEATH",
@@ -72,11 +71,10 @@ def _not_applicable() -> str:
 
 def _metrics() -> str:
     shown, now = board(), clock()
-    health = Health(now)
     metrics = [
         Metric("bdSeq", Type.INT64, 0, 0),
         Metric(REBIRTH, Type.BOOLEAN, False, 0),
-        *identity_metrics(birth_of(shown, health, now), 0),
+        *identity_metrics(birth_of(view_of()), 0),
         *state_metrics(None, 0),
         *measurement_metrics(MEASURED, shown, now),
     ]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from altd.acquisition.lamps.controller import LampController
-from altd.ports import Clock, Indicator, Indicators
+from altd.ports import Indicator, Indicators
 from altd.reasons import Reason
 from altd.records import Measurement
-from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
+from altd.status.unit import PublishedUnit
 
 UPDATE_INTERVAL_S = 0.08
 """Time between two updates of the lamps, and duration of a Data flash: short, but visible."""
@@ -86,18 +86,15 @@ class DataFlash:
 
 
 class IndicatorPanel:
-    """The indicator lamps, which follow board and health."""
+    """The indicator lamps, which follow the unit."""
 
-    def __init__(
-        self, indicators: Indicators, board: Board, health: Health, component: Component, clock: Clock
-    ) -> None:
+    def __init__(self, indicators: Indicators, unit: PublishedUnit, component: Component) -> None:
         dark: frozenset[Indicator] = frozenset()
         self._controller: LampController[frozenset[Indicator]] = LampController(
-            indicators, indicators.show, dark, component, clock
+            indicators, indicators.show, dark, component, unit.clock
         )
-        self._board = board
-        self._health = health
-        self._clock = clock
+        self._unit = unit
+        self._clock = unit.clock
         self._flash = DataFlash()
 
     async def run(self) -> None:
@@ -114,15 +111,14 @@ class IndicatorPanel:
             await self._clock.sleep(UPDATE_INTERVAL_S)
 
     def _lit(self, now_ns: int, running_s: float) -> frozenset[Indicator]:
-        components = list(self._health)
-        validity = validity_of(self._board.read(), running_s)
-        failed = any(component.state is State.FAILED for component in components)
-        report = self._health.state()
-        needs_attention = failed or (report is not None and report.needs_attention)
+        view = self._unit.view()
+        validity = validity_of(view.measurement, running_s)
+        failed = any(component.state is State.FAILED for component in view.components)
+        needs_attention = failed or (view.state is not None and view.state.needs_attention)
         lit = {
             Indicator.POWER: True,
             Indicator.OK: OK_LIGHT[validity].lit_at(now_ns),
             Indicator.ERROR: error_light(validity, needs_attention).lit_at(now_ns),
-            Indicator.DATA: self._flash.lit(sum(component.data_given for component in components)),
+            Indicator.DATA: self._flash.lit(sum(component.data_given for component in view.components)),
         }
         return frozenset(indicator for indicator, shines in lit.items() if shines)

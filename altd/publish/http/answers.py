@@ -25,12 +25,12 @@ from altd.publish.http.recordings import Downloads, Recordings, head_of
 from altd.publish.http.stream import EventStream, Resuming, Streams
 from altd.reasons import Reason
 from altd.records import Quantities, Quantity
-from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component
 from altd.status.measurement_json import checked_line
 from altd.status.models import self_check_of, status_of, targets_of
 from altd.status.proof import Stamps
 from altd.status.services import SelfCheckService
+from altd.status.unit import PublishedUnit
 
 _FOLDER = Path(__file__).with_name("page_files")
 
@@ -114,29 +114,27 @@ class Answers:
 
     def __init__(
         self,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
         guard: Guard,
         past: Past,
         description: Description,
     ) -> None:
-        self._board = board
-        self._health = health
+        self._unit = unit
         self._component = component
         self.guard = guard
         self.past = past
-        self._stamps = Stamps(board, component.name)
-        self._metrics = Metrics(board, health)
-        self._page = page_of(board.quantities)
+        self._stamps = Stamps(unit.board, component.name)
+        self._metrics = Metrics(unit)
+        self._page = page_of(unit.board.quantities)
         self._page_files = page_files()
-        self.streams = Streams(board, component, self._stamps)
-        self.self_check = health.self_check
-        self.viewers = Viewers(health.pictures, component, guard)
+        self.streams = Streams(unit.board, component, self._stamps)
+        self.self_check = unit.self_check
+        self.viewers = Viewers(unit.pictures, component, guard)
         downloads = Downloads()
-        self.recordings = Recordings(health.recordings, guard, downloads)
-        self.calibration = LoadedCalibration(health.calibration, guard, downloads)
-        self.diagnostics = Diagnostics(board, health, past, self._metrics, guard, downloads)
+        self.recordings = Recordings(unit.recordings, guard, downloads)
+        self.calibration = LoadedCalibration(unit, guard, downloads)
+        self.diagnostics = Diagnostics(unit, past, self._metrics, guard, downloads)
         self._description = description
 
     async def index(self, _: Request) -> Response:
@@ -160,21 +158,21 @@ class Answers:
 
     async def measurement(self, _: Request) -> Response:
         """Return the latest measurement; 503 before the first."""
-        measurement = self._board.read()
+        measurement = self._unit.board.read()
         if measurement is None:
             return JSONResponse(NOTHING_YET, status_code=503)
         self._component.gave_data()
         return Response(
-            checked_line(self._board, measurement, self._stamps.next()), media_type="application/json"
+            checked_line(self._unit.board, measurement, self._stamps.next()), media_type="application/json"
         )
 
     async def status(self, _: Request) -> Response:
         """Return the unit's facts and its components."""
-        return JSONResponse(status_of(self._health).as_object())
+        return JSONResponse(status_of(self._unit.view()).as_object())
 
     async def targets(self, _: Request) -> Response:
         """Return the areas in which the targets are measured."""
-        return JSONResponse(targets_of(self._health.targets).as_object())
+        return JSONResponse(targets_of(self._unit.targets).as_object())
 
     async def stream(self, request: Request) -> Response:
         """Stream measurements as they are published."""
@@ -199,7 +197,7 @@ class Answers:
 
     async def ready(self, _: Request) -> Response:
         """Report that the unit measures, valid or not; otherwise return 503 with the cause."""
-        measurement = self._board.read()
+        measurement = self._unit.board.read()
         if measurement is None:
             return refusal(503, self._worst() or "nothing was measured since the unit started")
         if any(fault.reason is Reason.STALE for fault in measurement.status):
@@ -231,10 +229,10 @@ class Answers:
 
     def _worst(self) -> str:
         """Return a text for the worst cause; empty if the unit's state is unknown or has no cause."""
-        report = self._health.state()
-        if report is None or not report.causes:
+        causes = self._unit.view().causes
+        if not causes:
             return ""
-        cause = report.causes[0].cause
+        cause = causes[0].cause
         return cause.kind.brief + (f" ({cause.of})" if cause.of else "")
 
 

@@ -12,7 +12,8 @@ from starlette.responses import JSONResponse, Response
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard
 from altd.publish.http.recordings import Download, Downloads, saved_as, sent_whole
-from altd.status.services import CalibrationFiles, CalibrationService, NoReportError
+from altd.status.services import CalibrationFiles, NoReportError
+from altd.status.unit import PublishedUnit
 
 
 class CalibrationFile(BaseModel):
@@ -34,22 +35,22 @@ _NONE = "there is no calibration"
 class LoadedCalibration:
     """Answers requests for the calibration of one unit."""
 
-    def __init__(self, service: CalibrationService, guard: Guard, downloads: Downloads) -> None:
-        self._service = service
+    def __init__(self, unit: PublishedUnit, guard: Guard, downloads: Downloads) -> None:
+        self._unit = unit
         self._guard = guard
         self._downloads = downloads
 
     async def summary(self, _: Request) -> Response:
         """Return the figures of the calibration, and whether there is a report on it."""
-        if self._service.files is None or self._service.figures is None:
+        if self._unit.calibration_files is None or self._unit.calibration is None:
             return refusal(503, _NONE)
         why = ""
         try:
-            await self._service.files.check_report()
+            await self._unit.calibration_files.check_report()
         except NoReportError as error:
             why = str(error)
         return JSONResponse(
-            {**self._service.figures.as_object(), "report": {"available": not why, "why": why}}
+            {**self._unit.calibration.as_object(), "report": {"available": not why, "why": why}}
         )
 
     async def file(self, request: Request) -> Response:
@@ -74,6 +75,6 @@ class LoadedCalibration:
     def _files(self, request: Request) -> CalibrationFiles:
         """Return the reader of the files; raises Refused."""
         self._guard.check_may_look(request)
-        if self._service.files is None:
+        if self._unit.calibration_files is None:
             raise Refused(refusal(503, _NONE))
-        return self._service.files
+        return self._unit.calibration_files

@@ -29,10 +29,9 @@ from altd.publish.http.past import Past, event_object
 from altd.publish.http.recordings import Download, Downloads, head_of, saved_as, sent_whole
 from altd.publish.http.stream import time_of
 from altd.runtime.threads import SingleCall, call_in_thread
-from altd.status.board import Board
-from altd.status.health import DiagnosticPart, Health
 from altd.status.measurement_json import as_object_now
 from altd.status.models import self_check_of, status_of, targets_of
+from altd.status.unit import DiagnosticPart, PublishedUnit
 
 ZIP = "application/zip"
 MAX_PART_BYTES = 16_000_000
@@ -66,10 +65,9 @@ class Diagnostics:
     """Diagnostics of one unit, for clients that may see pictures."""
 
     def __init__(
-        self, board: Board, health: Health, past: Past, metrics: Metrics, guard: Guard, downloads: Downloads
+        self, unit: PublishedUnit, past: Past, metrics: Metrics, guard: Guard, downloads: Downloads
     ) -> None:
-        self._board = board
-        self._health = health
+        self._unit = unit
         self._past = past
         self._metrics = metrics
         self._guard = guard
@@ -85,44 +83,42 @@ class Diagnostics:
 
         async def made() -> Response:
             now = self._past.now() or _NO_TIME
-            serial = self._health.facts.serial
+            serial = self._unit.facts.serial
             content = await archive_of(self._parts(now), serial, now)
             return sent_whole(content, ZIP, saved_as(archive_name(serial, now)))
 
         return Download(self._downloads, made)
 
     def _parts(self, now: datetime) -> Iterator[Part]:
-        yield part_of(
-            "status.json",
-            "state of each part of the unit",
-            lambda: _json(status_of(self._health).as_object()),
-        )
+        unit = self._unit
+        status = "state of each part of the unit"
+        yield part_of("status.json", status, lambda: _json(status_of(unit.view()).as_object()))
         yield part_of("measurement.json", "the latest measurement", self._measurement)
         yield part_of("self-check.json", "the last self-check", self._self_check)
         targets = "the targets, and where each is measured"
-        yield part_of("targets.json", targets, lambda: _json(targets_of(self._health.targets).as_object()))
+        yield part_of("targets.json", targets, lambda: _json(targets_of(unit.targets).as_object()))
         calibration = "content of the calibration"
         yield part_of("calibration.json", calibration, self._calibration)
         yield part_of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
         yield from history_parts(self._past.history, now)
-        for part in self._health.diagnostics:
+        for part in unit.diagnostics:
             yield further_part(part, self._further.setdefault(part.name, SingleCall("diagnostics")))
 
     def _measurement(self) -> bytes:
-        measurement = self._board.read()
-        if measurement is None:
+        view = self._unit.view()
+        if view.measurement is None:
             raise LookupError("nothing was measured since the unit started")
-        return _json(as_object_now(measurement, self._board.age_s()))
+        return _json(as_object_now(view.measurement, view.age_s))
 
     def _calibration(self) -> bytes:
-        figures = self._health.calibration.figures
+        figures = self._unit.calibration
         return _json({} if figures is None else figures.as_object())
 
     def _self_check(self) -> bytes:
-        service = self._health.self_check
-        if service.latest is None:
-            raise LookupError(service.unavailable or "there was no self-check since the unit started")
-        return _json(self_check_of(service.latest.check, service.latest).as_object())
+        view = self._unit.view()
+        if view.self_check is None:
+            raise LookupError(view.no_self_check or "there was no self-check since the unit started")
+        return _json(self_check_of(view.self_check.check, view.self_check).as_object())
 
 
 async def archive_of(parts: Iterable[Part], serial: str, now: datetime) -> bytes:

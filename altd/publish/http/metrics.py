@@ -11,10 +11,10 @@ from prometheus_client.registry import Collector
 
 from altd.reasons import NOT_FROM_CAMERAS, Signal
 from altd.records import Measurement, Quantity
-from altd.status.board import Board
 from altd.status.cause import StateReport
-from altd.status.health import Health, State
+from altd.status.health import State
 from altd.status.measurement_json import as_object_now
+from altd.status.unit import PublishedUnit, UnitView
 
 CONTENT_TYPE = CONTENT_TYPE_PLAIN_0_0_4
 
@@ -25,33 +25,32 @@ _LEVELS = {"clients"}
 class Metrics:
     """Metrics of one unit, in a registry of their own, without metrics of the process itself."""
 
-    def __init__(self, board: Board, health: Health) -> None:
+    def __init__(self, unit: PublishedUnit) -> None:
         self._registry = CollectorRegistry(auto_describe=False)
-        self._registry.register(_Unit(board, health))
+        self._registry.register(_Families(unit))
 
     def text(self) -> bytes:
         """Return all current samples."""
         return generate_latest(self._registry)
 
 
-class _Unit(Collector):
-    """Collector that reads board and health at each collection."""
+class _Families(Collector):
+    """Collector of one unit: a view at each collection."""
 
-    def __init__(self, board: Board, health: Health) -> None:
-        self._board = board
-        self._health = health
+    def __init__(self, unit: PublishedUnit) -> None:
+        self._unit = unit
 
     def collect(self) -> Iterator[Metric]:
         """Yield every family, with samples of the values that are known now."""
-        yield from self._build()
-        measurement = self._board.read()
-        yield from self._measurement(measurement)
-        if measurement is not None:
-            yield from _values(measurement, self._board.age_s())
-        if (report := self._health.state()) is not None:
-            yield from _state(report)
-        yield from self._components()
-        if (check := self._health.self_check.latest) is not None:
+        view = self._unit.view()
+        yield from _build(view)
+        yield from _measurement(view)
+        if view.measurement is not None:
+            yield from _values(view.measurement, view.age_s)
+        if view.state is not None:
+            yield from _state(view.state)
+        yield from _components(view)
+        if (check := view.self_check) is not None:
             verdict = _gauge(
                 "altd_self_check_verdict", "The last self-check's verdict, in a label", "verdict"
             )
@@ -59,52 +58,56 @@ class _Unit(Collector):
             yield verdict
             yield _known("altd_self_check_number", "Self-checks since the start of the daemon", check.number)
 
-    def _build(self) -> Iterator[Metric]:
-        facts = self._health.facts
-        about = {
-            "version": facts.version,
-            "serial": facts.serial,
-            "calibration": facts.calibration,
-            "spot_fit": facts.spot_fit,
-            "instrument": self._board.quantities.instrument,
-        }
-        yield InfoMetricFamily("altd_build", "The unit and the daemon", value=about)
-        running_s = self._board.running_ns() * 1e-9
-        yield _known("altd_running_seconds", "Since the start of the daemon", running_s)
 
-    def _measurement(self, measurement: Measurement | None) -> Iterator[Metric]:
-        is_valid = measurement is not None and measurement.valid
-        yield _known("altd_valid", "1 while there is a valid measurement, else 0", float(is_valid))
-        is_live = measurement is not None and NOT_FROM_CAMERAS.isdisjoint(
-            fault.reason for fault in measurement.status
-        )
-        meaning = "1 while the measurement is from this unit's cameras, else 0"
-        yield _known("altd_live", meaning, float(is_live))
-        published = CounterMetricFamily("altd_measurements", "Measurements since the start, valid or not")
-        published.add_metric([], self._board.published)
-        yield published
-        if (age_s := self._board.age_s()) is not None:
-            yield _known("altd_measurement_age_seconds", "Since the middle of the latest exposures", age_s)
-        status = _gauge("altd_status", "1 for each reason and warning of the latest measurement", "code")
-        for code in dict.fromkeys(() if measurement is None else map(str, measurement.status)):
-            status.add_metric([code], 1)
-        yield status
+def _build(view: UnitView) -> Iterator[Metric]:
+    facts = view.facts
+    about = {
+        "version": facts.version,
+        "serial": facts.serial,
+        "calibration": facts.calibration,
+        "spot_fit": facts.spot_fit,
+        "instrument": view.quantities.instrument,
+    }
+    yield InfoMetricFamily("altd_build", "The unit and the daemon", value=about)
+    running_s = view.running_ns * 1e-9
+    yield _known("altd_running_seconds", "Since the start of the daemon", running_s)
 
-    def _components(self) -> Iterator[Metric]:
-        states = _gauge("altd_component_state", "1 for the state of a component", "component", "state")
-        events = CounterMetricFamily(
-            "altd_component_events", "Counters of a component", labels=["component", "event"]
-        )
-        figures = _gauge("altd_component_figure", "Figures of a component", "component", "figure")
-        for component in self._health:
-            for state in State:
-                states.add_metric([component.name, str(state)], float(component.state is state))
-            for event, count in component.counters.items():
-                (figures if event in _LEVELS else events).add_metric([component.name, event], count)
-            for name, figure in component.figures.items():
-                if isinstance(figure, int | float):
-                    figures.add_metric([component.name, name], figure)
-        yield from (states, events, figures)
+
+def _measurement(view: UnitView) -> Iterator[Metric]:
+    measurement = view.measurement
+    is_valid = measurement is not None and measurement.valid
+    yield _known("altd_valid", "1 while there is a valid measurement, else 0", float(is_valid))
+    is_live = measurement is not None and NOT_FROM_CAMERAS.isdisjoint(
+        fault.reason for fault in measurement.status
+    )
+    meaning = "1 while the measurement is from this unit's cameras, else 0"
+    yield _known("altd_live", meaning, float(is_live))
+    published = CounterMetricFamily("altd_measurements", "Measurements since the start, valid or not")
+    published.add_metric([], view.published)
+    yield published
+    if view.age_s is not None:
+        yield _known("altd_measurement_age_seconds", "Since the middle of the latest exposures", view.age_s)
+    status = _gauge("altd_status", "1 for each reason and warning of the latest measurement", "code")
+    for code in dict.fromkeys(() if measurement is None else map(str, measurement.status)):
+        status.add_metric([code], 1)
+    yield status
+
+
+def _components(view: UnitView) -> Iterator[Metric]:
+    states = _gauge("altd_component_state", "1 for the state of a component", "component", "state")
+    events = CounterMetricFamily(
+        "altd_component_events", "Counters of a component", labels=["component", "event"]
+    )
+    figures = _gauge("altd_component_figure", "Figures of a component", "component", "figure")
+    for component in view.components:
+        for state in State:
+            states.add_metric([component.name, str(state)], float(component.state is state))
+        for event, count in component.counters.items():
+            (figures if event in _LEVELS else events).add_metric([component.name, event], count)
+        for name, figure in component.figures.items():
+            if isinstance(figure, int | float):
+                figures.add_metric([component.name, name], figure)
+    yield from (states, events, figures)
 
 
 def _values(measurement: Measurement, age_s: float | None) -> Iterator[Metric]:

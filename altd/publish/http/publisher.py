@@ -34,9 +34,9 @@ from altd.publish.http.paths import ALIVE, PATHS
 from altd.publish.http.pictures import PATH
 from altd.publish.http.server import ConnectionPolicy, listen, serve
 from altd.records import Quantities
-from altd.status.board import Board
 from altd.status.event_log import EventLog
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
+from altd.status.unit import PublishedUnit
 from altd.tcp_port import CONNECTIONS, Buckets, address_of, group_of, is_loopback
 
 log = logging.getLogger("altd")
@@ -191,8 +191,7 @@ class HttpPublisher:
     def __init__(
         self,
         settings: HttpSettings,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
         history: History | None = None,
         events: EventLog | None = None,
@@ -220,9 +219,10 @@ class HttpPublisher:
         # over TLS the browser itself compares the name with the certificate
         is_open = certificate is None and not self.is_local
         self._names = OwnNames(settings.names) if is_open else None
-        past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
-        description = _description_of(board.quantities, health.facts.version)
-        self.answers = Answers(board, health, component, guard, past, description)
+        quantities = unit.board.quantities
+        past = Past(history or History(None, "there is no history"), quantities, component.clock)
+        description = _description_of(quantities, unit.facts.version)
+        self.answers = Answers(unit, component, guard, past, description)
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError if the address is not available."""
@@ -271,9 +271,9 @@ class LocalPublisher(HttpPublisher):
     is_local = True
 
     def __init__(
-        self, path: Path, board: Board, health: Health, component: Component, history: History | None = None
+        self, path: Path, unit: PublishedUnit, component: Component, history: History | None = None
     ) -> None:
-        super().__init__(HttpSettings(), board, health, component, history)
+        super().__init__(HttpSettings(), unit, component, history)
         self._path = path
 
     async def run(self, ready: Callable[[], None]) -> None:

@@ -12,8 +12,9 @@ from operator import attrgetter
 
 from altd.publish.modbus import values
 from altd.publish.modbus.registers import Register, RegisterImage, Table, Type, WordOrder, in_pairs
-from altd.publish.modbus.values import Reading, Snapshot
+from altd.publish.modbus.values import Reading
 from altd.status.proof import crc32
+from altd.status.unit import UnitView
 
 BLOCK_VERSION = 1
 """Version of the block; incremented when a register changes its meaning or address."""
@@ -26,11 +27,11 @@ FLOATS = 230
 
 
 def _of_stamp(name: str) -> Reading:
-    return lambda snapshot: attrgetter(name)(snapshot.stamp) if snapshot.stamp else None
+    return lambda view: attrgetter(name)(view.stamp) if view.stamp else None
 
 
-def _published(snapshot: Snapshot) -> int:
-    return snapshot.published % 0xFFFF_FFFF
+def _published(view: UnitView) -> int:
+    return view.published % 0xFFFF_FFFF
 
 
 HEAD = (
@@ -112,9 +113,9 @@ class CheckedBlock:
         self._order = order
         self._image = RegisterImage(BLOCK, order)
 
-    def at(self, snapshot: Snapshot) -> list[int]:
-        """Return all registers of a snapshot that has a stamp; the list is valid until the next call."""
-        words = self._image.at(snapshot)
+    def at(self, view: UnitView) -> list[int]:
+        """Return all registers of a view that has a stamp; the list is valid until the next call."""
+        words = self._image.at(view)
         checked = struct.pack(f">{SIZE - 2}H", *words[:-2])
         high, low = divmod(crc32(checked), 1 << 16)
         words[-2:] = self._order.arranged((high, low))

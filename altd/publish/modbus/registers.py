@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from altd.publish.modbus import values
-from altd.publish.modbus.values import Reading, Snapshot
+from altd.publish.modbus.values import Reading
+from altd.status.unit import UnitView
 
 MAP_VERSION = 1
 """Version of the table; counts changes of a register's meaning or address, not new registers in gaps."""
@@ -129,8 +130,8 @@ class Register:
 
 
 def _scaled(value: Reading) -> Reading:
-    def counts(snapshot: Snapshot) -> float | None:
-        plain = value(snapshot)
+    def counts(view: UnitView) -> float | None:
+        plain = value(view)
         if not isinstance(plain, (int, float)) or not math.isfinite(plain):
             return None
         return max(-_FLOAT_MAX, min(PER_UNIT * plain, _FLOAT_MAX))  # clamps a product that overflows, too
@@ -149,7 +150,7 @@ HEADER = (
         Type.U16,
         "",
         "+1 with every measurement; after 65534: 0",
-        lambda snapshot: snapshot.published % 0xFFFF,
+        lambda view: view.published % 0xFFFF,
     ),
     Register(6, "age", Type.U16, "ms", "since the middle of the exposures", values.age_ms, True),
     Register(7, "exposures", Type.U16, "", "exposures averaged", values.exposures),
@@ -311,10 +312,10 @@ Values beyond the row's targets, and with other instruments, are not known.
 """
 
 
-def image(snapshot: Snapshot, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:
+def image(view: UnitView, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:
     """Return all registers of a table; gaps are 0."""
     words = [0] * table.size
-    _fill(words, table.rows, snapshot, table.first, order)
+    _fill(words, table.rows, view, table.first, order)
     return words
 
 
@@ -325,26 +326,24 @@ class RegisterImage:
         self.table, self._order = table, order
         rows = table.rows
         self._ageing = tuple(row for row in rows if row.is_ageing)
-        self._of: Snapshot | None = None
+        self._of: UnitView | None = None
         self._words: list[int] = []
 
-    def at(self, snapshot: Snapshot) -> list[int]:
-        """Return all registers of a snapshot; the list is valid until the next call."""
-        made_of, self._of = self._of, snapshot
-        is_same = made_of is not None and made_of.measurement is snapshot.measurement
-        if made_of is None or not is_same or made_of.published != snapshot.published:
-            self._words = image(snapshot, self.table, self._order)
+    def at(self, view: UnitView) -> list[int]:
+        """Return all registers of a view; the list is valid until the next call."""
+        made_of, self._of = self._of, view
+        is_same = made_of is not None and made_of.measurement is view.measurement
+        if made_of is None or not is_same or made_of.published != view.published:
+            self._words = image(view, self.table, self._order)
         else:
-            _fill(self._words, self._ageing, snapshot, self.table.first, self._order)
+            _fill(self._words, self._ageing, view, self.table.first, self._order)
         return self._words
 
 
-def _fill(
-    words: list[int], rows: Sequence[Register], snapshot: Snapshot, first: int, order: WordOrder
-) -> None:
+def _fill(words: list[int], rows: Sequence[Register], view: UnitView, first: int, order: WordOrder) -> None:
     for row in rows:
         place = row.address - first
-        packed = row.type.pack(row.value(snapshot))
+        packed = row.type.pack(row.value(view))
         if order is not WordOrder.ABCD and row.type.is_32_bit:
             packed = order.arranged((packed[0], packed[1]))
         words[place : place + len(packed)] = packed

@@ -10,7 +10,6 @@ import logging
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from pymodbus.constants import ExcCodes
 
@@ -19,11 +18,11 @@ from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
 from altd.publish.modbus.registers import FAR, MEASUREMENT, NEAR, RegisterImage, WordOrder, image
 from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
-from altd.publish.modbus.values import DISCRETE_INPUTS, Snapshot
-from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.publish.modbus.values import DISCRETE_INPUTS
+from altd.status.health import Component
 from altd.status.proof import Stamps
 from altd.status.services import NoSelfCheckError
+from altd.status.unit import PublishedUnit, UnitFacts, UnitView
 from altd.status.zero import NoZeroError
 
 log = logging.getLogger("altd")
@@ -54,11 +53,11 @@ _CONFORMITY = 0x83
 """Conformity level: every category, as a stream and individually."""
 
 
-def objects_of(health: Health) -> Mapping[int, bytes]:
+def objects_of(view: UnitView) -> Mapping[int, bytes]:
     """Return the objects of function 43/14, as ASCII; unknown ones are absent."""
-    calibration = health.calibration.identity
+    calibration = view.calibration_identity
     texts = OBJECTS | {
-        SERIAL: health.facts.serial,
+        SERIAL: view.facts.serial,
         CALIBRATION_DATE: (calibration.created or "")[: len("2026-11-02")],
         CALIBRATION_CHECKSUM: calibration.checksum,
     }
@@ -105,33 +104,23 @@ MAX_READ = 125
 TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE, NEAR, FAR)
 """Tables for functions 3 and 4; a read must not extend beyond one of them."""
 
-_SHARES_INTERVAL_S = 10.0
-"""Minimum interval between counts of the valid time: counting 31 days takes milliseconds."""
-
 
 class Responder:
-    """Answers requests and counts them; each response uses one reading of the board.
+    """Answers requests and counts them; each response shows one view of the unit.
 
-    ``health`` provides the unit and its condition, and executes the commands that ``settings`` allow.
+    The unit executes the commands that ``settings`` allow.
     """
 
     def __init__(
-        self,
-        board: Board,
-        component: Component,
-        health: Health,
-        settings: ModbusTcpSettings | ModbusRtuPortSettings,
+        self, settings: ModbusTcpSettings | ModbusRtuPortSettings, unit: PublishedUnit, component: Component
     ) -> None:
         order = WordOrder(settings.word_order)
-        self._board = board
-        self._health = health
+        self._unit = unit
         self._component = component
         self._order = order
         self._image = RegisterImage(order=order)
         self._block = CheckedBlock(order)
-        self._stamps = Stamps(board, component.name)
-        self._shares: Mapping[str, float | None] = {}
-        self._shares_s = -_SHARES_INTERVAL_S
+        self._stamps = Stamps(unit.board, component.name)
         allowed = {SELF_CHECK_ADDRESS: settings.allow_self_check, ZERO_ADDRESS: settings.allow_zero}
         self._commands = {address for address, is_allowed in allowed.items() if is_allowed}
 
@@ -159,7 +148,7 @@ class Responder:
         """Return the response, or the exception code."""
         function = request[0]
         if function == READ_DEVICE_IDENTIFICATION:
-            return identification(request, objects_of(self._health))
+            return identification(request, objects_of(self._unit.view()))
         if function not in (READ_DISCRETE_INPUTS, READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
             return ExcCodes.ILLEGAL_FUNCTION
         if len(request) != _REQUEST.size:
@@ -182,14 +171,14 @@ class Responder:
         _, address, value = _REQUEST.unpack(request)
         if address not in self._commands:
             return ExcCodes.ILLEGAL_ADDRESS
-        zero = self._health.zero
-        if value != (SELF_CHECK_NOW if address == SELF_CHECK_ADDRESS else zero.next_number):
+        zero = self._unit.zero
+        if value != (SELF_CHECK_NOW if address == SELF_CHECK_ADDRESS else zero.state.next_number):
             return ExcCodes.ILLEGAL_VALUE
         try:
             if address == SELF_CHECK_ADDRESS:
-                self._health.self_check.ask("modbus")
+                self._unit.self_check.ask("modbus")
             else:
-                zero.set(self._board, "modbus")
+                zero.set(self._unit.board, "modbus")
         except (NoSelfCheckError, NoZeroError):
             return ExcCodes.DEVICE_FAILURE
         return request
@@ -198,39 +187,21 @@ class Responder:
         rows = DISCRETE_INPUTS[address : address + count]
         if len(rows) < count:
             return ExcCodes.ILLEGAL_ADDRESS
-        snapshot = self._snapshot(report=self._health.state())
-        bits = sum(row.is_set(snapshot) << place for place, row in enumerate(rows))
+        view = self._unit.view()
+        bits = sum(row.is_set(view) << place for place, row in enumerate(rows))
         content = bits.to_bytes((count + 7) // 8, "little")
         return bytes([READ_DISCRETE_INPUTS, len(content)]) + content
 
     def _registers(self, address: int, count: int) -> list[int] | None:
         """Return ``count`` registers from an address on; None: not all of them are in one table."""
         if place := MEASUREMENT.place(address, count):
-            return self._image.at(self._snapshot())[place]
+            return self._image.at(self._unit.view())[place]
         if place := BLOCK.place(address, count):
-            checked = self._snapshot(stamp=self._stamps.next(), report=self._health.state())
-            return self._block.at(checked)[place]
-        if place := CONDITION.place(address, count):
-            report = self._health.state()
-            if report is not None and self._running_s() - self._shares_s >= _SHARES_INTERVAL_S:
-                spans = report.availability.spans()
-                self._shares = {name: span.share for name, span in spans.items()}
-                self._shares_s = self._running_s()
-            found = self._snapshot(report=report, shares=self._shares)
-            return image(found, CONDITION, self._order)[place]
-        for table in (UNIT, RELATIVE, NEAR, FAR):
+            return self._block.at(self._unit.view(self._stamps.next()))[place]
+        for table in (CONDITION, UNIT, RELATIVE, NEAR, FAR):
             if place := table.place(address, count):
-                return image(self._snapshot(), table, self._order)[place]
+                return image(self._unit.view(), table, self._order)[place]
         return None
-
-    def _running_s(self) -> float:
-        return self._board.running_ns() * 1e-9
-
-    def _snapshot(self, **more: Any) -> Snapshot:
-        """Return the current snapshot of board and unit."""
-        board, uptime_s = self._board, self._running_s()
-        about = {"identity": board.identity, "uptime_s": uptime_s, "health": self._health, **more}
-        return Snapshot(board.read(), board.age_s(), board.published, **about)
 
 
 DIAGNOSTICS, REPORT_SERVER_ID = 8, 17
@@ -262,12 +233,12 @@ COUNTERS = {11: "messages", 12: "errors", 13: "exceptions", 14: "requests", 15: 
 """Counters by sub-function (6.8.1)."""
 
 
-def serial_response(request: bytes, counters: LineCounters, health: Health) -> bytes | None:
+def serial_response(request: bytes, counters: LineCounters, facts: UnitFacts) -> bytes | None:
     """Return the response to a request, both from the function code on; None for other functions."""
     if request[0] == DIAGNOSTICS:
         response = _diagnostics(request, counters)
     elif request[0] == REPORT_SERVER_ID:
-        response = _server_id(request, health)
+        response = _server_id(request, facts)
     else:
         return None
     return response if isinstance(response, bytes) else bytes([request[0] | 0x80, response])
@@ -290,9 +261,9 @@ def _diagnostics(request: bytes, counters: LineCounters) -> bytes | ExcCodes:
     return _REQUEST.pack(DIAGNOSTICS, what, getattr(counters, COUNTERS[what]) & 0xFFFF)
 
 
-def _server_id(request: bytes, health: Health) -> bytes | ExcCodes:
+def _server_id(request: bytes, facts: UnitFacts) -> bytes | ExcCodes:
     if len(request) != 1:
         return ExcCodes.ILLEGAL_VALUE
-    known = " ".join(["ALT", health.facts.version, health.facts.serial])
+    known = " ".join(["ALT", facts.version, facts.serial])
     content = bytes([SERVER_ID, RUNNING]) + known.encode("ascii", "replace")
     return bytes([REPORT_SERVER_ID, len(content)]) + content

@@ -21,8 +21,8 @@ from pymodbus.framer import FramerRTU
 from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.responder import DIAGNOSTICS, LineCounters, Responder, serial_response
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
-from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
+from altd.status.unit import PublishedUnit
 
 MAX_FRAME_BYTES = 256
 """Maximum length of a frame (Serial 2.5.1)."""
@@ -282,15 +282,13 @@ def silence_s(baud: int) -> float:
 
 
 class ModbusRtuPublisher:
-    """Serves the board over Modbus RTU; answers only requests to its own unit id."""
+    """Serves the unit over Modbus RTU; answers only requests to its own unit id."""
 
-    def __init__(
-        self, settings: ModbusRtuPortSettings, board: Board, component: Component, health: Health
-    ) -> None:
+    def __init__(self, settings: ModbusRtuPortSettings, unit: PublishedUnit, component: Component) -> None:
         self._settings = settings
-        self._responder = Responder(board, component, health, settings)
+        self._responder = Responder(settings, unit, component)
         self._component = component
-        self._health = health
+        self._unit = unit
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError if the port is not available or is lost."""
@@ -326,7 +324,7 @@ class ModbusRtuPublisher:
 
     def _response(self, request: bytes, counters: LineCounters) -> bytes:
         counters.requests += 1
-        response = serial_response(request, counters, self._health) or self._responder.answer(request)
+        response = serial_response(request, counters, self._unit.facts) or self._responder.answer(request)
         counters.exceptions += response[0] >= _EXCEPTION_BIT
         return response
 

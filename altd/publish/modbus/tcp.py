@@ -25,8 +25,8 @@ from altd.config import ModbusTcpSettings
 from altd.credentials.certificates import RenewedContext, role_of, server_context
 from altd.publish.modbus.places import Addresses, Connection, connection_to_displace
 from altd.publish.modbus.responder import Responder
-from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
+from altd.status.unit import PublishedUnit
 from altd.tcp_port import (
     CONNECTIONS,
     HANDSHAKE_TIMEOUT_S,
@@ -66,16 +66,14 @@ _Tasks = dict[Connection, asyncio.Task[None]]
 
 
 class ModbusTcpPublisher:
-    """Serves board and health over Modbus TCP, with or without TLS.
+    """Serves the unit over Modbus TCP, with or without TLS.
 
     Raises BadInputError for a certificate that cannot be used.
     """
 
-    def __init__(
-        self, settings: ModbusTcpSettings, board: Board, component: Component, health: Health
-    ) -> None:
+    def __init__(self, settings: ModbusTcpSettings, unit: PublishedUnit, component: Component) -> None:
         self._settings = settings
-        self._responder = Responder(board, component, health, settings)
+        self._responder = Responder(settings, unit, component)
         self._component = component
         self._clients: _Tasks = {}
         self._handshakes: _Tasks = {}

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
-from typing import Any
 
 from altd.publish.modbus import values
 from altd.publish.modbus.registers import Register, Table, Type
-from altd.publish.modbus.values import Reading, Snapshot
+from altd.publish.modbus.values import Reading
 from altd.reasons import Reason
 from altd.selfcheck.records import Verdict
 from altd.status.availability import SPANS
-from altd.status.health import MEASURING, Component, Health
+from altd.status.health import MEASURING, ComponentReport
+from altd.status.unit import UnitView
 
 BLOCK_VERSION = 1
 """Version of these blocks; incremented when a register changes its meaning or address."""
@@ -27,23 +27,19 @@ TARGETS = ("front", "rear")
 _DAY_S = 86_400
 
 
-def _of_health(read: Callable[[Health], Any]) -> Reading:
-    return lambda snapshot: read(snapshot.health) if snapshot.health else None
-
-
-def _calibration(health: Health) -> datetime | None:
-    created = health.calibration.identity.created
+def _calibration(view: UnitView) -> datetime | None:
+    created = view.calibration_identity.created
     return None if created is None else datetime.fromisoformat(created)
 
 
-def _calibration_date(health: Health) -> int | None:
-    created = _calibration(health)
+def _calibration_date(view: UnitView) -> int | None:
+    created = _calibration(view)
     return None if created is None else int(f"{created:%Y%m%d}")
 
 
-def _calibration_age_days(health: Health) -> float | None:
-    created, now = _calibration(health), health.clock.utc(health.clock.monotonic_ns())
-    return None if created is None or now is None else (now - created).total_seconds() // _DAY_S
+def _calibration_age_days(view: UnitView) -> float | None:
+    created = _calibration(view)
+    return None if created is None or view.utc is None else (view.utc - created).total_seconds() // _DAY_S
 
 
 def _first_32_bits(digest: str | None) -> int | None:
@@ -52,9 +48,9 @@ def _first_32_bits(digest: str | None) -> int | None:
     return int(digits, 16) if digits else None
 
 
-def _is_rehearsal(snapshot: Snapshot) -> int | None:
+def _is_rehearsal(view: UnitView) -> int | None:
     """Whether the unit rehearses; None before the first measurement, which carries the reason."""
-    measurement = snapshot.measurement
+    measurement = view.measurement
     return None if measurement is None else values.has(measurement, Reason.REHEARSAL)
 
 
@@ -64,19 +60,15 @@ _UNIT_ROWS = (
     Register(302, "unit", Type.U32, "", "as at address 202", values.of_identity("unit")),
     Register(304, "session", Type.U32, "", "as at address 204", values.of_identity("session")),
     Register(306, "uptime", Type.U32, "s", "since the daemon started", values.uptime_s),
-    Register(
-        308, "calibration_date", Type.U32, "", "UTC: 2026-11-02 is 20261102", _of_health(_calibration_date)
-    ),
-    Register(
-        310, "calibration_age", Type.U16, "d", "age of the calibration", _of_health(_calibration_age_days)
-    ),
+    Register(308, "calibration_date", Type.U32, "", "UTC: 2026-11-02 is 20261102", _calibration_date),
+    Register(310, "calibration_age", Type.U16, "d", "age of the calibration", _calibration_age_days),
     Register(
         312,
         "calibration_checksum",
         Type.U32,
         "",
         "first 32 bits of its checksum",
-        _of_health(lambda health: _first_32_bits(health.calibration.identity.checksum)),
+        lambda view: _first_32_bits(view.calibration_identity.checksum),
     ),
     Register(
         314,
@@ -84,7 +76,7 @@ _UNIT_ROWS = (
         Type.U32,
         "",
         "first 32 bits of the config's SHA-256",
-        _of_health(lambda health: _first_32_bits(health.facts.config_sha256)),
+        lambda view: _first_32_bits(view.facts.config_sha256),
     ),
     Register(
         316,
@@ -92,7 +84,7 @@ _UNIT_ROWS = (
         Type.TEXT16,
         "",
         "version of the daemon",
-        _of_health(lambda health: health.facts.version or None),
+        lambda view: view.facts.version or None,
     ),
     Register(
         324,
@@ -100,82 +92,75 @@ _UNIT_ROWS = (
         Type.TEXT32,
         "",
         "serial number, cut if longer",
-        _of_health(lambda health: health.facts.serial or None),
+        lambda view: view.facts.serial or None,
     ),
 )
 
 
-def _component(health: Health, name: str) -> Component | None:
-    return next((component for component in health if component.name == name), None)
-
-
-def _figure(component: Component | None, name: str) -> float | None:
-    value = component.figures.get(name) if component else None
-    return value if isinstance(value, (int, float)) else None
+def _figure(component: ComponentReport | None, name: str) -> float | None:
+    return component.figure(name) if component else None
 
 
 def _of_camera(target: str, name: str) -> Reading:
     """A figure of the camera of a target."""
 
-    def read(health: Health) -> float | None:
-        cameras = (area.camera for area in health.targets if area.name == target)
-        return _figure(_component(health, f"camera {next(cameras, None)}"), name)
+    def read(view: UnitView) -> float | None:
+        cameras = (area.camera for area in view.targets if area.name == target)
+        return _figure(view.component(f"camera {next(cameras, None)}"), name)
 
-    return _of_health(read)
+    return read
 
 
 def _of_measuring(name: str) -> Reading:
-    return _of_health(lambda health: _figure(_component(health, MEASURING), name))
+    return lambda view: _figure(view.component(MEASURING), name)
 
 
-def _lost_frames(health: Health) -> int:
+def _lost_frames(view: UnitView) -> int:
     """Number of frames of all cameras that drivers lost or the daemon dropped."""
-    lost = sum(component.counters.get("lost", 0) for component in health if component.kind == "camera")
-    measuring = _component(health, MEASURING)
+    lost = sum(
+        component.counters.get("lost", 0) for component in view.components if component.kind == "camera"
+    )
+    measuring = view.component(MEASURING)
     counters = measuring.counters if measuring else {}
     return lost + sum(count for name, count in counters.items() if name.startswith("dropped_"))
 
 
-def _late_frames(health: Health) -> int:
-    measuring = _component(health, MEASURING)
+def _late_frames(view: UnitView) -> int:
+    measuring = view.component(MEASURING)
     return measuring.counters.get("late_frames", 0) if measuring else 0
 
 
 def _temperature(number: int) -> Reading:
     """The temperature of thermometer ``number``, counted from 0."""
 
-    def read(health: Health) -> float | None:
-        known = [component for component in health if component.kind == "temperature"]
+    def read(view: UnitView) -> float | None:
+        known = [component for component in view.components if component.kind == "temperature"]
         return _figure(known[number], "celsius") if number < len(known) else None
 
-    return _of_health(read)
+    return read
 
 
-def _verdict(health: Health) -> int | None:
-    service = health.self_check
-    if service.latest is None:
-        return None if service.unavailable else 0
-    return VERDICTS[service.latest.check.verdict]
+def _verdict(view: UnitView) -> int | None:
+    if view.self_check is None:
+        return None if view.no_self_check else 0
+    return VERDICTS[view.self_check.check.verdict]
 
 
-def _check_age_s(health: Health) -> float | None:
-    ended_ns = health.self_check.ended_ns
-    return None if ended_ns is None else (health.clock.monotonic_ns() - ended_ns) * 1e-9
+def _check_age_s(view: UnitView) -> float | None:
+    return None if view.self_check is None else (view.now_ns - view.self_check.ended_ns) * 1e-9
 
 
 def _share(span: str) -> Reading:
-    def read(snapshot: Snapshot) -> float | None:
-        share = snapshot.shares.get(span)
+    def read(view: UnitView) -> float | None:
+        share = None if view.state is None else view.state.availability.shares().get(span)
         return None if share is None else 10_000 * share
 
     return read
 
 
-def _roll_age_ms(snapshot: Snapshot) -> float | None:
-    said = snapshot.measurement and snapshot.measurement.from_sensors.get("roll_deg")
-    if not said or said.value is None or snapshot.health is None:
-        return None
-    return (snapshot.health.clock.monotonic_ns() - said.t_ns) * 1e-6
+def _roll_age_ms(view: UnitView) -> float | None:
+    said = view.measurement and view.measurement.from_sensors.get("roll_deg")
+    return (view.now_ns - said.t_ns) * 1e-6 if said and said.value is not None else None
 
 
 def _condition_rows() -> Iterator[Register]:
@@ -184,15 +169,15 @@ def _condition_rows() -> Iterator[Register]:
     yield Register(400, "block_version", Type.U16, "", "version of this block", version)
     yield Register(401, "state", Type.U16, "", values.STATE_MEANING, values.state)
     meaning = "0 none yet, " + ", ".join(f"{number} {verdict}" for verdict, number in VERDICTS.items())
-    yield Register(402, "self_check", Type.U16, "", f"last verdict: {meaning}", _of_health(_verdict))
-    yield Register(404, "self_check_age", Type.U32, "s", "since that check ended", _of_health(_check_age_s))
+    yield Register(402, "self_check", Type.U16, "", f"last verdict: {meaning}", _verdict)
+    yield Register(404, "self_check_age", Type.U32, "s", "since that check ended", _check_age_s)
     for place, span in enumerate(SPANS):
         text = "share of time with a valid measurement"
         yield Register(406 + place, f"valid_{span}", Type.U16, "0.01 %", text, _share(span))
     text = "frames lost by drivers or daemon since the start"
-    yield Register(410, "lost_frames", Type.U32, "", text, _of_health(_lost_frames))
+    yield Register(410, "lost_frames", Type.U32, "", text, _lost_frames)
     text = "frames too late to be paired"
-    yield Register(412, "late_frames", Type.U32, "", text, _of_health(_late_frames))
+    yield Register(412, "late_frames", Type.U32, "", text, _late_frames)
     row = 414
     for target in TARGETS:
         for name, unit, text, reading in (
@@ -223,19 +208,19 @@ _RELATIVE_AXES = (
 )
 
 
-def _zero_sequence(health: Health) -> int | None:
-    zero = health.zero.measurement
+def _zero_sequence(view: UnitView) -> int | None:
+    zero = view.zero.measurement
     return None if zero is None else zero.sequence % 0xFFFF_FFFF
 
 
-def _zero_age_s(health: Health) -> float | None:
-    zero = health.zero.measurement
-    return None if zero is None else (health.clock.monotonic_ns() - zero.t_ns) * 1e-9
+def _zero_age_s(view: UnitView) -> float | None:
+    zero = view.zero.measurement
+    return None if zero is None else (view.now_ns - zero.t_ns) * 1e-9
 
 
 def _difference(key: str, is_sigma: bool) -> Reading:
-    def read(snapshot: Snapshot) -> float | None:
-        found = snapshot.health and snapshot.health.zero.difference(key, snapshot.measurement)
+    def read(view: UnitView) -> float | None:
+        found = view.zero.difference(key, view.measurement)
         return (found.sigma if is_sigma else found.value) if found else None
 
     return read
@@ -246,17 +231,17 @@ def _relative_rows() -> Iterator[Register]:
     version = values.constant(BLOCK_VERSION)
     yield Register(500, "block_version", Type.U16, "", "version of this block", version)
     text = "zeros set since the daemon started"
-    yield Register(501, "zeros", Type.U16, "", text, _of_health(lambda health: health.zero.count % 0xFFFF))
+    yield Register(501, "zeros", Type.U16, "", text, lambda view: view.zero.count % 0xFFFF)
     text = "the value that sets the next zero"
-    yield Register(502, "next_zero", Type.U16, "", text, _of_health(lambda health: health.zero.next_number))
+    yield Register(502, "next_zero", Type.U16, "", text, lambda view: view.zero.next_number)
     yield Register(503, "status", Type.U16, "", "status word as at address 0", values.status)
     yield Register(504, "session", Type.U32, "", "as at address 204", values.of_identity("session"))
     yield Register(506, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence)
     text = "since the middle of the exposures"
     yield Register(508, "age", Type.U32, "ms", text, values.age_ms)
-    yield Register(510, "zero_sequence", Type.U32, "", "`sequence` of the zero", _of_health(_zero_sequence))
+    yield Register(510, "zero_sequence", Type.U32, "", "`sequence` of the zero", _zero_sequence)
     text = "since the middle of the zero's exposures"
-    yield Register(512, "zero_age", Type.U32, "s", text, _of_health(_zero_age_s))
+    yield Register(512, "zero_age", Type.U32, "s", text, _zero_age_s)
     row = 514
     for sigma, text in (("", "less that of the zero"), ("sigma_", "its standard deviation")):
         for name, unit, key in _RELATIVE_AXES:

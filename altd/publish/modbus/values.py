@@ -1,4 +1,4 @@
-"""Sources of the register values: each function reads one from a snapshot.
+"""Sources of the register values: each function reads one from a view.
 
 Status bits and reason codes are contracts with controllers: new ones are added, old ones never change their
 meaning.
@@ -6,15 +6,13 @@ meaning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from altd.reasons import NOT_FROM_CAMERAS, Reason, Signal, StatusGroup
 from altd.records import Measurement
-from altd.status.cause import StateReport
-from altd.status.health import Health
-from altd.status.proof import Identity, Stamp
+from altd.status.unit import UnitView
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,28 +127,8 @@ def reason_code(measurement: Measurement | None, target: str | None) -> int:
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Data for one request: the board at one instant.
-
-    ``age_s`` is None before the first measurement; ``published`` counts the measurements published so far.
-    ``stamp``, ``report`` of the unit's state and ``shares``, the share of valid time by span, are set only
-    if a block needs them.
-    """
-
-    measurement: Measurement | None
-    age_s: float | None
-    published: int
-    stamp: Stamp | None = None
-    report: StateReport | None = None
-    identity: Identity = field(default_factory=Identity)
-    uptime_s: float | None = None
-    health: Health | None = None
-    shares: Mapping[str, float | None] = field(default_factory=dict)
-
-
-Reading = Callable[[Snapshot], float | str | None]
-"""Function that reads a value from a snapshot, text for a register of text; None: not known."""
+Reading = Callable[[UnitView], float | str | None]
+"""Function that reads a value from a view, text for a register of text; None: not known."""
 
 
 def has(measurement: Measurement, *reasons: Reason) -> bool:
@@ -158,9 +136,9 @@ def has(measurement: Measurement, *reasons: Reason) -> bool:
     return any(fault.reason in reasons for fault in measurement.status)
 
 
-def state(snapshot: Snapshot) -> int | None:
+def state(view: UnitView) -> int | None:
     """Number of the unit's signal; None: not known."""
-    return None if snapshot.report is None else snapshot.report.signal.number
+    return None if view.state is None else view.state.signal.number
 
 
 STATE_MEANING = "NAMUR NE 107: " + ", ".join(
@@ -171,51 +149,51 @@ STATE_MEANING = "NAMUR NE 107: " + ", ".join(
 
 def of_identity(name: str) -> Reading:
     """``unit`` or ``session`` of the identity, by ``name``."""
-    return lambda snapshot: getattr(snapshot.identity, name)
+    return lambda view: getattr(view.identity, name)
 
 
-def uptime_s(snapshot: Snapshot) -> float | None:
+def uptime_s(view: UnitView) -> float:
     """Seconds since the daemon started."""
-    return snapshot.uptime_s
+    return view.running_ns * 1e-9
 
 
-def status(snapshot: Snapshot) -> int:
+def status(view: UnitView) -> int:
     """The status word."""
-    return status_word(snapshot.measurement)
+    return status_word(view.measurement)
 
 
 def reason(target: str | None) -> Reading:
     """Code of the first reason of a target; None: the whole unit."""
-    return lambda snapshot: reason_code(snapshot.measurement, target)
+    return lambda view: reason_code(view.measurement, target)
 
 
-def exposures(snapshot: Snapshot) -> float | None:
+def exposures(view: UnitView) -> float | None:
     """Number of exposures that were averaged for the measurement."""
-    return snapshot.measurement.frames if snapshot.measurement else None
+    return view.measurement.frames if view.measurement else None
 
 
 def number(key: str) -> Reading:
     """The value of a quantity."""
-    return lambda snapshot: snapshot.measurement.number(key) if snapshot.measurement else None
+    return lambda view: view.measurement.number(key) if view.measurement else None
 
 
 def sigma(key: str) -> Reading:
     """The standard deviation of a quantity."""
-    return lambda snapshot: snapshot.measurement.sigma(key) if snapshot.measurement else None
+    return lambda view: view.measurement.sigma(key) if view.measurement else None
 
 
 def sigma_random(key: str) -> Reading:
     """The part of a quantity's sigma that scatters."""
-    return lambda snapshot: snapshot.measurement.sigma_random(key) if snapshot.measurement else None
+    return lambda view: view.measurement.sigma_random(key) if view.measurement else None
 
 
 def sigma_now(key: str) -> Reading:
     """Standard deviation of a quantity as a statement about the truth at the time of reading."""
 
-    def sigma(snapshot: Snapshot) -> float | None:
-        if snapshot.measurement is None or snapshot.age_s is None:
+    def sigma(view: UnitView) -> float | None:
+        if view.measurement is None or view.age_s is None:
             return None
-        return snapshot.measurement.sigma_at(key, snapshot.age_s)
+        return view.measurement.sigma_at(key, view.age_s)
 
     return sigma
 
@@ -223,8 +201,8 @@ def sigma_now(key: str) -> Reading:
 def rate(key: str) -> Reading:
     """The rate of a quantity, per second."""
 
-    def value(snapshot: Snapshot) -> float | None:
-        known = snapshot.measurement and snapshot.measurement.rates.get(key)
+    def value(view: UnitView) -> float | None:
+        known = view.measurement and view.measurement.rates.get(key)
         return known.value if known else None
 
     return value
@@ -233,22 +211,22 @@ def rate(key: str) -> Reading:
 def of_target(target: str, key: str) -> Reading:
     """The value of a quantity on a target."""
 
-    def coordinate(snapshot: Snapshot) -> float | None:
-        values = (snapshot.measurement and snapshot.measurement.targets.get(target)) or {}
+    def coordinate(view: UnitView) -> float | None:
+        values = (view.measurement and view.measurement.targets.get(target)) or {}
         return values[key].value if key in values else None
 
     return coordinate
 
 
-def targets(snapshot: Snapshot) -> int | None:
+def targets(view: UnitView) -> int | None:
     """Number of targets of a row; None: no row has been measured yet."""
-    measurement = snapshot.measurement
+    measurement = view.measurement
     return len(measurement.targets) if measurement and measurement.quantities.has_places else None
 
 
-def _place(snapshot: Snapshot, number: int) -> tuple[Measurement, str] | None:
+def _place(view: UnitView, number: int) -> tuple[Measurement, str] | None:
     """The measurement, and the name of the target with that number, from 1; None: there is none."""
-    measurement = snapshot.measurement
+    measurement = view.measurement
     if measurement is None or not measurement.quantities.has_places or number > len(measurement.targets):
         return None
     return measurement, list(measurement.targets)[number - 1]
@@ -257,8 +235,8 @@ def _place(snapshot: Snapshot, number: int) -> tuple[Measurement, str] | None:
 def of_place(number: int, key: str, part: str = "value") -> Reading:
     """The value, or the ``sigma``, of a quantity of the place with that number."""
 
-    def value(snapshot: Snapshot) -> float | None:
-        if (place := _place(snapshot, number)) is None:
+    def value(view: UnitView) -> float | None:
+        if (place := _place(view, number)) is None:
             return None
         measurement, name = place
         known = measurement.known(f"{name}_{key}") or measurement.known_of(f"{name}.{key}")
@@ -270,8 +248,8 @@ def of_place(number: int, key: str, part: str = "value") -> Reading:
 def reason_of_place(number: int) -> Reading:
     """Code of the first reason why a place was not measured."""
 
-    def code(snapshot: Snapshot) -> int | None:
-        place = _place(snapshot, number)
+    def code(view: UnitView) -> int | None:
+        place = _place(view, number)
         return None if place is None else reason_code(*place)
 
     return code
@@ -280,17 +258,17 @@ def reason_of_place(number: int) -> Reading:
 def warnings_of_place(number: int) -> Reading:
     """The bits of ``PLACE_WARNINGS``."""
 
-    def bits(snapshot: Snapshot) -> int | None:
-        if (place := _place(snapshot, number)) is None:
+    def bits(view: UnitView) -> int | None:
+        if (place := _place(view, number)) is None:
             return None
         return _bits(*place, PLACE_WARNINGS)
 
     return bits
 
 
-def row_warnings(snapshot: Snapshot) -> int | None:
+def row_warnings(view: UnitView) -> int | None:
     """The bits of ``ROW_WARNINGS``."""
-    measurement = snapshot.measurement
+    measurement = view.measurement
     return (
         _bits(measurement, None, ROW_WARNINGS) if measurement and measurement.quantities.has_places else None
     )
@@ -301,35 +279,35 @@ def _bits(measurement: Measurement, target: str | None, reasons: Sequence[Reason
     return sum((reason in said) << bit for bit, reason in enumerate(reasons))
 
 
-def age_tenths(snapshot: Snapshot) -> float | None:
+def age_tenths(view: UnitView) -> float | None:
     """Time since the middle of the exposures in units of 0.1 s, because a round takes long."""
-    return None if snapshot.age_s is None else 10.0 * snapshot.age_s
+    return None if view.age_s is None else 10.0 * view.age_s
 
 
-def sequence(snapshot: Snapshot) -> int | None:
+def sequence(view: UnitView) -> int | None:
     """Number of the last exposure; after 0xFFFFFFFE it restarts at 0."""
-    return snapshot.measurement.sequence % 0xFFFF_FFFF if snapshot.measurement else None
+    return view.measurement.sequence % 0xFFFF_FFFF if view.measurement else None
 
 
-def age_ms(snapshot: Snapshot) -> float | None:
+def age_ms(view: UnitView) -> float | None:
     """Milliseconds since the middle of the exposures."""
-    return None if snapshot.age_s is None else 1000.0 * snapshot.age_s
+    return None if view.age_s is None else 1000.0 * view.age_s
 
 
-def utc_s(snapshot: Snapshot) -> int | None:
+def utc_s(view: UnitView) -> int | None:
     """Middle of the exposures, seconds since 1970, UTC."""
-    ms = _utc_ms(snapshot)
+    ms = _utc_ms(view)
     return None if ms is None else ms // 1000
 
 
-def utc_rest_ms(snapshot: Snapshot) -> int | None:
+def utc_rest_ms(view: UnitView) -> int | None:
     """Milliseconds that follow ``utc_s``, 0 to 999."""
-    ms = _utc_ms(snapshot)
+    ms = _utc_ms(view)
     return None if ms is None else ms % 1000
 
 
-def _utc_ms(snapshot: Snapshot) -> int | None:
-    time = snapshot.measurement and snapshot.measurement.time
+def _utc_ms(view: UnitView) -> int | None:
+    time = view.measurement and view.measurement.time
     return (time - _EPOCH) // timedelta(milliseconds=1) if time else None
 
 
@@ -344,19 +322,19 @@ class DiscreteInput:
 
     name: str
     meaning: str
-    is_set: Callable[[Snapshot], bool]
+    is_set: Callable[[UnitView], bool]
 
 
-def _is_valid(snapshot: Snapshot) -> bool:
-    return snapshot.measurement is not None and snapshot.measurement.valid
+def _is_valid(view: UnitView) -> bool:
+    return view.measurement is not None and view.measurement.valid
 
 
-def _has_reason(*reasons: Reason) -> Callable[[Snapshot], bool]:
-    return lambda snapshot: snapshot.measurement is not None and has(snapshot.measurement, *reasons)
+def _has_reason(*reasons: Reason) -> Callable[[UnitView], bool]:
+    return lambda view: view.measurement is not None and has(view.measurement, *reasons)
 
 
-def _has_signal(signal: Signal) -> Callable[[Snapshot], bool]:
-    return lambda snapshot: snapshot.report is not None and snapshot.report.signal is signal
+def _has_signal(signal: Signal) -> Callable[[UnitView], bool]:
+    return lambda view: view.state is not None and view.state.signal is signal
 
 
 DISCRETE_INPUTS = (

@@ -16,8 +16,8 @@ from altd.errors import BadInputError, unwrap_group
 from altd.publish.mqtt.broker import Broker, Login
 from altd.publish.mqtt.limits import BrokerError, Limits
 from altd.runtime.threads import SingleCall
-from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
+from altd.status.unit import PublishedUnit
 
 INTERVAL_S = 1.0
 """Interval of the summaries; Home Assistant needs no shorter one."""
@@ -39,20 +39,19 @@ class BrokerPublisher(ABC, Generic[Connection]):
     def __init__(
         self,
         settings: MqttSettings,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
         chance: random.Random,
     ) -> None:
         self._settings = settings
-        self._board = board
-        self._health = health
+        self._unit = unit
+        self._board = unit.board
         self._component = component
         self._clock = component.clock
         self._chance = chance
-        self._serial = health.facts.serial
-        self._identifier = f"altd_{board.identity.unit or 0:08x}"
-        self._unsent = board.cursor()
+        self._serial = unit.facts.serial
+        self._identifier = f"altd_{unit.board.identity.unit or 0:08x}"
+        self._unsent = unit.board.cursor()
         self._tries = 0
         self._connecting = SingleCall("mqtt connect")
         self._limits = Limits()

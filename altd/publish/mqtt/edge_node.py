@@ -28,8 +28,8 @@ from altd.publish.mqtt.sparkplug import (
     utc_ms,
 )
 from altd.records import Measurement
-from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component
+from altd.status.unit import PublishedUnit
 
 REBIRTH_INTERVAL_S = 1.0
 """Minimum time between two births, however many are requested."""
@@ -76,12 +76,11 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
     def __init__(
         self,
         settings: MqttSettings,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
         chance: random.Random,
     ) -> None:
-        super().__init__(settings, board, health, component, chance)
+        super().__init__(settings, unit, component, chance)
         assert settings.sparkplug is not None  # noqa: S101  its presence selects this profile
         self._group = settings.sparkplug.group
         self._node = settings.sparkplug.node or quote(self._serial, safe="")
@@ -141,7 +140,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
         self._rebirth.clear()
         self._born_ns, self._seq = self._clock.monotonic_ns(), 0
         now_ms = self._now_ms()
-        identity = identity_metrics(birth_of(self._board, self._health, self._clock), now_ms)
+        identity = identity_metrics(birth_of(self._unit.view()), now_ms)
         self._sent, self._sent_state = None, []
         metrics = [
             self._bd_seq_metric(now_ms),
@@ -169,7 +168,7 @@ class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
 
     def _new_state(self, now_ms: int) -> list[Metric]:
         """Metrics of the state; empty if all values equal the ones sent last."""
-        metrics = state_metrics(self._health.state(), now_ms)
+        metrics = state_metrics(self._unit.state(), now_ms)
         values: list[object] = [each.value for each in metrics]
         before, self._sent_state = self._sent_state, values
         return [] if before == values else metrics

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any, Self
 from urllib.parse import quote
 
 from pydantic import BaseModel, Field, create_model
 from pydantic.json_schema import models_json_schema
 
-from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Measurement, Quantities, Quantity, utc_text
 from altd.status import models
 from altd.status.answer import Answer
-from altd.status.board import Board
+from altd.status.calibration_summary import CalibrationIdentity
 from altd.status.cause import StateReport
-from altd.status.health import Health
 from altd.status.measurement_json import measurement_model
+from altd.status.unit import UnitView
 
 ONLINE, OFFLINE = "online", "offline"
 
@@ -42,48 +42,48 @@ class Topics:
         return cls(*(f"{beginning}/{quote(serial, safe='')}/{name}" for name in cls.__slots__))
 
 
-def birth_of(board: Board, health: Health, clock: Clock) -> dict[str, Any]:
+def birth_of(view: UnitView) -> dict[str, Any]:
     """Return the birth message: the identity of the unit, and what it publishes."""
     return {
-        "time": _now(clock),
-        "serial": health.facts.serial or None,
-        "version": health.facts.version or None,
-        "instrument": board.quantities.instrument,
-        "calibration": asdict(health.calibration.identity),
-        "targets": [target.name for target in health.targets],
+        "time": _text(view.utc),
+        "serial": view.facts.serial or None,
+        "version": view.facts.version or None,
+        "instrument": view.quantities.instrument,
+        "calibration": view.calibration_identity.as_object(),
+        "targets": [target.name for target in view.targets],
         "quantities": {
             quantity.key: {"label": quantity.label, "unit": quantity.unit, "meaning": quantity.meaning}
-            for quantity in board.quantities.of_unit
+            for quantity in view.quantities.of_unit
         },
     }
 
 
-def state_of(report: StateReport, clock: Clock) -> dict[str, Any]:
+def state_of(report: StateReport, utc: datetime | None) -> dict[str, Any]:
     """Return the state message: the state of the unit at the time of sending."""
-    return {"time": _now(clock), **models.state_of(report).as_object()}
+    return {"time": _text(utc), **models.state_of(report).as_object()}
 
 
-def summary_of(measurements: Sequence[Measurement], board: Board, clock: Clock) -> dict[str, Any]:
-    """Return the summary of ``measurements``; without any, statistics null and the board's ``status``.
+def summary_of(measurements: Sequence[Measurement], view: UnitView) -> dict[str, Any]:
+    """Return the summary of ``measurements``; without any, statistics null and the present ``status``.
 
     The mean of a quantity covers the valid measurements, or those in which its own sensor knows it. ``sigma``
     is the root mean square of their sigmas: the uncertainty of one measurement, not their scatter.
     ``sigma_now`` is that of the last measurement as a statement about the truth at sending.
     """
     valid = sum(measurement.valid for measurement in measurements)
-    shown = measurements or [now for now in (board.read(),) if now is not None]
+    shown = measurements or ([] if view.measurement is None else [view.measurement])
     codes = [str(fault) for measurement in shown for fault in measurement.status]
     first, last = (measurements[0], measurements[-1]) if measurements else (None, None)
     return {
-        "time": _now(clock),
+        "time": _text(view.utc),
         "first": _instant(first),
         "last": _instant(last),
         "count": len(measurements),
         "valid_share": round(valid / len(measurements), 4) if measurements else None,
         "status": list(dict.fromkeys(codes)) if shown else [str(Reason.WARMING_UP)],
         **{
-            quantity.key: _statistics(measurements, quantity, board.age_s())
-            for quantity in board.quantities.shown
+            quantity.key: _statistics(measurements, quantity, view.age_s)
+            for quantity in view.quantities.shown
         },
     }
 
@@ -115,8 +115,7 @@ def _instant(measurement: Measurement | None) -> dict[str, Any] | None:
     return {"sequence": measurement.sequence, "time": None if time is None else utc_text(time)}
 
 
-def _now(clock: Clock) -> str | None:
-    utc = clock.utc(clock.monotonic_ns())
+def _text(utc: datetime | None) -> str | None:
     return None if utc is None else utc_text(utc)
 
 
@@ -141,13 +140,8 @@ class _Checked(Answer):
     """CRC-32 of all bytes before `, "crc32":`, 8 hexadecimal digits."""
 
 
-class Calibration(Answer):
+class Calibration(CalibrationIdentity):
     """The calibration in use."""
-
-    created: str | None
-    checksum: str | None
-    simulated: bool | None
-    """Whether it was made from simulated frames."""
 
 
 class PublishedQuantity(Answer):

@@ -23,10 +23,10 @@ from altd.publish.mqtt.limits import MessageTooLongError
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics, birth_of, state_of, summary_of
 from altd.publish.mqtt.outbox import OutboxSender
 from altd.records import Measurement
-from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.proof import Stamps
+from altd.status.unit import PublishedUnit
 
 NUMBERS_EXPIRY_S = 2
 """Time after which a broker drops a summary or a measurement that it could not deliver."""
@@ -45,30 +45,29 @@ Home Assistant any more must not stay with the broker."""
 class MqttPublisher(BrokerPublisher[Broker]):
     """Publishes summaries or measurements, state and identity as JSON, each on its own topic."""
 
-    def __init__(  # noqa: PLR0913  the parts of a unit
+    def __init__(
         self,
         settings: MqttSettings,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
         chance: random.Random,
         outbox: Outbox | None = None,
         http: Callable[[], HttpSettings | None] = lambda: None,
     ) -> None:
         """``http`` returns the present settings of the unit's page; None: it has none."""
-        super().__init__(settings, board, health, component, chance)
+        super().__init__(settings, unit, component, chance)
         self._http = http
         self._topics = Topics.of(settings.topic, self._serial)
-        self._stamps = Stamps(board, component.name)
+        self._stamps = Stamps(unit.board, component.name)
         self._sender: OutboxSender | None = None
         if outbox is not None:
             topics = self._topics.outbox, self._topics.ack
             self._sender = OutboxSender(
-                outbox, topics, self._serial, health.component("outbox"), self._with_proof
+                outbox, topics, self._serial, unit.health.component("outbox"), self._with_proof
             )
         elif settings.store_and_forward:
-            health.component("outbox").set_state(State.DEGRADED, "no history: seconds are not stored")
-        self._unsummarised = board.cursor()
+            unit.health.component("outbox").set_state(State.DEGRADED, "no history: seconds are not stored")
+        self._unsummarised = unit.board.cursor()
         self._since_summary: list[Measurement] = []
         self._sent: Measurement | None = None
         self._sent_state: object = None
@@ -99,7 +98,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
 
     async def _announce(self, broker: Broker) -> None:
         """Send the identity; ``online`` is last, so that a client that receives it has everything else."""
-        birth = self._with_proof(birth_of(self._board, self._health, self._clock))
+        birth = self._with_proof(birth_of(self._unit.view()))
         await self._send(broker, self._topics.birth, birth, expiry_s=None, retain=True)
         self._sent = None
         self._discovery_ns = 0
@@ -112,7 +111,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             self._topics,
             self._identifier,
             self._serial,
-            self._health.facts.version,
+            self._unit.facts.version,
             page=page_url(self._http(), broker.own_address),
             is_rehearsal=self._board.is_rehearsal,
         )
@@ -150,7 +149,7 @@ class MqttPublisher(BrokerPublisher[Broker]):
             await self._send_state(broker)
         if self._settings.every_measurement:  # also one that became stale
             await self._send_measurement(broker)
-        summary = summary_of(self._since_summary, self._board, self._clock)
+        summary = summary_of(self._since_summary, self._unit.view())
         self._since_summary.clear()
         line = self._with_proof(summary)
         if await self._send(broker, self._topics.summary, line, expiry_s=NUMBERS_EXPIRY_S):
@@ -167,12 +166,12 @@ class MqttPublisher(BrokerPublisher[Broker]):
 
     async def _send_state(self, broker: Broker) -> None:
         """Send the state if it differs from the one sent last."""
-        report = self._health.state()
+        report = self._unit.state()
         if report is None:
             return
         causes = [(shown.cause.kind, shown.cause.of, shown.is_active) for shown in report.causes]
         if (state := (report.signal, causes)) == self._sent_state:
             return
         self._sent_state = state
-        line = self._with_proof(state_of(report, self._clock))
+        line = self._with_proof(state_of(report, self._clock.utc(self._clock.monotonic_ns())))
         await self._send(broker, self._topics.state, line, expiry_s=RETAINED_EXPIRY_S, retain=True)

@@ -15,7 +15,6 @@ import os
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
-from dataclasses import asdict
 from importlib.util import find_spec
 
 from altd.config import Installation, OpcUaSettings
@@ -27,14 +26,14 @@ from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_
 from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.opcua.start import Start
-from altd.status.board import Board
 from altd.status.cause import StateReport
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.models import state_of
 from altd.status.proof import Stamps
 from altd.status.services import NoSelfCheckError
 from altd.status.target_area import AREA_MM
+from altd.status.unit import PublishedUnit
 from altd.tcp_port import listen
 
 MAX_INTERVAL_S = 0.5
@@ -76,8 +75,7 @@ class OpcUaPublisher:
     def __init__(
         self,
         settings: OpcUaSettings,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
         history: History,
         installation: Installation = Installation(),  # noqa: B008  frozen
@@ -87,12 +85,12 @@ class OpcUaPublisher:
         """Port of the server; for port 0 in the settings, the port that the system chose."""
         self.process: Process | None = None
         self._settings = settings
-        self._board = board
-        self._health = health
+        self._unit = unit
+        self._board = unit.board
         self._component = component
         self._history = history
         self._installation = installation
-        self._stamps = Stamps(board, component.name)
+        self._stamps = Stamps(unit.board, component.name)
         self._patience_s = START_TIMEOUT_S
         self._answers: list[str] = []
         self._has_clients = asyncio.Event()
@@ -173,33 +171,33 @@ class OpcUaPublisher:
             self._answers.clear()
             if (measurement := self._board.read()) is not None:
                 pipe.write(checked_line(self._board, measurement, self._stamps.next()).encode() + b"\n")
-            state, now_ns = self._health.state(), self._component.clock.monotonic_ns()
+            state, now_ns = self._unit.state(), self._component.clock.monotonic_ns()
             if (shown := _shown(state)) != sent or now_ns >= due_ns:
                 sent, due_ns = shown, now_ns + round(STATE_INTERVAL_S * 1e9)
                 document = {} if state is None else state_of(state).as_object()
                 pipe.write(with_proof(document, self._board, self._stamps.next()).encode() + b"\n")
 
     def _start(self) -> Start:
-        board, health = self._board, self._health
+        board, view = self._board, self._unit.view()
         return Start(
             settings=self._settings,
             port=self.port,
-            serial=health.facts.serial,
-            version=health.facts.version,
-            session=f"{board.identity.session or 0:08X}",
-            started_ns=health.clock.monotonic_ns() - board.running_ns(),
+            serial=view.facts.serial,
+            version=view.facts.version,
+            session=f"{view.identity.session or 0:08X}",
+            started_ns=view.now_ns - view.running_ns,
             stale_after_s=board.stale_after_s,
-            quantities=board.quantities,
+            quantities=view.quantities,
             ranges=ranges_of(self._installation),
-            targets={each.place: {} for each in board.quantities.of_unit if each.place}
+            targets={each.place: {} for each in view.quantities.of_unit if each.place}
             | {
                 area.name: {
                     key: (min(at), max(at))
                     for key, at in zip(("x_mm", "y_mm"), zip(*area.valid_mm, strict=True), strict=True)
                 }
-                for area in health.targets
+                for area in view.targets
             },
-            calibration=asdict(health.calibration.identity),
+            calibration=view.calibration_identity.as_object(),
             history=self._history.path,
             declared=(*OF_BEAM.of_unit, *OF_PLATE.of_unit),
         )
@@ -232,7 +230,7 @@ class OpcUaPublisher:
         if not self._settings.allow_self_check:
             return "not allowed"
         try:
-            self._health.self_check.ask(one_line(by))
+            self._unit.self_check.ask(one_line(by))
         except NoSelfCheckError as error:
             return str(error)
         return ""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from altd.reasons import Reason
 from altd.records import Fault
-from altd.status.health import MEASURING, Component, State
+from altd.status.health import MEASURING, ComponentReport, State
 
 
 class Advice(NamedTuple):
@@ -23,7 +23,7 @@ _ONE_TARGET_DARK = Advice(
 _CAMERA_BELOW = Advice("the camera delivers no frames", "see the camera below")
 
 
-def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component] = ()) -> Advice:
+def advice(fault: Fault, status: Iterable[Fault], components: Iterable[ComponentReport] = ()) -> Advice:
     """Return the fault and its remedy, by its cause, the other faults and the components."""
     if fault.cause is not None:
         return Advice(fault.cause.meaning, fault.cause.remedy)
@@ -34,7 +34,7 @@ def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component
     return Advice(fault.reason.brief, fault.reason.remedy)
 
 
-def component_steps(components: Iterable[Component], status: Iterable[Fault]) -> Iterable[str]:
+def component_steps(components: Iterable[ComponentReport], status: Iterable[Fault]) -> Iterable[str]:
     """Yield faults of components, with their remedies.
 
     ``measuring`` is omitted if ``status`` already reports it in other words.

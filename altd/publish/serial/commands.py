@@ -23,10 +23,10 @@ from altd.publish.serial.parts_text import (
 )
 from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
 from altd.reasons import Signal
-from altd.records import Measurement, Quantities, utc_text
+from altd.records import utc_text
 from altd.selfcheck.records import Verdict
-from altd.status.health import Health
 from altd.status.services import SelfCheckReport
+from altd.status.unit import PublishedUnit, UnitFacts, UnitView
 
 _MAKER, _KIND = "altd", "Active Laser Target"
 _SUMMARY_BIT = 6
@@ -61,26 +61,22 @@ NO_TEST = 4
 """Result if there was no self-check since the start, or the unit cannot check itself."""
 
 
-def identification(health: Health) -> str:
+def identification(facts: UnitFacts) -> str:
     """Maker, kind, serial number and version, separated by commas (10.14)."""
-    facts = health.facts
     return ",".join(map(_field, (_MAKER, _KIND, facts.serial or "0", facts.version or "0")))
 
 
-def status_byte(measurement: Measurement | None, health: Health) -> int:
+def status_byte(view: UnitView) -> int:
     """Status byte (10.36) from the currently shown causes and the latest measurement."""
-    report = health.state()
-    causes = () if report is None else report.causes
-    byte = sum({1 << _BIT_OF_SIGNAL[shown.signal] for shown in causes if shown.signal in _BIT_OF_SIGNAL})
-    if measurement is None or not measurement.valid:
+    byte = sum({1 << _BIT_OF_SIGNAL[shown.signal] for shown in view.causes if shown.signal in _BIT_OF_SIGNAL})
+    if view.measurement is None or not view.measurement.valid:
         byte |= 1 << _NOT_VALID_BIT
     return byte | bool(byte) << _SUMMARY_BIT
 
 
-def test_result(health: Health) -> int:
+def test_result(report: SelfCheckReport | None) -> int:
     """Verdict of the last self-check as a number (10.38); starts none, because that is requested by hand."""
-    latest = health.self_check.latest
-    return NO_TEST if latest is None else TEST_RESULTS[latest.check.verdict]
+    return NO_TEST if report is None else TEST_RESULTS[report.check.verdict]
 
 
 def _field(text: str) -> str:
@@ -96,13 +92,9 @@ SELF_CHECK_TIMEOUT_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """The parts of the unit that commands describe."""
+    """The unit that commands describe, and its past."""
 
-    read: Callable[[], Measurement | None]
-    health: Health
-    quantities: Quantities
-    age_s: Callable[[], float | None] = lambda: None
-    """Age of the measurement from ``read``, for its current uncertainty."""
+    unit: PublishedUnit
     past: Past | None = None
 
 
@@ -168,32 +160,32 @@ def _help(_: Sources) -> str:
 def _status(sources: Sources, whole: str = "") -> str:
     if whole.lower() not in ("", "all"):
         raise UsageError(f"usage: status [all], not {whole[:24]!r}")
-    return status_text(sources.read(), sources.health, sources.age_s(), whole=bool(whole))
+    return status_text(sources.unit.view(), whole=bool(whole))
 
 
 def _measure(sources: Sources) -> str:
-    return measurement_text(sources.read(), sources.age_s())
+    return measurement_text(sources.unit.board.read(), sources.unit.board.age_s())
 
 
 def _spots(sources: Sources) -> str:
-    return spots_text(sources.read(), sources.health)
+    return spots_text(sources.unit.view())
 
 
 def _health(sources: Sources) -> str:
-    return health_text(sources.health)
+    return health_text(sources.unit.view())
 
 
 def _calibration(sources: Sources) -> str:
-    return calibration_text(sources.health, sources.quantities)
+    return calibration_text(sources.unit.view())
 
 
 def _version(sources: Sources) -> str:
-    facts = sources.health.facts
+    facts = sources.unit.facts
     return f"altd {facts.version or 'of unknown version'}, unit {facts.serial or 'not known'}"
 
 
 def _self_check(sources: Sources, now: str = "") -> str | Question:
-    service = sources.health.self_check
+    service = sources.unit.self_check
     if now.lower() not in ("", "now"):
         raise UsageError(f"usage: selfcheck [now], not {now[:24]!r}")
     if service.unavailable:
@@ -206,7 +198,7 @@ def _self_check(sources: Sources, now: str = "") -> str | Question:
 
 
 def _ask(sources: Sources) -> str | Later:
-    service = sources.health.self_check
+    service = sources.unit.self_check
     if service.unavailable:  # it may have become unavailable meanwhile
         return _none(service.unavailable)
     number = service.ask("console")
@@ -236,7 +228,7 @@ def _history(sources: Sources, span: str = "hour") -> str | Later:
         raise UsageError(f"usage: history [{'|'.join(SPANS_S)}], not {span[:24]!r}")
     if past is None:
         return _NO_PAST
-    return Later(lambda: history_text(past, sources.quantities, span))
+    return Later(lambda: history_text(past, sources.unit.board.quantities, span))
 
 
 def _log(sources: Sources) -> str:
@@ -258,20 +250,24 @@ def _watch(sources: Sources, seconds: str = "1") -> Watch:
         interval_s = -1.0
     if not shortest <= interval_s <= longest:
         raise UsageError(f"watch needs seconds from {shortest:g} to {longest:g}, not {seconds!r}")
-    lines = ["any key ends it", watch_head(sources.quantities), watch_line(sources.read())]
+    lines = [
+        "any key ends it",
+        watch_head(sources.unit.board.quantities),
+        watch_line(sources.unit.board.read()),
+    ]
     return Watch("\n".join(lines), interval_s)
 
 
 def _identification(sources: Sources) -> str:
-    return identification(sources.health)
+    return identification(sources.unit.facts)
 
 
 def _status_byte(sources: Sources) -> str:
-    return str(status_byte(sources.read(), sources.health))
+    return str(status_byte(sources.unit.view()))
 
 
 def _test(sources: Sources) -> str:
-    return str(test_result(sources.health))
+    return str(test_result(sources.unit.self_check.latest))
 
 
 _NO_PAST = "this daemon stores no history"

@@ -10,8 +10,7 @@ from altd.publish.serial.keys import Key, KeyReader
 from altd.publish.serial.lines import BadLine, LineEditor
 from altd.publish.serial.parts_text import Past
 from altd.publish.serial.words import WIDTH, watch_line
-from altd.records import Measurement, Quantities
-from altd.status.health import Health
+from altd.status.unit import PublishedUnit
 
 PROMPT = b"> "
 PAGE_LINES = 23
@@ -35,14 +34,11 @@ class Console:
 
     def __init__(
         self,
-        read: Callable[[], Measurement | None],
-        health: Health,
-        quantities: Quantities,
-        age_s: Callable[[], float | None] = lambda: None,
+        unit: PublishedUnit,
         past: Past | None = None,
     ) -> None:
-        self.health = health
-        self._sources = Sources(read, health, quantities, age_s, past)
+        self.unit = unit
+        self._sources = Sources(unit, past)
         self._question: Question | None = None
         self._find: Callable[[], Awaitable[str]] | None = None
         self.watching_s: float | None = None
@@ -81,7 +77,7 @@ class Console:
 
     def welcome(self) -> bytes:
         """The welcome message and the first prompt."""
-        serial = self.health.facts.serial or "of unknown serial number"
+        serial = self.unit.facts.serial or "of unknown serial number"
         return b"\r\n" + _on_wire(f"Active Laser Target {serial}. Type help and press Enter.") + PROMPT
 
     def feed(self, data: bytes) -> bytes:
@@ -94,7 +90,7 @@ class Console:
 
     def tick(self) -> bytes:
         """Return the next line of ``watch``; empty without ``watch``."""
-        return b"" if self.watching_s is None else _on_wire(watch_line(self._sources.read()))
+        return b"" if self.watching_s is None else _on_wire(watch_line(self.unit.board.read()))
 
     def _all(self, keys: Iterable[str | Key]) -> Iterable[bytes]:
         for key in keys:

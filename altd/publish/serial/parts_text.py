@@ -9,21 +9,23 @@ from datetime import UTC, datetime
 from altd.history.history import History, NoHistoryError
 from altd.history.records import SummaryPoint
 from altd.publish.serial.words import NO_MEASUREMENT, WIDTH, ascii_unit, component_lines, hanging
-from altd.records import Measurement, Quantities
+from altd.records import Quantities
 from altd.status.calibration_summary import CalibrationFigures
 from altd.status.conditions import Condition
 from altd.status.event_log import Event, EventLog
-from altd.status.health import MEASURING, Health
+from altd.status.health import MEASURING
 from altd.status.target_area import TargetArea
+from altd.status.unit import UnitView
 
 _ABOUT_CALIBRATION = (Condition.CALIBRATION_DUE, Condition.CLOCK_WRONG)
 
 
-def spots_text(measurement: Measurement | None, health: Health) -> str:
+def spots_text(view: UnitView) -> str:
     """For each target the position of the spot, and the report of its camera."""
-    if measurement is None:
+    if (measurement := view.measurement) is None:
         return NO_MEASUREMENT
-    found = next((part.findings for part in health if part.name == MEASURING), {})
+    measuring = view.component(MEASURING)
+    found = measuring.findings if measuring else {}
     width = max(map(len, measurement.targets), default=0) + 2
     lines = []
     for target, values in measurement.targets.items():
@@ -40,24 +42,23 @@ def spots_text(measurement: Measurement | None, health: Health) -> str:
     return "\n".join(lines)
 
 
-def health_text(health: Health) -> str:
+def health_text(view: UnitView) -> str:
     """Every component with its message, counters and figures."""
-    return "\n".join(component_lines(list(health), whole=True)) or "nothing has started so far"
+    return "\n".join(component_lines(view.components, whole=True)) or "nothing has started so far"
 
 
-def calibration_text(health: Health, quantities: Quantities) -> str:
+def calibration_text(view: UnitView) -> str:
     """Calibration: date and source, file, causes with remedies, expected sigma and valid area."""
-    lines = [hanging("calibration", health.facts.calibration or "not known", 13)]
-    report = health.state()
-    for shown in () if report is None else report.causes:
+    lines = [hanging("calibration", view.facts.calibration or "not known", 13)]
+    for shown in view.causes:
         kind = shown.cause.kind
         if kind in _ABOUT_CALIBRATION:
             lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {shown.cause.remedy}", 4))
-    if (figures := health.calibration.figures) is not None:
+    if (figures := view.calibration) is not None:
         file = figures.file
         lines.append(hanging("  file", f"{file.name}, SHA-256 {file.sha256 or 'not known'}", 13))
-        lines.append(hanging("  expected", _expected(figures, quantities), 13))
-    lines += [hanging(f"  {target.name}", _where(target), 13) for target in health.targets]
+        lines.append(hanging("  expected", _expected(figures, view.quantities), 13))
+    lines += [hanging(f"  {target.name}", _where(target), 13) for target in view.targets]
     return "\n".join(lines)
 
 

@@ -22,8 +22,9 @@ from altd.publish.serial.telegram import (
 )
 from altd.serial_port.port import Port, describe, opened
 from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
 from altd.status.proof import Stamps
+from altd.status.unit import PublishedUnit
 
 MAX_WAITING_BYTES = 16384
 """Maximum number of bytes of console output that wait for a slow line."""
@@ -134,23 +135,19 @@ class ConsolePublisher:
     def __init__(
         self,
         settings: ConsolePortSettings,
-        board: Board,
-        health: Health,
+        unit: PublishedUnit,
         component: Component,
-        clock: Clock,
         past: Past | None = None,
     ) -> None:
         self._settings = settings
-        self._board = board
-        self._health = health
+        self._unit = unit
         self._component = component
-        self._clock = clock
+        self._clock = component.clock
         self._past = past
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or has disappeared."""
-        board = self._board
-        console = Console(board.read, self._health, board.quantities, board.age_s, self._past)
+        console = Console(self._unit, self._past)
         async with opened(self._settings, limit=MAX_WAITING_BYTES, fresh=False) as port:
             ready()
             self._component.set_state(State.OK, console_message(self._settings))

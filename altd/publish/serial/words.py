@@ -10,7 +10,8 @@ from altd.reasons import Signal
 from altd.records import Fault, Measurement, Quantities, Quantity, counted, utc_text
 from altd.status.cause import ShownCause, StateReport
 from altd.status.conditions import Condition
-from altd.status.health import MEASURING, Component, Health, State, duration
+from altd.status.health import MEASURING, ComponentReport, State, duration
+from altd.status.unit import UnitView
 
 _SHOWN_BY_COMPONENTS = {
     Condition.CAMERA_FAILED,
@@ -120,19 +121,15 @@ def watch_line(measurement: Measurement | None) -> str:
     return f"{time:<14}{''.join(numbers)} {codes}"[:WIDTH].rstrip()
 
 
-def status_text(
-    measurement: Measurement | None, health: Health, age_s: float | None = None, *, whole: bool = False
-) -> str:
+def status_text(view: UnitView, *, whole: bool = False) -> str:
     """Describe the unit, whether it measures, remedies for what is wrong, and every component.
 
-    ``age_s``: age of the measurement, for its current uncertainty.
     ``whole``: with messages, counters and figures of the components.
     """
-    components = list(health)
-    report = health.state()
-    facts = {**health.facts.known, MEASURING: _measuring(measurement, components)}
+    measurement, components, report = view.measurement, view.components, view.state
+    facts = {**view.facts.known, MEASURING: _measuring(measurement, components)}
     if measurement is not None and measurement.valid:
-        facts["sigma now"] = _uncertainty(measurement, age_s)
+        facts["sigma now"] = _uncertainty(measurement, view.age_s)
     facts |= {} if report is None else state_facts(report, whole=whole)
     width = max(map(len, facts)) + 2
     lines = [hanging(name, text, width) for name, text in facts.items()]
@@ -142,7 +139,7 @@ def status_text(
     return "\n".join(lines)
 
 
-def component_lines(components: Sequence[Component], *, whole: bool) -> list[str]:
+def component_lines(components: Sequence[ComponentReport], *, whole: bool) -> list[str]:
     """A table of the components; ``whole``: with message, counters and figures of each."""
     if not components:
         return []
@@ -208,7 +205,7 @@ def _reason_lines(status: Sequence[Fault]) -> list[str]:
     return lines
 
 
-def _measuring(measurement: Measurement | None, components: Sequence[Component]) -> str:
+def _measuring(measurement: Measurement | None, components: Sequence[ComponentReport]) -> str:
     if measurement is None:
         return "NO, no measurement so far"
     status = measurement.status
@@ -222,20 +219,19 @@ def _measuring(measurement: Measurement | None, components: Sequence[Component])
     return f"NO: {reasons}"
 
 
-def _component_line(component: Component, column: int) -> str:
-    seconds = (component.clock.monotonic_ns() - component.since_ns) * 1e-9
+def _component_line(component: ComponentReport, column: int) -> str:
     state = component.state.upper() if component.state is State.FAILED else str(component.state)
-    return f"{component.name:<{column - 1}} {state:<10}{duration(seconds)}"
+    return f"{component.name:<{column - 1}} {state:<10}{duration(component.for_s)}"
 
 
-def _remarks(component: Component) -> str:
+def _remarks(component: ComponentReport) -> str:
     numbers = {**component.figures, **component.counters}
     told = [f"{name} {number}" for name, number in numbers.items() if number is not None]
     return "; ".join(filter(None, [component.message, ", ".join(told)]))
 
 
 def _what_to_do(
-    measurement: Measurement | None, components: Sequence[Component], further: Sequence[str]
+    measurement: Measurement | None, components: Sequence[ComponentReport], further: Sequence[str]
 ) -> list[str]:
     status = measurement.status if measurement else ()
     targets: dict[tuple[str, str], list[str]] = {}

@@ -21,9 +21,10 @@ from altd.publish.serial.publisher import ConsolePublisher
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import Publisher
 from altd.status.health import MEASURING, Health, State
+from altd.status.unit import PublishedUnit
 from altd.status.zero import Zero
-from tools.pages.example import board
-from tools.pages.serial_examples import health as example_health
+from tools.pages.example import MEASURED, board
+from tools.pages.serial_examples import unit_that_shows
 
 HOST = "127.0.0.1"
 
@@ -56,9 +57,8 @@ async def websocket(folder: Path) -> AsyncIterator[Served]:
 @contextlib.asynccontextmanager
 async def local(folder: Path) -> AsyncIterator[Served]:
     """The socket in the file system."""
-    health = _health()
-    path = folder / "altd.sock"
-    publisher = LocalPublisher(path, board(), health, health.component("local"))
+    unit, path = _published(), folder / "altd.sock"
+    publisher = LocalPublisher(path, unit, unit.health.component("local"))
     async with _running(publisher):
         yield Served(str(path), _left_by(publisher))
 
@@ -66,31 +66,31 @@ async def local(folder: Path) -> AsyncIterator[Served]:
 @contextlib.asynccontextmanager
 async def console() -> AsyncIterator[int]:
     """A serial console; the descriptor of its line's far end, which does not block."""
-    health = example_health()
-    health.component(MEASURING).set_state(State.OK, "")
+    unit = unit_that_shows(MEASURED)
+    unit.health.component(MEASURING).set_state(State.OK, "")
     far, near = os.openpty()
     try:
         tty.setraw(near)
         os.set_blocking(far, False)
         settings = ConsolePortSettings(device=Path(os.ttyname(near)), speaks="console")
-        component = health.component("console")
-        async with _running(ConsolePublisher(settings, board(), health, component, SystemClock())):
+        component = unit.health.component("console")
+        async with _running(ConsolePublisher(settings, unit, component)):
             yield far
     finally:
         os.close(near)
         os.close(far)
 
 
-def _health() -> Health:
-    health = Health(SystemClock())
-    health.pictures.open(Maker())
-    return health
+def _published() -> PublishedUnit:
+    unit = PublishedUnit(board(), Health(SystemClock()))
+    unit.pictures.open(Maker())
+    return unit
 
 
 @contextlib.asynccontextmanager
 async def _over_tcp(settings: HttpSettings) -> AsyncIterator[Served]:
-    health = _health()
-    publisher = HttpPublisher(settings, board(), health, health.component("http"))
+    unit = _published()
+    publisher = HttpPublisher(settings, unit, unit.health.component("http"))
     async with _running(publisher):
         yield Served((HOST, publisher.port), _left_by(publisher))
 
@@ -103,15 +103,15 @@ def _left_by(publisher: HttpPublisher) -> Callable[[], Mapping[str, int]]:
 @contextlib.asynccontextmanager
 async def modbus(folder: Path) -> AsyncIterator[Served]:
     """With all commands allowed, none of which an attacker gets right."""
-    health, checks = _health(), list[None]()
-    health.self_check.open(lambda: checks.append(None))
-    health.zero = Zero(health.events, first_number=NEXT_ZERO)
+    unit, checks = _published(), list[None]()
+    unit.self_check.open(lambda: checks.append(None))
+    unit.zero = Zero(unit.events, first_number=NEXT_ZERO)
     settings = ModbusTcpSettings(host=HOST, port=0, unit_id=UNIT, allow_self_check=True, allow_zero=True)
-    component = health.component("modbus")
-    publisher = ModbusTcpPublisher(settings, board(), component, health)
+    component = unit.health.component("modbus")
+    publisher = ModbusTcpPublisher(settings, unit, component)
 
     def left() -> Mapping[str, int]:
-        written = {"zeros": health.zero.count, "self-checks": len(checks)}
+        written = {"zeros": unit.zero.state.count, "self-checks": len(checks)}
         return {"clients": component.counters.get("clients", 0), **written}
 
     async with _running(publisher):

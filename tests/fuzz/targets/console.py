@@ -52,7 +52,7 @@ class _Line:
     """A pseudo terminal whose near end the console opens."""
 
     def __init__(self, faces: Faces) -> None:
-        faces.health.self_check.open(lambda: None)
+        faces.published.self_check.open(lambda: None)
         serial_publisher.READ_INTERVAL_S = (
             0.0  # the rest after each turn: examples are tried one behind the other
         )
@@ -61,7 +61,7 @@ class _Line:
         tty.setraw(near)
         settings = ConsolePortSettings.model_validate({"device": os.ttyname(near), "speaks": "console"})
         component = faces.component(NAME)
-        self._console = ConsolePublisher(settings, faces.board, faces.health, component, faces.clock)
+        self._console = ConsolePublisher(settings, faces.published, component)
 
     async def run(self, ready: Any) -> None:
         await self._console.run(ready)

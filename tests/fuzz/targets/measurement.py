@@ -12,11 +12,11 @@ from support.measurements import beam_of
 from altd.files.documents import line_of
 from altd.publish.http.stream import event
 from altd.publish.modbus.registers import image
-from altd.publish.modbus.values import Snapshot
 from altd.publish.serial.telegram import encode
 from altd.publish.serial.words import measurement_text, watch_line
 from altd.records import Measurement
 from altd.status.measurement_json import as_object_now
+from tools.pages.example import view_of
 
 NAME = "measurement"
 EXAMPLES = measurements
@@ -61,7 +61,7 @@ def _check_telegram(measurement: Measurement) -> None:
 
 
 def _check_registers(measurement: Measurement) -> None:
-    words = image(Snapshot(measurement, 0.5, 1))
+    words = image(view_of(measurement, 0.5, 1))
     assert len(words) == 120
     assert all(0 <= word <= 0xFFFF for word in words)
     assert (words[0] & 1) == measurement.valid

@@ -68,9 +68,7 @@ EXAMPLES = st.lists(
 )
 """The traffic, the place where its last frame is torn, and the silence before it."""
 
-_face = served(
-    lambda faces: _Silent(Responder(faces.board, faces.component(NAME), faces.health, ModbusTcpSettings()))
-)
+_face = served(lambda faces: _Silent(Responder(ModbusTcpSettings(), faces.published, faces.component(NAME))))
 
 
 @dataclass

@@ -123,7 +123,7 @@ async def _first_run(unit: Unit) -> None:
     assert local is not None
     status = await asyncio.to_thread(altd_here, "status", "--socket", local.socket)
     assert re.search(r"^  t2 dx +-?0\.0\d\d mm +\+/- 0\.0\d\d$", status.out, re.MULTILINE), status.out
-    await unit.daemon.health.recordings.provider.keep("test")
+    await unit.daemon.unit.recordings.provider.keep("test")
     unit.live.stick("t1", "opaque")
     dark = {"t1_stuck_opaque", "t2_spot_missing", "t3_spot_missing"}
     measured = await unit.until(lambda measurement: dark <= codes(measurement))  # after a round of both kinds

@@ -119,12 +119,12 @@ async def test_the_daemon_switches_the_glass_checks_itself_and_keeps_frames_that
         for key, deg in (("yaw_deg", POSE.yaw_deg), ("pitch_deg", POSE.pitch_deg)):
             value = measurement.values[key]
             assert abs(value.value - deg) < 4.0 * (value.sigma or 0.0)
-        check = running.daemon.health.self_check
+        check = running.daemon.unit.self_check
         await running.until(lambda _: check.latest is not None)
         assert check.latest is not None
         assert check.latest.check.verdict == "good", check.latest
         await running.until(lambda of: of.valid and of.sequence > measurement.sequence + 300)
-        await running.daemon.health.recordings.provider.keep("test")
+        await running.daemon.unit.recordings.provider.keep("test")
         assert running.unit.glass is not None
         running.unit.glass.config = replace(GLASS, stuck="opaque")
         stuck = await running.until(lambda measurement: "front_stuck_opaque" in codes(measurement))

@@ -29,6 +29,7 @@ from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
+from altd.status.unit import PublishedUnit
 from altd.tcp_port import Rate
 
 SCHEMATHESIS = (sys.executable, "-m", "schemathesis.cli", "run", "--no-color", "--checks", "all")
@@ -47,13 +48,18 @@ def token() -> str:
 
 @pytest.fixture
 async def port(
-    board: Board, health: Health, tmp_path: Path, token: str, monkeypatch: pytest.MonkeyPatch
+    board: Board,
+    health: Health,
+    published: PublishedUnit,
+    tmp_path: Path,
+    token: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> AsyncIterator[int]:
     """That of a unit which measures, checks itself, and asks for a token, as often as it is guessed."""
     for name in ("ATTEMPTS", "ALL_ATTEMPTS"):
         monkeypatch.setattr(guard, name, Rate(burst=10**6, per_s=1e6))
     board.publish(measurement())
-    service = health.self_check
+    service = published.self_check
     report = checked(1)
     service.open(lambda: asyncio.get_running_loop().call_soon(service.publish, report) and None)
     digest = token_digest(token)
@@ -62,12 +68,15 @@ async def port(
     save_calibration(calibration(), tmp_path / "cal.json")
     loaded = load_calibration(tmp_path / "cal.json")
     files = ReadCalibrationFiles(tmp_path / "cal.json", loaded.file)
-    health.calibration.open(summary_of(loaded, loaded.target_names, "cal.json"), files)
+    published.calibration, published.calibration_files = (
+        summary_of(loaded, loaded.target_names, "cal.json"),
+        files,
+    )
     kept = store(tmp_path)
     kept.write(batch(START_S + 61, [sample(START_S + t, 0.1 * t, t) for t in range(60)], [event(1, START_S)]))
     kept.end(None)
     history = History(tmp_path / "history.db")
-    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
+    publisher = HttpPublisher(settings, published, health.component("http"), history)
     async with serving(publisher):
         yield publisher.port
     await history.end()

@@ -25,6 +25,7 @@ from altd.runtime.clock import SystemClock
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 from tools.pages.example import MEASURED
 
 CONFIG = """
@@ -41,8 +42,8 @@ async def proxied(tmp_path: Path) -> AsyncIterator[tuple[Board, str]]:
     """The unit's board, and its address at the proxy."""
     nginx, port, clock = need_program("nginx", "nginx-light"), free_port(), SystemClock()
     health, board = Health(clock), Board(clock, 10.0, QUANTITIES)
-    health.state = UnitState(board, health, clock).read
-    publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), board, health, health.component("http"))
+    published = PublishedUnit(board, health, state=UnitState(board, health, clock).read)
+    publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), published, health.component("http"))
     async with serving(publisher):
         config = tmp_path / "nginx.conf"
         config.write_text(CONFIG.format(folder=tmp_path, port=port, unit=publisher.port))

@@ -23,13 +23,14 @@ from altd.publish.http.clients import REQUESTS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
+from altd.status.unit import PublishedUnit
 
 
 @asynccontextmanager
-async def unit(board: Board, health: Health, **settings: Any) -> AsyncIterator[int]:
+async def unit(board: Board, published: PublishedUnit, **settings: Any) -> AsyncIterator[int]:
     board.publish(measurement())
     settings = {"host": "127.0.0.1", "port": 0, **settings}
-    publisher = HttpPublisher(HttpSettings(**settings), board, health, health.component("http"))
+    publisher = HttpPublisher(HttpSettings(**settings), published, published.health.component("http"))
     async with serving(publisher):
         yield publisher.port
 
@@ -56,18 +57,18 @@ def certificate_as_documented(folder: Path) -> tuple[Path, Path]:
 
 
 async def test_curl_acts_by_token_and_by_session_over_tls(
-    board: Board, health: Health, tmp_path: Path
+    board: Board, health: Health, published: PublishedUnit, tmp_path: Path
 ) -> None:
     certificate, key = certificate_as_documented(tmp_path)
     credentials, jar = tmp_path / "credentials", tmp_path / "jar"
     assert altd_here("password", credentials, "ana", stdin="open sesame\n").status == 0
     token = altd_here("token", credentials, "press").out.strip()
-    desk = health.self_check
+    desk = published.self_check
     report = checked(1)
     desk.open(lambda: asyncio.get_running_loop().call_soon(desk.publish, report) and None)
     ours = ("--cacert", certificate, "-H", "X-Altd-Request: 1")
     login = json.dumps({"name": "ana", "password": "open sesame"})
-    async with unit(board, health, certificate=certificate, key=key, credentials=credentials) as port:
+    async with unit(board, published, certificate=certificate, key=key, credentials=credentials) as port:
         url = f"https://127.0.0.1:{port}/api/v1"
         assert (await curl(f"{url}/status"))[0] == 0, "nobody trusts a certificate that he was not given"
         assert (await curl(f"http://127.0.0.1:{port}/"))[0] == 0
@@ -92,11 +93,11 @@ async def test_curl_acts_by_token_and_by_session_over_tls(
 
 @pytest.mark.own_network
 async def test_an_address_asks_only_so_often_and_others_are_not_kept_off(
-    board: Board, health: Health, clock: Any
+    board: Board, health: Health, published: PublishedUnit, clock: Any
 ) -> None:
     """From an address that is not the computer's loopback; time stands still, so that no token comes back."""
     await addresses("10.9.0.1/24", "10.9.0.2/24", "10.8.0.1/24")
-    async with unit(board, health, host="0.0.0.0", allow=["10.9.0.0/24"]) as port:
+    async with unit(board, published, host="0.0.0.0", allow=["10.9.0.0/24"]) as port:
         at = f"http://10.9.0.1:{port}/healthz"
         got = Counter[int]()
         for _ in range(4):

@@ -110,7 +110,7 @@ async def unit(
         await running.measured(valid=True)
         simplify_cameras(running)
         await asyncio.sleep(2.5)
-        await running.daemon.health.recordings.provider.keep("for a test")
+        await running.daemon.unit.recordings.provider.keep("for a test")
         await running.measured(valid=True)
         yield Unit(running, http, modbus, resident_mb())
 

@@ -116,11 +116,11 @@ class Unit:
         wires = [Wire.laid() for _ in range(2)]
         component = self.health.component
         local: dict[str, Any] = {"host": "127.0.0.1", "port": 0}
-        tcp = ModbusTcpPublisher(ModbusTcpSettings(**local), self.board, component("modbus_tcp"), self.health)
-        http = HttpPublisher(HttpSettings(**local), self.board, self.health, component("http"))
+        tcp = ModbusTcpPublisher(ModbusTcpSettings(**local), self.published, component("modbus_tcp"))
+        http = HttpPublisher(HttpSettings(**local), self.published, component("http"))
         line: dict[str, Any] = {"baud": 115200}
         rtu_line = ModbusRtuPortSettings(device=wires[0].device, speaks="modbus_rtu", **line)
-        rtu = ModbusRtuPublisher(rtu_line, self.board, component("serial a"), self.health)
+        rtu = ModbusRtuPublisher(rtu_line, self.published, component("serial a"))
         nmea_line = TelegramPortSettings(
             device=wires[1].device, speaks="telegram", interval_s=INTERVAL_S, checked=True, **line
         )

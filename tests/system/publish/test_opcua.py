@@ -164,7 +164,7 @@ async def test_node_opcua_needs_the_password_and_the_units_own_certificate(tmp_p
         host="127.0.0.1", port=0, certificate=certificate, key=key, credentials=users, allow_self_check=True
     )
     async with running(settings=settings) as there:
-        there.unit.health.self_check.open(lambda: asked.append(True))
+        there.unit.published.self_check.open(lambda: asked.append(True))
         asked: list[bool] = []
         login = {"keys": KEYS, "secure": True, "user": "plant", "password": "a long one"}
         login |= {"server_certificate": certificate}

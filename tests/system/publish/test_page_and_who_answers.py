@@ -28,6 +28,7 @@ from altd.status.event_log import EventKind
 from altd.status.health import Health
 from altd.status.proof import Identity
 from altd.status.services import KeptRecording, NotKeptError
+from altd.status.unit import PublishedUnit, UnitFacts
 
 pytestmark = pytest.mark.real_time
 
@@ -83,11 +84,11 @@ async def unit(
     health.component("camera front").count("lost", 2)
     health.component("measuring").count("dropped_front", 1)
     health.component("temperature camera front").observe({"celsius": 31.2})
-    health.facts = health.facts.model_copy(update={"serial": serial, "version": "0"})
-    health.pictures.open(Maker())
-    health.recordings.open(Keeper())
+    published = PublishedUnit(board, health, UnitFacts(serial=serial, version="0"))
+    published.pictures.open(Maker())
+    published.recordings.open(Keeper())
     settings = HttpSettings(host="127.0.0.1", port=port, credentials=credentials)
-    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
+    publisher = HttpPublisher(settings, published, health.component("http"), history)
     ready, ends = asyncio.Event(), asyncio.Event()
 
     async def measure() -> None:

@@ -156,7 +156,7 @@ async def test_each_of_ten_faults_shows_cause_and_remedy_within_a_second(
                 continue
             spoil(running)
             if code == "lamps_failed":
-                running.daemon.health.self_check.ask()
+                running.daemon.unit.self_check.ask()
             await said(running, code, True)
             late_s[name] = await shown.until(says_what_is_wrong(code, now_wrong(running)[code]))
             if name == "front covered":

@@ -16,13 +16,13 @@ from support.places import DOCS
 from support.scripted_unit import SESSION, UNIT, block, flipped
 
 from altd.publish.modbus.checked_block import ROWS, CheckedBlock
-from altd.publish.modbus.values import Snapshot
 from altd.publish.serial.telegram import PROOF, encode, with_proof
 from altd.reasons import Reason
 from altd.status.board import Board
 from altd.status.measurement_json import PROOF_KEYS, checked_line
 from altd.status.proof import Identity, Stamp
 from tools.pages import proof as page
+from tools.pages.example import view_of
 
 LIMIT_MS = 500
 MEASURED = measurement()
@@ -135,7 +135,7 @@ class TestPython:
         clock.now_ns += 120_000_000
         stamp = Stamp(Identity(UNIT, SESSION), 5, 120)
         told = [
-            code.from_block(struct.pack(">80H", *CheckedBlock().at(Snapshot(self.measured, 0.12, 1, stamp)))),
+            code.from_block(struct.pack(">80H", *CheckedBlock().at(view_of(self.measured, 0.12, 1, stamp)))),
             code.from_telegram(with_proof(encode(self.measured), self.measured, stamp, 0.12)),
             code.from_json(checked_line(board, self.measured, stamp).encode()),
         ]

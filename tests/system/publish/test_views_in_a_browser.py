@@ -219,7 +219,7 @@ async def test_simulated_frames_are_named_once_and_hide_no_fault(
         ]
         signal = "failure" if "failure" in others else "check_function"
         state = {"signal": signal, "for_s": 9.0, "causes": causes}
-        await route.fulfill(json={**status_of(running.daemon.health).as_object(), "state": state})
+        await route.fulfill(json={**status_of(running.daemon.unit.view()).as_object(), "state": state})
 
     async with watched(started, calibration_of_unit_3) as (running, shown):
         await shown.page.route("**/api/v1/status", simulated)

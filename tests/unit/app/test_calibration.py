@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.clock import FakeClock
 from support.evidence import DISTANCE_MM, calibration, evidence, target
 from support.recordings import PX_PER_MM, header
 from support.unit_toml import played_toml
@@ -22,14 +21,13 @@ from altd.app.settings import load_settings
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.report.content import report_on
 from altd.calibration.report.write import Source
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import Console
 from altd.recording.header import RecordingHeader
 from altd.records import CameraIdentity, Origin
 from altd.status.calibration_summary import MAX_TEXT_CHARACTERS, CalibrationSummary
-from altd.status.health import Health
 from altd.status.services import NoCalibrationFileError, NoReportError
 from altd.terminal.documents import CalibrationDocument, checked
+from tools.pages.serial_examples import unit_that_shows
 
 
 def page_of(checksum: str) -> str:
@@ -194,12 +192,12 @@ def test_report_api_and_console_show_one_hash_one_sigma_and_one_valid_area(tmp_p
     loaded = load_calibration(path)
     figures = summary_of(loaded, BOTH, path.name)
     told = figures.as_object()
-    health = Health(FakeClock())
-    health.calibration.open(figures, ReadCalibrationFiles(path, loaded.file))
+    published = unit_that_shows(None)
+    published.calibration, published.calibration_files = figures, ReadCalibrationFiles(path, loaded.file)
     settings = tmp_path / "altd.toml"
     settings.write_text(played_toml(path, tmp_path))
-    health.targets = target_areas_of(load_settings(settings), loaded)
-    console = Console(lambda: None, health, QUANTITIES).feed(b"calibration\r").decode()
+    published.targets = target_areas_of(load_settings(settings), loaded)
+    console = Console(published).feed(b"calibration\r").decode()
 
     assert told["file"]["sha256"] == file_sha256
     assert f"('SHA-256 of the calibration file', '{file_sha256}')" in report

@@ -19,6 +19,7 @@ from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.models import status_of
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 
 START_NS = 10**12
 
@@ -61,14 +62,15 @@ async def reading(unit: Restarted) -> AsyncIterator[Restarted]:
         await unit.history.end()
 
 
-def daemon_of(unit: Restarted, about: About) -> tuple[Health, UnitState, DaemonHistory]:
+def daemon_of(unit: Restarted, about: About) -> tuple[PublishedUnit, UnitState, DaemonHistory]:
     """The data that a daemon, as ``about`` says, keeps in the unit's history."""
     health = Health(unit.clock)
     board = Board(unit.clock, 1.0, QUANTITIES)
     state = UnitState(board, health, unit.clock)
-    past = DaemonHistory(board, health, state, unit.clock)
+    published = PublishedUnit(board, health, state=state.read)
+    past = DaemonHistory(published, state)
     past.keep_in(unit.path, MAX_BYTES, about)
-    return health, state, past
+    return published, state, past
 
 
 async def test_a_restart_loses_nothing_of_the_hour(tmp_path: Path) -> None:
@@ -123,15 +125,14 @@ async def test_a_clock_that_is_set_after_the_start_puts_the_past_in_its_place(tm
 async def test_a_daemon_counts_what_its_history_holds(tmp_path: Path) -> None:
     unit = Restarted(tmp_path)
     unit.ran_before(unit.start_s - 120, 60)
-    health, state, past = daemon_of(unit, ABOUT)
-    health.state = state.read
+    published, _, past = daemon_of(unit, ABOUT)
     hour: dict[str, Any] = {}
     async with past.recorded():
         async with asyncio.timeout(60):
             while not hour.get("valid_s"):
                 await unit.clock.advance(CHECK_INTERVAL_S)
                 await asyncio.sleep(0.01)  # the disk's thread, in real time
-                hour = status_of(health).as_object()["availability"]["last_hour"]
+                hour = status_of(published.view()).as_object()["availability"]["last_hour"]
     assert hour["valid_s"] == pytest.approx(60, abs=1)
     assert hour["lost_s"]["not_running"] == pytest.approx(60, abs=1)
 

@@ -12,6 +12,7 @@ from altd.status.board import Board
 from altd.status.cause import Cause, StateReport
 from altd.status.health import Health
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 
 STALE_AFTER_S = 1.0
 
@@ -25,6 +26,7 @@ class Unit:
         self.health = Health(self.clock)
         self.watched: list[Cause] = []
         self.state = UnitState(self.board, self.health, self.clock, [lambda now_ns: self.watched])
+        self.published = PublishedUnit(self.board, self.health, state=self.state.read)
         self.clock.now_ns = round(running_s * 1e9)
         self._sequence = 0
 

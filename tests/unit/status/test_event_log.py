@@ -24,6 +24,7 @@ from altd.status.event_log import (
 from altd.status.health import Health
 from altd.status.services import SelfCheckReport, SelfCheckService
 from altd.status.state import StateEvents, UnitState
+from altd.status.unit import PublishedUnit
 
 
 @pytest.fixture
@@ -108,17 +109,19 @@ def test_the_page_of_the_history_has_every_kind() -> None:
 
 class TestStateEvents:
     @pytest.fixture
-    def service(self, health: Health) -> SelfCheckService:
-        return health.self_check
+    def service(self, published: PublishedUnit) -> SelfCheckService:
+        return published.self_check
 
     @pytest.fixture
     def log(self, health: Health) -> EventLog:
         return health.events
 
     @pytest.fixture
-    def observer(self, log: EventLog, board: Board, health: Health, clock: FakeClock) -> StateEvents:
+    def observer(
+        self, log: EventLog, board: Board, health: Health, published: PublishedUnit, clock: FakeClock
+    ) -> StateEvents:
         state = UnitState(board, health, clock)
-        return StateEvents(log, state.read, health.self_check, clock)
+        return StateEvents(log, state.read, published.self_check, clock)
 
     async def test_causes_come_and_go(
         self, observer: StateEvents, log: EventLog, board: Board, clock: FakeClock
@@ -173,9 +176,9 @@ class TestStateEvents:
 
 
 def test_an_event_has_the_target_of_its_fault(
-    log: EventLog, board: Board, health: Health, clock: FakeClock
+    log: EventLog, board: Board, health: Health, published: PublishedUnit, clock: FakeClock
 ) -> None:
-    observer = StateEvents(log, UnitState(board, health, clock).read, health.self_check, clock)
+    observer = StateEvents(log, UnitState(board, health, clock).read, published.self_check, clock)
     fault = Fault(Reason.SPOT_MISSING, "rear", "too dim")
     board.publish(measurement(1, clock.now_ns).without_numbers((fault,)))
     observer.observe()

@@ -8,6 +8,7 @@ from support.clock import FakeClock
 
 from altd.status.health import FIGURE_AGE_S, Health, State, duration
 from altd.status.models import status_of
+from tools.pages.serial_examples import unit_that_shows
 
 
 def test_a_message_that_holds_a_time_counts() -> None:
@@ -18,7 +19,7 @@ def test_a_message_that_holds_a_time_counts() -> None:
     assert component.message == "no frame for 0.25 s"
     clock.now_ns += 5_750_000_000
     assert component.message == "no frame for 6 s"
-    components = status_of(health).as_object()["components"]
+    components = status_of(unit_that_shows(None, health).view()).as_object()["components"]
     assert isinstance(components, dict)
     assert components["camera front"] == {"state": "degraded", "message": "no frame for 6 s", "for_s": 5.8}
 
@@ -37,7 +38,12 @@ def test_a_figure_that_is_too_old_is_not_known_and_keeps_its_key() -> None:
 def test_a_figure_that_is_no_number_is_not_known_and_hides_no_other() -> None:
     health = Health(FakeClock())
     health.component("camera front").observe({"a": math.nan, "b": math.inf, "c": -math.inf, "level": 0.5})
-    document = json.loads(json.dumps(status_of(health).as_object(), allow_nan=False))
+    document = json.loads(
+        json.dumps(
+            status_of(unit_that_shows(None, health).view()).as_object(),
+            allow_nan=False,
+        )
+    )
     front = document["components"]["camera front"]
     assert [front[key] for key in ("a", "b", "c", "level")] == [None, None, None, 0.5]
 

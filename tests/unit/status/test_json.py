@@ -31,6 +31,7 @@ from altd.status.measurement_json import (
     targets_object,
 )
 from altd.status.proof import Stamps
+from altd.status.unit import PublishedUnit
 from tools.pages.example import AGE_S, MEASURED
 
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -134,7 +135,8 @@ def test_metrics_home_assistant_and_summary_have_each_place() -> None:
     clock = FakeClock(now_ns=8 * 10**9)
     board = Board(clock, 10.0, ROUND.quantities)
     board.publish(ROUND)
-    metrics = Metrics(board, Health(clock)).text().decode()
+    published = PublishedUnit(board, Health(clock))
+    metrics = Metrics(published).text().decode()
     assert "\naltd_t3_dx_mm 0.32\n" in metrics
     assert '\naltd_target_significance{target="t3"} 7.5\n' in metrics
     assert 'altd_target_x_mm{target="t1_b"}' not in metrics
@@ -142,7 +144,7 @@ def test_metrics_home_assistant_and_summary_have_each_place() -> None:
     sensors = discovery_of(ROUND.quantities, topics, "altd_1", "ROW-1", "0.1.0")["cmps"]
     assert "unit_of_measurement" not in sensors["measured"]
     assert sensors["t3_dy_mm"]["unit_of_measurement"] == "mm"
-    summary = summary_of([ROUND], board, clock)
+    summary = summary_of([ROUND], published.view())
     assert (summary["t3_dx_mm"]["mean"], summary["t1_b_dx_mm"]["mean"]) == (0.32, None)
 
 

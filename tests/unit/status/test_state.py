@@ -167,10 +167,9 @@ class TestFlapping:
 class TestJson:
     def test_status_has_the_state_with_all_causes_and_the_availability(self) -> None:
         unit = Unit()
-        unit.health.state = unit.state.read
         unit.watched = [Cause(Condition.TOO_HOT, "housing", "61.0 C")]
         unit.measure(Fault(Reason.SPOT_MISSING, "front", "dark"), for_s=4)
-        document = status_of(unit.health).as_object()
+        document = status_of(unit.published.view()).as_object()
         assert document["state"] == {
             "signal": "out_of_specification",
             "number": 3,

@@ -35,10 +35,10 @@ def test_differences_have_the_sigma_of_both(zero: Zero, board: Board, clock: Fak
     zero_at, now = at(10.0, 0.003, clock.now_ns), at(12.5, 0.004, clock.now_ns)
     board.publish(zero_at)
     zero.set(board, "modbus")
-    found = zero.difference("x_mm", now)
+    found = zero.state.difference("x_mm", now)
     assert (found.value, found.sigma) == (2.5, pytest.approx(0.005))
     for key in KEYS[1:]:
-        found = zero.difference(key, now)
+        found = zero.state.difference(key, now)
         sigma = now.sigma(key)
         assert sigma is not None
         assert (found.value, found.sigma) == (0.0, pytest.approx(math.sqrt(2) * sigma))
@@ -47,13 +47,13 @@ def test_differences_have_the_sigma_of_both(zero: Zero, board: Board, clock: Fak
 
 def test_no_difference_without_a_zero_or_a_measurement(zero: Zero, board: Board, clock: FakeClock) -> None:
     live = at(10.0, 0.003, clock.now_ns)
-    assert zero.difference("x_mm", live) is None
+    assert zero.state.difference("x_mm", live) is None
     board.publish(live)
     zero.set(board, "modbus")
-    assert zero.difference("x_mm", None) is None
+    assert zero.state.difference("x_mm", None) is None
     lost = live.without_numbers((Fault(Reason.STALE),))
-    assert [zero.difference(key, lost) for key in KEYS] == [None] * 4
-    assert zero.difference("roll_deg", live) is None
+    assert [zero.state.difference(key, lost) for key in KEYS] == [None] * 4
+    assert zero.state.difference("roll_deg", live) is None
 
 
 @pytest.mark.parametrize("why", ["nothing yet", "invalid", "stale", "simulated", "played"])
@@ -62,7 +62,7 @@ def test_only_a_valid_live_and_fresh_measurement_becomes_the_zero(
 ) -> None:
     board.publish(at(10.0, 0.003, clock.now_ns))
     zero.set(board, "modbus")
-    before, number = zero.measurement, zero.next_number
+    before, number = zero.state.measurement, zero.state.next_number
     if why == "nothing yet":
         board = Board(clock, 1.0, QUANTITIES)
     elif why == "invalid":
@@ -74,23 +74,23 @@ def test_only_a_valid_live_and_fresh_measurement_becomes_the_zero(
         board.publish(at(11.0, 0.003, clock.now_ns, Fault(reason)))
     with pytest.raises(NoZeroError, match="not valid"):
         zero.set(board, "modbus")
-    assert (zero.measurement, zero.count, zero.next_number) == (before, 1, number)
+    assert (zero.state.measurement, zero.state.count, zero.state.next_number) == (before, 1, number)
 
 
 def test_a_rehearsal_can_set_a_zero_which_ends_with_it(zero: Zero, clock: FakeClock) -> None:
     board = Board(clock, 1.0, QUANTITIES, rehearsal=True)
     board.publish(at(10.0, 0.003, clock.now_ns, Fault(Reason.SIMULATED)))
     zero.set(board, "modbus")
-    assert zero.count == 1
+    assert zero.state.count == 1
 
 
 def test_each_zero_has_its_own_number_and_a_session_its_first(board: Board, clock: FakeClock) -> None:
     sessions = [Zero(EventLog(clock)) for _ in range(20)]
-    assert len({zero.next_number for zero in sessions}) > 1
+    assert len({zero.state.next_number for zero in sessions}) > 1
     board.publish(at(10.0, 0.003, clock.now_ns))
     numbers = []
     for _ in range(100):
-        numbers.append(sessions[0].next_number)
+        numbers.append(sessions[0].state.next_number)
         sessions[0].set(board, "modbus")
     assert len(set(numbers)) == 100
     assert all(0 <= number < 0xFFFF for number in numbers)

@@ -22,6 +22,7 @@ from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.health import Health, State
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 
 DARK, BLINKS, STEADY = Light.DARK, Light.BLINKS, Light.STEADY
 
@@ -115,9 +116,13 @@ class TestPanel:
         return Board(clock, 3600, QUANTITIES)
 
     @pytest.fixture
-    async def row(self, board: Board, health: Health, clock: FakeClock) -> AsyncIterator[Row]:
+    def published(self, board: Board, health: Health) -> PublishedUnit:
+        return PublishedUnit(board, health)
+
+    @pytest.fixture
+    async def row(self, published: PublishedUnit, health: Health, clock: FakeClock) -> AsyncIterator[Row]:
         row = Row()
-        panel = IndicatorPanel(row, board, health, health.component("indicators"), clock)
+        panel = IndicatorPanel(row, published, health.component("indicators"))
         task = asyncio.create_task(panel.run())
         yield row
         assert Indicator.POWER in row.lit
@@ -146,10 +151,10 @@ class TestPanel:
         await self.seen(row, clock, Indicator.POWER, Indicator.OK)
 
     async def test_error_blinks_for_a_cause_of_the_unit_state_while_it_measures(
-        self, row: Row, board: Board, health: Health, clock: FakeClock
+        self, row: Row, board: Board, health: Health, published: PublishedUnit, clock: FakeClock
     ) -> None:
         causes = [Cause(Condition.TOO_HOT, "housing", "61.0 C")]
-        health.state = UnitState(board, health, clock, [lambda now_ns: causes]).read
+        published.state = UnitState(board, health, clock, [lambda now_ns: causes]).read
         board.publish(after())
         await self.seen(row, clock, Indicator.POWER, Indicator.OK, Indicator.ERROR)
         await self.seen(row, clock, Indicator.POWER, Indicator.OK)  # it blinks

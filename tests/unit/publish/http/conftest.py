@@ -31,9 +31,9 @@ from altd.publish.http.openapi import document_of
 from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Measurement
-from altd.status.board import Board
 from altd.status.event_log import EventLog
 from altd.status.health import Component, Health
+from altd.status.unit import PublishedUnit
 
 
 @dataclass
@@ -169,11 +169,11 @@ def events(clock: FakeClock) -> EventLog:
 
 @contextlib.asynccontextmanager
 async def served_with(
-    board: Board, health: Health, history: History | None, events: EventLog | None = None, **more: Any
+    published: PublishedUnit, history: History | None, events: EventLog | None = None, **more: Any
 ) -> AsyncIterator[Unit]:
     """With its history, if it has one, and other settings of ``[http]``."""
     settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, "names": NAMES, **more})
-    publisher = HttpPublisher(settings, board, health, health.component("http"), history, events)
+    publisher = HttpPublisher(settings, published, published.health.component("http"), history, events)
     async with serving(publisher) as task:
         yield Unit(publisher, task)
     if history is not None:
@@ -181,8 +181,8 @@ async def served_with(
 
 
 @pytest.fixture
-def served(board: Board, health: Health, events: EventLog) -> Served:
-    return functools.partial(served_with, board, health, None, events)
+def served(published: PublishedUnit, events: EventLog) -> Served:
+    return functools.partial(served_with, published, None, events)
 
 
 @pytest.fixture
@@ -204,9 +204,9 @@ def credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def checked(health: Health) -> list[int]:
+def checked(published: PublishedUnit) -> list[int]:
     """Which checks were made; each is made as soon as it was asked for."""
-    desk, numbers = health.self_check, list[int]()
+    desk, numbers = published.self_check, list[int]()
 
     def make() -> None:
         numbers.append(desk.begin())
@@ -235,9 +235,9 @@ def cookie_of(answer: Answer) -> str:
 
 
 @pytest.fixture
-def maker(health: Health) -> Maker:
+def maker(published: PublishedUnit) -> Maker:
     maker = Maker()
-    health.pictures.open(maker)
+    published.pictures.open(maker)
     return maker
 
 

@@ -23,6 +23,7 @@ from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 from tools.pages.http import page
 
 from .conftest import NEED_MORE, Unit
@@ -151,10 +152,10 @@ async def test_a_misspelled_path_names_the_right_one(unit: Unit) -> None:
 
 
 async def test_a_defect_is_answered_in_json_and_logged_as_one(
-    unit: Unit, health: Health, caplog: pytest.LogCaptureFixture
+    unit: Unit, published: PublishedUnit, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Such as a number that JSON does not have."""
-    health.self_check.publish(replace(checked(1), exposures_lost=math.nan))
+    published.self_check.publish(replace(checked(1), exposures_lost=math.nan))
     answer = await unit.ask("/api/v1/self-check")
     assert (await unit.ask("/healthz")).status == 200
     assert (answer.status, answer.json) == (500, {"error": "a defect of the unit; its log has the details"})
@@ -198,9 +199,14 @@ async def test_only_a_measurement_is_data(
 
 
 async def test_a_unit_is_ready_once_it_measures_even_without_a_beam(
-    unit: Unit, board: Board, health: Health, clock: FakeClock, measured: Measurement
+    unit: Unit,
+    board: Board,
+    health: Health,
+    published: PublishedUnit,
+    clock: FakeClock,
+    measured: Measurement,
 ) -> None:
-    health.state = UnitState(board, health, clock).read
+    published.state = UnitState(board, health, clock).read
     starting = await unit.ask("/readyz")
     board.publish(changed(measured, None, status=(Fault(Reason.SPOT_MISSING, "front"),)))
     without_beam = await unit.ask("/readyz")

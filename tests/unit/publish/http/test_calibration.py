@@ -10,7 +10,7 @@ from altd.app.calibration_summary import summary_of
 from altd.credentials.file import change
 from altd.credentials.hashes import new_token, token_digest
 from altd.publish.http.recordings import MAX_DOWNLOADS
-from altd.status.health import Health
+from altd.status.unit import PublishedUnit
 
 from .calibration_files import FILE, PAGE, Files
 from .conftest import DOCUMENT, Served, Unit, fits
@@ -19,16 +19,19 @@ PATHS = ("/api/v1/calibration/file", "/api/v1/calibration/report")
 
 
 @pytest.fixture
-def files(health: Health) -> Files:
+def files(published: PublishedUnit) -> Files:
     files = Files()
-    health.calibration.open(summary_of(calibration(), ("front", "rear"), "cal.json"), files)
+    published.calibration, published.calibration_files = (
+        summary_of(calibration(), ("front", "rear"), "cal.json"),
+        files,
+    )
     return files
 
 
-async def test_everybody_is_told_what_it_says(unit: Unit, files: Files, health: Health) -> None:
+async def test_everybody_is_told_what_it_says(unit: Unit, files: Files, published: PublishedUnit) -> None:
     told = fits(DOCUMENT, "/api/v1/calibration", await unit.ask("/api/v1/calibration"))
-    assert health.calibration.figures is not None
-    assert told == {**health.calibration.figures.as_object(), "report": {"available": True, "why": ""}}
+    assert published.calibration is not None
+    assert told == {**published.calibration.as_object(), "report": {"available": True, "why": ""}}
     files.no_report = "unit-7.html next to the calibration is the report of another calibration"
     told = fits(DOCUMENT, "/api/v1/calibration", await unit.ask("/api/v1/calibration"))
     assert told["report"] == {"available": False, "why": files.no_report}

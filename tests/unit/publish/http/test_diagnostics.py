@@ -21,7 +21,8 @@ from altd.app.calibration_summary import summary_of
 from altd.history.history import History
 from altd.publish.http import diagnostics
 from altd.status.board import Board
-from altd.status.health import DiagnosticPart, Health
+from altd.status.health import Health
+from altd.status.unit import DiagnosticPart, PublishedUnit
 
 from .calibration_files import Files
 from .conftest import Answer, served_with
@@ -72,13 +73,16 @@ def readme(files: Mapping[str, bytes]) -> tuple[set[str], set[str]]:
 
 
 async def test_all_that_is_known_is_in_it(
-    board: Board, health: Health, recorded: History, tmp_path: Path
+    board: Board, health: Health, published: PublishedUnit, recorded: History, tmp_path: Path
 ) -> None:
     board.publish(at(START_S + 119.5, 2.0))
-    health.self_check.publish(checked(1))
-    health.calibration.open(summary_of(calibration(), ("front",), "cal.json"), Files())
-    health.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
-    async with served_with(board, health, recorded) as unit:
+    published.self_check.publish(checked(1))
+    published.calibration, published.calibration_files = (
+        summary_of(calibration(), ("front",), "cal.json"),
+        Files(),
+    )
+    published.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
+    async with served_with(published, recorded) as unit:
         files = opened(answer := await unit.ask(PATH), tmp_path)
     assert (
         answer.headers["content-disposition"] == 'attachment; filename="altd-ALT-0007-20261120T080200Z.zip"'
@@ -96,9 +100,9 @@ async def test_all_that_is_known_is_in_it(
 
 
 async def test_events_and_trend_are_those_of_the_history(
-    board: Board, health: Health, recorded: History, tmp_path: Path
+    published: PublishedUnit, recorded: History, tmp_path: Path
 ) -> None:
-    async with served_with(board, health, recorded) as unit:
+    async with served_with(published, recorded) as unit:
         files = opened(await unit.ask(PATH), tmp_path)
     lines = files["events.jsonl"].decode().split("\n")
     assert lines.pop() == ""
@@ -118,19 +122,19 @@ async def test_events_and_trend_are_those_of_the_history(
 
 @pytest.mark.long
 async def test_what_cannot_be_had_is_named_and_costs_no_other(
-    board: Board, health: Health, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    board: Board, health: Health, published: PublishedUnit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken() -> bytes:
         raise OSError(5, "Input/output error")
 
     is_over = threading.Event()
     monkeypatch.setattr(diagnostics, "_PART_TIMEOUT_S", 5.0)  # the other parts take less on a busy machine
-    health.diagnostics = (
+    published.diagnostics = (
         DiagnosticPart("broken.txt", "breaks", broken),
         DiagnosticPart("slow.txt", "takes long", lambda: b"late" if is_over.wait(60) else b""),
         DiagnosticPart("well.txt", "is well", lambda: b"well\n"),
     )
-    async with served_with(board, health, None) as unit:
+    async with served_with(published, None) as unit:
         files = opened(await unit.ask(PATH), tmp_path)
         is_over.set()
     assert set(files) == ALWAYS | {"well.txt"}
@@ -144,19 +148,23 @@ async def test_what_cannot_be_had_is_named_and_costs_no_other(
 
 
 async def test_a_part_that_is_too_long_ends_at_a_line_and_says_so(
-    board: Board, health: Health, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    board: Board, health: Health, published: PublishedUnit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(diagnostics, "MAX_PART_BYTES", 1000)
-    health.diagnostics = (DiagnosticPart("long.txt", "is long", lambda: b"123456789012\n" * 1000),)
-    async with served_with(board, health, None) as unit:
+    published.diagnostics = (DiagnosticPart("long.txt", "is long", lambda: b"123456789012\n" * 1000),)
+    async with served_with(published, None) as unit:
         files = opened(await unit.ask(PATH), tmp_path)
     assert files["long.txt"] == b"123456789012\n" * 76
     assert "long.txt: is long (its first 1000 bytes)" in files["README.txt"].decode()
 
 
-async def test_names_that_are_no_names_break_nothing(board: Board, health: Health, tmp_path: Path) -> None:
-    health.facts = health.facts.model_copy(update={"serial": 'a/../b"\r\nX-Evil: 1\u202e<script>\ud800'})
-    async with served_with(board, health, None) as unit:
+async def test_names_that_are_no_names_break_nothing(
+    board: Board, health: Health, published: PublishedUnit, tmp_path: Path
+) -> None:
+    published.facts = published.facts.model_copy(
+        update={"serial": 'a/../b"\r\nX-Evil: 1\u202e<script>\ud800'}
+    )
+    async with served_with(published, None) as unit:
         answer = await unit.ask(PATH)
     assert "x-evil" not in answer.headers
     name = answer.headers["content-disposition"]
@@ -168,11 +176,11 @@ async def test_names_that_are_no_names_break_nothing(board: Board, health: Healt
     ("year", "dated"), [(1969, 1980), (1970, 1980), (2026, 2026), (2107, 2107), (2108, 2107), (9998, 2107)]
 )
 async def test_a_clock_that_is_set_wrong_is_no_obstacle(
-    board: Board, health: Health, clock: WallClock, tmp_path: Path, year: int, dated: int
+    published: PublishedUnit, clock: WallClock, tmp_path: Path, year: int, dated: int
 ) -> None:
     """A zip archive has no dates before 1980 or after 2107."""
     clock.offset_s += datetime(year, 7, 1, tzinfo=UTC).timestamp() - START_S
-    async with served_with(board, health, None) as unit:
+    async with served_with(published, None) as unit:
         assert set(opened(await unit.ask(PATH), tmp_path)) == ALWAYS
     with zipfile.ZipFile(tmp_path / "got.zip") as archive:
         assert {entry.date_time[0] for entry in archive.infolist()} == {dated}

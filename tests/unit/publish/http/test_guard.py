@@ -16,8 +16,9 @@ from altd.credentials.hashes import PasswordHash
 from altd.publish.http.clients import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR
 from altd.publish.http.errors import Refused
 from altd.publish.http.guard import Guard
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
 from altd.status.services import Picture, TargetView
+from altd.status.unit import PublishedUnit
 
 from .conftest import OURS, PASSWORD, TOKEN, Served, Unit, check, cookie_of, log_in
 
@@ -156,8 +157,8 @@ async def test_a_header_of_one_value_comes_once(
     assert checked == []
 
 
-async def test_forwarded_addresses_are_not_believed(served: Served, health: Health) -> None:
-    health.self_check.open(lambda: pytest.fail("it was asked for"))
+async def test_forwarded_addresses_are_not_believed(served: Served, published: PublishedUnit) -> None:
+    published.self_check.open(lambda: pytest.fail("it was asked for"))
     async with served(allow=["192.0.2.0/24"]) as unit:
         for name in ("X-Forwarded-For", "Forwarded", "X-Real-IP"):
             for value in ("127.0.0.1", "for=127.0.0.1;proto=https"):
@@ -290,8 +291,10 @@ class Maker:
         return ()
 
 
-async def test_pictures_end_with_the_session_that_they_were_shown_to(unit: Unit, health: Health) -> None:
-    health.pictures.open(Maker())
+async def test_pictures_end_with_the_session_that_they_were_shown_to(
+    unit: Unit, published: PublishedUnit
+) -> None:
+    published.pictures.open(Maker())
     cookie = cookie_of(await log_in(unit))
     url = f"ws://127.0.0.1:{unit.port}/api/v1/pictures"
     async with connect(url, additional_headers={"Cookie": cookie}) as browser:

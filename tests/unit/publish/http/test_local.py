@@ -20,6 +20,7 @@ from altd.records import Measurement
 from altd.runtime.supervision import keep_running
 from altd.status.board import Board
 from altd.status.health import Health, State
+from altd.status.unit import PublishedUnit
 
 from .conftest import NEED_MORE, Unit
 
@@ -27,15 +28,15 @@ HEADERS = {"X-Altd-Request": "1"}
 
 
 @contextlib.asynccontextmanager
-async def served_at(path: Path, board: Board, health: Health) -> AsyncIterator[LocalPublisher]:
-    publisher = LocalPublisher(path, board, health, health.component("local"))
+async def served_at(path: Path, published: PublishedUnit) -> AsyncIterator[LocalPublisher]:
+    publisher = LocalPublisher(path, published, published.health.component("local"))
     async with serving(publisher):
         yield publisher
 
 
 @pytest.fixture
-async def path(tmp_path: Path, board: Board, health: Health) -> AsyncIterator[Path]:
-    async with served_at(tmp_path / "altd.sock", board, health):
+async def path(tmp_path: Path, published: PublishedUnit) -> AsyncIterator[Path]:
+    async with served_at(tmp_path / "altd.sock", published):
         yield tmp_path / "altd.sock"
 
 
@@ -62,8 +63,8 @@ async def test_every_path_of_the_network_is_answered_alike(
             }
 
 
-async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, health: Health) -> None:
-    service, loop = health.self_check, asyncio.get_running_loop()
+async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, published: PublishedUnit) -> None:
+    service, loop = published.self_check, asyncio.get_running_loop()
 
     def make() -> None:
         service.publish(checked(service.begin()))
@@ -80,11 +81,11 @@ async def test_health_says_for_whom_it_is(path: Path, health: Health) -> None:
 
 
 async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
-    tmp_path: Path, board: Board, health: Health
+    tmp_path: Path, board: Board, published: PublishedUnit, health: Health
 ) -> None:
     path = tmp_path / "altd.sock"
-    async with served_at(path, board, health):
-        second = LocalPublisher(path, board, health, health.component("second"))
+    async with served_at(path, published):
+        second = LocalPublisher(path, published, health.component("second"))
         with pytest.raises(OSError, match="another process listens there") as caught:
             await second.run(lambda: pytest.fail("ready"))
         assert caught.value.errno == errno.EADDRINUSE
@@ -94,12 +95,12 @@ async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
 
 @pytest.mark.parametrize("by", ["nothing", "a socket", "a file", "a folder"])
 async def test_one_whose_file_is_deleted_or_replaced_says_so_and_serves_again(
-    tmp_path: Path, board: Board, health: Health, monkeypatch: pytest.MonkeyPatch, by: str
+    tmp_path: Path, published: PublishedUnit, health: Health, monkeypatch: pytest.MonkeyPatch, by: str
 ) -> None:
     monkeypatch.setattr(publisher, "_LOOK_INTERVAL_S", 0.01)
     path, component, clock = tmp_path / "s", health.component("local"), FakeClock()
     face = asyncio.create_task(
-        keep_running("local", LocalPublisher(path, board, health, component), component, clock)
+        keep_running("local", LocalPublisher(path, published, component), component, clock)
     )
     await until(lambda: component.state is State.OK)
     path.unlink()

@@ -17,6 +17,7 @@ from altd.status.board import Board
 from altd.status.health import Health, State
 from altd.status.measurement_json import as_object_now
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 
 from .conftest import Unit
 
@@ -38,8 +39,8 @@ def one(found: Samples, name: str, **labels: str) -> float | None:
     return found.get((name, tuple(sorted(labels.items()))))
 
 
-def read(board: Board, health: Health) -> Samples:
-    return samples(Metrics(board, health).text().decode())
+def read(published: PublishedUnit) -> Samples:
+    return samples(Metrics(published).text().decode())
 
 
 async def test_it_is_served_in_prometheus_text_format(
@@ -55,11 +56,11 @@ async def test_it_is_served_in_prometheus_text_format(
 
 
 def test_the_numbers_are_those_of_the_json(
-    board: Board, health: Health, clock: FakeClock, measured: Measurement
+    board: Board, published: PublishedUnit, clock: FakeClock, measured: Measurement
 ) -> None:
     board.publish(measured)
     clock.now_ns += 520_000_000
-    found, shown = read(board, health), as_object_now(measured, 0.52)
+    found, shown = read(published), as_object_now(measured, 0.52)
     for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg"):
         assert one(found, f"altd_{key}") == shown[key]
         assert one(found, f"altd_{key}_sigma") == shown["sigma"][key]
@@ -85,14 +86,19 @@ def test_the_numbers_are_those_of_the_json(
     ],
 )
 def test_what_does_not_come_from_the_units_cameras_is_not_live(
-    board: Board, health: Health, clock: FakeClock, reasons: tuple[Reason, ...], valid: float, live: float
+    board: Board,
+    published: PublishedUnit,
+    clock: FakeClock,
+    reasons: tuple[Reason, ...],
+    valid: float,
+    live: float,
 ) -> None:
-    assert one(read(board, health), "altd_live") == 0.0, "nothing has been measured yet"
+    assert one(read(published), "altd_live") == 0.0, "nothing has been measured yet"
     board.publish(measurement(160, clock.now_ns, *reasons))
-    found = read(board, health)
+    found = read(published)
     assert (one(found, "altd_valid"), one(found, "altd_live")) == (valid, live)
     clock.now_ns += 5_000_000_000
-    stale = read(board, health)
+    stale = read(published)
     assert (one(stale, "altd_valid"), one(stale, "altd_live")) == (0.0, live)
 
 
@@ -103,34 +109,36 @@ def values(found: Samples) -> set[str]:
 
 
 def test_what_is_not_known_has_no_sample(
-    board: Board, health: Health, clock: FakeClock, measured: Measurement
+    board: Board, published: PublishedUnit, clock: FakeClock, measured: Measurement
 ) -> None:
-    nothing_yet = read(board, health)
+    nothing_yet = read(published)
     assert values(nothing_yet) == set()
     assert one(nothing_yet, "altd_valid") == 0.0
     assert one(nothing_yet, "altd_measurement_age_seconds") is None
     board.publish(changed(measured, None, {"front": None, "rear": (1.0, 2.0)}, status=()))
-    lost = read(board, health)
+    lost = read(published)
     assert values(lost) == {"altd_target_x_mm", "altd_target_y_mm"}
     assert one(lost, "altd_target_x_mm", target="rear") == 1.0
     assert one(lost, "altd_target_x_mm", target="front") is None
     board.publish(measured)
     clock.now_ns += 5_000_000_000
-    stale = read(board, health)
+    stale = read(published)
     assert values(stale) == set()
     assert one(stale, "altd_valid") == 0.0
     assert one(stale, "altd_status", code="stale") == 1.0
 
 
-def test_reasons_causes_and_availability_are_told(board: Board, health: Health, clock: FakeClock) -> None:
+def test_reasons_causes_and_availability_are_told(
+    board: Board, health: Health, published: PublishedUnit, clock: FakeClock
+) -> None:
     state = UnitState(board, health, clock)
-    health.state = state.read
+    published.state = state.read
     health.component("camera front").set_state(State.FAILED, "no such device")
     clock.now_ns += 60_000_000_000
     fault = Fault(Reason.SPOT_MISSING, "front")
     board.publish(changed(measured(t_ns=clock.now_ns), None, status=(fault, fault)))
     clock.now_ns += 500_000_000
-    found = read(board, health)
+    found = read(published)
     assert one(found, "altd_status", code="front_spot_missing") == 1.0
     assert one(found, "altd_state", signal="failure") == 1.0
     assert one(found, "altd_state", signal="good") == 0.0
@@ -139,12 +147,12 @@ def test_reasons_causes_and_availability_are_told(board: Board, health: Health, 
     assert one(found, "altd_component_state", component="camera front", state="failed") == 1.0
 
 
-def test_names_from_outside_are_escaped(board: Board, health: Health) -> None:
+def test_names_from_outside_are_escaped(board: Board, health: Health, published: PublishedUnit) -> None:
     name = 'camera "front"\n\\ altd_x_mm 99'
     health.component(name).count('a"b\n')
     health.component(name).observe({"fps": 20.5, "driver": "v4l2", "celsius": None})
-    health.self_check.publish(checked(3))
-    found = read(board, health)
+    published.self_check.publish(checked(3))
+    found = read(published)
     assert one(found, "altd_component_events_total", component=name, event='a"b\n') == 1.0
     assert one(found, "altd_component_figure", component=name, figure="fps") == 20.5
     assert one(found, "altd_component_figure", component=name, figure="celsius") is None
@@ -155,13 +163,13 @@ def test_names_from_outside_are_escaped(board: Board, health: Health) -> None:
 
 
 def test_each_family_and_sample_comes_once_and_what_goes_down_is_no_counter(
-    board: Board, health: Health, measured: Measurement
+    board: Board, health: Health, published: PublishedUnit, measured: Measurement
 ) -> None:
     """Prometheus, exposition formats; OpenMetrics, counters."""
     board.publish(measured)
     health.component("modbus_tcp").count("clients")
     health.component("modbus_tcp").count("requests")
-    text = Metrics(board, health).text().decode()
+    text = Metrics(published).text().decode()
     assert text.endswith("\n")
     lines = text.splitlines()
     types = dict(line.split()[2:4] for line in lines if line.startswith("# TYPE "))
@@ -170,11 +178,11 @@ def test_each_family_and_sample_comes_once_and_what_goes_down_is_no_counter(
     assert [name for name, _ in itertools.groupby(names)] == list(dict.fromkeys(names)), "one block each"
     assert all(name.endswith("_total") is (types[name] == "counter") for name in names)
     assert len(samples(text)) == len(names)
-    found = read(board, health)
+    found = read(published)
     assert one(found, "altd_component_figure", component="modbus_tcp", figure="clients") == 1.0
     assert one(found, "altd_component_events_total", component="modbus_tcp", event="clients") is None
     assert one(found, "altd_component_events_total", component="modbus_tcp", event="requests") == 1.0
 
 
-def test_nothing_of_the_process_itself_is_told(board: Board, health: Health) -> None:
-    assert {name.split("_")[0] for name, _ in read(board, health)} == {"altd"}
+def test_nothing_of_the_process_itself_is_told(published: PublishedUnit) -> None:
+    assert {name.split("_")[0] for name, _ in read(published)} == {"altd"}

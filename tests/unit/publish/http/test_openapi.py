@@ -25,6 +25,7 @@ from altd.status.health import Health, State
 from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
+from altd.status.unit import PublishedUnit
 
 from .conftest import DOCUMENT, Served, Unit, fits, served_with
 
@@ -47,7 +48,7 @@ def test_each_old_path_stays_and_answers_as_its_new_one() -> None:
 
 
 async def test_it_is_made_once_for_all_interfaces_and_requests(
-    served: Served, health: Health, monkeypatch: pytest.MonkeyPatch
+    served: Served, published: PublishedUnit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = list[str]()
 
@@ -56,7 +57,7 @@ async def test_it_is_made_once_for_all_interfaces_and_requests(
         return document_of(*arguments)
 
     monkeypatch.setattr(publisher, "document_of", observed)
-    health.facts = health.facts.model_copy(update={"version": "of this test"})
+    published.facts = published.facts.model_copy(update={"version": "of this test"})
     async with served() as unit, served() as other:
         for each in (unit, other, unit):
             told = (await each.ask("/api/v1/openapi.json")).json
@@ -83,7 +84,7 @@ async def test_a_unit_with_an_inclinometer_has_a_document_of_its_own(
     said = SensorValue(Quality.GOOD, "", 0.5, 0.01, clock.now_ns, 0.2, clock.now_ns + 10**9)
     board = Board(clock, 1.0, quantities, sense=lambda _: Finding(from_sensors={"roll_deg": said}))
     board.publish(measured(quantities=quantities))
-    async with served_with(board, health, None) as unit:
+    async with served_with(PublishedUnit(board, health), None) as unit:
         document = (await unit.ask("/api/v1/openapi.json")).json
         shown = fits(document, "/api/v1/measurement", await unit.ask("/api/v1/measurement"))
     assert shown["sigma"]["roll_deg"] == 0.01
@@ -91,11 +92,16 @@ async def test_a_unit_with_an_inclinometer_has_a_document_of_its_own(
 
 
 async def test_the_status_is_what_the_document_says_well_and_ill(
-    unit: Unit, board: Board, health: Health, clock: FakeClock, measured: Measurement
+    unit: Unit,
+    board: Board,
+    health: Health,
+    published: PublishedUnit,
+    clock: FakeClock,
+    measured: Measurement,
 ) -> None:
     state = UnitState(board, health, clock)
     fits(DOCUMENT, "/api/v1/status", await unit.ask("/api/v1/status"))  # the state is not known yet
-    health.state = state.read
+    published.state = state.read
     health.component("camera front").observe({"fps": 20.0, "driver": "v4l2", "celsius": None})
     health.component("camera front").set_state(State.FAILED, "no such device")
     board.publish(measured)
@@ -104,7 +110,7 @@ async def test_the_status_is_what_the_document_says_well_and_ill(
     assert {cause["code"] for cause in shown["state"]["causes"]} >= {"camera_failed", "stale"}
 
 
-async def test_what_self_checks_say_is_what_the_document_says(unit: Unit, health: Health) -> None:
+async def test_what_self_checks_say_is_what_the_document_says(unit: Unit, published: PublishedUnit) -> None:
     similarity = Similarity((376.0, 240.0), (0.1, -0.2), 0.01, 12.0, np.eye(4), 200.0)
     drift = TargetDrift("front", 8, 7, (LedState.USED, LedState.DARK), ((1.0, 2.0),), similarity, 0.05, 1.5)
     effects = {"x_mm": Value(0.01, 0.002), "yaw_deg": Value(0.001, 0.0002)}
@@ -114,7 +120,7 @@ async def test_what_self_checks_say_is_what_the_document_says(unit: Unit, health
     )
     none = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
     for number, check in enumerate(checks, 1):
-        health.self_check.publish(
+        published.self_check.publish(
             SelfCheckReport(number, replace(check, notes=("a note",)), "request", None, 3)
         )
         shown = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
@@ -177,8 +183,8 @@ def test_no_text_of_the_document_becomes_html() -> None:
     assert not Tags(api_page_of(evil)).seen & {"script", "img"}
 
 
-async def test_the_targets_are_what_the_document_says(unit: Unit, health: Health) -> None:
-    health.targets = (TargetArea("front", 0.0, ((-70.0, -55.0), (70.0, -55.0), (0.0, 55.5))),)
+async def test_the_targets_are_what_the_document_says(unit: Unit, published: PublishedUnit) -> None:
+    published.targets = (TargetArea("front", 0.0, ((-70.0, -55.0), (70.0, -55.0), (0.0, 55.5))),)
     told = fits(DOCUMENT, "/api/v1/targets", await unit.ask("/api/v1/targets"))
     assert told["targets"] == [
         {"name": "front", "z_mm": 0.0, "valid_mm": [[-70.0, -55.0], [70.0, -55.0], [0.0, 55.5]]}

@@ -13,7 +13,7 @@ from support.history import START_S, WallClock, at, batch, event, sample, store
 from altd.history.history import History
 from altd.publish.http import stream
 from altd.status.board import Board
-from altd.status.health import Health
+from altd.status.unit import PublishedUnit
 
 from .conftest import DOCUMENT, Unit, fits, served_with
 
@@ -39,10 +39,10 @@ def recorded(tmp_path: Path) -> History:
 
 @pytest.fixture
 async def unit(
-    board: Board, health: Health, recorded: History, monkeypatch: pytest.MonkeyPatch
+    published: PublishedUnit, recorded: History, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncIterator[Unit]:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
-    async with served_with(board, health, recorded) as unit:
+    async with served_with(published, recorded) as unit:
         yield unit
 
 
@@ -125,12 +125,12 @@ async def test_no_parameter_gets_into_the_sql(unit: Unit, kind: str) -> None:
     assert len((await unit.ask("/api/v1/events?kind=state")).json["events"]) == 5
 
 
-async def test_without_a_history_it_says_why(board: Board, health: Health, tmp_path: Path) -> None:
-    async with served_with(board, health, None) as unit:
+async def test_without_a_history_it_says_why(published: PublishedUnit, tmp_path: Path) -> None:
+    async with served_with(published, None) as unit:
         for path in ("/api/v1/trend", "/api/v1/events"):
             answer = await unit.ask(path)
             assert (answer.status, answer.json) == (503, {"error": "there is no history"})
-    async with served_with(board, health, History(tmp_path / "gone.db")) as unit:
+    async with served_with(published, History(tmp_path / "gone.db")) as unit:
         assert (await unit.ask("/api/v1/trend")).status == 503
 
 
@@ -252,11 +252,11 @@ async def test_who_comes_back_before_his_last_one_is_written_misses_nothing(
 
 
 async def test_no_history_and_one_that_lags_are_gaps(
-    board: Board, health: Health, unit: Unit, clock: WallClock, monkeypatch: pytest.MonkeyPatch
+    board: Board, published: PublishedUnit, unit: Unit, clock: WallClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 70, 5.9, 71))
-    async with served_with(board, health, None) as without:
+    async with served_with(published, None) as without:
         _, gap = await read(without, key(40), 2)
         assert gap["data"]["why"] == "there is no history"
     *past, gap = (await read(unit, key(58), 4))[1:]

@@ -12,8 +12,8 @@ import pytest
 from unit.publish.http.conftest import Answer, Served, Unit
 
 from altd.publish.http.recordings import MAX_DOWNLOADS
-from altd.status.health import Health
 from altd.status.services import KeptRecording, NotKeptError
+from altd.status.unit import PublishedUnit
 
 NAME = "20261120T012345Z-spot_missing-front"
 KEPT = KeptRecording(
@@ -65,14 +65,14 @@ class Keeper:
 
 
 @pytest.fixture
-def keeper(tmp_path: Path, health: Health) -> Keeper:
+def keeper(tmp_path: Path, published: PublishedUnit) -> Keeper:
     folder = tmp_path / NAME
     (folder / "front").mkdir(parents=True)
     (folder / "recording.json").write_text('{"format": "altd-recording/1"}\n')
     (folder / "front" / "000000.png").write_bytes(bytes(range(256)) * 3000)
     (folder / "empty").touch()
     keeper = Keeper(tmp_path)
-    health.recordings.open(keeper)
+    published.recordings.open(keeper)
     return keeper
 
 

@@ -12,7 +12,7 @@ from altd.publish.http.answers import self_check
 from altd.publish.http.clients import MAX_WAITING
 from altd.publish.http.errors import Refused
 from altd.publish.http.guard import Guard
-from altd.status.health import Health
+from altd.status.unit import PublishedUnit
 
 from .conftest import Answer, Unit
 
@@ -22,9 +22,9 @@ async def post(unit: Unit, host: str = "127.0.0.1:80", header: str = "X-Altd-Req
     return Answer.of(await unit.send(raw.encode("latin-1")))
 
 
-async def test_before_the_first_check_says_so(unit: Unit, health: Health) -> None:
+async def test_before_the_first_check_says_so(unit: Unit, published: PublishedUnit) -> None:
     without = (await unit.ask("/api/self-check")).json
-    health.self_check.open(lambda: None)
+    published.self_check.open(lambda: None)
     before = (await unit.ask("/api/self-check")).json
     why = "this unit has no frame LEDs that the daemon switches"
     assert without == {"verdict": None, "reasons": [why], "unavailable": why}
@@ -32,8 +32,10 @@ async def test_before_the_first_check_says_so(unit: Unit, health: Health) -> Non
     assert before == {"verdict": None, "reasons": [why], "unavailable": ""}
 
 
-async def test_who_asks_gets_what_a_check_says_that_began_afterwards(unit: Unit, health: Health) -> None:
-    service = health.self_check
+async def test_who_asks_gets_what_a_check_says_that_began_afterwards(
+    unit: Unit, published: PublishedUnit
+) -> None:
+    service = published.self_check
     asked = asyncio.Event()
     service.open(asked.set)
     assert service.begin() == 1
@@ -82,17 +84,17 @@ async def test_a_unit_that_cannot_check_itself_says_why(unit: Unit) -> None:
     ],
 )
 async def test_a_browser_on_the_unit_is_not_made_to_ask(
-    unit: Unit, health: Health, host: str, header: str
+    unit: Unit, published: PublishedUnit, host: str, header: str
 ) -> None:
-    health.self_check.open(lambda: pytest.fail("it was asked for"))
+    published.self_check.open(lambda: pytest.fail("it was asked for"))
     answer = await post(unit, host, header)
     assert answer.status in (400, 403, 421)  # 400: by no name; 421: by a name that is not the unit's
     assert set(answer.json) == {"error"}
 
 
 @pytest.mark.parametrize("client", ["192.0.2.7", "::ffff:192.0.2.7", "fe80::1"])
-async def test_another_computer_may_not_ask(health: Health, client: str) -> None:
-    health.self_check.open(lambda: pytest.fail("it was asked for"))
+async def test_another_computer_may_not_ask(published: PublishedUnit, client: str) -> None:
+    published.self_check.open(lambda: pytest.fail("it was asked for"))
     scope = {
         "type": "http",
         "method": "POST",
@@ -103,7 +105,7 @@ async def test_another_computer_may_not_ask(health: Health, client: str) -> None
     }
     guard = Guard(None, FakeClock())
     with pytest.raises(Refused) as refused:
-        await self_check(Request(scope), health.self_check, guard)
+        await self_check(Request(scope), published.self_check, guard)
     answer = refused.value.answer
     said = {"error": "only the unit's own computer may ask for this: [http] credentials is not set"}
     assert (answer.status_code, json.loads(answer.body)) == (403, said)
@@ -136,8 +138,10 @@ async def test_what_comes_with_a_request_changes_nothing_of_it(
     assert (await unit.ask("/api/self-check")).json["number"] == 1
 
 
-async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(unit: Unit, health: Health) -> None:
-    service, asked = health.self_check, list[bool]()
+async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(
+    unit: Unit, published: PublishedUnit
+) -> None:
+    service, asked = published.self_check, list[bool]()
     service.open(lambda: asked.append(True))
     flood = [asyncio.create_task(post(unit)) for _ in range(40)]
     await unit.until(lambda: sum(task.done() for task in flood) == 40 - MAX_WAITING)

@@ -17,35 +17,35 @@ from altd.config import HttpSettings
 from altd.publish.http import server
 from altd.publish.http.operations import COMMON_ERRORS
 from altd.publish.http.publisher import HttpPublisher
-from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component
+from altd.status.unit import PublishedUnit
 
 from .conftest import Answer, Served, Unit
 
 
-async def test_a_taken_port_is_an_error(board: Board, health: Health, component: Component) -> None:
+async def test_a_taken_port_is_an_error(published: PublishedUnit, component: Component) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         publisher = HttpPublisher(
-            HttpSettings(host="127.0.0.1", port=taken.getsockname()[1]), board, health, component
+            HttpSettings(host="127.0.0.1", port=taken.getsockname()[1]), published, component
         )
         with pytest.raises(OSError, match="in use") as caught:
             await publisher.run(lambda: pytest.fail("not ready"))
     assert caught.value.errno == errno.EADDRINUSE
 
 
-async def test_a_foreign_address_is_an_error(board: Board, health: Health, component: Component) -> None:
-    publisher = HttpPublisher(HttpSettings(host="192.0.2.1", port=0), board, health, component)
+async def test_a_foreign_address_is_an_error(published: PublishedUnit, component: Component) -> None:
+    publisher = HttpPublisher(HttpSettings(host="192.0.2.1", port=0), published, component)
     with pytest.raises(OSError, match="Cannot assign requested address"):
         await publisher.run(lambda: pytest.fail("not ready"))
 
 
 async def test_it_can_be_served_again_on_the_same_port(
-    served: Served, board: Board, health: Health, component: Component
+    served: Served, published: PublishedUnit, component: Component
 ) -> None:
     async with served() as unit, unit.stream() as events:
         await events.head()
         port = unit.port
-    publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=port), board, health, component)
+    publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=port), published, component)
     async with asyncio.timeout(60), serving(publisher):
         assert publisher.port == port
 
@@ -193,11 +193,11 @@ async def test_a_flood_of_connections_is_bounded_and_passes(
 
 @pytest.mark.parametrize(("host", "client"), [("::1", "::1"), ("::", "::1"), ("::", "127.0.0.1")])
 async def test_it_listens_on_ipv6_and_on_every_address_in_both_versions(
-    board: Board, health: Health, component: Component, host: str, client: str
+    published: PublishedUnit, component: Component, host: str, client: str
 ) -> None:
     need(has_ipv6(), "this machine has no IPv6")
     settings = HttpSettings(host=host, port=0, allow=("127.0.0.1",))
-    publisher = HttpPublisher(settings, board, health, component)
+    publisher = HttpPublisher(settings, published, component)
     async with serving(publisher):
         reader, writer = await asyncio.open_connection(client, publisher.port)
         writer.write(b"GET /healthz HTTP/1.1\r\nHost: unit\r\n\r\n")

@@ -18,6 +18,7 @@ from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health
+from altd.status.unit import PublishedUnit
 
 
 @pytest.fixture
@@ -47,17 +48,21 @@ def measured_fixture(clock: FakeClock) -> Measured:
     return measurement
 
 
-def tcp_of(
-    board: Board, component: Component, health: Health | None = None, **more: Any
-) -> ModbusTcpPublisher:
+@pytest.fixture
+def published(board: Board, component: Component) -> PublishedUnit:
+    """A unit without facts."""
+    return PublishedUnit(board, Health(component.clock))
+
+
+def tcp_of(unit: PublishedUnit, component: Component, **more: Any) -> ModbusTcpPublisher:
     """A Modbus TCP publisher on a free port of the loopback, with these settings."""
     settings = ModbusTcpSettings(**{"host": "127.0.0.1", "port": 0, "unit_id": UNIT, **more})
-    return ModbusTcpPublisher(settings, board, component, health or Health(component.clock))
+    return ModbusTcpPublisher(settings, unit, component)
 
 
 @pytest.fixture
-async def tcp(board: Board, component: Component) -> AsyncIterator[ModbusTcpPublisher]:
-    publisher = tcp_of(board, component)
+async def tcp(published: PublishedUnit, component: Component) -> AsyncIterator[ModbusTcpPublisher]:
+    publisher = tcp_of(published, component)
     async with serving(publisher):
         yield publisher
 

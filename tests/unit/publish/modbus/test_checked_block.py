@@ -11,7 +11,6 @@ from support.modbus_wire import EVERYTHING, Client, Measured, words
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.checked_block import ROWS, CheckedBlock
 from altd.publish.modbus.responder import Responder
-from altd.publish.modbus.values import Snapshot
 from altd.reasons import Reason, Signal
 from altd.records import Fault
 from altd.records.spots import Motion
@@ -20,6 +19,8 @@ from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Health
 from altd.status.proof import Identity, Stamp
+from altd.status.unit import PublishedUnit
+from tools.pages.example import view_of
 
 BLOCK = struct.pack(">BHH", 4, 200, 80)
 OF_NOW = struct.pack(">BHH", 4, 50, 42)
@@ -149,30 +150,35 @@ async def test_the_old_registers_count_no_message(client: Client, board: Board, 
 
 
 def test_a_board_of_no_unit_reads_not_known(measured: Measured) -> None:
-    block = CheckedBlock().at(Snapshot(measured(), 0.52, 1, Stamp(Identity(), 3, 9)))
+    block = CheckedBlock().at(view_of(measured(), 0.52, 1, Stamp(Identity(), 3, 9)))
     assert block[2:6] == [0xFFFF] * 4
     assert is_intact(block)
 
 
 def test_reasons_and_status_are_those_of_the_map(measured: Measured) -> None:
     fault = Fault(Reason.SPOT_MISSING, "rear")
-    snapshot = Snapshot(measured(beam=None, status=(fault,)), 0.5, 1, Stamp(Identity(1, 2), 3, 4))
-    assert CheckedBlock().at(snapshot)[20:24] == [1 << 9, 0, 0, 1]
+    view = view_of(measured(beam=None, status=(fault,)), 0.5, 1, Stamp(Identity(1, 2), 3, 4))
+    assert CheckedBlock().at(view)[20:24] == [1 << 9, 0, 0, 1]
 
 
 def test_counters_wrap_without_ever_reading_not_known(measured: Measured) -> None:
     for count, expected in ((0xFFFF_FFFE, [0xFFFF, 0xFFFE]), (0xFFFF_FFFF, [0, 0])):
-        snapshot = Snapshot(measured(), 0.5, count, Stamp(Identity(1, 2), 3, 4))
-        assert CheckedBlock().at(snapshot)[10:12] == expected
+        view = view_of(measured(), 0.5, count, Stamp(Identity(1, 2), 3, 4))
+        assert CheckedBlock().at(view)[10:12] == expected
 
 
 @pytest.mark.parametrize("signal", Signal)
 async def test_the_state_is_the_signal_of_the_moment_of_each_reading(
-    board: Board, health: Health, clock: FakeClock, measured: Measured, signal: Signal
+    board: Board,
+    health: Health,
+    published: PublishedUnit,
+    clock: FakeClock,
+    measured: Measured,
+    signal: Signal,
 ) -> None:
     shown, nothing_observed = Signal.GOOD, Availability(0)
-    health.state = lambda: StateReport(shown, 0, 0, (), nothing_observed)
-    responder = Responder(board, health.component("modbus"), health, ModbusTcpSettings())
+    published.state = lambda: StateReport(shown, 0, 0, (), nothing_observed)
+    responder = Responder(ModbusTcpSettings(), published, health.component("modbus"))
     board.publish(measured())
     first = words(responder.answer(BLOCK))
     shown = signal

@@ -24,6 +24,7 @@ from altd.records import Fault
 from altd.status.board import Board
 from altd.status.event_log import EventKind
 from altd.status.health import Component, Health
+from altd.status.unit import PublishedUnit
 from altd.status.zero import Zero
 
 from .conftest import tcp_of
@@ -40,16 +41,16 @@ def asked() -> list[bool]:
 
 
 @pytest.fixture
-def health(asked: list[bool], clock: FakeClock) -> Health:
-    health = Health(clock)
-    health.self_check.open(lambda: asked.append(True))
-    health.zero = Zero(health.events, FIRST)
-    return health
+def published(asked: list[bool], board: Board, health: Health) -> PublishedUnit:
+    unit = PublishedUnit(board, health)
+    unit.self_check.open(lambda: asked.append(True))
+    unit.zero = Zero(health.events, FIRST)
+    return unit
 
 
 @pytest.fixture
-async def controller(board: Board, component: Component, health: Health) -> AsyncIterator[Client]:
-    publisher = tcp_of(board, component, health, allow_self_check=True, allow_zero=True)
+async def controller(published: PublishedUnit, component: Component) -> AsyncIterator[Client]:
+    publisher = tcp_of(published, component, allow_self_check=True, allow_zero=True)
     async with serving(publisher), connected(publisher) as client:
         yield client
 
@@ -89,7 +90,7 @@ async def controller(board: Board, component: Component, health: Health) -> Asyn
 async def test_nothing_else_is_taken(
     controller: Client,
     board: Board,
-    health: Health,
+    published: PublishedUnit,
     measured: Measured,
     asked: list[bool],
     request_hex: str,
@@ -98,11 +99,11 @@ async def test_nothing_else_is_taken(
     board.publish(measured())
     assert (await controller.ask(bytes.fromhex(request_hex))).hex() == answer_hex.replace(" ", "")
     assert asked == []
-    assert health.zero.count == 0
+    assert published.zero.state.count == 0
 
 
 async def test_no_function_writes_to_any_other_register(
-    controller: Client, board: Board, health: Health, measured: Measured, asked: list[bool]
+    controller: Client, board: Board, published: PublishedUnit, measured: Measured, asked: list[bool]
 ) -> None:
     """Functions 5, 6, 15, 16, 22 and 23 at each named register, its neighbours and the ends of the space."""
     board.publish(measured())
@@ -116,13 +117,13 @@ async def test_no_function_writes_to_any_other_register(
         pdu = struct.pack(">BHHHHBH", 23, 0, 1, address, 1, 2, FIRST)
         assert await controller.ask(pdu) == bytes.fromhex("97 01")
     assert await controller.ask(everything) == before
-    assert (asked, health.zero.count) == ([], 0)
+    assert (asked, published.zero.state.count) == ([], 0)
 
 
 async def test_a_unit_that_cannot_check_itself_is_a_failure_of_the_device(
-    controller: Client, health: Health
+    controller: Client, published: PublishedUnit
 ) -> None:
-    health.self_check.unavailable = "the calibration has no LED references"
+    published.self_check.unavailable = "the calibration has no LED references"
     assert await controller.ask(NOW) == bytes.fromhex("86 04")
 
 
@@ -135,9 +136,9 @@ async def test_the_ids_of_the_device_itself_are_its_own(
 
 
 async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
-    board: Board, component: Component, health: Health, asked: list[bool]
+    published: PublishedUnit, component: Component, asked: list[bool]
 ) -> None:
-    publisher = tcp_of(board, component, health, allow_self_check=True)
+    publisher = tcp_of(published, component, allow_self_check=True)
     status = bytes.fromhex("04 0000 0001")
     async with serving(publisher), connected(publisher) as flooding, connected(publisher) as reading:
         for number in range(2000):
@@ -191,7 +192,7 @@ async def test_the_zero_is_set_by_its_number_and_moves_no_published_value(
 
 
 async def test_a_write_that_comes_again_sets_nothing(
-    controller: Client, board: Board, health: Health, measured: Measured
+    controller: Client, board: Board, published: PublishedUnit, measured: Measured
 ) -> None:
     """Repeated by a gateway, recorded and replayed, or late behind that of another controller."""
     board.publish(measured(sequence=160))
@@ -199,9 +200,9 @@ async def test_a_write_that_comes_again_sets_nothing(
     board.publish(measured(sequence=161))
     for _ in range(3):
         assert await controller.ask(SET_ZERO) == bytes.fromhex("86 03")
-    assert health.zero.count == 1
-    assert health.zero.measurement is not None
-    assert health.zero.measurement.sequence == 160
+    assert published.zero.state.count == 1
+    assert published.zero.state.measurement is not None
+    assert published.zero.state.measurement.sequence == 160
 
 
 @pytest.mark.parametrize("why", ["nothing yet", "stale", "invalid", "simulated"])
@@ -232,9 +233,9 @@ async def test_another_daemon_knows_no_zero_of_the_one_before(
 ) -> None:
     board.publish(measured())
     assert await controller.ask(SET_ZERO) == SET_ZERO
-    restarted = Health(clock)
+    restarted = PublishedUnit(board, Health(clock))
     restarted.zero = Zero(restarted.events, (FIRST + 7) % 0xFFFF)
-    publisher = tcp_of(board, Component("again", clock), restarted, allow_zero=True)
+    publisher = tcp_of(restarted, Component("again", clock), allow_zero=True)
     async with serving(publisher), connected(publisher) as client:
         found = await relative(client)
         assert found["zeros"] == 0
@@ -243,22 +244,32 @@ async def test_another_daemon_knows_no_zero_of_the_one_before(
 
 
 async def test_each_command_has_its_own_setting(
-    board: Board, component: Component, health: Health, measured: Measured, asked: list[bool]
+    board: Board,
+    component: Component,
+    health: Health,
+    published: PublishedUnit,
+    measured: Measured,
+    asked: list[bool],
 ) -> None:
     board.publish(measured())
     for allowed in itertools.product([False, True], repeat=2):
-        publisher = tcp_of(board, component, health, allow_self_check=allowed[0], allow_zero=allowed[1])
+        publisher = tcp_of(published, component, allow_self_check=allowed[0], allow_zero=allowed[1])
         refused = bytes.fromhex("86 02") if any(allowed) else bytes.fromhex("86 01")
-        set_zero = struct.pack(">BHH", 6, 1001, health.zero.next_number)
+        set_zero = struct.pack(">BHH", 6, 1001, published.zero.state.next_number)
         async with serving(publisher), connected(publisher) as client:
             assert await client.ask(NOW) == (NOW if allowed[0] else refused)
             assert await client.ask(set_zero) == (set_zero if allowed[1] else refused)
-    assert (len(asked), health.zero.count) == (2, 2)
+    assert (len(asked), published.zero.state.count) == (2, 2)
 
 
 @pytest.mark.parametrize("is_allowed", [True, False])
 async def test_on_a_line_only_a_write_to_this_unit_sets_the_zero(
-    board: Board, component: Component, health: Health, measured: Measured, is_allowed: bool
+    board: Board,
+    component: Component,
+    health: Health,
+    published: PublishedUnit,
+    measured: Measured,
+    is_allowed: bool,
 ) -> None:
     """Not a broadcast (unit id 0), nor one to another unit, nor what another unit answers, nor noise."""
     board.publish(measured())
@@ -268,7 +279,7 @@ async def test_on_a_line_only_a_write_to_this_unit_sets_the_zero(
     )
     rng = random.Random(3)
     try:
-        async with serving(ModbusRtuPublisher(settings, board, component, health)):
+        async with serving(ModbusRtuPublisher(settings, published, component)):
             for unit in (0, UNIT + 1, 247):
                 wire.send(rtu_frame(SET_ZERO, unit=unit))  # and, of another unit, its answer
                 wire.send(rtu_frame(SET_ZERO, unit=unit))
@@ -276,10 +287,10 @@ async def test_on_a_line_only_a_write_to_this_unit_sets_the_zero(
                 assert answer == rtu_frame(ONE_ANSWER)
             wire.send(rng.randbytes(7) + rtu_frame(SET_ZERO))  # the end of noise, by chance
             assert await asked_on(wire, ONE) == rtu_frame(ONE_ANSWER)
-            assert health.zero.count == 0
+            assert published.zero.state.count == 0
             answer = await asked_on(wire, SET_ZERO)
             assert answer == rtu_frame(SET_ZERO if is_allowed else bytes.fromhex("86 01"))
-            assert health.zero.count == int(is_allowed)
+            assert published.zero.state.count == int(is_allowed)
     finally:
         wire.hang_up()
 

@@ -11,9 +11,10 @@ from support.modbus_wire import Measured
 
 from altd.instruments.beam.solver import Beam
 from altd.publish.modbus.registers import Type, image
-from altd.publish.modbus.values import REASON_CODES, STATUS_BITS, Snapshot
+from altd.publish.modbus.values import REASON_CODES, STATUS_BITS
 from altd.reasons import Reason, StatusGroup
 from altd.records import Fault, Measurement
+from tools.pages.example import view_of
 
 
 def decode(words: list[int], address: int, layout: str) -> Any:
@@ -32,7 +33,7 @@ def integers(words: list[int]) -> list[int]:
 
 
 def read(measurement: Measurement | None, age_s: float | None = 0.52, published: int = 1) -> list[int]:
-    return image(Snapshot(measurement, age_s, published))
+    return image(view_of(measurement, age_s, published))
 
 
 def test_a_valid_measurement_reads_as_it_was_measured(measured: Measured) -> None:
@@ -190,5 +191,5 @@ def test_only_what_is_not_known_reads_as_not_known(value: float, kind: Type) -> 
 
 def test_a_scaled_number_that_overflows_is_held_at_the_end_and_not_unknown(measured: Measured) -> None:
     beam = Beam(1e305, -1e305, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    words = image(Snapshot(measured(beam=beam), 0.5, 1))
+    words = image(view_of(measured(beam=beam), 0.5, 1))
     assert words[60:64] == [0x7FFF, 0xFFFF, 0x8000, 0x0001]

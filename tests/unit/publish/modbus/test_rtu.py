@@ -19,6 +19,7 @@ from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import MAX_UNCLEAR_LOOPBACKS, ModbusRtuPublisher, silence_s
 from altd.status.board import Board
 from altd.status.health import Component, Health
+from altd.status.unit import PublishedUnit
 
 
 class Controller:
@@ -57,18 +58,16 @@ class Controller:
         return await self.hear(1, within_s=0.03) == b""
 
 
-def rtu_at(
-    device: str, board: Board, component: Component, health: Health | None = None, **fields: Any
-) -> ModbusRtuPublisher:
+def rtu_at(device: str, published: PublishedUnit, component: Component, **fields: Any) -> ModbusRtuPublisher:
     ordinary: dict[str, Any] = {"speaks": "modbus_rtu", "baud": 115200, "unit_id": UNIT}
     settings = ModbusRtuPortSettings(device=Path(device), **(ordinary | fields))
-    return ModbusRtuPublisher(settings, board, component, health or Health(component.clock))
+    return ModbusRtuPublisher(settings, published, component)
 
 
 @pytest.fixture
 async def controller(pty: tuple[int, str], board: Board, component: Component) -> AsyncIterator[Controller]:
     descriptor, device = pty
-    async with serving(rtu_at(device, board, component)):
+    async with serving(rtu_at(device, PublishedUnit(board, Health(component.clock)), component)):
         yield Controller(descriptor)
 
 
@@ -265,14 +264,13 @@ async def test_a_damaged_echo_is_no_sign_of_a_line_without_echo(controller: Cont
 
 @pytest.mark.usefixtures("patient")
 async def test_a_command_is_not_executed_again_for_its_echo(
-    pty: tuple[int, str], board: Board, component: Component
+    pty: tuple[int, str], board: Board, published: PublishedUnit, component: Component
 ) -> None:
     asked = []
-    health = Health(component.clock)
-    health.self_check.ask = asked.append  # type: ignore[method-assign]
+    published.self_check.ask = asked.append  # type: ignore[method-assign]
     command = frame(bytes.fromhex("06 03e8 0001"))
     expected = command + frame(bytes([0x86, 6]))
-    async with serving(rtu_at(pty[1], board, component, health, allow_self_check=True)):
+    async with serving(rtu_at(pty[1], published, component, allow_self_check=True)):
         heard = await heard_with_echo(Controller(pty[0]), command, expected)
     assert heard == expected
     assert asked == ["modbus"]
@@ -305,7 +303,9 @@ async def test_a_port_that_goes_away_ends_the_publisher_with_an_os_error(
     controller, unit = os.openpty()
     device = os.ttyname(unit)
     ready = asyncio.Event()
-    task = asyncio.create_task(rtu_at(device, board, component).run(ready.set))
+    task = asyncio.create_task(
+        rtu_at(device, PublishedUnit(board, Health(component.clock)), component).run(ready.set)
+    )
     await ready.wait()
     os.close(unit)
     os.close(controller)
@@ -329,20 +329,20 @@ async def test_a_controller_that_takes_no_answers_does_not_hold_the_unit_up(
 
 
 async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
-    pty: tuple[int, str], board: Board, component: Component
+    pty: tuple[int, str], published: PublishedUnit, component: Component
 ) -> None:
     before = asyncio.all_tasks()
     for _ in range(3):
-        async with serving(rtu_at(pty[1], board, component)):
+        async with serving(rtu_at(pty[1], published, component)):
             assert await Controller(pty[0]).is_answered()
         assert asyncio.all_tasks() == before
 
 
 @pytest.mark.parametrize(("parity", "stop_bits"), [("even", 1), ("odd", 1), ("none", 2)])
 async def test_every_setting_of_the_line_can_be_used(
-    pty: tuple[int, str], board: Board, component: Component, parity: str, stop_bits: int
+    pty: tuple[int, str], published: PublishedUnit, component: Component, parity: str, stop_bits: int
 ) -> None:
-    async with serving(rtu_at(pty[1], board, component, parity=parity, stop_bits=stop_bits, baud=1200)):
+    async with serving(rtu_at(pty[1], published, component, parity=parity, stop_bits=stop_bits, baud=1200)):
         assert await Controller(pty[0]).is_answered()
 
 

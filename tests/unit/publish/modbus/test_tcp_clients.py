@@ -28,6 +28,7 @@ from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import MAX_CLIENTS, ModbusTcpPublisher
 from altd.status.board import Board
 from altd.status.health import Component
+from altd.status.unit import PublishedUnit
 
 from .conftest import tcp_of
 
@@ -127,10 +128,10 @@ async def test_a_controller_keeps_its_connection_beside_64_addresses_that_ask_to
 
 @pytest.mark.parametrize("reserved", [(), ("127.0.3.0/24",)], ids=["open", "reserved"])
 async def test_a_reserved_controller_gets_in_where_others_have_asked_for_longer(
-    board: Board, component: Component, reserved: tuple[str, ...]
+    published: PublishedUnit, component: Component, reserved: tuple[str, ...]
 ) -> None:
     """And stays, as no other new connection does."""
-    publisher = tcp_of(board, component, reserved=reserved)
+    publisher = tcp_of(published, component, reserved=reserved)
     async with serving(publisher), contextlib.AsyncExitStack() as stack:
         for number in range(MAX_CLIENTS):
             early = await stack.enter_async_context(connected(publisher, f"127.0.1.{number + 1}"))
@@ -219,17 +220,17 @@ async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTc
 
 
 async def test_an_address_in_use_is_an_os_error(
-    tcp: ModbusTcpPublisher, board: Board, component: Component
+    tcp: ModbusTcpPublisher, published: PublishedUnit, component: Component
 ) -> None:
     with pytest.raises(OSError, match="Address already in use by"):
-        async with serving(tcp_of(board, component, port=tcp.port)):
+        async with serving(tcp_of(published, component, port=tcp.port)):
             pass
 
 
 async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
-    board: Board, component: Component
+    published: PublishedUnit, component: Component
 ) -> None:
-    publisher = tcp_of(board, component)
+    publisher = tcp_of(published, component)
     before = asyncio.all_tasks()
     async with contextlib.AsyncExitStack() as stack:
         async with serving(publisher):
@@ -240,16 +241,16 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
         assert not component.counters.get("clients")
         for client in clients:
             assert await client.is_closed()
-    async with serving(tcp_of(board, component, port=publisher.port)):
+    async with serving(tcp_of(published, component, port=publisher.port)):
         pass
 
 
 @pytest.mark.parametrize("turns", range(12))
 async def test_a_client_that_connects_as_the_publisher_ends_is_closed(
-    board: Board, component: Component, caplog: pytest.LogCaptureFixture, turns: int
+    published: PublishedUnit, component: Component, caplog: pytest.LogCaptureFixture, turns: int
 ) -> None:
     """In one of these turns of the loop the connection is accepted, in the next its streams are made."""
-    publisher = tcp_of(board, component)
+    publisher = tcp_of(published, component)
     async with serving(publisher):
         client = socket.create_connection(("127.0.0.1", publisher.port), 10)
         for _ in range(turns):

@@ -23,6 +23,7 @@ from altd.publish.modbus import tcp
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
+from altd.status.unit import PublishedUnit
 from altd.tcp_port import CONNECTIONS
 
 CHECK_NOW = bytes.fromhex("06 03e8 0001")
@@ -65,11 +66,11 @@ def health(component: Component) -> Health:
 
 
 @pytest.fixture
-def served(board: Board, component: Component, health: Health, plant: Plant) -> Served:
+def served(published: PublishedUnit, component: Component, plant: Plant) -> Served:
     @contextlib.asynccontextmanager
     async def served(**more: Any) -> AsyncIterator[ModbusTcpPublisher]:
         settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, **(plant.settings | more))
-        publisher = ModbusTcpPublisher(settings, board, component, health)
+        publisher = ModbusTcpPublisher(settings, published, component)
         async with serving(publisher):
             yield publisher
 
@@ -196,10 +197,10 @@ async def test_an_address_begins_handshakes_only_so_often(
 
 
 async def test_only_a_role_of_the_settings_commands(
-    served: Served, plant: Plant, health: Health, component: Component
+    served: Served, plant: Plant, published: PublishedUnit, component: Component
 ) -> None:
     asked: list[bool] = []
-    health.self_check.open(lambda: asked.append(True))
+    published.self_check.open(lambda: asked.append(True))
     async with served(allow_self_check=True, roles=("operator",)) as publisher:
         async with connected(publisher, tls=plant.client(plant.reader)) as reader:
             assert await reader.ask(CHECK_NOW) == bytes.fromhex("86 01")  # R-31
@@ -217,10 +218,10 @@ async def test_only_a_role_of_the_settings_commands(
 
 
 async def test_a_session_that_is_resumed_has_the_role_of_its_certificate(
-    served: Served, plant: Plant, health: Health
+    served: Served, plant: Plant, published: PublishedUnit
 ) -> None:
     """With the operator's session, but the reader's word, and the other way round."""
-    health.self_check.open(lambda: None)
+    published.self_check.open(lambda: None)
     async with served(allow_self_check=True, roles=("operator",)) as publisher:
 
         def ask(context: ssl.SSLContext, session: ssl.SSLSession | None) -> tuple[bytes, Any]:
@@ -262,8 +263,8 @@ async def test_renewed_files_count_from_the_next_handshake_on(
 
 @pytest.mark.parametrize("name", ["certificate", "key", "client_ca"])
 def test_a_file_that_cannot_be_used_is_named_at_the_start(
-    board: Board, component: Component, health: Health, plant: Plant, tmp_path: Path, name: str
+    published: PublishedUnit, component: Component, plant: Plant, tmp_path: Path, name: str
 ) -> None:
     settings = ModbusTcpSettings(**(plant.settings | {name: tmp_path / "nothing.pem"}))
     with pytest.raises(BadInputError, match=r"nothing\.pem: No such file"):
-        ModbusTcpPublisher(settings, board, component, health)
+        ModbusTcpPublisher(settings, published, component)

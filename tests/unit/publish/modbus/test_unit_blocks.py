@@ -29,8 +29,9 @@ from altd.records.sensors import Quality, SensorValue
 from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.cause import StateReport
-from altd.status.health import Component, Health, UnitFacts
+from altd.status.health import Component, Health
 from altd.status.target_area import TargetArea
+from altd.status.unit import PublishedUnit, UnitFacts
 
 from .conftest import tcp_of
 
@@ -47,11 +48,12 @@ class NoFiles:
 
 
 @pytest.fixture
-def health(clock: FakeClock) -> Health:
+def published(board: Board, health: Health) -> PublishedUnit:
     """Of a unit whose front target is seen by a camera of another name."""
-    health = Health(clock, UnitFacts(version="0.1.0", serial="ALT-0007", config_sha256="01234567" + 56 * "f"))
-    health.calibration.open(figures_of(CREATED, CHECKSUM), NoFiles())  # type: ignore[arg-type]
-    health.targets = (TargetArea("front", 0.0, (), "left"), TargetArea("rear", 280.0, (), "rear"))
+    facts = UnitFacts(version="0.1.0", serial="ALT-0007", config_sha256="01234567" + 56 * "f")
+    targets = TargetArea("front", 0.0, (), "left"), TargetArea("rear", 280.0, (), "rear")
+    published = PublishedUnit(board, health, facts, targets)
+    published.calibration, published.calibration_files = figures_of(CREATED, CHECKSUM), NoFiles()  # type: ignore[arg-type]
     health.component("camera left").observe({"exposure_ms": 2.5, "gain_db": 3.0})
     health.component("camera left").count("lost", 3)
     health.component("camera rear").observe({"exposure_ms": None})
@@ -60,12 +62,12 @@ def health(clock: FakeClock) -> Health:
     measuring.counters |= {"late_frames": 5, "dropped_left": 1, "dropped_rear": 70_000}
     for name, celsius in (("housing", 31.5), ("rear", -4.0)):
         health.component(f"temperature {name}").observe({"celsius": celsius})
-    return health
+    return published
 
 
 @pytest.fixture
-async def client(board: Board, component: Component, health: Health) -> Any:
-    publisher = tcp_of(board, component, health)
+async def client(published: PublishedUnit, component: Component) -> Any:
+    publisher = tcp_of(published, component)
     async with serving(publisher), connected(publisher) as client:
         yield client
 
@@ -130,15 +132,15 @@ async def test_the_unit_says_which_it_is(
     }
 
 
-async def test_a_serial_of_any_length_and_letters_is_text(client: Client, health: Health) -> None:
-    health.facts = health.facts.model_copy(update={"serial": "Ä" + 63 * "7"})
+async def test_a_serial_of_any_length_and_letters_is_text(client: Client, published: PublishedUnit) -> None:
+    published.facts = published.facts.model_copy(update={"serial": "Ä" + 63 * "7"})
     assert (await read(client, 324, 16)) == b"?" + 31 * b"7"
 
 
 async def test_what_a_bare_unit_does_not_know_is_not_known(
     board: Board, component: Component, clock: FakeClock
 ) -> None:
-    bare = tcp_of(board, component, Health(clock))
+    bare = tcp_of(PublishedUnit(board, Health(clock)), component)
     async with serving(bare), connected(bare) as client:
         for table in (UNIT_TABLE, CONDITION):
             content = await read(client, table.first, table.size)
@@ -150,7 +152,12 @@ async def test_what_a_bare_unit_does_not_know_is_not_known(
 
 
 async def test_the_condition_is_that_of_now(
-    client: Client, board: Board, health: Health, clock: FakeClock, measured: Measured
+    client: Client,
+    board: Board,
+    health: Health,
+    published: PublishedUnit,
+    clock: FakeClock,
+    measured: Measured,
 ) -> None:
     availability = Availability(clock.now_ns)
     availability.update(clock.now_ns, None)
@@ -158,11 +165,11 @@ async def test_the_condition_is_that_of_now(
     availability.update(clock.now_ns, None)
     clock.now_ns += 1_000_000_000
     availability.update(clock.now_ns, "spot_missing")
-    health.state = lambda: StateReport(Signal.OUT_OF_SPECIFICATION, 0, clock.now_ns, (), availability)
-    health.self_check.unavailable = ""
+    published.state = lambda: StateReport(Signal.OUT_OF_SPECIFICATION, 0, clock.now_ns, (), availability)
+    published.self_check.unavailable = ""
     health.component("camera left").observe({"exposure_ms": 2.5, "gain_db": 3.0})
     assert values(await read(client, 400, 60), 400, {402: "H", 404: "I"}) == {402: 0, 404: 0xFFFFFFFF}
-    health.self_check.publish(checked(1, verdict="suspect"))
+    published.self_check.publish(checked(1, verdict="suspect"))
     health.component("temperature housing").observe({"celsius": 31.5})
     health.component("measuring").observe({"diameter_front_px": 61.5, "peak_front": 180.0})
     said = SensorValue(Quality.GOOD, value=1.25, sigma=0.01, t_ns=clock.now_ns, expires_ns=2**62)
@@ -194,9 +201,15 @@ async def test_the_condition_is_that_of_now(
     ],
 )
 async def test_discrete_inputs_are_validity_and_the_signals(
-    client: Client, board: Board, health: Health, measured: Measured, status: Any, signal: Signal, bits: int
+    client: Client,
+    board: Board,
+    published: PublishedUnit,
+    measured: Measured,
+    status: Any,
+    signal: Signal,
+    bits: int,
 ) -> None:
-    health.state = lambda: StateReport(signal, 0, 0, (), Availability(0))
+    published.state = lambda: StateReport(signal, 0, 0, (), Availability(0))
     is_valid = all(fault.reason.is_warning for fault in status)
     board.publish(measured(status=status) if is_valid else measured(beam=None, status=status))
     assert await client.ask(bytes.fromhex("02 0000 0007")) == bytes([2, 1, bits])
@@ -206,11 +219,11 @@ async def test_discrete_inputs_are_validity_and_the_signals(
 
 
 async def test_a_rehearsal_has_an_input_and_a_register(
-    component: Component, health: Health, clock: FakeClock, measured: Measured
+    component: Component, clock: FakeClock, measured: Measured
 ) -> None:
     board = Board(clock, 1.0, measured().quantities, rehearsal=True)
     board.publish(measured(status=(Fault(Reason.SIMULATED),)))
-    publisher = tcp_of(board, component, health)
+    publisher = tcp_of(PublishedUnit(board, Health(clock)), component)
     async with serving(publisher), connected(publisher) as client:
         assert await client.ask(bytes.fromhex("02 0000 0007")) == bytes([2, 1, 0b1100001])
         assert await read(client, 301, 1) == b"\0\1"
@@ -225,12 +238,12 @@ ORDERS = {"ABCD": (0, 1, 2, 3), "CDAB": (2, 3, 0, 1), "BADC": (1, 0, 3, 2), "DCB
 
 @pytest.mark.parametrize("order", WordOrder)
 async def test_every_32_bit_value_follows_the_word_order_and_nothing_else_does(
-    board: Board, component: Component, health: Health, measured: Measured, order: WordOrder
+    board: Board, component: Component, published: PublishedUnit, measured: Measured, order: WordOrder
 ) -> None:
     board.publish(measured())
     found: dict[str, dict[int, bytes]] = {}
     for each in (WordOrder.ABCD, order):
-        publisher = tcp_of(board, component, health, word_order=each.value)
+        publisher = tcp_of(published, component, word_order=each.value)
         async with serving(publisher), connected(publisher) as client:
             found[each] = {table.first: await read(client, table.first, table.size) for table in TABLES}
     assert found[order][0][200:208] == bytes(
@@ -249,10 +262,10 @@ async def test_every_32_bit_value_follows_the_word_order_and_nothing_else_does(
 
 @pytest.mark.parametrize("order", WordOrder)
 async def test_the_crc_is_over_the_bytes_as_they_are_sent(
-    board: Board, component: Component, health: Health, measured: Measured, order: WordOrder
+    board: Board, component: Component, published: PublishedUnit, measured: Measured, order: WordOrder
 ) -> None:
     board.publish(measured())
-    publisher = tcp_of(board, component, health, word_order=order.value)
+    publisher = tcp_of(published, component, word_order=order.value)
     async with serving(publisher), connected(publisher) as client:
         block = await read(client, 200, 80)
     sent = bytes(block[-4:][place] for place in ORDERS[order])  # each order is its own inverse
@@ -261,9 +274,9 @@ async def test_the_crc_is_over_the_bytes_as_they_are_sent(
 
 @pytest.mark.parametrize(("order", "arguments"), [("ABCD", ("-B",)), ("CDAB", ())])
 async def test_mbpoll_reads_floats_in_the_order_that_is_set(
-    board: Board, component: Component, health: Health, order: Any, arguments: tuple[str, ...]
+    published: PublishedUnit, component: Component, order: Any, arguments: tuple[str, ...]
 ) -> None:
-    publisher = tcp_of(board, component, health, word_order=order)
+    publisher = tcp_of(published, component, word_order=order)
     async with serving(publisher):
         command = [need_program("mbpoll"), "-1", "-0", *arguments, "-t", "3:float", "-r", "100"]
         command += ["-p", str(publisher.port), "-a", str(UNIT), "127.0.0.1"]
@@ -272,9 +285,9 @@ async def test_mbpoll_reads_floats_in_the_order_that_is_set(
 
 
 async def test_pymodbus_reads_the_identification_with_serial_and_calibration(
-    board: Board, component: Component, health: Health
+    published: PublishedUnit, component: Component
 ) -> None:
-    publisher = tcp_of(board, component, health)
+    publisher = tcp_of(published, component)
     async with serving(publisher):
         client = AsyncModbusTcpClient("127.0.0.1", port=publisher.port)
         assert await client.connect()
@@ -293,9 +306,9 @@ async def test_pymodbus_reads_the_identification_with_serial_and_calibration(
 
 
 async def test_the_identification_of_the_longest_serial_fits_into_one_response(
-    client: Client, health: Health
+    client: Client, published: PublishedUnit
 ) -> None:
-    health.facts = health.facts.model_copy(update={"serial": 64 * "7"})
+    published.facts = published.facts.model_copy(update={"serial": 64 * "7"})
     answer = await client.ask(bytes.fromhex("2b 0e 03 00"))
     assert answer[6] == 7
     assert len(answer) <= 253
@@ -305,11 +318,11 @@ class TestSerialLine:
     """As pymodbus asks over a real pair of serial ports."""
 
     async def test_counters_server_id_and_echo(
-        self, tmp_path: Path, board: Board, component: Component, health: Health
+        self, tmp_path: Path, published: PublishedUnit, component: Component
     ) -> None:
         with socat_line(tmp_path) as (unit, controller, _):
             port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=115200, unit_id=UNIT)
-            async with serving(ModbusRtuPublisher(port, board, component, health)):
+            async with serving(ModbusRtuPublisher(port, published, component)):
                 client = AsyncModbusSerialClient(str(controller), baudrate=115200)
                 assert await client.connect()
                 for _ in range(3):  # its own answer looks the same
@@ -323,11 +336,11 @@ class TestSerialLine:
                 client.close()
 
     async def test_mbpoll_reports_the_server_id(
-        self, tmp_path: Path, board: Board, component: Component, health: Health
+        self, tmp_path: Path, published: PublishedUnit, component: Component
     ) -> None:
         with socat_line(tmp_path) as (unit, controller, _):
             port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=19200, unit_id=UNIT)
-            async with serving(ModbusRtuPublisher(port, board, component, health)):
+            async with serving(ModbusRtuPublisher(port, published, component)):
                 command = [need_program("mbpoll"), "-u", "-m", "rtu", "-b", "19200", "-P", "none"]
                 command += ["-a", str(UNIT), str(controller)]
                 run = partial(subprocess.run, command, capture_output=True, text=True, timeout=60)
@@ -348,19 +361,19 @@ class TestSerialLine:
         ],
     )
     def test_what_is_asked_wrongly_is_an_exception(
-        self, health: Health, request_hex: str, answer_hex: str
+        self, published: PublishedUnit, request_hex: str, answer_hex: str
     ) -> None:
         counters = LineCounters(messages=70_000, errors=1)
         asked = bytes.fromhex(request_hex)
-        assert serial_response(asked, counters, health) == bytes.fromhex(answer_hex)
+        assert serial_response(asked, counters, published.facts) == bytes.fromhex(answer_hex)
         is_cleared = asked[:3] == bytes.fromhex("08 000a")
         assert counters.messages == (0 if is_cleared else 70_000)
 
 
 async def test_a_defect_costs_the_request_that_meets_it_and_no_client_its_connection(
-    client: Client, health: Health, caplog: pytest.LogCaptureFixture
+    client: Client, published: PublishedUnit, caplog: pytest.LogCaptureFixture
 ) -> None:
-    health.facts = health.facts.model_copy(update={"config_sha256": "no digits"})
+    published.facts = published.facts.model_copy(update={"config_sha256": "no digits"})
     for _ in range(3):
         assert await client.ask(bytes.fromhex("03 012c 0032")) == bytes.fromhex("83 04")
     assert await client.ask(bytes.fromhex("04 0066 0002")) == bytes.fromhex("04 04 12345678")

@@ -22,7 +22,7 @@ from altd.publish.mqtt.home_assistant import discovery_of, discovery_topic, page
 from altd.publish.mqtt.messages import Topics, summary_of
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Quantities
-from altd.status.board import Board
+from altd.status.unit import PublishedUnit
 
 ABOUT = Topics.of("altd", "ALT-0007"), "altd_1e4b2d8e", "ALT-0007", "0.1.0"
 
@@ -89,9 +89,9 @@ LIVE_VALID = {"x_mm": "10.012", "sigma_x_mm": "0.004", "valid": "ON", "live": "O
     ],
 )
 def test_what_its_templates_show_of_a_summary(
-    measurements: list[Measurement], shown: dict[str, str], board: Board, clock: FakeClock
+    measurements: list[Measurement], shown: dict[str, str], published: PublishedUnit, clock: FakeClock
 ) -> None:
-    summary = {**summary_of(measurements, board, clock), "age_s": None}
+    summary = {**summary_of(measurements, published.view()), "age_s": None}
     environment = ImmutableSandboxedEnvironment()
     found = {
         key: environment.from_string(components()[key]["value_template"]).render(value_json=summary)

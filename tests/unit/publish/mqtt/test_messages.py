@@ -33,17 +33,18 @@ from altd.status.health import Health
 from altd.status.measurement_json import checked_line, with_proof
 from altd.status.outbox import acknowledgement_of
 from altd.status.proof import Stamps
+from altd.status.unit import PublishedUnit
 
 
 def test_each_payload_fits_the_schema_of_its_topic_and_no_other(
-    board: Board, health: Health, clock: FakeClock
+    board: Board, health: Health, published: PublishedUnit, clock: FakeClock
 ) -> None:
     board.publish(measurement())
     stamps = Stamps(board, "mqtt")
-    health.calibration.figures = figures_of(created="2026-11-02", checksum="1")
+    published.calibration = figures_of(created="2026-11-02", checksum="1")
     payloads = {
-        "birth": with_proof(birth_of(board, health, clock), board, stamps.next()),
-        "summary": with_proof(summary_of([measurement()], board, clock), board, stamps.next()),
+        "birth": with_proof(birth_of(published.view()), board, stamps.next()),
+        "summary": with_proof(summary_of([measurement()], published.view()), board, stamps.next()),
         "measurement": checked_line(board, measurement(), stamps.next()),
     }
     schema = schema_of(board.quantities)
@@ -120,10 +121,10 @@ def measured(*x_mm: float) -> list[Measurement]:
 
 
 def test_a_summary_has_mean_extremes_and_sigma_of_the_valid_measurements(
-    board: Board, clock: FakeClock
+    published: PublishedUnit, clock: FakeClock
 ) -> None:
     x_mm = (1.0, 4.0, 2.5)
-    summary = summary_of([*measured(*x_mm), measurement(103, 1, Reason.STALE)], board, clock)
+    summary = summary_of([*measured(*x_mm), measurement(103, 1, Reason.STALE)], published.view())
     assert summary["x_mm"] == {
         "mean": statistics.mean(x_mm),
         "min": 1.0,
@@ -141,14 +142,16 @@ def test_a_summary_has_mean_extremes_and_sigma_of_the_valid_measurements(
     ]
 
 
-def test_sigma_now_is_that_of_the_last_measurement_at_sending(board: Board, clock: FakeClock) -> None:
+def test_sigma_now_is_that_of_the_last_measurement_at_sending(
+    board: Board, published: PublishedUnit, clock: FakeClock
+) -> None:
     """2 mm/s beside a sigma of 0.004 mm, 0.5 s after the middle of the exposures."""
     motion = Motion(2.0, 0.01, 0.0, 0.0, 0.475, 0.083, probable_rate=2.0, acceleration=0.0)
     moving = replace(measurement(), motions={"x_mm": motion}, t_ns=clock.now_ns)
     board.publish(moving)
     clock.now_ns += 500_000_000
     sigma = math.hypot(moving.sigma("x_mm") or 0.0, 1.0)
-    assert summary_of([moving], board, clock)["x_mm"]["sigma_now"] == pytest.approx(sigma, abs=1e-3)
+    assert summary_of([moving], published.view())["x_mm"]["sigma_now"] == pytest.approx(sigma, abs=1e-3)
     metrics = {each.name: each.value for each in measurement_metrics(moving, board, clock)}
     assert metrics["sigma_now/x_mm"] == pytest.approx(sigma, abs=1e-3)
     assert metrics["sigma_now/y_mm"] is None
@@ -157,31 +160,33 @@ def test_sigma_now_is_that_of_the_last_measurement_at_sending(board: Board, cloc
 NOTHING = dict.fromkeys(("mean", "min", "max", "sigma", "sigma_now"))
 
 
-def test_a_summary_without_a_valid_measurement_has_no_number(board: Board, clock: FakeClock) -> None:
+def test_a_summary_without_a_valid_measurement_has_no_number(
+    board: Board, published: PublishedUnit, clock: FakeClock
+) -> None:
     board.publish(measurement())  # that of before is still on the board
     reasons = (Reason.STALE, Reason.SIMULATED)
-    summary = summary_of([measurement(161, 1, *reasons)] * 2, board, clock)
+    summary = summary_of([measurement(161, 1, *reasons)] * 2, published.view())
     assert summary["x_mm"] == summary["pitch_deg"] == NOTHING
     assert (summary["valid_share"], summary["status"]) == (0.0, ["stale", "simulated"])
 
 
 def test_a_second_without_a_measurement_has_no_number_of_an_earlier_one(
-    board: Board, clock: FakeClock
+    board: Board, published: PublishedUnit, clock: FakeClock
 ) -> None:
-    assert summary_of([], board, clock)["status"] == ["warming_up"]
+    assert summary_of([], published.view())["status"] == ["warming_up"]
     board.publish(measurement(160, clock.now_ns))
     clock.now_ns += 2_000_000_000
-    summary = summary_of([], board, clock)
+    summary = summary_of([], published.view())
     assert summary["x_mm"] == NOTHING
     assert (summary["count"], summary["valid_share"], summary["first"]) == (0, None, None)
     assert summary["status"] == ["stale"]
 
 
 def test_a_birth_names_unit_calibration_and_quantities(
-    board: Board, health: Health, clock: FakeClock
+    board: Board, health: Health, published: PublishedUnit, clock: FakeClock
 ) -> None:
-    health.calibration.figures = figures_of("2026-11-02", "sha256:1", simulated=True)
-    birth = birth_of(board, health, clock)
+    published.calibration = figures_of("2026-11-02", "sha256:1", simulated=True)
+    birth = birth_of(published.view())
     assert (birth["serial"], birth["version"]) == ("ALT-0007", "0.1.0")
     assert birth["calibration"] == {"created": "2026-11-02", "checksum": "sha256:1", "simulated": True}
     assert birth["quantities"]["yaw_deg"]["unit"] == "°"

@@ -5,12 +5,12 @@ from datetime import UTC, datetime
 import pytest
 from support.measurements import measured
 
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam
 from altd.publish.serial.console import PROMPT, Console
 from altd.records import Measurement
 from altd.status.health import MEASURING, Component, Health, State
-from tools.pages.serial_examples import MEASURED, health
+from altd.status.unit import PublishedUnit
+from tools.pages.serial_examples import MEASURED, unit_that_shows
 
 
 @pytest.fixture
@@ -26,13 +26,13 @@ def measured_fixture() -> Measurement:
 
 
 def console(measurement: Measurement | None = MEASURED) -> Console:
-    return Console(lambda: measurement, health(), QUANTITIES)
+    return Console(unit_that_shows(measurement))
 
 
-def well() -> Health:
+def well(measurement: Measurement | None = MEASURED, age_s: float | None = None) -> PublishedUnit:
     """A unit with the same parts of which none is ill."""
-    unit = health()
-    unit.component(MEASURING).set_state(
+    unit = unit_that_shows(measurement, age_s=age_s)
+    unit.health.component(MEASURING).set_state(
         State.OK, lambda _: {"front": "spot at u 1 v 2 px", "rear": "spot at u 3 v 4 px"}
     )
     return unit
@@ -40,7 +40,7 @@ def well() -> Health:
 
 def answer(line: str, measurement: Measurement | None = MEASURED) -> list[str]:
     """The text after the echo of one line, without the prompt."""
-    shown = Console(lambda: measurement, well(), QUANTITIES).feed(line.encode() + b"\r").decode("ascii")
+    shown = Console(well(measurement)).feed(line.encode() + b"\r").decode("ascii")
     echo, _, text = shown.partition("\r\n")
     assert echo == line
     assert text.endswith(PROMPT.decode())

@@ -113,7 +113,8 @@ def test_a_silent_camera_is_mended_by_what_its_health_says(
     health.component("camera rear").set_state(state, "as it says", trouble)
     health.component(MEASURING).set_state(State.DEGRADED, "front: spot at u 1 v 2 px; rear: camera_silent")
     status = [Fault(Reason.CAMERA_SILENT, "rear", "no frame comes")]
-    assert advice(status[0], status, health).remedy == "see the camera below"
-    (step,) = component_steps(health, status)
+    reports = [component.report() for component in health]
+    assert advice(status[0], status, reports).remedy == "see the camera below"
+    (step,) = component_steps(reports, status)
     assert step == f"camera rear {state}: as it says" + (f": {trouble.value}" if trouble else "")
     assert advice(status[0], status).remedy == "check the camera's cable and supply"

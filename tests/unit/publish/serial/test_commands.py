@@ -13,7 +13,6 @@ from support.status_fixtures import checked
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial import commands
 from altd.publish.serial.commands import COMMANDS, identification
 from altd.publish.serial.console import PROMPT, QUESTION_PROMPT, QUESTION_S, Console
@@ -24,6 +23,7 @@ from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
+from altd.status.unit import PublishedUnit, UnitFacts
 from tools.pages.serial_examples import MEASURED, SPOT_LOST
 
 from .conftest import answer, console, well
@@ -38,7 +38,7 @@ class TestQuestion:
     def typed(self, asked: list[bool]) -> Console:
         unit = well()
         unit.self_check.open(lambda: asked.append(True))
-        return Console(lambda: MEASURED, unit, QUANTITIES)
+        return Console(unit)
 
     async def test_nothing_is_done_before_a_y(self, typed: Console, asked: list[bool]) -> None:
         assert typed.feed(b"selfcheck now\r").endswith(QUESTION_PROMPT)
@@ -46,7 +46,7 @@ class TestQuestion:
         assert asked == []
         assert typed.feed(b"y") == b"yes\r\nchecking: up to ten seconds\r\n"
         assert (asked, typed.asking_s, typed.is_finding) == ([True], None, True)
-        service = typed.health.self_check
+        service = typed.unit.self_check
         service.publish(checked(service.begin(), time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC)))
         assert await typed.found() == b"2026-11-20T08:15:30.125Z: good\r\n> "
 
@@ -76,16 +76,16 @@ class TestQuestion:
 
     def test_a_check_that_has_become_impossible_is_said_so(self, typed: Console) -> None:
         typed.feed(b"selfcheck now\r")
-        typed.health.self_check.unavailable = "the lamps are gone"
+        typed.unit.self_check.unavailable = "the lamps are gone"
         assert b"no self-check: the lamps are gone" in typed.feed(b"y")
 
     async def test_no_answer_within_ten_seconds_is_a_no(
-        self, wire: Wire, board: Board, clock: FakeClock, health: Health
+        self, wire: Wire, board: Board, clock: FakeClock, health: Health, published: PublishedUnit
     ) -> None:
         asked: list[bool] = []
-        health.self_check.open(lambda: asked.append(True))
+        published.self_check.open(lambda: asked.append(True))
         settings = ConsolePortSettings(device=wire.device, speaks="console")
-        publisher = ConsolePublisher(settings, board, health, health.component("serial"), clock)
+        publisher = ConsolePublisher(settings, published, health.component("serial"))
         async with serving(publisher):
             wire.send(b"selfcheck now\r")
             await wire.receive(lambda shown: shown.endswith(QUESTION_PROMPT))
@@ -127,7 +127,7 @@ class TestParts:
         unit = well()
         corners = ((-75.04, -62.5), (75.0, -62.5), (75.0, 62.51))
         unit.targets = (TargetArea("front", 0.0, corners), TargetArea("rear", 280.0, ()))
-        shown = Console(lambda: MEASURED, unit, QUANTITIES).feed(b"calibration\r").decode().split("\r\n")
+        shown = Console(unit).feed(b"calibration\r").decode().split("\r\n")
         assert shown[1:4] == [
             "calibration  2026-11-02, workshop, stage 2",
             "  front      z 0.0 mm, valid within x -75.0 to 75.0, y -62.5 to 62.5 mm",
@@ -143,12 +143,18 @@ class TestParts:
 class TestForPrograms:
     """IEEE 488.2-1992: 10.14 for the four fields, 11.2 for the bits."""
 
-    def state(self, board: Board, health: Health, clock: FakeClock, *measurements: Measurement) -> Console:
-        health.state = UnitState(board, health, clock).read
+    def state(
+        self,
+        board: Board,
+        health: Health,
+        clock: FakeClock,
+        *measurements: Measurement,
+    ) -> Console:
+        state = UnitState(board, health, clock)
         clock.now_ns += 60_000_000_000  # it has started long since
         for measurement in measurements:
             board.publish(replace(measurement, t_ns=clock.now_ns))
-        return Console(board.read, health, board.quantities)
+        return Console(PublishedUnit(board, health, state=state.read))
 
     @staticmethod
     def byte(console: Console) -> int:
@@ -156,8 +162,7 @@ class TestForPrograms:
 
     def test_the_identification_has_four_fields(self) -> None:
         assert answer("*IDN?") == ["altd,Active Laser Target,ALT-0007,0.1.0"]
-        nasty = well()
-        nasty.facts = nasty.facts.model_copy(update={"serial": "A,B;C\n\x1b[2J\u00e4"})
+        nasty = UnitFacts(serial="A,B;C\n\x1b[2J\u00e4")
         assert identification(nasty).split(",")[2] == "A_B_C__[2J_"
         assert identification(nasty).count(",") == 3
 
@@ -199,7 +204,7 @@ class TestForPrograms:
     def test_the_self_test_is_the_last_self_check(self, verdict: str, number: int) -> None:
         unit = well()
         unit.self_check.open(lambda: pytest.fail("it was asked for"))
-        typed = Console(lambda: MEASURED, unit, QUANTITIES)
+        typed = Console(unit)
         assert typed.feed(b"*TST?\r") == b"*TST?\r\n4\r\n> "
         unit.self_check.publish(checked(1, verdict=verdict))
         assert typed.feed(b"*TST?\r") == b"*TST?\r\n%d\r\n> " % number
@@ -213,15 +218,15 @@ class TestForPrograms:
 
 def test_a_measuring_that_says_nothing_of_a_target_leaves_its_line_out() -> None:
     unit = well()
-    unit.component(MEASURING).set_state(State.DEGRADED, "no frames")
-    shown = Console(lambda: MEASURED, unit, QUANTITIES).feed(b"spots\r").decode().split("\r\n")
+    unit.health.component(MEASURING).set_state(State.DEGRADED, "no frames")
+    shown = Console(unit).feed(b"spots\r").decode().split("\r\n")
     assert len(shown) == 4
 
 
 def test_why_there_is_no_self_check_is_told_to_its_end() -> None:
     unit = well()
     unit.self_check.unavailable = "the settings have no [lamps]: there are no frame LEDs to be switched"
-    shown = Console(lambda: MEASURED, unit, QUANTITIES).feed(b"selfcheck now\r").decode()
+    shown = Console(unit).feed(b"selfcheck now\r").decode()
     assert " ".join(shown.split()).endswith("no frame LEDs to be switched >")
 
 

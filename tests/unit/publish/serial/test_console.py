@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from support.measurements import changed
 from support.status_fixtures import checked
 
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import PROMPT, Console
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.health import State
 from tools.pages.example import AGE_S
-from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
+from tools.pages.serial_examples import MEASURED, SPOT_LOST, unit_that_shows
 
 from .conftest import answer, console, well
 
@@ -63,7 +62,7 @@ def test_measure_shows_numbers_with_units_and_sigma() -> None:
 
 
 def test_measure_and_status_show_what_sigma_is_now() -> None:
-    unit = Console(lambda: MEASURED, well(), QUANTITIES, lambda: AGE_S)
+    unit = Console(well(MEASURED, AGE_S))
     assert "10.012 mm  +/- 0.004, now 0.029" in unit.feed(b"measure\r").decode()
     sigmas = "sigma now    x 0.029 mm, y 0.015 mm, yaw 0.0020 deg, pitch 0.0016 deg\r\n"
     assert sigmas in unit.feed(b"status\r").decode()
@@ -71,10 +70,10 @@ def test_measure_and_status_show_what_sigma_is_now() -> None:
 
 def test_where_nobody_knows_what_sigma_is_now_status_says_so() -> None:
     unknown = replace(MEASURED, motions={})
-    unit = Console(lambda: unknown, well(), QUANTITIES, lambda: AGE_S)
+    unit = Console(well(unknown, AGE_S))
     assert "sigma now    not known: " in unit.feed(b"status\r").decode()
     assert "now" not in unit.feed(b"measure\r").decode()
-    lost = Console(lambda: SPOT_LOST, well(), QUANTITIES, lambda: AGE_S)
+    lost = Console(well(SPOT_LOST, AGE_S))
     assert "sigma" not in lost.feed(b"status\r").decode()
 
 
@@ -121,9 +120,9 @@ def test_ctrl_l_shows_the_line_anew_with_its_cursor() -> None:
 
 def test_no_line_is_wider_than_the_screen() -> None:
     crowd = tuple(Fault(reason, "front", "because of " + "something " * 20) for reason in Reason)
-    unit = Console(lambda: replace(SPOT_LOST, status=crowd), health(), QUANTITIES)
-    unit.health.component("a" * 60).set_state(State.DEGRADED, "very " * 60 + "x" * 200)
-    unit.health.facts = unit.health.facts.model_copy(update={"calibration": "long " * 40})
+    unit = Console(unit_that_shows(replace(SPOT_LOST, status=crowd)))
+    unit.unit.health.component("a" * 60).set_state(State.DEGRADED, "very " * 60 + "x" * 200)
+    unit.unit.facts = unit.unit.facts.model_copy(update={"calibration": "long " * 40})
     shown = unit.feed(b"status\rmeasure\rwatch\rq" + b"zzz " * 16 + b"\r").decode("ascii")
     assert max(map(len, shown.split("\r\n"))) < 80
     assert shown.count("\n") == shown.count("\r\n")
@@ -147,7 +146,7 @@ class TestSelfCheck:
     def test_shows_the_last_one_and_asks_for_another(self) -> None:
         unit, asked = well(), []
         unit.self_check.open(lambda: asked.append(True))
-        typed = Console(lambda: MEASURED, unit, QUANTITIES)
+        typed = Console(unit)
         assert b"no self-check since the unit started" in typed.feed(b"selfcheck\r")
         reason = "front: shift 1.20 px, " + "which is a great deal more than anybody allows " * 3
         time = datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC)
@@ -180,6 +179,6 @@ class TestSelfCheck:
     def test_noise_and_lines_without_end_ask_for_nothing(self, keys: bytes) -> None:
         unit = well()
         unit.self_check.open(lambda: pytest.fail("it was asked for"))
-        typed = Console(lambda: MEASURED, unit, QUANTITIES)
+        typed = Console(unit)
         typed.feed(keys)
         assert b"altd" in typed.feed(b"\x03\x03version\r")

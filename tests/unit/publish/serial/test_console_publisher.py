@@ -15,16 +15,17 @@ from altd.config import ConsolePortSettings
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.records import Measurement
 from altd.status.board import Board
-from altd.status.health import Component, Health, State
+from altd.status.health import Component, State
+from altd.status.unit import PublishedUnit
 
 
 class TestConsole:
     @pytest.fixture
     def publisher(
-        self, wire: Wire, board: Board, health: Health, component: Component, clock: FakeClock
+        self, wire: Wire, published: PublishedUnit, component: Component, clock: FakeClock
     ) -> ConsolePublisher:
         settings = ConsolePortSettings(device=wire.device, speaks="console")
-        return ConsolePublisher(settings, board, health, component, clock)
+        return ConsolePublisher(settings, published, component)
 
     async def test_a_session(
         self,

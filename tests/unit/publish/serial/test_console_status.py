@@ -5,23 +5,22 @@ from dataclasses import replace
 
 import pytest
 
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import MORE_PROMPT, Console
 from altd.reasons import Reason
 from altd.records import Fault, FaultCause
 from altd.status.health import MEASURING, CameraTrouble, State
-from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
+from tools.pages.serial_examples import MEASURED, SPOT_LOST, unit_that_shows
 
 from .conftest import answer, well
 
 
 def test_status_says_what_is_wrong_and_what_to_do() -> None:
-    unit = Console(lambda: SPOT_LOST, health(), QUANTITIES)
-    unit.health.component("camera rear").set_state(
+    unit = Console(unit_that_shows(SPOT_LOST))
+    unit.unit.health.component("camera rear").set_state(
         State.FAILED, "not found: /dev/video2; trying again", CameraTrouble.NOT_FOUND
     )
-    unit.health.component("camera rear").count("frames", 12)
-    unit.health.component("serial /dev/ttyS1").set_state(
+    unit.unit.health.component("camera rear").count("frames", 12)
+    unit.unit.health.component("serial /dev/ttyS1").set_state(
         State.FAILED, "there is no such port now; next try in 0.4 s"
     )
     text = unit.feed(b"status\r").decode().replace("\r\n", "\n")
@@ -39,9 +38,9 @@ def test_status_says_what_is_wrong_and_what_to_do() -> None:
 
 def test_neither_raw_codes_nor_healthy_spots_stand_under_what_is_wrong() -> None:
     half = replace(SPOT_LOST, status=SPOT_LOST.status[1:])
-    unit = Console(lambda: half, health(), QUANTITIES)
+    unit = Console(unit_that_shows(half))
     seen = "front: spot at u 345.5 v 236.8 px, diameter 41 px, peak 175 counts; rear: spot_missing, dark"
-    unit.health.component(MEASURING).set_state(State.DEGRADED, seen)
+    unit.unit.health.component(MEASURING).set_state(State.DEGRADED, seen)
     text = unit.feed(b"status\r").decode()
     assert "causes and remedies" in text
     assert not re.search(r"[a-z]_[a-z]|345\.5", text)
@@ -54,8 +53,8 @@ def test_status_says_that_nothing_is_wrong() -> None:
 
 def test_status_all_leaves_out_what_is_not_known() -> None:
     unit = well()
-    unit.component("camera rear").observe({"level": None})
-    lines = Console(lambda: MEASURED, unit, QUANTITIES).feed(b"status all\r").decode().split("\r\n")
+    unit.health.component("camera rear").observe({"level": None})
+    lines = Console(unit).feed(b"status all\r").decode().split("\r\n")
     assert lines[lines.index(next(line for line in lines if line.startswith("camera rear"))) + 1] == (
         "    exposure_control auto, exposure_ms 2.0, frames 147600"
     )
@@ -63,10 +62,10 @@ def test_status_all_leaves_out_what_is_not_known() -> None:
 
 def test_status_of_an_ordinary_unit_fits_a_screen_of_24_lines() -> None:
     """All of its parts, both targets dark: nothing scrolls away."""
-    unit = health()
+    unit = unit_that_shows(SPOT_LOST)
     for name in ("lamps", "indicators", "modbus_tcp 0.0.0.0:502"):
-        unit.component(name).set_state(State.OK)
-    shown = Console(lambda: SPOT_LOST, unit, QUANTITIES).feed(b"status\r").decode()
+        unit.health.component(name).set_state(State.OK)
+    shown = Console(unit).feed(b"status\r").decode()
     assert shown.endswith("\r\n> ")
     assert shown.removeprefix("status\r\n").count("\r\n") < 24
 
@@ -75,15 +74,13 @@ def test_a_fault_of_one_target_names_it_and_two_faults_of_one_kind_are_one_step(
     lit = Fault(
         Reason.AMBIGUOUS, "front", "the frame LEDs are lit, 6 of 6 shine at their places", FaultCause.LEDS_LIT
     )
-    unit = Console(
-        lambda: replace(SPOT_LOST, status=(lit, replace(lit, target="rear"))), health(), QUANTITIES
-    )
+    unit = Console(unit_that_shows(replace(SPOT_LOST, status=(lit, replace(lit, target="rear")))))
     told = " ".join(unit.feed(b"status\r").decode().split())
     assert (
         told.count("- front and rear targets: the frame LEDs are lit (6 of 6 shine at their places): ") == 1
     )
     other = replace(lit, target="rear", detail="the frame LEDs are lit, 3 of 6 shine at their places")
-    unit = Console(lambda: replace(SPOT_LOST, status=(lit, other)), health(), QUANTITIES)
+    unit = Console(unit_that_shows(replace(SPOT_LOST, status=(lit, other))))
     told = " ".join(unit.feed(b"status\r").decode().split())
     assert "- front target: the frame LEDs are lit (6 of 6" in told
     assert "- rear target: the frame LEDs are lit (3 of 6" in told
@@ -96,10 +93,10 @@ def test_status_takes_no_other_word() -> None:
 class TestPages:
     @pytest.fixture
     def crowded(self) -> Console:
-        unit = health()
+        unit = unit_that_shows(MEASURED)
         for number in range(60):
-            unit.component(f"serial /dev/ttyS{number:02}").set_state(State.OK)
-        return Console(lambda: MEASURED, unit, QUANTITIES)
+            unit.health.component(f"serial /dev/ttyS{number:02}").set_state(State.OK)
+        return Console(unit)
 
     def test_no_page_is_longer_than_a_screen_and_none_is_left_out(self, crowded: Console) -> None:
         pages = [crowded.feed(b"status\r").removeprefix(b"status\r\n")]

@@ -17,9 +17,9 @@ from support.serving import serving
 from altd.config import ConsolePortSettings
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.records import Measurement
-from altd.runtime.clock import SystemClock
 from altd.status.board import Board
-from altd.status.health import Component, Health
+from altd.status.health import Component
+from altd.status.unit import PublishedUnit
 from hw_sim.demo_lines import Line
 
 
@@ -72,14 +72,14 @@ class Picocom:
 
 
 async def test_a_technician_at_a_real_terminal(
-    board: Board, health: Health, component: Component, measured: Measurement
+    board: Board, published: PublishedUnit, component: Component, measured: Measurement
 ) -> None:
     """The keys as xterm sends them, through picocom; the system's clock tells an escape from a key."""
     board.publish(replace(measured, t_ns=time.monotonic_ns()))
     with Line() as line:
         forwarding = asyncio.create_task(line.forward())
         settings = ConsolePortSettings.model_validate({"device": line.unit_end, "speaks": "console"})
-        publisher = ConsolePublisher(settings, board, health, component, SystemClock())
+        publisher = ConsolePublisher(settings, published, component)
         async with serving(publisher):
             with Picocom(line.far_end) as terminal:
                 await terminal.await_prompt()

@@ -2,9 +2,8 @@
 
 import pytest
 
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import PROMPT, Console
-from tools.pages.serial_examples import SPOT_LOST, health
+from tools.pages.serial_examples import SPOT_LOST, unit_that_shows
 
 from .conftest import answer, console
 
@@ -63,7 +62,7 @@ class TestWatch:
             assert unit.feed(enter) == PROMPT
 
     def test_an_invalid_line_has_its_reasons_and_no_number(self) -> None:
-        assert Console(lambda: SPOT_LOST, health(), QUANTITIES).feed(b"watch\r").splitlines()[-1] == (
+        assert Console(unit_that_shows(SPOT_LOST)).feed(b"watch\r").splitlines()[-1] == (
             b"08:15:31.125  NOT VALID: front_spot_missing rear_spot_missing"
         )
 

@@ -15,10 +15,9 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import Console
 from altd.publish.serial.parts_text import SHOWN_EVENTS, Past, history_text
 from altd.publish.serial.publisher import ConsolePublisher
-from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Health
-from tools.pages.serial_examples import MEASURED
+from altd.status.unit import PublishedUnit
 
 from .conftest import answer, well
 
@@ -78,10 +77,10 @@ async def test_what_cannot_be_read_is_said(past: Past, tmp_path: Path) -> None:
 
 
 async def test_it_comes_over_the_wire_and_what_is_typed_meanwhile_waits(
-    wire: Wire, board: Board, clock: FakeClock, health: Health, past: Past
+    wire: Wire, published: PublishedUnit, clock: FakeClock, health: Health, past: Past
 ) -> None:
     settings = ConsolePortSettings(device=wire.device, speaks="console")
-    publisher = ConsolePublisher(settings, board, health, health.component("serial"), clock, past)
+    publisher = ConsolePublisher(settings, published, health.component("serial"), past)
     async with serving(publisher):
         wire.send(b"history\rversion\r")
         shown = await wire.receive(lambda shown: shown.endswith(b"unit ALT-0007\r\n> "))
@@ -91,7 +90,7 @@ async def test_it_comes_over_the_wire_and_what_is_typed_meanwhile_waits(
 
 
 def test_the_log_has_the_newest_events_first(clock: FakeClock, events: EventLog, past: Past) -> None:
-    typed = Console(lambda: MEASURED, well(), QUANTITIES, past=past)
+    typed = Console(well(), past)
     assert b"nothing has happened so far" in typed.feed(b"log\r")
     for number in range(30):
         clock.now_ns += 20_000_000_000

@@ -12,6 +12,7 @@ from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.health import Health, State
 from altd.status.state import UnitState
+from altd.status.unit import PublishedUnit
 
 
 class Told:
@@ -23,16 +24,16 @@ class Told:
         self.health = Health(self.clock)
         self.causes: list[Cause] = []
         state = UnitState(self.board, self.health, self.clock, [lambda now_ns: self.causes])
-        self.health.state = state.read
+        self.published = PublishedUnit(self.board, self.health, state=state.read)
 
     def measure(self, seconds: int, *reasons: Reason) -> None:
         for _ in range(2 * seconds):
             self.clock.now_ns += 500_000_000
             self.board.publish(measurement(1, self.clock.now_ns, *reasons))
-            self.health.state()
+            self.published.state()
 
     def text(self, *, whole: bool = False) -> str:
-        return status_text(self.board.read(), self.health, whole=whole)
+        return status_text(self.published.view(), whole=whole)
 
     def words(self, *, whole: bool = False) -> str:
         """Without its line breaks."""

@@ -2,10 +2,9 @@
 
 import pytest
 
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import Console
 from tools.pages.example import MEASURED
-from tools.pages.serial_examples import health
+from tools.pages.serial_examples import unit_that_shows
 
 WRONG = b"wrong baud rate or parity"
 
@@ -43,7 +42,7 @@ def heard(levels: list[tuple[float, int]], baud: int) -> bytes:
 
 
 def answer(keys: bytes) -> bytes:
-    console = Console(lambda: MEASURED, health(), QUANTITIES)
+    console = Console(unit_that_shows(MEASURED))
     return console.feed(keys) + console.rest()
 
 

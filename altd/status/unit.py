@@ -1,0 +1,160 @@
+"""The unit as its interfaces know it: views of one instant, and the services that answer requests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+
+from altd.records import Measurement, Quantities
+from altd.status.answer import Answer
+from altd.status.board import Board
+from altd.status.calibration_summary import CalibrationFigures, CalibrationIdentity
+from altd.status.cause import ShownCause, StateReport
+from altd.status.health import ComponentReport, Health
+from altd.status.proof import Identity, Stamp
+from altd.status.services import (
+    CalibrationFiles,
+    PictureService,
+    RecordingService,
+    SelfCheckReport,
+    SelfCheckService,
+)
+from altd.status.target_area import TargetArea
+from altd.status.zero import Zero, ZeroState
+
+
+class UnitFacts(Answer):
+    """Constants of a unit; empty: not known."""
+
+    version: str = ""
+    serial: str = ""
+    unit_number: str = ""
+    """CRC-32 of the serial number, as `unit` in every message."""
+    spot_fit: str = ""
+    """Spot fit in use: `compiled`, or `numpy` and the reason; numpy finds the same and takes more CPU."""
+    calibration: str = ""
+    config_sha256: str = ""
+    """SHA-256 of the config file as the daemon read it."""
+
+    @property
+    def known(self) -> dict[str, str]:
+        """Known facts by name."""
+        return self.model_dump(exclude_defaults=True)
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticPart:
+    """One file of the diagnostics; ``meaning`` describes it in a few words.
+
+    ``make`` returns its content and runs in a thread; an exception in it loses only this part.
+    """
+
+    name: str
+    meaning: str
+    make: Callable[[], bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitView:
+    """The unit at one instant: what interfaces show, and all that they show."""
+
+    now_ns: int
+    utc: datetime | None
+    """Time of day of ``now_ns``; None: not known."""
+    running_ns: int
+    """Time since the daemon started."""
+    identity: Identity
+    facts: UnitFacts
+    quantities: Quantities
+    """Quantities of the measurements; known before the first one."""
+    measurement: Measurement | None
+    """The current measurement; None: no measurement has been made yet."""
+    age_s: float | None
+    """Time since the middle of the exposures of the latest measurement; None before the first."""
+    published: int
+    """Number of measurements published so far."""
+    state: StateReport | None
+    """State of the unit; None: it is not determined."""
+    components: tuple[ComponentReport, ...]
+    """Components in the order in which they started."""
+    targets: tuple[TargetArea, ...]
+    """Targets in beam order."""
+    calibration: CalibrationFigures | None
+    self_check: SelfCheckReport | None
+    """The last self-check; None: there was none since the start."""
+    no_self_check: str
+    """Reason why the unit cannot check itself; empty: it can."""
+    zero: ZeroState
+    stamp: Stamp | None
+    """Stamp of the message that shows this view; None: it has none."""
+
+    def component(self, name: str) -> ComponentReport | None:
+        """Return the report of a component; None: there is no such component."""
+        return next((component for component in self.components if component.name == name), None)
+
+    @property
+    def causes(self) -> tuple[ShownCause, ...]:
+        """Causes of the unit's state, the worst first."""
+        return () if self.state is None else self.state.causes
+
+    @property
+    def calibration_identity(self) -> CalibrationIdentity:
+        """Identity of the loaded calibration."""
+        if self.calibration is None:
+            return CalibrationIdentity(created=None, checksum=None, simulated=None)
+        return self.calibration.identity
+
+
+class PublishedUnit:
+    """A unit with its interfaces. ``state`` returns its present state; None: it is not determined.
+
+    ``calibration`` and ``calibration_files`` are None until a calibration is loaded.
+    """
+
+    def __init__(
+        self,
+        board: Board,
+        health: Health,
+        facts: UnitFacts = UnitFacts(),  # noqa: B008  frozen
+        targets: tuple[TargetArea, ...] = (),
+        state: Callable[[], StateReport | None] = lambda: None,
+    ) -> None:
+        self.board = board
+        self.health = health
+        self.facts = facts
+        self.targets = targets
+        self.state = state
+        self.clock = health.clock
+        self.events = health.events
+        self.calibration: CalibrationFigures | None = None
+        self.calibration_files: CalibrationFiles | None = None
+        self.self_check = SelfCheckService(self.events)
+        self.zero = Zero(self.events)
+        self.recordings = RecordingService("this unit keeps no frames")
+        self.pictures = PictureService("this unit shows no pictures")
+        self.diagnostics: tuple[DiagnosticPart, ...] = ()
+        """Contents of the diagnostics beyond what every interface shows."""
+
+    def view(self, stamp: Stamp | None = None) -> UnitView:
+        """Return the unit at this moment, for a message with this stamp."""
+        now_ns, board = self.clock.monotonic_ns(), self.board
+        return UnitView(
+            now_ns=now_ns,
+            utc=self.clock.utc(now_ns),
+            running_ns=board.running_ns(),
+            identity=board.identity,
+            facts=self.facts,
+            quantities=board.quantities,
+            measurement=board.read(),
+            age_s=board.age_s(),
+            published=board.published,
+            state=self.state(),
+            components=tuple(component.report() for component in self.health),
+            targets=self.targets,
+            calibration=self.calibration,
+            self_check=self.self_check.latest,
+            no_self_check=self.self_check.unavailable,
+            zero=self.zero.state,
+            stamp=stamp,
+        )
