@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from altd.cli.arguments import Parser
 from altd.process.endings import run_to_end
 from hw_sim import demo, flat, measure, planar, planar_demo, plate, scan
-from hw_sim.chain import command as chain
-from hw_sim.chain import demo as chain_demo
 from hw_sim.gige import command as gige
+from hw_sim.row import command as row
+from hw_sim.row import demo as row_demo
 
 COMMANDS = {
     "scan": (scan, "record a calibration scan of a simulated unit"),
@@ -19,8 +19,8 @@ COMMANDS = {
     "measure": (measure, "record poses of the beam, and write their truth"),
     "planar": (planar_demo, "run the daemon on a plate that a machine moves; show values and truth"),
     "planar-recording": (planar, "record a plate with LEDs that moves in its plane"),
-    "chain-demo": (chain_demo, "run the daemon on a row of glass targets; show values and truth"),
-    "chain": (chain, "record a row of switched glass targets: scans, rounds, settings"),
+    "chain-demo": (row_demo, "run the daemon on a row of glass targets; show values and truth"),
+    "chain": (row, "record a row of switched glass targets: scans, rounds, settings"),
 }
 """Modules of the commands; each has ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 

@@ -11,7 +11,6 @@ import numpy as np
 from altd.records import Frame, PixelArray
 from hw_sim.assembly import FIELD_HALF_MM, FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint, glass_shift_mm
-from hw_sim.chain.glass import Glass, GlassConfig
 from hw_sim.displacement import Displacement
 from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, make_dust
 from hw_sim.faults import (
@@ -30,6 +29,7 @@ from hw_sim.hardness import Hardness
 from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, make_path, make_vibration
+from hw_sim.row.glass import Glass, GlassConfig
 from hw_sim.sensor import NoisePool, Sensor
 from hw_sim.targets import WINDOW_TRANSMISSION, DotPattern
 from hw_sim.view import make_view

@@ -7,14 +7,14 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from altd.app.chain_replay import ChainReplay
+from altd.app.row_replay import RowReplay
 from altd.calibration.calibrating import calibrate
-from altd.config import ChainSettings
+from altd.config import RowSettings
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from hw_sim.beam import BeamPose
-from hw_sim.chain.record import SETTLE_S, record_rounds, record_scans
-from hw_sim.chain.row import FPS, Row, RowConfig
+from hw_sim.row.record import SETTLE_S, record_rounds, record_scans
+from hw_sim.row.row import FPS, Row, RowConfig
 from studies.plot import OURS, THESIS, panels
 from studies.result import Column, Progress, Result
 from studies.result import Row as Line
@@ -124,13 +124,13 @@ def _calibration(config: RowConfig) -> Calibration:
 
 def _measured(case: _Case, calibration: Calibration) -> tuple[float, float]:
     """Rms of the errors and of the sigmas of the displacements, mm."""
-    settings = ChainSettings(stable=case.stable, baseline_rounds=BASELINE, exposures=EXPOSURES)
+    settings = RowSettings(stable=case.stable, baseline_rounds=BASELINE, exposures=EXPOSURES)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rounds"
         row = Row(_config(case))
         record_rounds(path, row, ROUNDS, EXPOSURES, own_only=True)
         names = {name: name for name in row.config.names}
-        replay = ChainReplay(open_recording(path), calibration, settings, names)
+        replay = RowReplay(open_recording(path), calibration, settings, names)
         objects = [replay.as_object(measurement) for measurement in replay.measurements()]
     monitored = [
         target

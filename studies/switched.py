@@ -11,16 +11,16 @@ import numpy as np
 from altd.calibration.calibrating import calibrate
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
-from altd.instruments.chain.switched_window import SwitchedWindow
+from altd.instruments.row.switched_window import SwitchedWindow
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import open_recording
 from altd.records import FloatArray, Frame, Measurement
 from hw_sim.beam import BeamPose
-from hw_sim.chain.front_glass import switched_frames
-from hw_sim.chain.glass import GlassConfig
 from hw_sim.measure import random_poses
 from hw_sim.motion import Vibration
+from hw_sim.row.front_glass import switched_frames
+from hw_sim.row.glass import GlassConfig
 from hw_sim.scan import STAGE_STREAM, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
@@ -174,7 +174,7 @@ visit has five exposures or more.
 
 Vibration moves front and rear spot between their visits. Its lines in this study are above 12 Hz. A rocking
 of 0.3 to 0.7 Hz, whose period is that of the visits, gives errors of up to 1.9 sigma rms
-(`tests/unit/instruments/chain/test_switched_window.py`); with visits in a fixed order it would be 16 sigma.
+(`tests/unit/instruments/row/test_switched_window.py`); with visits in a fixed order it would be 16 sigma.
 """,
         figure=figure,
         caption="Errors of yaw and pitch of two cameras and of a switched front target",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from altd.acquisition.lamps.controller import LampController
 from altd.acquisition.self_check.frames import MARGIN_NS
-from altd.config import AnySwitchesSettings, ChainSettings, Config, software_triggered
+from altd.config import AnySwitchesSettings, Config, RowSettings, software_triggered
 from altd.ports import Clock, LampsError
 from altd.records import Frame
 
@@ -76,7 +76,7 @@ class GlassCycle:
     marks: OpaqueMarks
     clock: Clock
     targets: Sequence[str]
-    settings: ChainSettings | AnySwitchesSettings
+    settings: RowSettings | AnySwitchesSettings
     fps: float
     chance: Callable[[], float] = random.random
     is_shuffled: bool = False
@@ -122,10 +122,10 @@ def _spare_frames(config: Config) -> int:
     return 3 if software_triggered(config.cameras) else 1
 
 
-def _visits(config: Config) -> ChainSettings | AnySwitchesSettings:
+def _visits(config: Config) -> RowSettings | AnySwitchesSettings:
     """Return the settings of the visits: [chain] of a row, [switches] of a beam."""
     is_beam = config.unit.instrument == "beam"
-    return config.switches if is_beam and config.switches else config.chain or ChainSettings()
+    return config.switches if is_beam and config.switches else config.chain or RowSettings()
 
 
 def round_s(config: Config, fps: float) -> tuple[float, float]:

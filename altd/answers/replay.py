@@ -13,9 +13,9 @@ from typing import Any
 
 from altd import __version__
 from altd.answers.history import Drawn, History
-from altd.app.chain_replay import ChainReplay, open_chain_replay
 from altd.app.planar_replay import PlanarReplay, planar_replay_of
 from altd.app.replay import Replay, replay_of
+from altd.app.row_replay import RowReplay, open_row_replay
 from altd.app.settings import load_settings
 from altd.errors import BadInputError
 from altd.files.documents import line_of
@@ -73,7 +73,7 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
         warn(_summary(count, differences_mm))
 
 
-AnyReplay = Replay | PlanarReplay | ChainReplay
+AnyReplay = Replay | PlanarReplay | RowReplay
 
 
 def _open(question: Question) -> AnyReplay:
@@ -86,7 +86,7 @@ def _open(question: Question) -> AnyReplay:
     if is_row if config is None else config.unit.instrument == "chain":
         if question.plot is not None:
             raise BadInputError("--plot", "the places of a row are not drawn; possible: --format csv")
-        return open_chain_replay(recording, question.calibration, config, question.config)
+        return open_row_replay(recording, question.calibration, config, question.config)
     return replay_of(recording, question.calibration, question.window, question.every)
 
 

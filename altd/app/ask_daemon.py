@@ -21,8 +21,8 @@ from altd.config.table import NAME_PATTERN
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
-from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import quantities_of
 from altd.local_socket import MAX_ANSWER_BYTES, NoAnswerError, ask
 from altd.publish.http.clients import SELF_CHECK_WAIT_S
 from altd.publish.http.guard import REQUEST_HEADER

@@ -14,14 +14,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.app.settings import service_folder
-from altd.config import ChainSettings, Config
+from altd.config import Config, RowSettings
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of, line_of, parse_json
 from altd.files.reading import read_file
 from altd.files.writing import write_file
-from altd.instruments.chain.displacement import BaselineMeans
-from altd.instruments.chain.frames import RowChain
-from altd.instruments.chain.places import Place
+from altd.instruments.row.displacement import BaselineMeans
+from altd.instruments.row.frames import RowChain
+from altd.instruments.row.places import Place
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import FloatArray, utc_text
@@ -71,7 +71,7 @@ class BaselineFile:
 
     path: Path
     calibration: Calibration
-    settings: ChainSettings
+    settings: RowSettings
 
     def load(self) -> BaselineMeans | None:
         """Read the file; None: no file yet. Raises BadInputError if it is damaged or of another row."""
@@ -139,7 +139,7 @@ class BaselineFile:
 
 def baseline_file(config: Config, calibration: Calibration) -> BaselineFile | None:
     """Return the baseline file of a config; None: the config names none."""
-    settings = config.chain or ChainSettings()
+    settings = config.chain or RowSettings()
     return None if settings.baseline is None else BaselineFile(settings.baseline, calibration, settings)
 
 
@@ -154,7 +154,7 @@ def with_baseline_kept(config: Config, place: Path) -> Config:
 
     Raises BadInputError if there is neither: a restart would reset the baseline to zero.
     """
-    settings, folder = config.chain or ChainSettings(), state_folder()
+    settings, folder = config.chain or RowSettings(), state_folder()
     if settings.baseline is None and folder is None:
         why = "missing, and there is no service folder: a restart would reset the baseline to zero"
         raise BadInputError(place, f"chain.baseline: {why}; possible: a file")

@@ -14,13 +14,13 @@ from altd.app.baseline import baseline_file
 from altd.app.calibration_summary import planar_summary_of, summary_of, target_areas_of
 from altd.app.parts import AnyCalibration
 from altd.app.self_check import fps_of
-from altd.config import AnyCameraSettings, ChainSettings, Config, LiveCameraSettings
+from altd.config import AnyCameraSettings, Config, LiveCameraSettings, RowSettings
 from altd.instruments.beam.instrument import BeamInstrument
-from altd.instruments.chain.frames import RowChain
-from altd.instruments.chain.measurement import quantities_of
-from altd.instruments.chain.switched_window import SwitchedWindow
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
+from altd.instruments.row.frames import RowChain
+from altd.instruments.row.measurement import quantities_of
+from altd.instruments.row.switched_window import SwitchedWindow
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.frame_chain import FrameChain, Provenance
@@ -114,7 +114,7 @@ def _beam(
 
 def _row(config: Config, calibration: Calibration) -> _Parts:
     """Return the parts for a row; raises BadInputError for a stored baseline that does not match."""
-    settings = config.chain or ChainSettings()
+    settings = config.chain or RowSettings()
     file = baseline_file(config, calibration)
     means = None if file is None else file.load()
     longest_s = round_s(config, fps_of(config))[1]

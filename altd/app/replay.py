@@ -14,7 +14,7 @@ from altd.calibration.scan_nodes import node_key
 from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
-from altd.instruments.chain.switched_window import SwitchedWindow
+from altd.instruments.row.switched_window import SwitchedWindow
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.frame_chain import Place, Provenance

@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.app.baseline import BaselineFile, baseline_path
-from altd.app.chain_replay import open_chain_replay
+from altd.app.row_replay import open_row_replay
 from altd.app.settings import service_folder
 from altd.calibration.file import load_calibration
-from altd.config import ChainSettings, Config, RecordingCameraSettings
+from altd.config import Config, RecordingCameraSettings, RowSettings
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
 from altd.records import counted
@@ -31,7 +31,7 @@ def store_baseline(
     """
     if config.unit.instrument != "chain":
         raise BadInputError(place, f'unit.instrument: "{config.unit.instrument}" has no baseline')
-    settings = config.chain or ChainSettings()
+    settings = config.chain or RowSettings()
     calibration = load_calibration(config.unit.calibration, config.unit.serial)
     path = baseline_path(config, service_folder(place))
     file = BaselineFile(path, calibration, settings)
@@ -41,7 +41,7 @@ def store_baseline(
     means = None
     if recording_path is not None:
         recording = open_recording(recording_path)
-        replay = open_chain_replay(recording, config.unit.calibration, config, place, is_fresh=True)
+        replay = open_row_replay(recording, config.unit.calibration, config, place, is_fresh=True)
         means = replay.baseline(progress)
         if means is None:
             wanted = counted(settings.baseline_rounds, "round")

@@ -62,18 +62,19 @@ def run(options: argparse.Namespace) -> int:
 
 def _powers_suffice(config: Config) -> bool:
     """Print the power on each target of a row; return whether it suffices for all."""
-    from altd.config import ChainSettings
-    from altd.instruments.chain.budget import powers_mw
+    from altd.config import RowSettings
+    from altd.instruments.row.budget import powers_mw
 
-    chain = config.chain or ChainSettings()
-    powers = powers_mw(chain, len(config.targets))
+    settings = config.chain or RowSettings()
+    powers = powers_mw(settings, len(config.targets))
     for number, (target, power_mw) in enumerate(zip(config.targets, powers, strict=True)):
         print_lines(
-            f"{target.name}: {power_mw:.4f} mW, {chain.transmission:g}^{number} of {chain.laser_mw:g} mW"
+            f"{target.name}: {power_mw:.4f} mW,"
+            f" {settings.transmission:g}^{number} of {settings.laser_mw:g} mW"
         )
-    weak = [target.name for target, mw in zip(config.targets, powers, strict=True) if mw < chain.min_mw]
+    weak = [target.name for target, mw in zip(config.targets, powers, strict=True) if mw < settings.min_mw]
     if weak:
         print_errors(
-            f"altd check-config: {', '.join(weak)}: less than chain.min_mw, {chain.min_mw:g} mW: too dim"
+            f"altd check-config: {', '.join(weak)}: less than chain.min_mw, {settings.min_mw:g} mW: too dim"
         )
     return not weak

@@ -44,7 +44,7 @@ from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.loading import load_config
 from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Table
-from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
+from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
 from altd.config.whole import Config
 
 __all__ = [
@@ -55,7 +55,6 @@ __all__ = [
     "AravisCameraSettings",
     "CameraLampsSettings",
     "CameraSwitchesSettings",
-    "ChainSettings",
     "Config",
     "ConsolePortSettings",
     "ExposureSettings",
@@ -79,6 +78,7 @@ __all__ = [
     "OpcUaSettings",
     "Plate",
     "RecordingCameraSettings",
+    "RowSettings",
     "Rs485Settings",
     "Scan",
     "ScanLimits",

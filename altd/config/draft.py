@@ -28,7 +28,7 @@ from altd.config.interfaces import (
 from altd.config.keeping import HistorySettings
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
-from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
+from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
 from altd.config.whole import Config
 
 _TABLES = (
@@ -42,7 +42,7 @@ class Draft:
     """Tables of a config that rules check. None: missing, or faulty."""
 
     unit: Unit | None
-    chain: ChainSettings | None
+    chain: RowSettings | None
     plate: Plate | None
     targets: tuple[Target | None, ...]
     cameras: Mapping[str, AnyCameraSettings | None]
@@ -67,14 +67,14 @@ class Draft:
         return self.unit is not None and self.unit.instrument == "planar"
 
     @property
-    def is_chain(self) -> bool:
+    def is_row(self) -> bool:
         """Whether the unit is a row of switched targets."""
         return self.unit is not None and self.unit.instrument == "chain"
 
     @property
     def switched(self) -> tuple[Target, ...]:
         """Valid targets with a switched glass."""
-        return tuple(target for target in self.targets if target and (target.switched or self.is_chain))
+        return tuple(target for target in self.targets if target and (target.switched or self.is_row))
 
     def live(self) -> dict[str, LiveCameraSettings]:
         """Return the live cameras that are opened, by name."""

@@ -14,7 +14,7 @@ from altd.config.wording import Fault
 from altd.errors import did_you_mean
 from altd.records import counted
 
-_MAX_CHAIN_TARGETS = 16
+_MAX_ROW_TARGETS = 16
 _KIND: Keys = ("unit", "instrument")
 
 
@@ -32,16 +32,16 @@ def beam(draft: Draft) -> Iterator[Fault]:
         yield Fault(("targets", len(draft.targets) - 1, "switched"), text)
 
 
-def chain(draft: Draft) -> Iterator[Fault]:
+def row(draft: Draft) -> Iterator[Fault]:
     """Check that a row has at most 16 targets, only existing stable ones, and a switch for each glass."""
-    if not draft.is_chain:
+    if not draft.is_row:
         if draft.unit is not None and draft.chain is not None:
             text = 'is for instrument = "chain"; possible: with it, or no table'
             yield Fault(("chain",), text, "key", about=(_KIND,))
         return
-    if len(draft.targets) > _MAX_CHAIN_TARGETS:
-        text = f"{len(draft.targets)} targets are too many for a chain; possible: up to {_MAX_CHAIN_TARGETS}"
-        yield Fault(("targets", _MAX_CHAIN_TARGETS), text, "key", about=(_KIND,))
+    if len(draft.targets) > _MAX_ROW_TARGETS:
+        text = f"{len(draft.targets)} targets are too many for a row; possible: up to {_MAX_ROW_TARGETS}"
+        yield Fault(("targets", _MAX_ROW_TARGETS), text, "key", about=(_KIND,))
     names = [target.name for target in draft.targets if target is not None]
     stable = () if draft.chain is None else draft.chain.stable
     for number, name in enumerate(stable):
@@ -75,7 +75,7 @@ def _switches(draft: Draft) -> Iterator[Fault]:
     if isinstance(switches, CameraSwitchesSettings):
         yield from _outputs(draft, switches.line, {target.camera for target in switched})
     elif isinstance(switches, GpiodSwitchesSettings) and len(switches.lines) != len(switched):
-        targets = counted(len(switched), "target" if draft.is_chain else "switched target")
+        targets = counted(len(switched), "target" if draft.is_row else "switched target")
         text = f"{counted(len(switches.lines), 'line')} for {targets}; possible: one for each"
         yield Fault(("switches", "lines"), text, about=(("targets",),))
 

@@ -19,7 +19,7 @@ from altd.config.devices import (
     GpiodSwitchesSettings,
 )
 from altd.config.draft import Draft
-from altd.config.instrument_rules import beam, chain, planar
+from altd.config.instrument_rules import beam, planar, row
 from altd.config.measuring import HwmonThermometerSettings
 from altd.config.places import Keys
 from altd.config.table import shown
@@ -334,7 +334,7 @@ def _celsius(settings: HwmonThermometerSettings | AravisCameraSettings, table: K
 
 RULES: tuple[Rule, ...] = (
     beam,
-    chain,
+    row,
     planar,
     _targets,
     _cameras,

@@ -30,7 +30,7 @@ class Unit(Table):
     camera before a plate with LEDs (`planar.md`)."""
 
 
-class ChainSettings(Table):
+class RowSettings(Table):
     """A row of switched glass targets on one beam, with `instrument = "chain"`."""
 
     stable: Annotated[tuple[Name, ...], Field(max_length=16)] = ()

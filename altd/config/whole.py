@@ -24,7 +24,7 @@ from altd.config.interfaces import (
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Name, Table
-from altd.config.unit import ChainSettings, Installation, Plate, Target, Unit
+from altd.config.unit import Installation, Plate, RowSettings, Target, Unit
 
 
 class Config(Table):
@@ -35,7 +35,7 @@ class Config(Table):
     cameras: dict[Name, AnyCameraSettings] = Field(default={})
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
-    chain: ChainSettings | None = None
+    chain: RowSettings | None = None
     plate: Plate | None = None
     modbus_tcp: ModbusTcpSettings | None = None
     http: HttpSettings | None = None

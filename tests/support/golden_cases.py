@@ -13,8 +13,8 @@ from altd.history.records import About, Batch, Sample, StateSample
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam
-from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import quantities_of
 from altd.measuring.instrument import NO_SOLUTION, Solution
 from altd.publish.serial.parts_text import Past
 from altd.reasons import Reason, Scope, Signal

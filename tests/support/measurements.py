@@ -8,7 +8,7 @@ from typing import Any
 from altd.config import Installation, Measuring
 from altd.instruments.beam.instrument import QUANTITIES, BeamInstrument, values_of
 from altd.instruments.beam.solver import Beam
-from altd.instruments.chain.measurement import quantities_of
+from altd.instruments.row.measurement import quantities_of
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.frame_chain import Provenance

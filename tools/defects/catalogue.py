@@ -97,8 +97,8 @@ DEFECTS = (
         "        temporary.replace(path)\n    except BaseException:\n",
     ),
     Defect(
-        "the variance of a chain's baseline is left out",
-        "altd/instruments/chain/displacement.py",
+        "the variance of a row's baseline is left out",
+        "altd/instruments/row/displacement.py",
         "return Displacement(epoch.place.t_ns, mm, random + baseline + lasting, random, lasting)",
         "return Displacement(epoch.place.t_ns, mm, random + lasting, random, lasting)",
     ),

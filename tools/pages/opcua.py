@@ -2,8 +2,8 @@
 
 from altd.config import Installation
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import quantities_of
 from altd.publish.opcua import server, sessions
 from altd.publish.opcua.history import MAX_VALUES
 from altd.publish.opcua.live import LINK_TIMEOUT_S

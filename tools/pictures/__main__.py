@@ -71,7 +71,7 @@ def _take_planar_page(folder: Path) -> None:
         screenshot(_address(demo), folder / "planar-page.png", 640, 900, after_s=6.0)
 
 
-def _take_chain_page(folder: Path) -> None:
+def _take_row_page(folder: Path) -> None:
     with terminal(f"{sys.executable} -m hw_sim chain-demo", 2 * _COLUMNS, _ROWS) as demo:
         demo.await_text("alarm_displacement", timeout_s=120.0)
         screenshot(_address(demo), folder / "chain-page.png", 900, 1300, after_s=4.0)
@@ -131,7 +131,7 @@ def _run(command: Sequence[str | Path]) -> None:
 _TAKEN: dict[tuple[str, ...], tuple[Callable[[Path], None], float]] = {
     ("planar.png",): (lambda folder: draw_planar(folder / "planar.png"), _DRAWN),
     ("planar-page.png",): (_take_planar_page, _LIVE),
-    ("chain-page.png",): (_take_chain_page, _ANY),
+    ("chain-page.png",): (_take_row_page, _ANY),
     ("demo.svg", "page.png"): (_take_demo, _LIVE),
     ("report.png",): (_take_report, _DRAWN),
     ("page-fault.png",): (partial(_take_in_test, "ten_faults"), _LIVE),

@@ -10,8 +10,8 @@ from typing import Any
 
 from altd.config import HttpSettings
 from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
-from altd.instruments.chain.measurement import MEASURED
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import MEASURED
 from altd.publish.mqtt.messages import OFFLINE, ONLINE, Topics
 from altd.reasons import NOT_FROM_CAMERAS, Reason, Signal
 from altd.records import Quantities

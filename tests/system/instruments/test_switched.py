@@ -24,10 +24,10 @@ from altd.recording.reader import open_recording
 from altd.records import Measurement
 from hw_sim.beam import BeamPose
 from hw_sim.camera import RealTimeLamps, make_cameras
-from hw_sim.chain.front_glass import FrontGlass
-from hw_sim.chain.glass import GlassConfig
 from hw_sim.grbl_table import GrblTable
 from hw_sim.motion import Vibration
+from hw_sim.row.front_glass import FrontGlass
+from hw_sim.row.glass import GlassConfig
 from hw_sim.staged_scan import SimulatedLamps, scan_config
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 from studies.bench import rms

@@ -13,13 +13,13 @@ from support.clock import FakeClock, stop
 
 from altd.acquisition.glasses import GlassCycle, OpaqueMarks, round_s
 from altd.acquisition.lamps.controller import LampController
-from altd.config import ChainSettings, Config, Target, Unit
+from altd.config import Config, RowSettings, Target, Unit
 from altd.ports import LampsError
 from altd.records import Frame
 
 FPS = 20.0
 PERIOD_NS = 50_000_000
-SETTINGS = ChainSettings(settle_s=0.3, exposures=4)
+SETTINGS = RowSettings(settle_s=0.3, exposures=4)
 TARGETS = ("t1", "t2", "t3")
 PIXELS = np.zeros((4, 4), np.uint8)
 CONFIG = Config(

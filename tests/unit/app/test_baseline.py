@@ -11,19 +11,19 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from support.chain import calibrated
 from support.clock import FakeClock
 from support.measurements import measurement_of_row
+from support.row import calibrated
 
 from altd.app.baseline import BaselineFile, BaselineKeeper, baseline_path, with_baseline_kept
 from altd.app.stored_baseline import store_baseline
 from altd.calibration.file import save_calibration
-from altd.config import ChainSettings, Config, Unit
+from altd.config import Config, RowSettings, Unit
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of
-from altd.instruments.chain.displacement import BaselineMeans
-from altd.instruments.chain.frames import RowChain
-from altd.instruments.chain.places import Place
+from altd.instruments.row.displacement import BaselineMeans
+from altd.instruments.row.frames import RowChain
+from altd.instruments.row.places import Place
 from altd.measuring.calibration import Calibration, CalibrationFile
 from altd.reasons import Reason
 from altd.records import Fault
@@ -32,7 +32,7 @@ from altd.status.health import Health, State
 
 MADE = datetime(2026, 11, 25, 12, 0, tzinfo=UTC)
 NAMES = ("t1", "t2", "t3", "t4", "t5")
-SETTINGS = ChainSettings(stable=("t1", "t5"))
+SETTINGS = RowSettings(stable=("t1", "t5"))
 
 
 def place(x_mm: float) -> Place:

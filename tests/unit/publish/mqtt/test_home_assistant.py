@@ -15,8 +15,8 @@ from support.mqtt import ChosenBroker, PublishingUnit
 
 from altd.config import HttpSettings
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import quantities_of
 from altd.publish.mqtt import publisher
 from altd.publish.mqtt.home_assistant import discovery_of, discovery_topic, page_url
 from altd.publish.mqtt.messages import Topics, summary_of

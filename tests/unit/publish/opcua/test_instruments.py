@@ -19,8 +19,8 @@ from support.places import ROOT
 from altd.history.columns import columns_of
 from altd.history.history import History
 from altd.history.records import About, Sample
-from altd.instruments.chain.measurement import quantities_of
 from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
+from altd.instruments.row.measurement import quantities_of
 from altd.publish.opcua.process import ServedUnit
 from altd.publish.opcua.quality import Status
 from altd.reasons import Reason

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from altd.instruments.chain.beam import at_instant, gain_at, moved_stable
-from altd.instruments.chain.places import Place, systematic_mm2
+from altd.instruments.row.beam import at_instant, gain_at, moved_stable
+from altd.instruments.row.places import Place, systematic_mm2
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
 

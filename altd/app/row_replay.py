@@ -10,11 +10,11 @@ from typing import Any
 from altd.app.baseline import baseline_file
 from altd.app.replay import Progress, utc_of
 from altd.calibration.file import check_place, check_recording, load_calibration, target_of
-from altd.config import ChainSettings, Config, Measuring
+from altd.config import Config, Measuring, RowSettings
 from altd.errors import BadInputError
-from altd.instruments.chain.displacement import BaselineMeans
-from altd.instruments.chain.frames import RowChain
-from altd.instruments.chain.measurement import quantities_of
+from altd.instruments.row.displacement import BaselineMeans
+from altd.instruments.row.frames import RowChain
+from altd.instruments.row.measurement import quantities_of
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
 from altd.measuring.frame_chain import Provenance
@@ -28,7 +28,7 @@ _MAX_PAUSE_S = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class ChainReplay:
+class RowReplay:
     """A recording, the calibration of its targets, and the target of each camera; like ``app.replay.Replay``.
 
     ``means`` is a stored baseline; None: the first rounds determine it.
@@ -36,7 +36,7 @@ class ChainReplay:
 
     recording: Recording
     calibration: Calibration
-    settings: ChainSettings
+    settings: RowSettings
     targets: Mapping[str, str]
     means: BaselineMeans | None = None
     positions = None
@@ -111,13 +111,13 @@ def _check_exposure(recording: Recording, row: Row, last: Row | None) -> None:
         raise BadInputError(recording.rows.place(row), message)
 
 
-def open_chain_replay(
+def open_row_replay(
     recording: Recording,
     calibration_path: Path,
     config: Config | None,
     config_path: Path | None,
     is_fresh: bool = False,
-) -> ChainReplay:
+) -> RowReplay:
     """Open a replay, checking all that does not need a decoded frame; raises BadInputError.
 
     Without a config no target is stable. The baseline file named in the config is used if it exists, unless
@@ -134,7 +134,7 @@ def open_chain_replay(
         raise BadInputError(
             recording.path, "no row names an opaque target: it is not a recording of glass targets"
         )
-    settings, means = ChainSettings(), None
+    settings, means = RowSettings(), None
     if config is not None and config_path is not None:
         if config.unit.serial != header.unit.serial:
             said = f"unit.serial: {config.unit.serial!r} is not that of the recording, {header.unit.serial!r}"
@@ -149,4 +149,4 @@ def open_chain_replay(
         if not is_fresh and (file := baseline_file(config, calibration)) is not None:
             means = file.load()
     targets = {cameras[name]: name for name in calibration.target_names}
-    return ChainReplay(recording, calibration, settings, targets, means)
+    return RowReplay(recording, calibration, settings, targets, means)

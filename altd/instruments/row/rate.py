@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.instruments.chain.displacement import Displacement
+from altd.instruments.row.displacement import Displacement
 from altd.reasons import Reason
 from altd.records import FloatArray
 

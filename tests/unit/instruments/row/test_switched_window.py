@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from altd.instruments.chain.switched_window import MIN_VISITS, SwitchedWindow
+from altd.instruments.row.switched_window import MIN_VISITS, SwitchedWindow
 from altd.reasons import Reason
 from altd.records import Fault, FrameSet, MeanSpots, NoSpot, Spot
 

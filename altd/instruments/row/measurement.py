@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from altd.instruments.chain.instrument import RoundResult, TargetResult
+from altd.instruments.row.instrument import RoundResult, TargetResult
 from altd.measuring.instrument import Solution
 from altd.records import FloatArray, Quantities, Quantity, Value
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from altd.errors import BadInputError
 from altd.records import PixelArray
-from hw_sim.chain.row import FPS, HEIGHT_PX, WIDTH_PX, Row, at_rest
 from hw_sim.recording import STORED
+from hw_sim.row.row import FPS, HEIGHT_PX, WIDTH_PX, Row, at_rest
 from hw_sim.stage import STAGE_SIGMA_MM
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm", "opaque")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from altd.records import Frame
 from hw_sim.camera import Schedule, SimulatedCamera
-from hw_sim.chain.row import FPS, Row
+from hw_sim.row.row import FPS, Row
 
 EXPOSURE_MS = 2.0
 """Exposure time stated in the frames; the rendered light is that at its middle."""

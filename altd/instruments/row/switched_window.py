@@ -13,8 +13,8 @@ from itertools import chain
 
 import numpy as np
 
-from altd.instruments.chain.glass import INVALIDATING, GlassCheck
-from altd.instruments.chain.rounds import Observation, RoundWindow
+from altd.instruments.row.glass import INVALIDATING, GlassCheck
+from altd.instruments.row.rounds import Observation, RoundWindow
 from altd.measuring.averaging import mean_spots
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot

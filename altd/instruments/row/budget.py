@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from altd.config import ChainSettings
+from altd.config import RowSettings
 
 
-def powers_mw(settings: ChainSettings, targets: int) -> tuple[float, ...]:
+def powers_mw(settings: RowSettings, targets: int) -> tuple[float, ...]:
     """Power on each target in beam order, with all glasses before it clear: P τⁿ."""
     return tuple(settings.laser_mw * settings.transmission**before for before in range(targets))

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from altd.app.chain_replay import ChainReplay
+from altd.app.row_replay import RowReplay
 from altd.calibration.calibrating import calibrate
-from altd.config import ChainSettings
+from altd.config import RowSettings
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from hw_sim.beam import BeamPose
-from hw_sim.chain.record import record_rounds, record_scans
-from hw_sim.chain.row import Row, RowConfig
+from hw_sim.row.record import record_rounds, record_scans
+from hw_sim.row.row import Row, RowConfig
 from support.made_once import loaded_once
 
-SETTINGS = ChainSettings(stable=("t1", "t5"), baseline_rounds=2)
+SETTINGS = RowSettings(stable=("t1", "t5"), baseline_rounds=2)
 
 
 @cache
@@ -83,7 +83,7 @@ class Monitoring:
 
     config: RowConfig = field(default_factory=RowConfig)
     rounds: int = 8
-    settings: ChainSettings = SETTINGS
+    settings: RowSettings = SETTINGS
     recorded: dict[str, Any] = field(default_factory=dict)
     spoil: Callable[[Path], None] = lambda path: None
 
@@ -94,7 +94,7 @@ class Monitoring:
         recording = open_recording(folder / "rounds")
         names = self.config.names
         cameras = dict(zip(names, names, strict=True))
-        replay = ChainReplay(recording, calibrated(self.config.seed), self.settings, cameras)
+        replay = RowReplay(recording, calibrated(self.config.seed), self.settings, cameras)
         lines = [json.loads(json.dumps(replay.as_object(each))) for each in replay.measurements()]
         return Monitored(lines, truth)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from altd.instruments.chain.rounds import Visit
+from altd.instruments.row.rounds import Visit
 from altd.measuring.averaging import mean_spots
 from altd.measuring.calibration import TargetCalibration
 from altd.measuring.spot_shape import (

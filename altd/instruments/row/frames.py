@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from altd.config import ChainSettings, Measuring
-from altd.instruments.chain.displacement import BaselineMeans
-from altd.instruments.chain.instrument import Chain, RoundResult
-from altd.instruments.chain.measurement import quantities_of, solution_of
-from altd.instruments.chain.rounds import Observation
+from altd.config import Measuring, RowSettings
+from altd.instruments.row.displacement import BaselineMeans
+from altd.instruments.row.instrument import RoundResult, RowInstrument
+from altd.instruments.row.measurement import quantities_of, solution_of
+from altd.instruments.row.rounds import Observation
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View, spot_locators
 from altd.measuring.frame_chain import FrameChain, Provenance
@@ -41,7 +41,7 @@ class RowChain(FrameChain[Observation]):
         self,
         views: Sequence[View],
         calibration: Calibration,
-        settings: ChainSettings,
+        settings: RowSettings,
         measuring: Measuring,
         provenance: Provenance,
         means: BaselineMeans | None = None,
@@ -55,7 +55,7 @@ class RowChain(FrameChain[Observation]):
             [view.target for view in views],
             calibration.simulated or (means is not None and means.simulated),
         )
-        self._rounds = Chain(calibration, settings, means)
+        self._rounds = RowInstrument(calibration, settings, means)
         self._last: Mapping[str, Observation] = {}
 
     @property

@@ -9,8 +9,8 @@ from altd.errors import BadInputError
 from altd.files.writing import write_file
 from hw_sim.arguments import at_least_one, natural
 from hw_sim.beam import BeamPose
-from hw_sim.chain.record import SETTLE_S, record_rounds, record_scans
-from hw_sim.chain.row import FPS, Row, RowConfig
+from hw_sim.row.record import SETTLE_S, record_rounds, record_scans
+from hw_sim.row.row import FPS, Row, RowConfig
 
 EXPOSURES = 4
 STEP_MM = (0.32, -0.24)

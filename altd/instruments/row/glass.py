@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from altd.instruments.chain.rounds import Round
+from altd.instruments.row.rounds import Round
 from altd.reasons import Reason
 
 MIN_BRIGHT_SHARE = 0.35

@@ -10,18 +10,18 @@ from pathlib import Path
 
 from altd.app.daemon import Daemon
 from altd.app.parts import calibration_of_instrument
-from altd.config import ChainSettings, Config, HttpSettings, ModbusTcpSettings, Target, Unit
+from altd.config import Config, HttpSettings, ModbusTcpSettings, RowSettings, Target, Unit
 from altd.reasons import Reason
 from altd.records import Measurement
 from hw_sim.arguments import add_demo_arguments
 from hw_sim.beam import BeamPose
-from hw_sim.chain.live import LiveRow
-from hw_sim.chain.record import record_scans
-from hw_sim.chain.row import Row, RowConfig, at_rest
 from hw_sim.demo import command, run_until_stopped, together
 from hw_sim.ports import free_port
+from hw_sim.row.live import LiveRow
+from hw_sim.row.record import record_scans
+from hw_sim.row.row import Row, RowConfig, at_rest
 
-SETTINGS = ChainSettings(stable=("t1", "t5"), baseline_rounds=3, exposures=3, settle_s=0.35, alarm_mm=0.3)
+SETTINGS = RowSettings(stable=("t1", "t5"), baseline_rounds=3, exposures=3, settle_s=0.35, alarm_mm=0.3)
 STEP_MM = (0.32, -0.24)
 STEP_S = 25.0
 """Time at which t3 moves, s."""
@@ -73,9 +73,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
         await together(daemon.run(), _show(daemon, live))
 
 
-def config_of(
-    row: RowConfig, calibration: Path, http_port: int, settings: ChainSettings = SETTINGS
-) -> Config:
+def config_of(row: RowConfig, calibration: Path, http_port: int, settings: RowSettings = SETTINGS) -> Config:
     """Config of a row, with its interfaces on this machine only."""
     return Config(
         unit=Unit(serial=row.serial, calibration=calibration, instrument="chain"),

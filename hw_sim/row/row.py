@@ -9,9 +9,9 @@ import numpy as np
 
 from altd.records import PixelArray
 from hw_sim.beam import BeamPose
-from hw_sim.chain.glass import Glass, GlassConfig
 from hw_sim.image import Image
 from hw_sim.lens import Lens, rotation
+from hw_sim.row.glass import Glass, GlassConfig
 from hw_sim.sensor import FULL_WELL_E, Sensor
 from hw_sim.targets import speckle
 

@@ -14,28 +14,28 @@ from typing import Any
 
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
-from support.chain import calibrated
 from support.cli import altd_here, refusal
 from support.opcua import read_by_node
 from support.ports import free_port
+from support.row import calibrated
 
 from altd.app.daemon import Daemon
 from altd.app.record import record_of
 from altd.calibration.file import load_calibration, save_calibration
-from altd.config import ChainSettings, Config, KeptFrames, LocalSettings, OpcUaSettings
+from altd.config import Config, KeptFrames, LocalSettings, OpcUaSettings, RowSettings
 from altd.ports import LampsError
 from altd.publish.modbus.registers import NEAR, PER_PLACE
 from altd.recording.reader import open_recording
 from altd.records import Measurement
-from hw_sim.chain.demo import config_of
-from hw_sim.chain.live import LiveRow
-from hw_sim.chain.record import record_rounds
-from hw_sim.chain.row import Row, RowConfig
+from hw_sim.row.demo import config_of
+from hw_sim.row.live import LiveRow
+from hw_sim.row.record import record_rounds
+from hw_sim.row.row import Row, RowConfig
 
 NAMES = ("t1", "t2", "t3")
 ROW_CONFIG = RowConfig(seed=7, z_mm=(0.0, 15_000.0, 30_000.0))
 STEP_MM = (0.32, -0.24)
-SETTINGS = ChainSettings(stable=("t1", "t3"), baseline_rounds=2, exposures=2, settle_s=0.35, alarm_mm=0.3)
+SETTINGS = RowSettings(stable=("t1", "t3"), baseline_rounds=2, exposures=2, settle_s=0.35, alarm_mm=0.3)
 OF_T2 = ("t2_dx_mm", "t2_dx_mm.sigma", "targets.t2.x_mm", "targets.t2.valid", "targets.t2.status")
 
 

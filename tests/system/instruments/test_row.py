@@ -9,14 +9,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.chain import Monitored, Monitoring, calibrated, drifting, monitored, stepping
 from support.cli import altd_here, refusal
+from support.row import Monitored, Monitoring, calibrated, drifting, monitored, stepping
 
 from altd.calibration.file import save_calibration
-from altd.config import ChainSettings
+from altd.config import RowSettings
 from hw_sim.beam import BeamPose
-from hw_sim.chain.record import record_rounds
-from hw_sim.chain.row import Row, RowConfig
+from hw_sim.row.record import record_rounds
+from hw_sim.row.row import Row, RowConfig
 
 ROUND_S = 5 * (0.5 + 4 / 20.0)
 FINAL_SEEDS = (501, 502, 503, 504, 505)
@@ -37,7 +37,7 @@ def stepped(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Monitored]:
     config = RowConfig(
         beam=drifting(ROUNDS * ROUND_S), places={"t3": stepping(in_round(STEP_ROUND), STEP_MM)}
     )
-    settings = ChainSettings(stable=("t1", "t5"), baseline_rounds=4)
+    settings = RowSettings(stable=("t1", "t5"), baseline_rounds=4)
     return {
         seed: Monitoring(replace(config, seed=seed), ROUNDS, settings, {"own_only": True}).run(
             tmp_path_factory.mktemp("stepped")
@@ -262,7 +262,7 @@ def test_light_scattered_by_a_neighbour_is_no_spot(tmp_path: Path) -> None:
 @pytest.mark.parametrize("stable", [("t1", "t3", "t5"), ("t1", "t2", "t3", "t5")])
 def test_a_stable_target_that_moved_is_detected(tmp_path: Path, stable: tuple[str, ...]) -> None:
     config = RowConfig(places={"t3": stepping(in_round(3), (0.3, 0.0))})
-    settings = ChainSettings(stable=stable, baseline_rounds=2)
+    settings = RowSettings(stable=stable, baseline_rounds=2)
     rounds = Monitoring(config, 6, settings, {"own_only": True}).run(tmp_path)
     assert "stable_targets_disagree" not in rounds.lines[2]["status"]
     for number in (4, 5):
@@ -278,7 +278,7 @@ def test_a_stable_target_that_moved_is_detected(tmp_path: Path, stable: tuple[st
 def test_the_unknown_movement_of_the_beam_is_in_sigma(tmp_path: Path) -> None:
     config = RowConfig(beam=drifting(8 * ROUND_S))
     for stable, warning in ((("t1",), "beam_angle_unknown"), ((), "beam_drift_unknown")):
-        settings = ChainSettings(stable=stable, baseline_rounds=2)
+        settings = RowSettings(stable=stable, baseline_rounds=2)
         rounds = Monitoring(config, 8, settings, {"own_only": True}).run(tmp_path / f"{len(stable)}")
         assert warning in rounds.lines[6]["status"]
         errors = rounds.errors(("t2", "t3", "t4", "t5"), 6)
@@ -305,7 +305,7 @@ def test_a_day_of_creep_is_found_and_sized(tmp_path: Path) -> None:
     def creep(t_s: float) -> tuple[float, float]:
         return 0.05 * t_s / day_s, 0.0
 
-    settings = ChainSettings(stable=("t1", "t5"), exposures=2, alarm_mm_per_day=0.03)
+    settings = RowSettings(stable=("t1", "t5"), exposures=2, alarm_mm_per_day=0.03)
     recorded = {"exposures": 2, "own_only": True, "pause_s": day_s / rounds - 5 * 0.6}
     day = Monitoring(RowConfig(seed=506, beam=beam, places={"t3": creep}), rounds, settings, recorded).run(
         tmp_path
@@ -326,8 +326,8 @@ def test_replay_and_check_config_on_the_command_line(tmp_path: Path) -> None:
     calibration = tmp_path / "chain.json"
     save_calibration(calibrated(1), calibration)
     config = tmp_path / "altd.toml"
-    chain = 'stable = ["t1", "t5"]\nbaseline_rounds = 3\nalarm_mm = 0.3'
-    config.write_text(chain_toml(row.config, calibration, chain))
+    settings = 'stable = ["t1", "t5"]\nbaseline_rounds = 3\nalarm_mm = 0.3'
+    config.write_text(row_toml(row.config, calibration, settings))
     replayed = altd_here("replay", tmp_path / "rounds", "--calibration", calibration, "--config", config)
     assert (replayed.status, len(replayed.objects)) == (0, 6)
     table = tmp_path / "rounds.csv"
@@ -349,7 +349,7 @@ def test_replay_and_check_config_on_the_command_line(tmp_path: Path) -> None:
     checked = altd_here("check-config", config)
     assert checked.status == 0
     assert "t5: 0.2840 mW, 0.73^4 of 1 mW" in checked.out
-    config.write_text(chain_toml(row.config, calibration, "laser_mw = 0.05"))
+    config.write_text(row_toml(row.config, calibration, "laser_mw = 0.05"))
     checked = altd_here("check-config", config)
     assert checked.status == 2
     assert "t4, t5: less than chain.min_mw, 0.02 mW" in checked.err
@@ -360,9 +360,9 @@ def test_replay_and_check_config_on_the_command_line(tmp_path: Path) -> None:
     assert "row 3: opaque 't2' is not that of the same exposure in row 2, 't1'" in refused.err
 
 
-def chain_toml(config: RowConfig, calibration: Path, chain: str) -> str:
+def row_toml(config: RowConfig, calibration: Path, settings: str) -> str:
     text = f'[unit]\nserial = "{config.serial}"\ncalibration = "{calibration}"\n'
-    text += f'instrument = "chain"\n[chain]\n{chain}\n'
+    text += f'instrument = "chain"\n[chain]\n{settings}\n'
     for name, z_mm in zip(config.names, config.z_mm, strict=True):
         text += f'[[targets]]\nname = "{name}"\nz_mm = {z_mm}\ncamera = "{name}"\n'
         text += f'[cameras.{name}]\ndriver = "recording"\npath = "rounds"\n'

@@ -13,8 +13,8 @@ from support import optics
 from support.made_once import loaded_once
 
 from altd.calibration.calibrating import calibrate
-from altd.instruments.chain.places import Place, place_of, systematic_mm2
-from altd.instruments.chain.rounds import Observation, Visit
+from altd.instruments.row.places import Place, place_of, systematic_mm2
+from altd.instruments.row.rounds import Observation, Visit
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.reasons import Reason
 from altd.recording.reader import open_recording

@@ -6,12 +6,12 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from altd.config import ChainSettings
-from altd.instruments.chain.displacement import Baseline, BaselineMeans, Displaced, Displacement
-from altd.instruments.chain.glass import INVALIDATING, Diagnosis, GlassCheck
-from altd.instruments.chain.places import Place, place_of
-from altd.instruments.chain.rate import Rate, Trend, alarms
-from altd.instruments.chain.rounds import Observation, Round, RoundWindow
+from altd.config import RowSettings
+from altd.instruments.row.displacement import Baseline, BaselineMeans, Displaced, Displacement
+from altd.instruments.row.glass import INVALIDATING, Diagnosis, GlassCheck
+from altd.instruments.row.places import Place, place_of
+from altd.instruments.row.rate import Rate, Trend, alarms
+from altd.instruments.row.rounds import Observation, Round, RoundWindow
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import Fault
@@ -71,7 +71,7 @@ class _Measured:
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
 
 
-class Chain:
+class RowInstrument:
     """Measures rounds of a row of targets; the result of a round is known when the next round has ended.
 
     The beam's movement at each visit is interpolated between the stable targets' visits before and after it,
@@ -80,7 +80,7 @@ class Chain:
     """
 
     def __init__(
-        self, calibration: Calibration, settings: ChainSettings, means: BaselineMeans | None = None
+        self, calibration: Calibration, settings: RowSettings, means: BaselineMeans | None = None
     ) -> None:
         self._calibration = calibration
         self._settings = settings

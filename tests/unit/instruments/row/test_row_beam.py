@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from support.evidence import calibration, target
 
-from altd.config import ChainSettings
-from altd.instruments.chain.beam import at_instant, gain_at, moved_stable
-from altd.instruments.chain.budget import powers_mw
-from altd.instruments.chain.displacement import Baseline, Displacement
-from altd.instruments.chain.places import Place
-from altd.instruments.chain.rate import DAY_NS, Trend, alarms
-from altd.instruments.chain.rounds import Observation, RoundWindow
+from altd.config import RowSettings
+from altd.instruments.row.beam import at_instant, gain_at, moved_stable
+from altd.instruments.row.budget import powers_mw
+from altd.instruments.row.displacement import Baseline, Displacement
+from altd.instruments.row.places import Place
+from altd.instruments.row.rate import DAY_NS, Trend, alarms
+from altd.instruments.row.rounds import Observation, RoundWindow
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import NoSpot, Spot
@@ -111,7 +111,7 @@ def test_alarms_need_the_limit_and_significance() -> None:
 
 
 def test_powers_are_those_of_transmission_to_the_n() -> None:
-    assert powers_mw(ChainSettings(laser_mw=2.0), 3) == pytest.approx((2.0, 1.46, 1.0658))
+    assert powers_mw(RowSettings(laser_mw=2.0), 3) == pytest.approx((2.0, 1.46, 1.0658))
 
 
 def observations(order: str, start: int = 0) -> list[Observation]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from altd.instruments.chain.places import Place
+from altd.instruments.row.places import Place
 from altd.records import FloatArray
 
 _MIN_JUMP_SIGMAS = 3.0
