@@ -3,10 +3,10 @@
 import numpy as np
 import numpy.typing as npt
 
-from altd.instruments.planar.geometry_fit import PARAMETERS, fit_geometry
-from altd.instruments.planar.kinematics import Machine, double_triangle, joints_of, poses_of
-from altd.instruments.planar.singularities import concurrent_line, parallel_orientations_deg
-from altd.instruments.planar.workspace import area_mm2, contains, slice_mm, volume_mm2_deg
+from studies.planar_machine.geometry_fit import PARAMETERS, fit_geometry
+from studies.planar_machine.kinematics import Machine, double_triangle, joints_of, poses_of
+from studies.planar_machine.singularities import concurrent_line, parallel_orientations_deg
+from studies.planar_machine.workspace import area_mm2, contains, slice_mm, volume_mm2_deg
 from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 

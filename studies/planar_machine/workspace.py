@@ -5,16 +5,14 @@ the workspace is the overlap of the three strips, a convex polygon of at most si
 has no width at the φ of its type-1 singularity, so these orientations cut the solid into pieces.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from altd.instruments.planar.kinematics import Machine, joints_of
 from altd.records import FloatArray
+from studies.planar_machine.kinematics import Machine, joints_of
 
 
 def contains(machine: Machine, poses: ArrayLike) -> npt.NDArray[np.bool_]:

@@ -1,14 +1,12 @@
 """Fit of the planar 3-PRP machine's geometry to measured poses and joints (Eq. 2.60–2.63)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from altd.instruments.planar.kinematics import Machine, constraint_jacobian
 from altd.records import FloatArray
+from studies.planar_machine.kinematics import Machine, constraint_jacobian
 
 PARAMETERS = ("rail_start_x_mm", "rail_start_y_mm", "rail_deg", "joint_scale", "edge_deg", "edge_offset_mm")
 """Parameters of each leg, in the order of the rows of ``FittedGeometry.covariance``: those of leg 0 first."""

@@ -5,21 +5,18 @@ Type 2: the normals of the edges in the driven points meet in one point (Eq. 2.3
 it with locked joints. At one φ these poses form a straight line in (a, b). Type 3: both.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from altd.instruments.planar.kinematics import (
+from altd.records import FloatArray
+from studies.planar_machine.kinematics import (
     Machine,
     distances_mm,
     image_points,
     quadrics,
 )
-from altd.records import FloatArray
 
 
 def parallel_orientations_deg(machine: Machine) -> FloatArray:
@@ -77,46 +74,3 @@ def image_determinant(machine: Machine, poses: ArrayLike) -> FloatArray:
     last = 2 * points * np.array([1.0, 0.0, 0.0, 1.0])
     determinant: FloatArray = np.linalg.det(np.concatenate([gradients, last[..., None, :]], axis=-2))
     return determinant
-
-
-@dataclass(frozen=True, slots=True)
-class Clearance:
-    """Nearest singular poses along a path.
-
-    ``turn_deg``: the smallest turn to a parallel rail and edge (type 1), of leg ``leg`` at ``turn_at`` (0 to
-    1 along the path). ``shift_mm``: the smallest shift to a pose of type 2, at ``shift_at``. Zero: the path
-    meets a singular pose.
-    """
-
-    turn_deg: float
-    leg: int
-    turn_at: float
-    shift_mm: float
-    shift_at: float
-
-
-def clearance(machine: Machine, first: ArrayLike, last: ArrayLike, steps: int = 1000) -> Clearance:
-    """Distances to singular poses on the straight path from pose ``first`` to pose ``last`` in (a, b, φ).
-
-    φ runs between the given values without wrapping. A change of sign between two of ``steps`` samples is
-    located by linear interpolation; two changes between them are not detected.
-    """
-    at = np.linspace(0.0, 1.0, steps + 1)
-    poses = np.asarray(first, float) + at[:, None] * (np.asarray(last, float) - np.asarray(first, float))
-    signed = machine.rail_deg - machine.edge_deg - poses[:, 2, None]
-    turns = np.mod(signed + 90.0, 180.0) - 90.0
-    turn, turn_at = zip(*(_nearest_zero(at, turns[:, leg], 90.0) for leg in range(3)), strict=True)
-    line = concurrent_line(machine, poses[:, 2])
-    shift, shift_at = _nearest_zero(at, np.einsum("ij,ij->i", line.normal, poses[:, :2]) - line.offset_mm)
-    leg = int(np.argmin(turn))
-    return Clearance(turn[leg], leg, turn_at[leg], shift, shift_at)
-
-
-def _nearest_zero(at: FloatArray, values: FloatArray, jump: float = np.inf) -> tuple[float, float]:
-    """Smallest |value| and its position; a change of sign is a zero, unless its jump exceeds ``jump``."""
-    crossed = (values[:-1] * values[1:] < 0) & (np.abs(np.diff(values)) < jump)
-    if crossed.any():
-        k = int(np.argmax(crossed))
-        return 0.0, float(at[k] + (at[k + 1] - at[k]) * values[k] / (values[k] - values[k + 1]))
-    k = int(np.nanargmin(np.abs(values)))
-    return float(abs(values[k])), float(at[k])

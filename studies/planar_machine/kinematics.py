@@ -158,15 +158,6 @@ def image_points(poses: ArrayLike) -> FloatArray:
     return np.stack([2 * cosine, a * sine - b * cosine, a * cosine + b * sine, 2 * sine], axis=-1)
 
 
-def poses_of_image(points: ArrayLike) -> FloatArray:
-    """Poses (..., 3) of points (..., 4) in the kinematic image space (Eq. 2.10–2.12)."""
-    x0, x1, x2, x3 = np.moveaxis(np.asarray(points, float), -1, 0)
-    norm = x0**2 + x3**2
-    a, b = 2 * (x1 * x3 + x0 * x2) / norm, 2 * (x2 * x3 - x0 * x1) / norm
-    phi_deg = 180.0 - np.mod(180.0 - 2 * np.degrees(np.arctan2(x3, x0)), 360.0)
-    return np.stack([a, b, phi_deg], axis=-1)
-
-
 def quadrics(machine: Machine, joints_mm: ArrayLike) -> FloatArray:
     """Q (..., 3, 4, 4), symmetric: X′QX = 0 holds for the poses in which leg i closes (Eq. 2.22–2.24).
 
