@@ -18,9 +18,9 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
-from pymodbus.framer import FramerRTU
 from support.guest import leave_results
 from support.measurements import measurement
+from support.modbus_rtu_wire import frame
 
 from altd.config import ConsolePortSettings, ModbusRtuPortSettings, TelegramPortSettings
 from altd.instruments.beam.instrument import QUANTITIES
@@ -38,8 +38,7 @@ GADGET = Path("/sys/kernel/config/usb_gadget/adapter")
 NAMES = Path("by-id")
 SPEAKS = ("telegram", "console", "modbus_rtu")
 UNIT = 7
-EVERYTHING = struct.pack(">BBHH", UNIT, 4, 0, SIZE)
-EVERYTHING += FramerRTU.compute_CRC(EVERYTHING).to_bytes(2, "big")
+EVERYTHING = frame(struct.pack(">BHH", 4, 0, SIZE), UNIT)
 """The request for all registers."""
 
 

@@ -91,7 +91,6 @@ PURPOSES = {
     "psycopg": "PostgreSQL, for the ingest (extra `fleet`)",
     "pydantic": "the settings, checked",
     "pygobject": "GigE Vision cameras, through Aravis (extra `aravis`)",
-    "pymodbus": "Modbus",
     "pyserial": "serial ports",
     "starlette": "HTTP",
     "uvicorn": "HTTP",

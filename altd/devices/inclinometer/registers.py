@@ -4,21 +4,17 @@ Balluff: user's guide of the BSI R11A0-XXR-CXP360-S75G (register table, error in
 WitMotion: the WIT standard Modbus protocol, and the maker's register header for the baud rate's codes. An
 accuracy of 0.2° in either axis and at every temperature is assumed: no public statement was found.
 
-pymodbus builds the request, computes the CRC and reads the response; ``docs/decisions/0035-inclinometer.md``
-explains why its client is not used.
+``docs/decisions/0035-inclinometer.md`` explains why no library's client is used.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 from types import MappingProxyType
-
-from pymodbus.framer import FramerRTU
-from pymodbus.pdu import DecodePDU, ModbusPDU
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
 
 from altd.ports import (
     InclinometerAccuracy,
@@ -26,6 +22,7 @@ from altd.ports import (
     InclinometerTimeoutError,
     InclinometerWrongError,
 )
+from altd.serial_port.modbus_crc import register_after, with_crc
 
 HOLDING, INPUT = 3, 4
 """Functions: read holding registers, read input registers (Modbus Application Protocol V1.1b3, 6.3, 6.4)."""
@@ -186,12 +183,6 @@ _EXCEPTION = 0x80
 _FRAME_BYTES = 5
 """Length of a response without registers: address, function, byte count, CRC. An exception is as long."""
 
-_REQUESTS: dict[int, Callable[..., ModbusPDU]] = {
-    HOLDING: ReadHoldingRegistersRequest,
-    INPUT: ReadInputRegistersRequest,
-}
-_DECODER = DecodePDU(False)
-
 
 @dataclass(frozen=True, slots=True)
 class Question:
@@ -205,9 +196,7 @@ class Question:
     @property
     def frame(self) -> bytes:
         """Request as it is sent."""
-        request = _REQUESTS[self.function](address=self.first, count=self.count)
-        frame = bytes([self.address, self.function]) + request.encode()
-        return frame + FramerRTU.compute_CRC(frame).to_bytes(2, "big")
+        return with_crc(struct.pack(">BBHH", self.address, self.function, self.first, self.count))
 
     @property
     def answer_bytes(self) -> int:
@@ -224,7 +213,7 @@ class Question:
         if not answer:
             why = "the line echoes the requests, and no sensor answers" if heard else "no answer"
             raise InclinometerTimeoutError(f"{why}: {place}")
-        if len(answer) < _FRAME_BYTES or not _has_good_crc(answer):
+        if len(answer) < _FRAME_BYTES or register_after(answer) != 0:
             raise InclinometerDisturbedError(f"damaged answer (CRC), {len(answer)} bytes: {place}")
         if answer[0] != self.address:
             raise InclinometerDisturbedError(f"address {answer[0]} answers in place of {place}")
@@ -233,8 +222,4 @@ class Question:
             raise InclinometerWrongError(f"it is another sensor: it {what}: {place}")
         if answer[1:3] != bytes([self.function, 2 * self.count]) or len(answer) != self.answer_bytes:
             raise InclinometerDisturbedError(f"an answer to another question: {place}")
-        return list(getattr(_DECODER.decode(answer[1:-2]), "registers"))  # noqa: B009  of its subclasses
-
-
-def _has_good_crc(frame: bytes) -> bool:
-    return FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big"))
+        return list(struct.unpack(f">{self.count}H", answer[3:-2]))

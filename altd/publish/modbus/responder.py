@@ -1,7 +1,7 @@
 """Responses to requests: the protocol data units, which are the same on every transport.
 
 Section numbers refer to the Modbus Application Protocol V1.1b3. ``docs/decisions/0002-modbus.md`` explains
-why pymodbus does not answer.
+why no library answers.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import logging
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-
-from pymodbus.constants import ExcCodes
+from enum import IntEnum
 
 from altd import __version__
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
@@ -26,6 +25,18 @@ from altd.status.unit import PublishedUnit, UnitFacts, UnitView
 from altd.status.zero import NoZeroError
 
 log = logging.getLogger("altd")
+
+
+class ExceptionCode(IntEnum):
+    """Reason of a refused request (7)."""
+
+    ILLEGAL_FUNCTION = 1
+    ILLEGAL_ADDRESS = 2
+    ILLEGAL_VALUE = 3
+    DEVICE_FAILURE = 4
+    DEVICE_BUSY = 6
+    GATEWAY_NO_RESPONSE = 11
+
 
 WRITE_SINGLE_REGISTER = 6
 """Function code (6.6): function, address, value; the response repeats the request."""
@@ -64,19 +75,19 @@ def objects_of(view: UnitView) -> Mapping[int, bytes]:
     return {number: text.encode("ascii", "replace") for number, text in texts.items() if text}
 
 
-def identification(request: bytes, objects: Mapping[int, bytes]) -> bytes | ExcCodes:
+def identification(request: bytes, objects: Mapping[int, bytes]) -> bytes | ExceptionCode:
     """Return the response to a request, both from the function code on; or the exception code."""
     if len(request) > 1 and request[1] != MEI_TYPE:
-        return ExcCodes.ILLEGAL_FUNCTION
+        return ExceptionCode.ILLEGAL_FUNCTION
     if len(request) != 4:
-        return ExcCodes.ILLEGAL_VALUE
+        return ExceptionCode.ILLEGAL_VALUE
     read_code, object_id = request[2], request[3]
     if read_code == _INDIVIDUAL:
         if object_id not in objects:
-            return ExcCodes.ILLEGAL_ADDRESS
+            return ExceptionCode.ILLEGAL_ADDRESS
         return _response(read_code, {object_id: objects[object_id]})
     if read_code not in _STREAMS:
-        return ExcCodes.ILLEGAL_VALUE
+        return ExceptionCode.ILLEGAL_VALUE
     category = {number: text for number, text in objects.items() if number in _STREAMS[read_code]}
     if object_id not in category:
         object_id = 0  # "as if object 0 were pointed out", 6.21
@@ -136,57 +147,57 @@ class Responder:
                 response = self._response(request)
         except Exception:  # a defect affects one request, never the other clients
             log.exception("modbus: a defect, at request %s", request.hex())
-            response = ExcCodes.DEVICE_FAILURE
+            response = ExceptionCode.DEVICE_FAILURE
         self._component.count("requests")
-        if isinstance(response, ExcCodes):
+        if isinstance(response, ExceptionCode):
             self._component.count("exceptions")
             return bytes([request[0] | 0x80, response])
         self._component.gave_data()
         return response
 
-    def _response(self, request: bytes) -> bytes | ExcCodes:
+    def _response(self, request: bytes) -> bytes | ExceptionCode:
         """Return the response, or the exception code."""
         function = request[0]
         if function == READ_DEVICE_IDENTIFICATION:
             return identification(request, objects_of(self._unit.view()))
         if function not in (READ_DISCRETE_INPUTS, READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
-            return ExcCodes.ILLEGAL_FUNCTION
+            return ExceptionCode.ILLEGAL_FUNCTION
         if len(request) != _REQUEST.size:
-            return ExcCodes.ILLEGAL_VALUE
+            return ExceptionCode.ILLEGAL_VALUE
         _, address, count = _REQUEST.unpack(request)
         if not 1 <= count <= (MAX_INPUTS if function == READ_DISCRETE_INPUTS else MAX_READ):
-            return ExcCodes.ILLEGAL_VALUE
+            return ExceptionCode.ILLEGAL_VALUE
         if function == READ_DISCRETE_INPUTS:
             return self._discrete_inputs(address, count)
         words = self._registers(address, count)
         if words is None:
-            return ExcCodes.ILLEGAL_ADDRESS
+            return ExceptionCode.ILLEGAL_ADDRESS
         return struct.pack(f">BB{count}H", function, 2 * count, *words)
 
-    def _command(self, request: bytes) -> bytes | ExcCodes:
+    def _command(self, request: bytes) -> bytes | ExceptionCode:
         """Execute a write; returns the request, or the exception code if nothing was changed."""
         self._component.count("commands")
         if len(request) != _REQUEST.size:
-            return ExcCodes.ILLEGAL_VALUE
+            return ExceptionCode.ILLEGAL_VALUE
         _, address, value = _REQUEST.unpack(request)
         if address not in self._commands:
-            return ExcCodes.ILLEGAL_ADDRESS
+            return ExceptionCode.ILLEGAL_ADDRESS
         zero = self._unit.zero
         if value != (SELF_CHECK_NOW if address == SELF_CHECK_ADDRESS else zero.state.next_number):
-            return ExcCodes.ILLEGAL_VALUE
+            return ExceptionCode.ILLEGAL_VALUE
         try:
             if address == SELF_CHECK_ADDRESS:
                 self._unit.self_check.ask("modbus")
             else:
                 zero.set(self._unit.board, "modbus")
         except (NoSelfCheckError, NoZeroError):
-            return ExcCodes.DEVICE_FAILURE
+            return ExceptionCode.DEVICE_FAILURE
         return request
 
-    def _discrete_inputs(self, address: int, count: int) -> bytes | ExcCodes:
+    def _discrete_inputs(self, address: int, count: int) -> bytes | ExceptionCode:
         rows = DISCRETE_INPUTS[address : address + count]
         if len(rows) < count:
-            return ExcCodes.ILLEGAL_ADDRESS
+            return ExceptionCode.ILLEGAL_ADDRESS
         view = self._unit.view()
         bits = sum(row.is_set(view) << place for place, row in enumerate(rows))
         content = bits.to_bytes((count + 7) // 8, "little")
@@ -244,16 +255,16 @@ def serial_response(request: bytes, counters: LineCounters, facts: UnitFacts) ->
     return response if isinstance(response, bytes) else bytes([request[0] | 0x80, response])
 
 
-def _diagnostics(request: bytes, counters: LineCounters) -> bytes | ExcCodes:
+def _diagnostics(request: bytes, counters: LineCounters) -> bytes | ExceptionCode:
     if request[1:3] == bytes(2) and len(request) > 3:
         return request
     if len(request) != _REQUEST.size:
-        return ExcCodes.ILLEGAL_VALUE
+        return ExceptionCode.ILLEGAL_VALUE
     _, what, data = _REQUEST.unpack(request)
     if what not in (_CLEAR, *COUNTERS):
-        return ExcCodes.ILLEGAL_FUNCTION
+        return ExceptionCode.ILLEGAL_FUNCTION
     if data != 0:
-        return ExcCodes.ILLEGAL_VALUE
+        return ExceptionCode.ILLEGAL_VALUE
     if what == _CLEAR:
         for name in COUNTERS.values():
             setattr(counters, name, 0)
@@ -261,9 +272,9 @@ def _diagnostics(request: bytes, counters: LineCounters) -> bytes | ExcCodes:
     return _REQUEST.pack(DIAGNOSTICS, what, getattr(counters, COUNTERS[what]) & 0xFFFF)
 
 
-def _server_id(request: bytes, facts: UnitFacts) -> bytes | ExcCodes:
+def _server_id(request: bytes, facts: UnitFacts) -> bytes | ExceptionCode:
     if len(request) != 1:
-        return ExcCodes.ILLEGAL_VALUE
+        return ExceptionCode.ILLEGAL_VALUE
     known = " ".join(["ALT", facts.version, facts.serial])
     content = bytes([SERVER_ID, RUNNING]) + known.encode("ascii", "replace")
     return bytes([REPORT_SERVER_ID, len(content)]) + content

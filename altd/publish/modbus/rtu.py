@@ -15,11 +15,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
-from pymodbus.constants import ExcCodes
-from pymodbus.framer import FramerRTU
-
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.responder import DIAGNOSTICS, LineCounters, Responder, serial_response
+from altd.publish.modbus.responder import (
+    DIAGNOSTICS,
+    ExceptionCode,
+    LineCounters,
+    Responder,
+    serial_response,
+)
+from altd.serial_port.modbus_crc import START, TABLE, register_after, with_crc
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.health import Component, State
 from altd.status.unit import PublishedUnit
@@ -53,19 +57,6 @@ leaves the CRC correct."""
 
 _REQUESTS_AFTER_NOISE = ((8, bytes([2])), (8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
 """Length of each request that is searched for after noise, and its first bytes after the unit id."""
-
-
-def _crc_table() -> tuple[int, ...]:
-    """Return the table of the CRC with the polynomial 0xA001 (Serial 6.2.2)."""
-    table = []
-    for register in range(256):
-        for _ in range(8):
-            register = (register >> 1) ^ (0xA001 if register & 1 else 0)
-        table.append(register)
-    return tuple(table)
-
-
-_CRC = _crc_table()
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,18 +183,17 @@ def request_after_noise(received: bytes, unit_id: int) -> bytes | None:
     for glitch in _GLITCHES:
         for length, head in _REQUESTS_AFTER_NOISE:
             frame = received.removesuffix(glitch)[-length:]
-            if frame.startswith(bytes([unit_id]) + head) and len(frame) == length:
-                crc = int.from_bytes(frame[-2:], "big")
-                if FramerRTU.check_CRC(frame[:-2], crc):
-                    return frame[1:-2]
+            is_request = frame.startswith(bytes([unit_id]) + head) and len(frame) == length
+            if is_request and register_after(frame) == 0:
+                return frame[1:-2]
     return None
 
 
 def _ends_of_frames(received: bytes, begin: int) -> list[int]:
     """Return the possible ends of a frame that starts at ``begin``, by a correct CRC, the last first."""
-    register, ends = 0xFFFF, []
+    register, ends = START, []
     for place in range(begin, min(len(received), begin + MAX_FRAME_BYTES)):
-        register = (register >> 8) ^ _CRC[(register ^ received[place]) & 0xFF]
+        register = (register >> 8) ^ TABLE[(register ^ received[place]) & 0xFF]
         if register == 0 and place + 1 - begin >= MIN_FRAME_BYTES:
             ends.append(place + 1)
     return ends[::-1]
@@ -313,7 +303,7 @@ class ModbusRtuPublisher:
             if is_request:
                 answer = self._framed(self._response(request, bus.counters))
             else:  # no master sends this answer, so the next bytes show whether the line echoes
-                answer = self._framed(bytes([request[0] | _EXCEPTION_BIT, ExcCodes.DEVICE_BUSY]))
+                answer = self._framed(bytes([request[0] | _EXCEPTION_BIT, ExceptionCode.DEVICE_BUSY]))
                 bus.counters.exceptions += 1
             if not port.write(answer):  # the controller is not receiving; it repeats the request
                 self._component.count("answers_dropped")
@@ -338,5 +328,4 @@ class ModbusRtuPublisher:
         return received
 
     def _framed(self, answer: bytes) -> bytes:
-        frame = bytes([self._settings.unit_id]) + answer
-        return frame + FramerRTU.compute_CRC(frame).to_bytes(2, "big")
+        return with_crc(bytes([self._settings.unit_id]) + answer)

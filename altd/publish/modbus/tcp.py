@@ -19,12 +19,10 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pymodbus.constants import ExcCodes
-
 from altd.config import ModbusTcpSettings
 from altd.credentials.certificates import RenewedContext, role_of, server_context
 from altd.publish.modbus.places import Addresses, Connection, connection_to_displace
-from altd.publish.modbus.responder import Responder
+from altd.publish.modbus.responder import ExceptionCode, Responder
 from altd.status.health import Component, State
 from altd.status.unit import PublishedUnit
 from altd.tcp_port import (
@@ -218,7 +216,7 @@ class ModbusTcpPublisher:
         if unit == self._settings.unit_id or unit in _DIRECT:
             return self._responder.answer(request, may_command)
         self._component.count("other_units")
-        return bytes([request[0] | 0x80, ExcCodes.GATEWAY_NO_RESPONSE])
+        return bytes([request[0] | 0x80, ExceptionCode.GATEWAY_NO_RESPONSE])
 
 
 def _detect_dead_peers(listener: socket.socket) -> None:

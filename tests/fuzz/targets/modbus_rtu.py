@@ -8,21 +8,16 @@ from dataclasses import dataclass
 from fuzz.served import served
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
-from pymodbus.framer import FramerRTU
+from support.modbus_rtu_wire import frame
+from support.modbus_wire import UNIT
 
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.responder import Responder
 from altd.publish.modbus.rtu import Bus
 
 NAME = "modbus_rtu"
-UNIT = 7
 WITHIN_S, APART_S = 0.016, 0.2
 """The silence between the pieces of a frame that an adapter tears, and one that ends everything."""
-
-
-def _frame(unit: int, pdu: bytes) -> bytes:
-    frame = bytes([unit]) + pdu
-    return frame + FramerRTU.compute_CRC(frame).to_bytes(2, "big")
 
 
 @dataclass(frozen=True)
@@ -45,10 +40,10 @@ def _polls_of_others(draw: st.DrawFn) -> list[Said]:
     content = bytes(draw(_LIKE_OURS))
     content += bytes(len(content) % 2)
     count = len(content) // 2
-    request = _frame(unit, struct.pack(">BHH", function, draw(st.integers(0, 0xFFFF)), max(count, 1)))
-    answer = _frame(unit, bytes([function, len(content)]) + content)
+    request = frame(struct.pack(">BHH", function, draw(st.integers(0, 0xFFFF)), max(count, 1)), unit)
+    answer = frame(bytes([function, len(content)]) + content, unit)
     if count == 0 or draw(st.integers(0, 9)) == 0:
-        answer = _frame(unit, bytes([function | 0x80, 2]))
+        answer = frame(bytes([function | 0x80, 2]), unit)
     return [Said(request), Said(answer)]
 
 
@@ -58,8 +53,8 @@ _READS = st.builds(
     st.integers(0, 130),
     st.integers(0, 130),
 )
-_OURS = _READS.map(lambda pdu: [Said(_frame(UNIT, pdu), pdu)])
-_NOISE = spoilt_bytes(_READS.map(lambda pdu: _frame(UNIT, pdu))).map(
+_OURS = _READS.map(lambda pdu: [Said(frame(pdu), pdu)])
+_NOISE = spoilt_bytes(_READS.map(lambda pdu: frame(pdu))).map(
     lambda data: [Said(data, is_noise=True)] if data else []
 )
 EXAMPLES = st.lists(
@@ -99,13 +94,13 @@ def check(example: list[tuple[list[Said], int, float]]) -> None:
                 before = (before + piece)[-600:]
                 request = bus.receive(piece, now_s)
                 if request is not None:
-                    assert before.endswith(_frame(UNIT, request))
+                    assert before.endswith(frame(request))
                     faces.do(_answered(silent.responder, request))
                     heard.append(request)
             if is_clear:
                 assert heard == ([] if one.asked is None else [one.asked]), (one, heard)
     read = struct.pack(">BHH", 4, 102, 2)
-    assert bus.receive(_frame(UNIT, read), now_s + 2.0) == read
+    assert bus.receive(frame(read), now_s + 2.0) == read
 
 
 async def _answered(responder: Responder, request: bytes) -> None:
