@@ -11,6 +11,16 @@ from altd.records import CameraIdentity, Frame, Origin
 from altd.records.sensors import Quality
 
 
+class Device(Protocol):
+    """A device that is opened before its other calls. The calls block; they raise the errors of its kind."""
+
+    def open(self) -> None:
+        """Open it; lamps are dark then, glasses without voltage."""
+
+    def close(self) -> None:
+        """Release it, dark or without voltage; harmless when it is not open."""
+
+
 class CameraError(Exception):
     """The camera cannot deliver; the service closes it, reports it and opens it again."""
 
@@ -57,8 +67,8 @@ class ExposureRange:
     largest_gain_db: float
 
 
-class Camera(Protocol):
-    """A source of frames. The calls block and are made from one thread that belongs to this camera."""
+class Camera(Device, Protocol):
+    """A source of frames. The calls are made from one thread that belongs to this camera."""
 
     @property
     def name(self) -> str:
@@ -87,17 +97,11 @@ class Camera(Protocol):
     def exposure_range(self) -> ExposureRange | None:
         """Ranges of exposure and gain, known once open; None: the camera can set neither."""
 
-    def open(self) -> None:
-        """Open the camera and start it with its settings; raises CameraError."""
-
     def next_frame(self, timeout_s: float) -> Frame:
         """Return the next frame, waiting at most ``timeout_s``; raises CameraError or a subclass."""
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Apply exposure time and gain soon, as precisely as the camera can; raises CameraError."""
-
-    def close(self) -> None:
-        """Release the camera; harmless when it is not open."""
 
 
 @runtime_checkable
@@ -150,14 +154,11 @@ class StageStoppedError(StageError):
     """``stop`` was called."""
 
 
-class Stage(Protocol):
+class Stage(Device, Protocol):
     """An xy stage that carries the laser; x and y are those of the unit frame, mm.
 
-    The calls block and are made one after the other; only ``stop`` is called from another thread.
+    The calls are made one after the other; only ``stop`` is called from another thread.
     """
-
-    def open(self) -> None:
-        """Open the stage; raises StageError."""
 
     def home(self) -> None:
         """Determine the position in the way configured for this stage; raises StageError."""
@@ -170,9 +171,6 @@ class Stage(Protocol):
 
     def stop(self) -> None:
         """Stop a movement in progress; it and every later one raise StageStoppedError."""
-
-    def close(self) -> None:
-        """Release the stage; harmless when it is not open."""
 
 
 class InclinometerError(Exception):
@@ -241,8 +239,8 @@ class InclinometerReading:
     words: tuple[int, ...]
 
 
-class Inclinometer(Protocol):
-    """A sensor of inclination. The calls block and are made from one thread."""
+class Inclinometer(Device, Protocol):
+    """A sensor of inclination; opening checks that it is this sensor. The calls are made from one thread."""
 
     @property
     def name(self) -> str:
@@ -252,47 +250,29 @@ class Inclinometer(Protocol):
     def accuracy(self) -> InclinometerAccuracy:
         """Accuracy of its angles."""
 
-    def open(self) -> None:
-        """Open the port and check that it is this sensor; raises InclinometerError."""
-
     def read(self) -> InclinometerReading:
         """Return the current reading; raises InclinometerError."""
-
-    def close(self) -> None:
-        """Release the port; harmless when it is not open."""
 
 
 class LampsError(Exception):
     """The lamps cannot be opened or switched; the message gives the reason."""
 
 
-class Lamps(Protocol):
-    """The frame LEDs. The calls block."""
-
-    def open(self) -> None:
-        """Open the LEDs, dark; raises LampsError."""
+class Lamps(Device, Protocol):
+    """The frame LEDs."""
 
     def switch(self, on: bool) -> None:
         """Switch all LEDs on or off; raises LampsError."""
 
-    def close(self) -> None:
-        """Switch the LEDs off and release them; harmless when they are not open."""
 
-
-class Switches(Protocol):
-    """Voltage of switched glasses: with voltage a glass is clear, without it opaque. The calls block."""
-
-    def open(self) -> None:
-        """Open the switches, all glasses without voltage; raises LampsError."""
+class Switches(Device, Protocol):
+    """Voltage of switched glasses: with voltage a glass is clear, without it opaque."""
 
     def show(self, opaque: str) -> None:
         """Switch this target's glass off (opaque) and all others on; raises LampsError.
 
         Empty: no glass has voltage.
         """
-
-    def close(self) -> None:
-        """Switch all glasses off and release them; harmless when they are not open."""
 
 
 class Indicator(StrEnum):
@@ -304,17 +284,11 @@ class Indicator(StrEnum):
     OK = "ok"
 
 
-class Indicators(Protocol):
-    """The lamps on the housing. The calls block."""
-
-    def open(self) -> None:
-        """Open the lamps, dark; raises LampsError."""
+class Indicators(Device, Protocol):
+    """The lamps on the housing."""
 
     def show(self, lit: frozenset[Indicator]) -> None:
         """Switch these lamps on and the others off; raises LampsError."""
-
-    def close(self) -> None:
-        """Switch the lamps off and release them; harmless when they are not open."""
 
 
 class ThermometerError(Exception):

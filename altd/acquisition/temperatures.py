@@ -10,6 +10,7 @@ from altd.ports import (
     Thermometer,
     ThermometerError,
 )
+from altd.runtime.supervision import Limits, Works, complaint_of, keep
 from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
 
@@ -46,27 +47,26 @@ async def watch_temperature(thermometer: Thermometer, component: Component, cloc
     component.expect(_HEARTBEAT_S)
     thread = DeviceThread(component.name)
     lowest, highest = _POSSIBLE_CELSIUS
-    try:
+
+    async def read_on(works: Works) -> None:
         while True:
-            try:
-                celsius = await thread.call(thermometer.celsius, within_s=_ANSWER_TIMEOUT_S)
-                if celsius is not None and not lowest <= celsius <= highest:
-                    raise ThermometerError(f"{celsius:.1f} C cannot be")
-            except Exception as error:
-                component.observe({"celsius": None})
-                component.set_state(State.FAILED, _in_words(error))
-            else:
-                component.observe({"celsius": None if celsius is None else round(celsius, 1)})
-                component.set_state(State.OK, _NONE if celsius is None else "")
+            celsius = await thread.call(thermometer.celsius, within_s=_ANSWER_TIMEOUT_S)
+            if celsius is not None and not lowest <= celsius <= highest:
+                raise ThermometerError(f"{celsius:.1f} C cannot be")
+            works()
+            component.observe({"celsius": None if celsius is None else round(celsius, 1)})
+            component.set_state(State.OK, _NONE if celsius is None else "")
             await clock.sleep(READ_INTERVAL_S)
+
+    def failed(error: Exception, _: int) -> str:
+        sentence = complaint_of(
+            error, ThermometerError, f"the sensor does not answer within {_ANSWER_TIMEOUT_S:g} s"
+        )
+        component.observe({"celsius": None})
+        component.set_state(State.FAILED, sentence)
+        return sentence
+
+    try:
+        await keep(component.name, read_on, failed, Limits(READ_INTERVAL_S, READ_INTERVAL_S), clock)
     finally:
         await thread.end(lambda: None, _ANSWER_TIMEOUT_S)
-
-
-def _in_words(error: Exception) -> str:
-    match error:
-        case ThermometerError():
-            return str(error)
-        case TimeoutError():
-            return f"the sensor does not answer within {_ANSWER_TIMEOUT_S:g} s"
-    return f"{type(error).__name__}: {error}"

@@ -10,7 +10,6 @@ moved laser changes it slowly.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 from collections.abc import Mapping
@@ -29,6 +28,7 @@ from altd.ports import (
 from altd.reasons import Reason
 from altd.records import Fault, Finding, Value
 from altd.records.sensors import Quality, SensorValue
+from altd.runtime.supervision import Limits, Works, keep_device
 from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
 
@@ -80,11 +80,9 @@ ROLL = "roll_deg"
 
 _CALL_TIMEOUT_S = 1.0
 """Maximum time of a call. A reading takes 0.1 s, a failed one 0.5 s; after this time the port hangs."""
-_OPEN_TIMEOUT_S = 10.0
-"""Maximum time of opening the port: for a USB adapter, every request goes over its bus."""
-_CLOSE_TIMEOUT_S = 1.0
-_MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 1.0
-"""Minimum and maximum time before reopening; short, for the person who has just plugged in a cable."""
+_LIMITS = Limits(0.2, 1.0, open_s=10.0)
+"""It is reopened soon, for the person who has just plugged in a cable. Opening takes long for a USB adapter:
+every request goes over its bus."""
 _MAX_FAILURES = 3
 """Number of consecutive failures after which the port is reopened."""
 
@@ -136,28 +134,11 @@ class InclinationMonitor:
 
     async def run(self) -> None:
         """Read until cancelled."""
-        thread = DeviceThread(self._component.name)
-        backoff_s = _MIN_BACKOFF_S
-        try:
-            while True:
-                try:
-                    await thread.call(
-                        self._driver.open, within_s=_OPEN_TIMEOUT_S, undo=lambda _: self._driver.close()
-                    )
-                    self._judge.restart()
-                    backoff_s = _MIN_BACKOFF_S
-                    await self._read_on(thread)
-                except Exception as error:
-                    self._fail(error)
-                with contextlib.suppress(Exception):
-                    await thread.call(self._driver.close, within_s=_CLOSE_TIMEOUT_S)
-                await self._clock.sleep(backoff_s)
-                backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
-        finally:
-            await thread.end(self._driver.close, _CLOSE_TIMEOUT_S)
+        await keep_device(self._driver, self._read_on, self._fail, _LIMITS, self._component)
 
-    async def _read_on(self, thread: DeviceThread) -> None:
+    async def _read_on(self, thread: DeviceThread, works: Works) -> None:
         """Read at intervals; raises errors after which the port must be reopened."""
+        self._judge.restart()
         failures = 0
         due_ns = self._clock.monotonic_ns()
         while True:
@@ -170,6 +151,7 @@ class InclinationMonitor:
                 self._fail(error)
             else:
                 failures = 0
+                works()
                 self._take(reading)
             now_ns = self._clock.monotonic_ns()
             due_ns = max(due_ns + round(self._settings.interval_s * 1e9), now_ns)
@@ -200,7 +182,7 @@ class InclinationMonitor:
         self._component.observe(figures)
         self._report(said)
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: Exception, _: int = 0) -> str:
         """Note a failure; after a lost or disturbed response, keep the last reading until it is too old."""
         said = _in_words(error)
         self._component.count("failures")
@@ -208,9 +190,10 @@ class InclinationMonitor:
         is_passing = isinstance(error, InclinometerTimeoutError | InclinometerDisturbedError)
         if not (is_passing and self._latest.at(self._clock.monotonic_ns()).value is not None):
             self._latest = said
-            self._report(said)
+            self._report(said, error if said.quality is Quality.DEFECT else None)
+        return ""
 
-    def _report(self, said: SensorValue) -> None:
+    def _report(self, said: SensorValue, defect: Exception | None = None) -> None:
         """Report to health, and write a line to the log when the quality changes."""
         known = said.value is not None
         starting = said.quality is Quality.STARTING
@@ -218,7 +201,7 @@ class InclinationMonitor:
         self._component.set_state(state, self._driver.name if known else said.detail)
         quality = None if known or starting else said.quality
         if quality not in (None, self._logged):
-            log.warning("%s: %s", self._component.name, said.detail)
+            log.warning("%s: %s", self._component.name, said.detail, exc_info=defect)
         self._logged = quality
 
 
@@ -228,7 +211,6 @@ def _in_words(error: Exception) -> SensorValue:
             return SensorValue(error.quality, str(error))
         case TimeoutError():
             return SensorValue(Quality.NO_PORT, "the port hangs: unplug it and plug it in again")
-    log.error("inclinometer", exc_info=error)
     return SensorValue(Quality.DEFECT, f"{type(error).__name__}: {error}")
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from collections.abc import Callable, Iterable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
-from altd.ports import Clock, Lamps, LampsError
+from altd.ports import Clock, Device, Lamps, LampsError
+from altd.runtime.supervision import Limits, Works, complaint_of, keep_device
 from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
-
-log = logging.getLogger("altd")
 
 Setpoint = TypeVar("Setpoint")
 
@@ -22,23 +20,11 @@ CALL_TIMEOUT_S = 1.0
 REFRESH_INTERVAL_S = 1.0
 """Interval at which an unchanged setpoint is reapplied, so that the loss of a chip is detected."""
 
-MIN_BACKOFF_S = 0.2
-MAX_BACKOFF_S = 5.0
-_HEARTBEAT_S = MAX_BACKOFF_S + 5 * CALL_TIMEOUT_S
+_LIMITS = Limits(0.2, 5.0, open_s=CALL_TIMEOUT_S, close_s=CALL_TIMEOUT_S)
+_HEARTBEAT_S = _LIMITS.longest_s + 5 * CALL_TIMEOUT_S
 """Maximum silence of live lamps: they report after each attempt, of at most three calls, and each pause."""
 
-
 _CAMERAS_POLL_INTERVAL_S = 0.05
-
-
-class Openable(Protocol):
-    """Methods common to lamps of all kinds."""
-
-    def open(self) -> None:
-        """Open the lamps, dark; raises LampsError."""
-
-    def close(self) -> None:
-        """Darken and release the lamps."""
 
 
 class LampController(Generic[Setpoint]):
@@ -51,7 +37,7 @@ class LampController(Generic[Setpoint]):
 
     def __init__(
         self,
-        driver: Openable,
+        driver: Device,
         show: Callable[[Setpoint], None],
         dark: Setpoint,
         component: Component,
@@ -66,7 +52,6 @@ class LampController(Generic[Setpoint]):
         self._waiting: list[tuple[Setpoint, asyncio.Future[None]]] = []
         self._newest: asyncio.Future[None] | None = None
         """The call of ``apply`` that changed the setpoint last; None: it was ``request``."""
-        self._backoff_s = MIN_BACKOFF_S
         self.last_failure = ""
         """Latest failure since the start, even if a later attempt succeeded; empty: none."""
 
@@ -113,31 +98,23 @@ class LampController(Generic[Setpoint]):
             while camera.state is State.STARTING:
                 await self._clock.sleep(_CAMERAS_POLL_INTERVAL_S)
         self._component.expect(_HEARTBEAT_S)
-        thread = DeviceThread(self._component.name)
+        await keep_device(self._driver, self._use, self._fail, _LIMITS, self._component)
+
+    async def _use(self, thread: DeviceThread, works: Works) -> None:
         try:
-            while True:
-                try:
-                    await thread.call(self._driver.open, within_s=CALL_TIMEOUT_S, undo=self._close_late)
-                    await self._apply_setpoints(thread)
-                except Exception as error:
-                    self._fail(_complaint_of(error))
-                with contextlib.suppress(Exception):
-                    await thread.call(self._driver.close, within_s=CALL_TIMEOUT_S)
-                await self._clock.sleep(self._backoff_s)
-                self._backoff_s = min(2 * self._backoff_s, MAX_BACKOFF_S)
-        finally:
+            await self._apply_setpoints(thread, works)
+        except asyncio.CancelledError:
             for _, applied in self._waiting:
                 applied.cancel()
-            if not await thread.end(self._driver.close, CALL_TIMEOUT_S):
-                log.warning("%s: the driver does not come back; they may stay lit", self._component.name)
+            raise
 
-    async def _apply_setpoints(self, thread: DeviceThread) -> None:
+    async def _apply_setpoints(self, thread: DeviceThread, works: Works) -> None:
         """Apply the setpoint at each change and at intervals, until that fails."""
         while True:
             self._changed.clear()
             setpoint, count = self._setpoint, len(self._waiting)
             await thread.call(self._show, setpoint, within_s=CALL_TIMEOUT_S, undo=self._close_late)
-            self._backoff_s = MIN_BACKOFF_S
+            works()
             self._component.set_state(State.OK)
             for wanted, applied in self._waiting[:count]:
                 if applied.done():
@@ -155,29 +132,17 @@ class LampController(Generic[Setpoint]):
         """Close the lamps after a call that came back too late: it was reported as failed."""
         self._driver.close()
 
-    def _fail(self, complaint: str) -> None:
-        if self._component.message != (message := f"{complaint}; trying again"):
-            log.warning("%s: %s", self._component.name, message)
-        self._component.set_state(State.FAILED, message)
+    def _fail(self, error: Exception, _: int) -> str:
+        late = f"the driver does not answer within {CALL_TIMEOUT_S:g} s"
+        self.last_failure = complaint = complaint_of(error, LampsError, late)
+        self._component.set_state(State.FAILED, f"{complaint}; trying again")
         self._component.count("failures")
-        self.last_failure = complaint
         self._setpoint = self._dark
-        self._refuse_waiting(complaint)
-
-    def _refuse_waiting(self, complaint: str) -> None:
-        for _, applied in self._waiting:
+        for _wanted, applied in self._waiting:
             if not applied.done():
                 applied.set_exception(LampsError(complaint))
         self._waiting.clear()
-
-
-def _complaint_of(error: Exception) -> str:
-    match error:
-        case LampsError():
-            return str(error)
-        case TimeoutError():
-            return f"the driver does not answer within {CALL_TIMEOUT_S:g} s"
-    return f"{type(error).__name__}: {error}"
+        return complaint
 
 
 class FrameLamps(LampController[bool]):

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from unittest.mock import Mock
 
+import pytest
 from support.clock import stop
 
 from altd.acquisition.temperatures import READ_INTERVAL_S, CameraThermometer, watch_temperature
@@ -39,12 +40,15 @@ async def test_a_temperature_is_a_figure_of_its_component() -> None:
     assert (component.state, component.figures) == (State.OK, {"celsius": 23.5})
 
 
-async def test_a_sensor_that_fails_says_why_and_its_old_value_is_gone() -> None:
+async def test_a_sensor_that_fails_says_why_and_its_old_value_is_gone(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     def broken() -> float:
         raise ThermometerError("not found: no hwmon chip 'tmp102'")
 
     component = await after_one_reading(broken, before=20.0)
     assert (component.state, component.message) == (State.FAILED, "not found: no hwmon chip 'tmp102'")
+    assert caplog.messages == ["temperature housing: not found: no hwmon chip 'tmp102'; trying again"]
     assert component.figures == {"celsius": None}
 
 

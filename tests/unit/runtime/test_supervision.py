@@ -135,6 +135,19 @@ async def test_what_dies_again_and_again_does_not_fill_the_log(
             assert len(caplog.records) == 2  # it had served for long: that is news
 
 
+async def test_different_failures_are_logged_once_each_and_not_without_end(
+    clock: FakeClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Varied(Flaky):
+        async def run(self, ready: Callable[[], None]) -> None:
+            self.error = RuntimeError(f"no {len(self.starts) // 2}")
+            await super().run(ready)
+
+    async with supervised(Varied(failures=100), clock):
+        await clock.advance(2000.0)
+    assert caplog.messages == [f"face: RuntimeError: no {n}; trying again" for n in range(8)]
+
+
 class Grouped:
     """Fails in a task of a group."""
 

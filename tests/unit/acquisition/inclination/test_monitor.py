@@ -194,6 +194,16 @@ async def test_a_port_that_hangs_holds_up_nobody_and_its_roll_grows_old(bench: B
     await known(bench)
 
 
+async def test_a_sensor_that_can_be_opened_but_not_read_is_tried_each_second_and_a_defect_logged_once(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench.sensor.failure = ZeroDivisionError("a defect")
+    await bench.clock.advance(20.0)
+    assert 10 < bench.sensor.opened < 25
+    assert [record.exc_info is not None for record in caplog.records] == [True]
+    assert caplog.messages == ["inclinometer: ZeroDivisionError: a defect"]
+
+
 async def test_a_missing_port_is_looked_for_again(bench: Bench) -> None:
     bench.sensor.refuses_to_open = InclinometerNotFoundError("there is no such port now")
     bench.sensor.failure = bench.sensor.refuses_to_open
