@@ -1,4 +1,4 @@
-"""One thread per camera acquires its frames: it makes the blocking calls and reopens a lost camera.
+"""One thread per camera acquires its frames: it makes the blocking calls.
 
 The thread does nothing else. So a camera is triggered, stamped and emptied in time, however long the
 measurement of a frame takes, and the event loop is never blocked.
@@ -7,7 +7,6 @@ measurement of a frame takes, and the event loop is never blocked.
 from __future__ import annotations
 
 import asyncio
-import logging
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +27,8 @@ from altd.ports import (
     Clock,
 )
 from altd.records import Frame
-from altd.runtime.threads import call_in_thread
+from altd.runtime.supervision import NO_LIMIT_S, Limits, Works, keep_device
+from altd.runtime.threads import DeviceThread
 from altd.status.health import CameraTrouble, Component
 
 _MAX_AHEAD_NS = 100_000_000
@@ -61,20 +61,15 @@ class StampCheck:
         return ""
 
 
-log = logging.getLogger("altd")
-
 FRAME_TIMEOUT_S = 0.25
 _REPORT_INTERVAL_S = 0.25
 _HEARTBEAT_S = 3.0
 """Maximum silence of a camera, checked every ``_REPORT_INTERVAL_S``: the loop may be blocked for a second."""
-_MIN_BACKOFF_S = 0.2
-_MAX_BACKOFF_S = 0.5
-"""Maximum time between two attempts to open a camera. A camera that returns must be measured again within
-2 s, of which half a window of exposures takes 0.5 s."""
-_LOG_REPEAT_S = 10.0
-"""Minimum time of delivery after which a failure that was logged before is logged again."""
-_JOIN_TIMEOUT_S = 3.0
-"""Maximum wait for the thread: the service manager kills after 10 s, and the interfaces shut down too."""
+_LIMITS = Limits(0.2, 0.5, close_s=3.0)
+"""A camera that returns must be measured again within 2 s, of which half a window of exposures takes 0.5 s.
+
+The end waits up to 3 s for its thread: the service manager kills after 10 s, and the interfaces end too.
+"""
 
 _TROUBLES: tuple[tuple[type[CameraError], str, CameraTrouble], ...] = (
     (CameraNotFoundError, "not found", CameraTrouble.NOT_FOUND),
@@ -105,22 +100,26 @@ async def acquire(
     report = CameraReport(component, camera.waits)
     component.expect(_HEARTBEAT_S)
     acquirer = _Acquirer(camera, sink, report, exposure, component.clock)
-    done = call_in_thread(acquirer.run, f"camera-{camera.name}")
-    done.add_done_callback(lambda _: done.cancelled() or done.exception())  # it may never be awaited
+    keeping = asyncio.create_task(
+        keep_device(acquirer, acquirer.use, acquirer.fail, _LIMITS, component), name=component.name
+    )
     try:
-        while not (await asyncio.wait({done}, timeout=_REPORT_INTERVAL_S))[0]:
+        while not (await asyncio.wait({keeping}, timeout=_REPORT_INTERVAL_S))[0]:
             component.is_alive()
             report.update(acquirer.deliveries)
             if exposure is not None:
                 report.show(exposure.figures)
     finally:
         acquirer.stop.set()
-        if not done.done():
+        if not keeping.done():
             sink.close()
-        # A driver's call may block the thread; as a daemon thread it cannot keep the process alive.
-        await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
+        keeping.cancel()
+        await asyncio.gather(keeping, return_exceptions=True)
         report.count(acquirer.deliveries)
-    done.result()
+    try:
+        keeping.result()
+    except CameraEndedError as error:
+        report.ended(acquirer.deliveries, str(error))
 
 
 def _trouble_of(error: CameraError) -> tuple[str, CameraTrouble | None]:
@@ -151,42 +150,26 @@ class _Acquirer:
         self._exposure = exposure
         self._clock = clock
         self._loop = asyncio.get_running_loop()
-        self._has_delivered = False
 
-    def run(self) -> None:
-        try:
-            self._acquire_frames()
-        except CameraEndedError as error:
-            self._call_in_loop(self._report.ended, self.deliveries, str(error))
+    def open(self) -> None:
+        """Leave it to ``use``: no frame of an opened camera may wait for the loop."""
 
-    def _acquire_frames(self) -> None:
-        backoff_s, failed_ns, logged = _MIN_BACKOFF_S, self._clock.monotonic_ns(), set[str]()
-        while not self.stop.is_set():
-            self._has_delivered = False
-            try:
-                self._camera.open()
-                self._deliver()
-            except CameraEndedError:
-                raise
-            except CameraError as error:
-                sentence, trouble = _trouble_of(error)
-                well_s = (self._clock.monotonic_ns() - failed_ns) * 1e-9
-                if well_s > _LOG_REPEAT_S and self._has_delivered:
-                    logged.clear()
-                if sentence not in logged:
-                    logged.add(sentence)
-                    log.warning("camera %s: %s; trying again", self._camera.name, sentence)
-                self._call_in_loop(self._report.failed, self.deliveries, sentence, trouble)
-            finally:
-                self._camera.close()
-            if self._has_delivered:
-                backoff_s = _MIN_BACKOFF_S
-            failed_ns = self._clock.monotonic_ns()
-            self._clock.wait(self.stop, backoff_s)
-            backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
+    def close(self) -> None:
+        self._camera.close()
 
-    def _deliver(self) -> None:
-        """Deliver the frames of a camera that has just been opened, until it fails or its source ends."""
+    async def use(self, thread: DeviceThread, works: Works) -> None:
+        await thread.call(self._deliver, works, within_s=NO_LIMIT_S)
+
+    def fail(self, error: Exception, _: int) -> str:
+        if isinstance(error, CameraEndedError) or not isinstance(error, CameraError):
+            raise error
+        sentence, trouble = _trouble_of(error)
+        self._report.failed(self.deliveries, sentence, trouble)
+        return sentence
+
+    def _deliver(self, works: Works) -> None:
+        """Open the camera and deliver its frames, until it fails or its source ends."""
+        self._camera.open()
         exposure = self._exposure
         self.deliveries = replace(
             self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=False
@@ -213,7 +196,7 @@ class _Acquirer:
                 continue
             lost = 0 if last is None else max(frame.sequence - last - 1, 0)
             last = frame.sequence
-            self._has_delivered = True
+            works()
             if not self._camera.waits and (sentence := stamps.refusal(frame, self._clock.monotonic_ns())):
                 self._count_mistimed(sentence)
                 continue

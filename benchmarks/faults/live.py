@@ -20,6 +20,8 @@ from altd.config import Measuring
 from altd.measuring.pairing import Pair
 from altd.ports import CameraError, CameraLostError, CameraNotFoundError, CameraTimeoutError, Stop
 from altd.records import CameraIdentity, Frame, Measurement, Origin
+from altd.runtime.supervision import keep_device
+from altd.runtime.threads import DeviceThread
 from benchmarks.campaign.clips import SimulatedRig
 from benchmarks.campaign.episode import SteppedClock
 from benchmarks.campaign.way import CAMERAS
@@ -28,6 +30,19 @@ from benchmarks.material import make_config
 
 _PATIENCE_S = 30.0
 _POLL_S = 0.0002
+_TURNS = 10
+"""Turns of the loop for which nothing happens at rest: a camera's task takes some between two calls."""
+
+
+class _CameraThread(DeviceThread):
+    """Thread of a device; those of the cameras are remembered."""
+
+    made: ClassVar[list[DeviceThread]] = []
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        if name.startswith("camera "):
+            self.made.append(self)
 
 
 class LiveClock(SteppedClock):
@@ -63,10 +78,11 @@ class LiveClock(SteppedClock):
         """Mark the calling thread as busy. ``passed`` is held."""
         self._waiting.pop(threading.get_ident(), None)
 
-    def is_held(self, threads: int) -> bool:
-        """Whether this number of threads waits for a later time."""
+    def is_held(self) -> bool:
+        """Whether each camera's thread waits for a later time or has nothing to do."""
+        busy = sum(thread._turn.locked() for thread in _CameraThread.made)  # noqa: SLF001
         with self.passed:
-            return sum(due_ns > self.monotonic_ns() for due_ns in self._waiting.values()) >= threads
+            return sum(due_ns > self.monotonic_ns() for due_ns in self._waiting.values()) >= busy
 
     async def set(self, t_ns: int, *, at_one_blow: bool = False) -> None:
         """Advance the time, for tasks and for threads."""
@@ -149,8 +165,8 @@ class LiveUnit:
         """Wait until the cameras' threads wait for a later time and every frame set is measured."""
         give_up_s = time.monotonic() + _PATIENCE_S
         quiet = 0
-        while quiet < 2:
-            is_quiet = self.clock.is_held(len(CAMERAS)) and not any(
+        while quiet < _TURNS:
+            is_quiet = self.clock.is_held() and not any(
                 camera.is_open and (camera.frames or camera.is_unplugged) for camera in self.cameras.values()
             )
             quiet = quiet + 1 if is_quiet and self._is_done() else 0
@@ -181,7 +197,9 @@ async def live_unit(
         task = asyncio.create_task(daemon.run(), name="daemon")
         try:
             async with asyncio.timeout(_PATIENCE_S):
-                while not clock.is_held(len(CAMERAS)) and not task.done():  # noqa: ASYNC110  threads
+                while not task.done() and not (  # noqa: ASYNC110  threads
+                    all(camera.is_open for camera in cameras.values()) and clock.is_held()
+                ):
                     await asyncio.sleep(0.001)
             if task.done():
                 task.result()
@@ -222,6 +240,10 @@ def _watched(daemon: Daemon) -> Iterator[Callable[[], bool]]:
         measured[0] += 1
         return add(located)
 
-    pairs = f"{Daemon.__module__}.FramePairs"
-    with mock.patch.object(daemon.chain, "add", add_and_count), mock.patch(pairs, _WatchedPairs):
+    _CameraThread.made.clear()
+    with (
+        mock.patch.object(daemon.chain, "add", add_and_count),
+        mock.patch(f"{Daemon.__module__}.FramePairs", _WatchedPairs),
+        mock.patch(f"{keep_device.__module__}.DeviceThread", _CameraThread),
+    ):
         yield lambda: _WatchedPairs.made.is_empty and _WatchedPairs.made.taken == measured[0]

@@ -11,6 +11,7 @@ from functools import partial
 from itertools import count
 from queue import SimpleQueue
 from typing import Any, Self, TypeVar
+from weakref import WeakSet
 
 import pytest
 
@@ -22,30 +23,26 @@ START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 
 
 class FakeClock:
-    """Time stands still until ``advance`` lets it pass.
+    """Time stands still until ``advance`` lets it pass."""
 
-    ``threads`` block in ``wait``, each time that they have done their part: time passes only while all do.
-    """
-
-    def __init__(self, now_ns: int = 0, threads: int = 0) -> None:
+    def __init__(self, now_ns: int = 0) -> None:
         self.now_ns = now_ns
-        self.threads = threads
         self._due: list[tuple[int, int, Callable[[], object]]] = []
         self._number = count()
         self._arrived: SimpleQueue[tuple[int, threading.Event]] = SimpleQueue()
         self._idle: set[threading.Event] = set()
-        self._seen: set[threading.Thread] = set()
         self._calls: set[asyncio.Future[Any]] = set()
         self._devices: list[DeviceThread] = []
         self._ended = threading.Event()
 
     @classmethod
-    def of_loop(cls, now_ns: int = 10**9, threads: int = 0) -> Self:
+    def of_loop(cls, now_ns: int = 10**9) -> Self:
         """One that the timers of the running loop obey too, such as those of ``asyncio.timeout``.
 
-        Time passes only while nothing is under way in ``asyncio.to_thread``.
+        Time passes only while nothing is under way in ``asyncio.to_thread``, nor in a device's thread.
         """
-        clock, loop = cls(now_ns, threads), asyncio.get_running_loop()
+        clock, loop = cls(now_ns), asyncio.get_running_loop()
+        clock.watch_devices()
         began_s, call_at, run_in_executor = loop.time(), loop.call_at, loop.run_in_executor
 
         def call_at_and_note(when: float, *arguments: Any, **named: Any) -> asyncio.TimerHandle:
@@ -74,7 +71,6 @@ class FakeClock:
         await future
 
     def wait(self, stop: Stop, seconds: float) -> None:
-        self._seen.add(threading.current_thread())
         woken = threading.Event()
         self._arrived.put((self.now_ns + round(seconds * 1e9), woken))
         self._idle.add(woken)
@@ -90,7 +86,6 @@ class FakeClock:
 
     def rest(self, until: threading.Event) -> None:
         """A thread is about to wait for something else, until ``release``."""
-        self._seen.add(threading.current_thread())
         self._idle.add(until)
 
     def release(self, held: threading.Event) -> None:
@@ -141,21 +136,14 @@ class FakeClock:
             due_ns, woken = self._arrived.get()
             self._call(due_ns, partial(self._wake, woken))
 
-    def watch_devices(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Time passes only while no call of a device that is begun from now on is under way, unless held."""
-        begin = DeviceThread.__init__
-
-        def begin_and_note(device: DeviceThread, name: str) -> None:
-            begin(device, name)
-            self._devices.append(device)
-
-        monkeypatch.setattr(DeviceThread, "__init__", begin_and_note)
+    def watch_devices(self) -> None:
+        """Time passes only while each call of a device that is begun from now on waits for this clock."""
+        _WATCHING.add(self)
 
     @property
     def _has_threads_waiting(self) -> bool:
         busy = sum(device._turn.locked() for device in self._devices)  # noqa: SLF001
-        ended = sum(not thread.is_alive() for thread in self._seen)
-        return len(self._idle) + ended >= self.threads + busy
+        return len(self._idle) >= busy
 
     async def stop(self, task: asyncio.Task[None]) -> None:
         """Cancel a task, and let pass what time it takes to be gone."""
@@ -177,6 +165,19 @@ class FakeClock:
     def _wake(self, woken: threading.Event) -> None:
         self._idle.discard(woken)
         woken.set()
+
+
+_WATCHING: WeakSet[FakeClock] = WeakSet()
+_begin = DeviceThread.__init__
+
+
+def _begin_and_note(device: DeviceThread, name: str) -> None:
+    _begin(device, name)
+    for clock in _WATCHING:
+        clock._devices.append(device)  # noqa: SLF001
+
+
+pytest.MonkeyPatch().setattr(DeviceThread, "__init__", _begin_and_note)
 
 
 async def stop(task: asyncio.Task[None]) -> None:

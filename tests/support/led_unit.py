@@ -8,8 +8,6 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-import pytest
-
 from altd.app.daemon import Daemon
 from altd.config import Config
 from altd.measuring.calibration import Calibration
@@ -193,20 +191,18 @@ async def driven_led_unit(
     Time passes as fast as the daemon computes, also for the timers of the loop.
     """
     unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()
-    seen, clock = _LitUnit(unit, leds), FakeClock.of_loop(threads=len(CAMERAS))
+    seen, clock = _LitUnit(unit, leds), FakeClock.of_loop()
     leds.now_ns = clock.monotonic_ns
     cameras = {name: _ClockedCamera(seen, name, clock) for name in CAMERAS}
     daemon = Daemon(settings, calibration, cameras, clock, lamps=leds, rehearsal=True)
     running = LedUnit(daemon, unit, leds, seen)
-    with pytest.MonkeyPatch.context() as patch:
-        clock.watch_devices(patch)
-        async with _running(running, prepare):
-            passing = asyncio.create_task(_let_pass(clock))
-            try:
-                yield running
-            finally:
-                await stop(passing)
-                clock.end()  # the end of the daemon waits for threads, in real time
+    async with _running(running, prepare):
+        passing = asyncio.create_task(_let_pass(clock))
+        try:
+            yield running
+        finally:
+            await stop(passing)
+            clock.end()  # the end of the daemon waits for threads, in real time
 
 
 @contextlib.asynccontextmanager

@@ -9,7 +9,7 @@ from altd.status.health import Component, Health
 @pytest.fixture
 async def clock() -> AsyncIterator[FakeClock]:
     """That of the loop and of a camera's thread."""
-    clock = FakeClock.of_loop(8_000_000_000, threads=1)
+    clock = FakeClock.of_loop(8_000_000_000)
     yield clock
     clock.end()
 

@@ -61,7 +61,7 @@ class Running:
     """Frame sets of cameras on a clock that the test drives."""
 
     def __init__(self, *cameras: Camera, exposure: dict[str, ExposureControl] | None = None) -> None:
-        self.clock = FakeClock.of_loop(threads=len(cameras))
+        self.clock = FakeClock.of_loop()
         for camera in cameras:
             camera.clock, camera.start_ns = self.clock, self.clock.now_ns
         self._sets = FrameSets(cameras, Measuring(), Health(self.clock), exposure)

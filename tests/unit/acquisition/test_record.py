@@ -53,7 +53,7 @@ class Source:
 
 
 async def recorded(sources: Sequence[Source], path: Path, plan: RecordingPlan) -> int:
-    clock = FakeClock.of_loop(threads=len(sources))
+    clock = FakeClock.of_loop()
     for source in sources:
         source.clock = clock
     return await clock.run(record(FrameSets(sources, Measuring(), Health(clock)), path, plan))
@@ -136,7 +136,7 @@ async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Pa
 @pytest.fixture
 async def clock() -> AsyncIterator[FakeClock]:
     """That of the loop and of the threads of two cameras."""
-    clock = FakeClock.of_loop(threads=2)
+    clock = FakeClock.of_loop()
     yield clock
     clock.end()
 

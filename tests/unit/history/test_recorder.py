@@ -57,7 +57,7 @@ class Recording:
             store.clock = self.clock
 
     async def __aenter__(self) -> Recording:
-        self.clock.watch_devices(self._patches)
+        self.clock.watch_devices()
         self._patches.setattr(recorder_module, "_END_TIMEOUT_S", self._end_within_s)
         self._task = asyncio.create_task(self.recorder.run())
         await settle()

@@ -104,7 +104,6 @@ class Bench:
 async def bench(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Bench]:
     monkeypatch.setattr(monitor, "_CALL_TIMEOUT_S", 0.3)
     bench = Bench()
-    bench.clock.watch_devices(monkeypatch)
     yield bench
     await bench.end()
     assert bench.sensor.closed > 0

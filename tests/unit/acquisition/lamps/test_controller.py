@@ -51,9 +51,8 @@ class Leds:
 
 
 @pytest.fixture
-async def clock(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[FakeClock]:
+async def clock() -> AsyncIterator[FakeClock]:
     clock = FakeClock.of_loop()
-    clock.watch_devices(monkeypatch)
     yield clock
     clock.end()
 

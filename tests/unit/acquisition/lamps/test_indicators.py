@@ -100,10 +100,9 @@ class Row:
 
 class TestPanel:
     @pytest.fixture
-    async def clock(self, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[FakeClock]:
+    async def clock(self) -> AsyncIterator[FakeClock]:
         """Time passes only while the driver's thread has nothing to do."""
         clock = FakeClock.of_loop()
-        clock.watch_devices(monkeypatch)
         yield clock
         clock.end()
 

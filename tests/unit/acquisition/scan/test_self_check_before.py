@@ -43,7 +43,7 @@ class Bench:
     told: Told = field(default_factory=Told)
 
     async def scan(self, **settings: object) -> ScanResult:
-        clock, path = FakeClock.of_loop(threads=2), self.folder / "cal.json"
+        clock, path = FakeClock.of_loop(), self.folder / "cal.json"
         if self.calibration is not None:
             save_calibration(self.calibration, path)
         config = scan_settings(path, **settings)
