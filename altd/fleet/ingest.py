@@ -12,9 +12,9 @@ import secrets
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 import psycopg
@@ -62,6 +62,8 @@ _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 10.0
 _REPORT_INTERVAL_S = 60.0
 
 log = logging.getLogger("altd")
+
+Result = TypeVar("Result")
 
 
 class Ingest:
@@ -121,12 +123,7 @@ class Ingest:
         failed.result()
 
     def _run(self) -> None:
-        while self._writer is None:
-            try:
-                self._open_database()
-            except _NOT_OF_CONTENT as error:
-                log.warning("ingest: no database yet: %s", one_line(str(error).strip()))
-                time.sleep(_MAX_BACKOFF_S)
+        self._retry("no database yet", self._open_database)
         threading.Thread(target=self._maintain, name="maintenance", daemon=True).start()
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.ReceiveMaximum = MAX_WAITING
@@ -269,22 +266,30 @@ class Ingest:
 
         Raises psycopg.Error if it refuses the content; then nothing is written.
         """
-        backoff_s = _MIN_BACKOFF_S
+
+        def write() -> list[Progress]:
+            return (self._writer or self._open_database()).write(batches, refused)
+
+        progress = self._retry("the database does not take it", write)
+        self.rows += sum(len(batch.rows) for batch in batches)
+        return progress
+
+    def _retry(self, failure: str, use: Callable[[], Result]) -> Result:
+        """Return what ``use`` returns once the database answers; log each of its complaints once."""
+        backoff_s, logged = _MIN_BACKOFF_S, set[str]()
         while True:
             try:
-                writer = self._writer or self._open_database()
-                progress = writer.write(batches, refused)
+                return use()
             except psycopg.Error as error:
                 is_limit = (error.sqlstate or "").startswith("54")  # such as a text too long for an index
                 if is_limit or not isinstance(error, _NOT_OF_CONTENT):
                     raise
-                log.warning("ingest: the database does not take it: %s", one_line(str(error).strip()))
-                self._close_database()
-                time.sleep(backoff_s)
-                backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
-            else:
-                self.rows += sum(len(batch.rows) for batch in batches)
-                return progress
+                if (line := f"{failure}: {one_line(str(error).strip())}") not in logged:
+                    logged.add(line)
+                    log.warning("ingest: %s; trying again", line)
+            self._close_database()
+            time.sleep(backoff_s)
+            backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
 
     def _open_database(self) -> Writer:
         self._connection = connect(self._settings)

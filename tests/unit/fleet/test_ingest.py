@@ -61,6 +61,29 @@ def test_what_was_committed_is_reported_once_a_minute(
     assert told == [[], [], lines[0], [], [], lines[1]]
 
 
+@pytest.mark.parametrize("at_start", [True, False])
+def test_a_database_that_is_away_is_tried_more_and_more_rarely_and_logged_once(
+    ingest: Ingest, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, at_start: bool
+) -> None:
+    import psycopg
+
+    from altd.fleet import ingest as module
+
+    waits_s, opened = list[float](), Mock(return_value=Mock())
+    opened.side_effect = [psycopg.OperationalError("refused\n")] * 8 + [opened.return_value]
+    monkeypatch.setattr(module.time, "sleep", waits_s.append)
+    monkeypatch.setattr(ingest, "_open_database", opened)
+    if at_start:
+        monkeypatch.setattr(module.threading, "Thread", Mock(side_effect=StopIteration))
+        with pytest.raises(StopIteration):
+            ingest._run()  # noqa: SLF001
+    else:
+        ingest._write([], {})  # noqa: SLF001
+    assert waits_s == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
+    said = "no database yet" if at_start else "the database does not take it"
+    assert caplog.messages == [f"ingest: {said}: refused; trying again"]
+
+
 GOOD = """\
 [broker]
 host = "broker.plant.example"
