@@ -1,20 +1,20 @@
-"""uvicorn inside the daemon's loop, with limits against slow, numerous or hostile clients.
+"""uvicorn's protocol on connections that altd accepts, with limits against slow, numerous or hostile clients.
 
-This module closes gaps of uvicorn: it installs signal handlers, exits the process when the port is taken, and
-waits for the end of a request header without limit. Its ``limit_concurrency`` refuses requests but keeps the
-connections. It fails on a request that turns out malformed after its header, and does not end by
-cancellation.
+uvicorn's server is not used: it installs signal handlers, exits the process when the port is taken, and does
+not end by cancellation. Its ``limit_concurrency`` refuses requests but keeps the connections. Its protocol
+waits for the end of a request header without limit, and fails on a request that turns out malformed after its
+header.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import re
 import socket
 import ssl
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from email.utils import formatdate
 from typing import cast
 
 import h11
@@ -22,6 +22,7 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.protocols.utils import is_ssl
+from uvicorn.server import ServerState
 
 from altd.config import HttpSettings
 from altd.publish.http import pictures
@@ -71,6 +72,9 @@ MAX_MESSAGE_BYTES = 256
 
 PING_INTERVAL_S = 10.0
 """Interval of pings on a WebSocket, and time without a response until it is closed."""
+
+_END_TIMEOUT_S = 2.0
+"""Time for requests to end when their connections were aborted."""
 
 _SEND_BUFFER_BYTES = 16384
 """Size of the send buffer; small, so that slow clients of the stream skip measurements, not lag behind."""
@@ -135,56 +139,40 @@ async def serve(
             ("Connection", "close"),
             ("X-Content-Type-Options", "nosniff"),
         ],
-        timeout_graceful_shutdown=2,
         h11_max_incomplete_event_size=MAX_HEADER_BYTES,
     )
-    await _Server(config, listener, component, policy, ready).serve()
+    config.load()
+    server = _Server(config, component, policy)
+    ready()
+    try:
+        await accept(listener, component, server.admit)
+    finally:
+        await server.close()
 
 
-class _Server(uvicorn.Server):
-    """Leaves the signals to the daemon, accepts connections within altd's limits and ends by cancellation."""
+class _Server:
+    """Serves connections within altd's limits."""
 
-    def __init__(
-        self,
-        config: uvicorn.Config,
-        listener: socket.socket,
-        component: Component,
-        policy: ConnectionPolicy,
-        ready: Callable[[], None],
-    ) -> None:
-        super().__init__(config)
-        self._listener = listener
+    def __init__(self, config: uvicorn.Config, component: Component, policy: ConnectionPolicy) -> None:
+        self._config = config
         self._component = component
         self._policy = policy
-        self._ready = ready
+        self._state = ServerState()
         self._handshakes: set[asyncio.Task[None]] = set()
 
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Install no handlers."""
-        yield
+    async def close(self) -> None:
+        """Abort every connection, and end its tasks."""
+        for handshake in self._handshakes:
+            handshake.cancel()
+        await asyncio.gather(*self._handshakes, return_exceptions=True)
+        for connection in list(self._state.connections):
+            connection.transport.abort()
+        if self._state.tasks:
+            _, late = await asyncio.wait(self._state.tasks, timeout=_END_TIMEOUT_S)
+            for task in late:
+                task.cancel()
 
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Leave listening to ``main_loop``."""
-        self.servers = []
-        self.started = True
-
-    async def main_loop(self) -> None:
-        """Serve; at the end abort every connection, which ends the connections' tasks."""
-        accepting = asyncio.ensure_future(accept(self._listener, self._component, self._admit))
-        self._ready()
-        try:
-            await asyncio.gather(accepting, super().main_loop())
-        finally:
-            accepting.cancel()
-            for handshake in self._handshakes:
-                handshake.cancel()
-            await asyncio.gather(*self._handshakes, return_exceptions=True)
-            for connection in list(self.server_state.connections):
-                connection.transport.abort()
-            await self.shutdown()
-
-    async def _admit(self, connection: socket.socket) -> None:
+    async def admit(self, connection: socket.socket) -> None:
         """Serve a connection, or close it if it is not allowed or there are too many."""
         why = self._policy.refuses(connection) or self._is_full(connection)
         if why:
@@ -194,7 +182,7 @@ class _Server(uvicorn.Server):
         # unlike TCP, a local socket inherits no options of the listener
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         if self._policy.certificate is None:
-            protocol = _BoundedProtocol(self.config, self.server_state, {})
+            protocol = _BoundedProtocol(self._config, self._state, {})
             await asyncio.get_running_loop().connect_accepted_socket(lambda: protocol, connection)
             return
         task = asyncio.create_task(self._shake_hands(connection, self._policy.certificate()))
@@ -202,14 +190,14 @@ class _Server(uvicorn.Server):
         task.add_done_callback(self._handshakes.discard)
 
     def _is_full(self, connection: socket.socket) -> str:
-        taken = len(self.server_state.connections) + len(self._handshakes)
+        taken = len(self._state.connections) + len(self._handshakes)
         is_full = taken >= MAX_CONNECTIONS or len(self._handshakes) >= MAX_HANDSHAKES
         return "connections_refused" if is_full or is_among_last(connection, RESERVED_DESCRIPTORS) else ""
 
     async def _shake_hands(self, connection: socket.socket, context: ssl.SSLContext) -> None:
         """Start TLS on a connection that is already ours, so that its buffer is as small as without TLS."""
         loop = asyncio.get_running_loop()
-        protocol = _BoundedProtocol(self.config, self.server_state, {})
+        protocol = _BoundedProtocol(self._config, self._state, {})
         try:
             transport, _ = await loop.connect_accepted_socket(_Silent, connection)
             secured = await loop.start_tls(
@@ -276,6 +264,8 @@ class _BoundedProtocol(H11Protocol):
         if cast("object | None", self.transport) is None:
             self._early += data
             return
+        date = formatdate(usegmt=True).encode()
+        self.server_state.default_headers = [(b"date", date), *self.config.encoded_headers]
         if self._head == b"":
             data = data.removeprefix(b"\r\n")  # RFC 9112, 2.2: an empty line before a request is ignored
         behind = len(data)
