@@ -110,14 +110,12 @@ class ServedUnit:
     def figures(self) -> dict[str, float]:
         """Return the figures of the server that the daemon shows."""
         limited, server = self.server.limited, self.server.bserver
-        subscriptions = limited.subscription_service.subscriptions.values()
-        items = sum(len(each.monitored_item_srv._monitored_items) for each in subscriptions)  # noqa: SLF001
         with open("/proc/self/statm", encoding="ascii") as statm:  # noqa: PTH123  a file of the kernel
             rss_bytes = int(statm.read().split()[1]) * resource.getpagesize()
         return {
             "clients": len(server.clients) if server is not None else 0,
-            "subscriptions": len(subscriptions),
-            "monitored_items": items,
+            "subscriptions": len(limited.subscription_service.subscriptions),
+            "monitored_items": sum(len(each.items) for each in limited.sessions.values()),
             "refused": Counter(limited.refused).total(),
             "lines_refused": self.live.lines_refused,
             "rss_mb": round(rss_bytes / 1e6, 1),

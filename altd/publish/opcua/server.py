@@ -1,8 +1,7 @@
 """asyncua's server on an already listening socket, with limits for connections.
 
-Private parts of asyncua that are used here: ``OPCUAProtocol._buffer``, ``UaProcessor._connection``,
-``InternalServer._external_sessions``, ``InternalSession._last_activity``, and the parts of ``BinaryServer``
-and ``Server`` that start listening.
+Private parts of asyncua that are used: ``OPCUAProtocol._buffer``, ``UaProcessor._connection``,
+``Server._setup_server_nodes``, ``Server._policies``, ``InternalSubscription._not_acknowledged_results``.
 """
 
 from __future__ import annotations
@@ -80,6 +79,7 @@ class _Connection(OPCUAProtocol):
         if self.processor is not None and self.processor.session is not None:
             self.processor.session.is_left = True
         super().connection_lost(ex)
+        self.closing_tasks[:] = [task for task in self.closing_tasks if not task.done()]
         _iserver(self).clients_changed.set()
 
     def data_received(self, data: bytes) -> None:
@@ -160,6 +160,8 @@ class LimitedServer(InternalServer):
         self.max_pending_messages_per_connection = 64
         named = (ua.UserNameIdentityToken,)
         self.supported_tokens = (ua.AnonymousIdentityToken,) if keeper is None else named
+        self.sessions: dict[ua.NodeId, Session] = {}
+        """Sessions of clients, by their tokens."""
         self._ending: set[asyncio.Future[None]] = set()
         self.begun: Counter[Any] = Counter()
         self.clients_changed = asyncio.Event()
@@ -173,28 +175,38 @@ class LimitedServer(InternalServer):
         """Count a refusal."""
         self.refused[what] += 1
 
+    def lookup_external_session(self, auth_token: ua.NodeId) -> Session | None:
+        """Return the session with a token."""
+        return self.sessions.get(auth_token)
+
+    def register_external_session(self, session: Session) -> None:
+        """Keep a session."""
+        self.sessions[session.auth_token] = session
+
+    def unregister_external_session(self, session: Session) -> None:
+        """Forget a session."""
+        self.sessions.pop(session.auth_token, None)
+
     def create_session(self, name: Any, user: User = User(), external: bool = False) -> InternalSession:  # noqa: B008
         """Create a session of the connection with this peer name; raises ServiceError for too many."""
         now_s = time.monotonic()
-        for session in list(self._external_sessions.values()):
-            waited_s = now_s - session._last_activity  # noqa: SLF001
-            if not session.is_activated() and waited_s > ACTIVATION_TIMEOUT_S:
+        for session in list(self.sessions.values()):
+            if not session.is_activated() and now_s - session.active_s > ACTIVATION_TIMEOUT_S:
                 self.unregister_external_session(session)
         self.begun[name] += 1
-        if len(self._external_sessions) >= MAX_SESSIONS:
+        if len(self.sessions) >= MAX_SESSIONS:
             self._end_previous()
-        sessions = self._external_sessions.values()
-        is_open = any(session.name == name and not session.is_left for session in sessions)
-        if is_open or self.begun[name] > MAX_SESSIONS_BEGUN or len(self._external_sessions) >= MAX_SESSIONS:
+        is_open = any(session.name == name and not session.is_left for session in self.sessions.values())
+        if is_open or self.begun[name] > MAX_SESSIONS_BEGUN or len(self.sessions) >= MAX_SESSIONS:
             self.refuse("sessions")
             raise ServiceError(ua.StatusCodes.BadTooManySessions)
         return Session(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def _end_previous(self) -> None:
         """End the oldest abandoned session: lost clients may return for a time, but must not block others."""
-        left = [session for session in self._external_sessions.values() if session.is_left]
+        left = [session for session in self.sessions.values() if session.is_left]
         if left:
-            oldest = min(left, key=lambda session: session._last_activity)  # noqa: SLF001
+            oldest = min(left, key=lambda session: session.active_s)
             self.unregister_external_session(oldest)
             self._ending = {each for each in self._ending if not each.done()}
             self._ending.add(asyncio.ensure_future(oldest.close_session()))
@@ -223,9 +235,19 @@ class OpcUaServer(Server):
         """Start to serve clients."""
         await self._setup_server_nodes()
         await self.iserver.start()
-        self.bserver = _Listening(self.iserver, "", 0, self.limits)
-        self.bserver.set_policies(self._policies)
-        await self.bserver.listen(self._listener)
+        self.bserver = shared = BinaryServer(self.iserver, "", 0, self.limits)
+
+        def connection() -> _Connection:
+            return _Connection(
+                self.iserver, self._policies, shared.clients, shared.closing_tasks, self.limits
+            )
+
+        self._listening = await asyncio.get_running_loop().create_server(connection, sock=self._listener)
+
+    async def stop(self) -> None:
+        """Stop to serve clients."""
+        self._listening.close()
+        await super().stop()
 
     def close_idle(self) -> None:
         """Close silent connections; asyncua ends their sessions but keeps the connections."""
@@ -233,16 +255,6 @@ class OpcUaServer(Server):
         for client in list(self.bserver.clients) if self.bserver else ():
             if isinstance(client, _Connection) and now_s - client.heard_s > IDLE_TIMEOUT_S:
                 client.abort()
-
-
-class _Listening(BinaryServer):
-    async def listen(self, listener: socket.socket) -> None:
-        """Accept connections."""
-        self._server = await asyncio.get_running_loop().create_server(self._make_protocol, sock=listener)
-        self.cleanup_task = asyncio.create_task(self._close_task_loop())
-
-    def _make_protocol(self) -> OPCUAProtocol:
-        return _Connection(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
 
 
 def _group(transport: asyncio.BaseTransport | None) -> str:

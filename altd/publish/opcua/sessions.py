@@ -1,7 +1,6 @@
 """Client sessions with limits for logins, for what a session holds, and for what it may access.
 
-asyncua 2.1 has the gaps that the class describes. Private parts of it are used in ``server.py`` and here:
-``MonitoredItemService._monitored_items`` and ``InternalSubscription._not_acknowledged_results``.
+asyncua 2.1 has the gaps that the class describes. Its private parts that are used: ``server.py``.
 """
 
 from __future__ import annotations
@@ -60,10 +59,25 @@ class Session(InternalSession):
     """Whether its connection has ended; a client may continue it on another connection."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
+        self._items: dict[tuple[int, int], int] = {}
+        self.active_s = time.monotonic()
+        """Monotonic time of the last request."""
         super().__init__(*arguments, **named)
         self.iserver.unregister_external_session(self)
         self.auth_token = ua.NodeId(secrets.token_bytes(32), 0)
         self.iserver.register_external_session(self)
+
+    @property
+    def items(self) -> Mapping[tuple[int, int], int]:
+        """Attributes of the monitored items, by the numbers of subscription and item."""
+        own = self._own()
+        self._items = {numbers: each for numbers, each in self._items.items() if numbers[0] in own}
+        return self._items
+
+    def touch(self) -> None:
+        """Note a request."""
+        self.active_s = time.monotonic()
+        super().touch()
 
     async def create_session(
         self, params: ua.CreateSessionParameters, *more: Any, **named: Any
@@ -188,7 +202,7 @@ class Session(InternalSession):
         self._check_own(params.SubscriptionId)
         self._check_number(params.ItemsToCreate)
         _check_timestamps(params.TimestampsToReturn)
-        held = sum(len(_items(self._own()[number])) for number in self._own())
+        held = len(self.items)
         asked, results = params.ItemsToCreate, list[ua.MonitoredItemCreateResult]()
         for item in asked:
             if held + len(results) >= MAX_MONITORED_ITEMS:
@@ -201,6 +215,9 @@ class Session(InternalSession):
             else:
                 params.ItemsToCreate = [item]
                 results += await super().create_monitored_items(params)
+                if results[-1].StatusCode.is_good():
+                    numbers = params.SubscriptionId, results[-1].MonitoredItemId
+                    self._items[numbers] = item.ItemToMonitor.AttributeId
                 continue
             results.append(ua.MonitoredItemCreateResult(ua.StatusCode(refused)))
         return results
@@ -211,13 +228,12 @@ class Session(InternalSession):
         """Change monitored items; asyncua itself accepts a queue of any length here."""
         self._check_own(params.SubscriptionId)
         self._check_number(params.ItemsToModify)
-        items = _items(self.subscription_service.subscriptions[params.SubscriptionId])
         for item in params.ItemsToModify:
             wanted = item.RequestedParameters
-            known = items.get(item.MonitoredItemId)
-            if known is None:
+            attribute = self._items.get((params.SubscriptionId, item.MonitoredItemId))
+            if attribute is None:
                 raise ServiceError(ua.StatusCodes.BadMonitoredItemIdInvalid)
-            if not _is_possible(wanted.Filter, known.read_value_id.AttributeId):
+            if not _is_possible(wanted.Filter, attribute):
                 raise ServiceError(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
             wanted.QueueSize = min(wanted.QueueSize or MAX_QUEUED_VALUES, MAX_QUEUED_VALUES)
         return await super().modify_monitored_items(params)
@@ -225,6 +241,8 @@ class Session(InternalSession):
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
         """Delete monitored items."""
         self._check_own(params.SubscriptionId)
+        for number in params.MonitoredItemIds:
+            self._items.pop((params.SubscriptionId, number), None)
         return await super().delete_monitored_items(params)
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
@@ -329,8 +347,3 @@ def _is_possible(wanted: Any, attribute: int) -> bool:
     if attribute == ua.AttributeIds.EventNotifier:
         return hasattr(wanted, "SelectClauses")
     return not wanted or getattr(wanted, "DeadbandType", None) == ua.DeadbandType.None_
-
-
-def _items(subscription: Any) -> Mapping[int, Any]:
-    items: Mapping[int, Any] = subscription.monitored_item_srv._monitored_items  # noqa: SLF001
-    return items

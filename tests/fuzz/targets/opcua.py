@@ -133,7 +133,7 @@ def check(example: tuple[list[bytes], bool, bytes]) -> None:
     assert found["valid"].value is True
     assert len(shared.aspace.keys()) == before, "a node was made"
     assert len(shared._known_servers) == 1, "a server was registered"  # noqa: SLF001
-    assert len(shared._external_sessions) <= MAX_SESSIONS, "sessions are left"  # noqa: SLF001
+    assert len(shared.sessions) <= MAX_SESSIONS, "sessions are left"
 
 
 async def _exchange(serving: _Serving, bodies: list[bytes], in_session: bool, behind: bytes) -> Any:

@@ -150,7 +150,7 @@ async def test_a_session_cannot_be_taken_over_by_its_number(secured: OpcUaSettin
         login = {"user": "plant", "password": "a long one", "security": security(secured)}
         async with connected(unit.url, **login) as owner:
             assert (await read(owner, "x_mm"))["x_mm"].status.is_bad
-            (token,) = there.server.limited._external_sessions  # noqa: SLF001
+            (token,) = there.server.limited.sessions
             assert isinstance(token.Identifier, bytes)
             assert len(token.Identifier) == 32
             thief = Client(unit.url, timeout=20)
@@ -272,9 +272,8 @@ async def test_a_subscription_has_bounds_whatever_it_asks_for(served: Served) ->
         await client.uaclient.modify_monitored_items(
             ua.ModifyMonitoredItemsParameters(number, ItemsToModify=[item])
         )
-        (held,) = sessions._items(  # noqa: SLF001
-            there.server.iserver.subscription_service.subscriptions[number]
-        ).values()
+        subscription = there.server.iserver.subscription_service.subscriptions[number]
+        (held,) = subscription.monitored_item_srv._monitored_items.values()  # noqa: SLF001
         assert held.queue_size == sessions.MAX_QUEUED_VALUES
         await subscribe(client)
         assert await code_of(subscribe(client)) == "BadTooManySubscriptions"
@@ -348,7 +347,7 @@ async def test_sessions_that_are_begun_and_left_are_bounded(served: Served) -> N
     await client.connect_sessionless()
     codes = [await code_of(client.create_session()) for _ in range(5)]
     assert codes == ["Good"] + ["BadTooManySessions"] * 4
-    assert len(there.server.limited._external_sessions) == 1  # noqa: SLF001
+    assert len(there.server.limited.sessions) == 1
     await client.disconnect_sessionless()
 
 
@@ -371,5 +370,5 @@ async def test_a_client_that_comes_back_from_the_same_port_is_served(
         transport.abort()
         with contextlib.suppress(ConnectionError, ua.UaError):
             await client.disconnect()
-    for session in list(there.server.limited._external_sessions.values()):  # noqa: SLF001
+    for session in list(there.server.limited.sessions.values()):
         await session.close_session()
