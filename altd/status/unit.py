@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 
 from altd.records import Measurement, Quantities
 from altd.status.answer import Answer
@@ -55,9 +56,13 @@ class DiagnosticPart:
     make: Callable[[], bytes]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class UnitView:
-    """The unit at one instant: what interfaces show, and all that they show."""
+    """The unit at one instant: what interfaces show, and all that they show.
+
+    It is for one answer, which is made without an await: the components report when they are first read, as
+    their reports cost more than all else.
+    """
 
     now_ns: int
     utc: datetime | None
@@ -76,8 +81,7 @@ class UnitView:
     """Number of measurements published so far."""
     state: StateReport | None
     """State of the unit; None: it is not determined."""
-    components: tuple[ComponentReport, ...]
-    """Components in the order in which they started."""
+    health: Health
     targets: tuple[TargetArea, ...]
     """Targets in beam order."""
     calibration: CalibrationFigures | None
@@ -88,6 +92,11 @@ class UnitView:
     zero: ZeroState
     stamp: Stamp | None
     """Stamp of the message that shows this view; None: it has none."""
+
+    @cached_property
+    def components(self) -> tuple[ComponentReport, ...]:
+        """Reports of the components in the order in which they started."""
+        return tuple(component.report() for component in self.health)
 
     def component(self, name: str) -> ComponentReport | None:
         """Return the report of a component; None: there is no such component."""
@@ -150,7 +159,7 @@ class PublishedUnit:
             age_s=board.age_s(),
             published=board.published,
             state=self.state(),
-            components=tuple(component.report() for component in self.health),
+            health=self.health,
             targets=self.targets,
             calibration=self.calibration,
             self_check=self.self_check.latest,

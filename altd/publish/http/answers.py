@@ -18,7 +18,7 @@ from altd.publish.http.diagnostics import Diagnostics
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard, session_cookie
 from altd.publish.http.metrics import CONTENT_TYPE, Metrics
-from altd.publish.http.models import Login
+from altd.publish.http.models import Alive, Error, Login, Ready, Session
 from altd.publish.http.past import Past
 from altd.publish.http.pictures import Viewers
 from altd.publish.http.recordings import Downloads, Recordings, head_of
@@ -27,7 +27,7 @@ from altd.reasons import Reason
 from altd.records import Quantities, Quantity
 from altd.status.health import Component
 from altd.status.measurement_json import checked_line
-from altd.status.models import self_check_of, status_of, targets_of
+from altd.status.models import SelfCheck, self_check_of, status_of, targets_of
 from altd.status.proof import Stamps
 from altd.status.services import SelfCheckService
 from altd.status.unit import PublishedUnit
@@ -96,10 +96,10 @@ API_PAGE_POLICY = (
 )
 """Content Security Policy of the API page, which loads nothing and runs nothing."""
 
-NOTHING_YET = {
-    "error": "nothing was measured since the unit started; /api/status has the reason",
-    "status": [str(Reason.WARMING_UP)],
-}
+NOTHING_YET = Error(
+    error="nothing was measured since the unit started; /api/status has the reason",
+    status=[str(Reason.WARMING_UP)],
+)
 
 MAX_BODY_BYTES = 4096
 BODY_TIMEOUT_S = 10.0
@@ -160,7 +160,7 @@ class Answers:
         """Return the latest measurement; 503 before the first."""
         measurement = self._unit.board.read()
         if measurement is None:
-            return JSONResponse(NOTHING_YET, status_code=503)
+            return JSONResponse(NOTHING_YET.as_object(), status_code=503)
         self._component.gave_data()
         return Response(
             checked_line(self._unit.board, measurement, self._stamps.next()), media_type="application/json"
@@ -193,7 +193,7 @@ class Answers:
 
     async def alive(self, _: Request) -> Response:
         """Report that the event loop runs; the response itself is the proof."""
-        return JSONResponse({"alive": True})
+        return JSONResponse(Alive(alive=True).as_object())
 
     async def ready(self, _: Request) -> Response:
         """Report that the unit measures, valid or not; otherwise return 503 with the cause."""
@@ -202,7 +202,7 @@ class Answers:
             return refusal(503, self._worst() or "nothing was measured since the unit started")
         if any(fault.reason is Reason.STALE for fault in measurement.status):
             return refusal(503, self._worst() or "no new measurement")
-        return JSONResponse({"ready": True})
+        return JSONResponse(Ready(ready=True).as_object())
 
     async def log_in(self, request: Request) -> Response:
         """Begin a session; its secret is sent in a cookie that scripts cannot read."""
@@ -211,21 +211,24 @@ class Answers:
         except ClientDisconnect:
             return refusal(400, "it ended before its body did")
         secret = await self.guard.log_in(request, wanted.name, wanted.password)
-        answer = JSONResponse({"name": wanted.name, "may_act": True, "login": True})
+        answer = self._session(wanted.name, may_act=True)
         answer.headers["Set-Cookie"] = session_cookie(request, secret)
         return answer
 
     async def log_out(self, request: Request) -> Response:
         """End the session, if there is one."""
         self.guard.log_out(request)
-        answer = JSONResponse({"name": None, "may_act": False, "login": self.guard.has_credentials})
+        answer = self._session(None, may_act=False)
         answer.headers["Set-Cookie"] = session_cookie(request, "")
         return answer
 
     async def session(self, request: Request) -> Response:
         """Return the name of the logged-in user, and whether the client may act."""
-        name, may_act = self.guard.viewer(request), self.guard.may_act(request)
-        return JSONResponse({"name": name, "may_act": may_act, "login": self.guard.has_credentials})
+        return self._session(self.guard.viewer(request), may_act=self.guard.may_act(request))
+
+    def _session(self, name: str | None, *, may_act: bool) -> Response:
+        shown = Session(name=name, may_act=may_act, login=self.guard.has_credentials)
+        return JSONResponse(shown.as_object())
 
     def _worst(self) -> str:
         """Return a text for the worst cause; empty if the unit's state is unknown or has no cause."""
@@ -241,7 +244,8 @@ async def self_check(request: Request, service: SelfCheckService, guard: Guard) 
     if request.method != "POST":
         if service.latest is None:
             why = service.unavailable or "there was no self-check since the unit started"
-            return JSONResponse({"verdict": None, "reasons": [why], "unavailable": service.unavailable})
+            none = SelfCheck(verdict=None, reasons=[why], unavailable=service.unavailable)
+            return JSONResponse(none.as_object())
         return JSONResponse(self_check_of(service.latest.check, service.latest).as_object())
     by = guard.requester(request)
     if service.waiting >= MAX_WAITING:

@@ -25,7 +25,7 @@ from altd.history.records import SummaryPoint
 from altd.history.schema import MINUTES
 from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import Metrics
-from altd.publish.http.past import Past, event_object
+from altd.publish.http.past import Past, event_of
 from altd.publish.http.recordings import Download, Downloads, head_of, saved_as, sent_whole
 from altd.publish.http.stream import time_of
 from altd.runtime.threads import SingleCall, call_in_thread
@@ -189,7 +189,7 @@ def _events(reader: Reader, from_us: int, to_us: int) -> bytes:
     before = None
     for _ in range(MAX_EVENT_PAGES):
         found = reader.events(from_us, to_us, limit=MAX_ROWS, before=before)
-        lines += (json.dumps(event_object(event), allow_nan=False) for event in found)
+        lines += (json.dumps(event_of(event).as_object(), allow_nan=False) for event in found)
         if len(found) < MAX_ROWS:
             break
         before = found[-1].id

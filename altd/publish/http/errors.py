@@ -13,6 +13,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from altd.errors import did_you_mean, one_line
 from altd.history.history import NoHistoryError
+from altd.publish.http.models import Error
 from altd.status.services import NoCalibrationFileError, NoReportError, NoSelfCheckError, NotKeptError
 
 _STATUSES = {
@@ -35,12 +36,12 @@ class Refused(Exception):  # noqa: N818  a response, not a fault
 
 def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
     """Return an error as the response to a request."""
-    return JSONResponse({"error": sentence}, status_code=status, headers=headers)
+    return JSONResponse(Error(error=sentence).as_object(), status_code=status, headers=headers)
 
 
 def error_body(sentence: str) -> bytes:
     """Return the same object as bytes, for requests that do not reach the application."""
-    return json.dumps({"error": sentence}, separators=(",", ":")).encode()
+    return json.dumps(Error(error=sentence).as_object(), separators=(",", ":")).encode()
 
 
 def misdirected(host: str, address: str, accepts_page: bool) -> Response:

@@ -5,7 +5,7 @@ The history's own thread reads them and writes the JSON: a month takes about 100
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import datetime
 from json import dumps
@@ -17,9 +17,11 @@ from altd.history.history import History
 from altd.history.reader import Reader
 from altd.history.records import StoredEvent, Trend
 from altd.ports import Clock
+from altd.publish.http import models
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.stream import Resume, time_of
 from altd.records import Quantities
+from altd.status.answer import Answer
 from altd.status.event_log import EventKind
 
 MAX_POINTS = 1000
@@ -63,8 +65,8 @@ class Past:
         from_us, to_us = self._span(query)
         points = query.integer("points", POINTS, 1, MAX_POINTS)
         if from_us >= to_us:
-            return lambda reader: dumps(_columns(Trend("none", 0, ()), reader))
-        return lambda reader: dumps(_columns(reader.trend(from_us, to_us, points), reader), allow_nan=False)
+            return lambda reader: _text_of(_columns(Trend("none", 0, ()), reader))
+        return lambda reader: _text_of(_columns(reader.trend(from_us, to_us, points), reader))
 
     def _events_query(self, query: Query) -> Callable[[Reader], str]:
         from_us, to_us = self._span(query, from_s=0.0)
@@ -76,7 +78,7 @@ class Past:
 
         def read(reader: Reader) -> str:
             found = reader.events(from_us, to_us, () if kind is None else [kind], limit, before)
-            return dumps({"events": list(map(event_object, found))}, allow_nan=False)
+            return _text_of(models.Events(events=list(map(event_of, found))))
 
         return read
 
@@ -134,29 +136,35 @@ def _unusable(sentence: str) -> Refused:
     return Refused(refusal(400, sentence))
 
 
-def _columns(trend: Trend, reader: Reader) -> dict[str, object]:
+def _text_of(document: Answer) -> str:
+    return dumps(document.as_object(), allow_nan=False)
+
+
+def _columns(trend: Trend, reader: Reader) -> models.Trend:
     points = trend.points
-    quantities: dict[str, Mapping[str, list[float | None]]] = {}
+    quantities: dict[str, models.TrendOfQuantity] = {}
     for key in reader.summarised:
-        values = [point.values.get(key) for point in points]
-        quantities[key] = {
-            name: [None if value is None else getattr(value, name) for value in values]
-            for name in ("mean", "sigma", "low", "high")
-        }
-    return {
-        "source": trend.source,
-        "span_s": trend.span_us / _US,
-        "t_s": [point.t_us / _US for point in points],
-        "n": [point.n for point in points],
-        "n_valid": [point.n_valid for point in points],
-        "worst": [point.worst for point in points],
-        "worst_code": [point.worst_code for point in points],
-        "lost_to": [point.lost_to for point in points],
-        "quantities": quantities,
-    }
+        known = [point.values.get(key) for point in points]
+        quantities[key] = models.TrendOfQuantity(
+            mean=[None if value is None else value.mean for value in known],
+            sigma=[None if value is None else value.sigma for value in known],
+            low=[None if value is None else value.low for value in known],
+            high=[None if value is None else value.high for value in known],
+        )
+    return models.Trend(
+        source=trend.source,
+        span_s=trend.span_us / _US,
+        t_s=[point.t_us / _US for point in points],
+        n=[point.n for point in points],
+        n_valid=[point.n_valid for point in points],
+        worst=[point.worst for point in points],
+        worst_code=[point.worst_code for point in points],
+        lost_to=[point.lost_to for point in points],
+        quantities=quantities,
+    )
 
 
-def event_object(event: StoredEvent) -> dict[str, object]:
-    """Return an event as plain JSON types."""
+def event_of(event: StoredEvent) -> models.Event:
+    """Return an event of the history as it is sent."""
     shown = asdict(event)
-    return {"id": shown.pop("id"), "time": time_of(shown.pop("t_us")), **shown}
+    return models.Event(id=shown.pop("id"), time=time_of(shown.pop("t_us")), **shown)

@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from altd.publish.http import models
 from altd.publish.http.errors import Refused, refusal
 from altd.publish.http.guard import Guard
 from altd.status.services import NotKeptError, RecordingKeeper, RecordingService
@@ -91,8 +92,9 @@ class Recordings:
 
     async def listed(self, _: Request) -> Response:
         """Return the list of recordings."""
-        kept = [recording.as_object() for recording in self._service.recordings]
-        return JSONResponse({"unavailable": self._service.unavailable, "recordings": kept})
+        kept = list(self._service.recordings)
+        shown = models.Recordings(unavailable=self._service.unavailable, recordings=kept)
+        return JSONResponse(shown.as_object())
 
     async def keep(self, request: Request) -> Response:
         """Keep the last seconds as a recording, for clients that may act."""

@@ -37,6 +37,12 @@ from tools.pages.example import AGE_S, MEASURED
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 
+def test_the_example_of_the_pages_has_each_number_of_a_beam() -> None:
+    measured = [each for each in QUANTITIES.of_unit if not each.is_optional]
+    assert MEASURED.values.keys() == {each.key for each in measured}
+    assert MEASURED.motions.keys() == {each.key for each in measured if each.has_sigma}
+
+
 def test_what_replay_writes_stays_as_it_is_and_nothing_of_now_is_in_it() -> None:
     assert as_object_now(MEASURED, AGE_S).items() >= as_object(MEASURED).items()
     assert "now" not in line_of(as_object(MEASURED))

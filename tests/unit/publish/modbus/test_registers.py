@@ -2,6 +2,7 @@
 
 import math
 import struct
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.modbus_wire import Measured
 
+from altd.instruments.beam.instrument import QUANTITIES as OF_BEAM
 from altd.instruments.beam.solver import Beam
+from altd.instruments.planar.instrument import QUANTITIES as OF_PLATE
 from altd.publish.modbus.registers import Type, image
 from altd.publish.modbus.values import REASON_CODES, STATUS_BITS
 from altd.reasons import Reason, StatusGroup
-from altd.records import Fault, Measurement
-from tools.pages.example import view_of
+from altd.records import Fault, Measurement, Value
+from tools.pages.example import MEASURED, view_of
 
 
 def decode(words: list[int], address: int, layout: str) -> Any:
@@ -193,3 +196,16 @@ def test_a_scaled_number_that_overflows_is_held_at_the_end_and_not_unknown(measu
     beam = Beam(1e305, -1e305, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     words = image(view_of(measured(beam=beam), 0.5, 1))
     assert words[60:64] == [0x7FFF, 0xFFFF, 0x8000, 0x0001]
+
+
+def test_every_number_of_a_beam_and_of_a_plate_has_registers() -> None:
+    """Each with its sigma; a number that no controller may read would be named here."""
+    for quantities in (OF_BEAM, OF_PLATE):
+        known = {each.key: Value(1.5 + row, 0.25 + row / 64) for row, each in enumerate(quantities.of_unit)}
+        words = image(view_of(replace(MEASURED, quantities=quantities, values=known)))
+        shown = {decode(words, address, "f") for address in range(len(words) - 1)}
+        for quantity in quantities.of_unit:
+            if quantity.is_from_sensor or quantity.is_optional:
+                continue
+            assert known[quantity.key].value in shown, quantity.key
+            assert not quantity.has_sigma or known[quantity.key].sigma in shown, quantity.key
