@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from altd.selfcheck.drift import chi2_limit, fit_similarity
-from altd.selfcheck.records import Limits
+from altd.selfcheck.records import DriftLimits
 from altd.selfcheck.verdict import SIGNIFICANT
 from benchmarks.harness import Parser, end
 
@@ -41,7 +41,9 @@ def false_alarms_of_places(checks: int) -> None:
         misfits += is_misfit
         moved = np.abs(fitted.similarity.now_px(references) - references).max() * MM_PER_PX
         left = np.hypot(*fitted.residuals_px.T).max() * MM_PER_PX
-        alarms += (distance > SIGNIFICANT and moved > Limits().suspect_mm) or (is_misfit and left > MISFIT_MM)
+        alarms += (distance > SIGNIFICANT and moved > DriftLimits().suspect_mm) or (
+            is_misfit and left > MISFIT_MM
+        )
     print(
         f"nothing moved, {checks} checks by places: {significant} significant (largest {largest:.2f}), "
         f"{misfits} misfits, {alarms} that reach the limits in mm",

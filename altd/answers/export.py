@@ -10,7 +10,7 @@ from altd import __version__
 from altd.answers.events import opened, time_text
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable
-from altd.history.columns import Column as Stored
+from altd.history.columns import StoredColumn as Stored
 from altd.history.reader import Reader
 from altd.history.records import StoredMeasurement, SummaryPoint
 from altd.history.schema import HOURS, MINUTES, SECONDS

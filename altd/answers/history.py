@@ -61,7 +61,7 @@ class Drawn:
     sigma_key: str
 
 
-class History:
+class PlotHistory:
     """Takes the objects of measurements, one after the other, and keeps at most ``MAX_BINS`` bins of them.
 
     ``quantities`` are the quantities that are kept, by their keys.

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from altd.answers.history import History
+from altd.answers.history import PlotHistory
 from altd.calibration.report.target_plots import (
     BLUE,
     FAINT,
@@ -27,7 +27,7 @@ _MAX_MARKED_BINS = 120
 """Maximum number of bins that can be distinguished: up to it, each is marked."""
 
 
-def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
+def svg(history: PlotHistory, title: str, simulated: bool, joined: bool) -> bytes:
     """Return the drawing. Gaps are where nothing is valid; lanes below show which reasons hold, and when.
 
     ``joined`` draws consecutive points as one line; otherwise each is drawn alone, as the nodes of a scan.
@@ -54,7 +54,7 @@ def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
     return content.getvalue()
 
 
-def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
+def _panel(axes: Axes, history: PlotHistory, quantity: str, joined: bool) -> None:
     axes.set_ylabel(history.quantities[quantity].label)
     axes.grid(visible=True)
     for run in history.runs():
@@ -72,7 +72,7 @@ def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
         axes.plot(t_s, means, color=BLUE, linewidth=width, marker=marker, markersize=3, gid=gid)
 
 
-def _lane(axes: Axes, history: History, codes: list[str]) -> None:
+def _lane(axes: Axes, history: PlotHistory, codes: list[str]) -> None:
     """Draw a row for ``valid`` and for each code, with a bar where it holds."""
     rows: list[tuple[str, str | None, str]] = [("valid", None, GREEN)]
     rows += [(code, code, ORANGE if _is_warning(code) else VERMILION) for code in codes]

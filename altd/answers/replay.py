@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from altd import __version__
-from altd.answers.history import Drawn, History
+from altd.answers.history import Drawn, PlotHistory
 from altd.app.planar_replay import PlanarReplay, planar_replay_of
 from altd.app.replay import Replay, replay_of
 from altd.app.row_replay import RowReplay, open_row_replay
@@ -30,7 +30,7 @@ Add = Callable[[Mapping[str, Any]], object]
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ReplayOptions:
     """Options of ``altd replay``; ``output`` None: standard output.
 
     ``config`` defines which targets of a row of switched targets are stable.
@@ -46,7 +46,9 @@ class Question:
     config: Path | None = None
 
 
-def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
+def answer(
+    question: ReplayOptions, warn: Callable[[str], object], progress: Callable[[int, int], None]
+) -> None:
     """Measure, and write the requested output.
 
     ``warn`` receives what the recording lacks and, for a scan, the errors against the known positions.
@@ -56,7 +58,7 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     replay = _open(question)
     for line in gap_lines(replay.recording):
         warn(line)
-    history = History(_drawn(replay))
+    history = PlotHistory(_drawn(replay))
     count, differences_mm = 0, list[tuple[float, float]]()
     with _output(question, replay) as add:
         for measurement in replay.measurements(progress):
@@ -76,7 +78,7 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
 AnyReplay = Replay | PlanarReplay | RowReplay
 
 
-def _open(question: Question) -> AnyReplay:
+def _open(question: ReplayOptions) -> AnyReplay:
     """Open the replay; the config, or the recording's kind and columns, determine the instrument."""
     recording = open_recording(question.recording)
     if recording.header.kind == "planar":
@@ -101,7 +103,7 @@ def _summary(count: int, differences_mm: list[tuple[float, float]]) -> str:
     return f"{text}; against the known positions: {rms}"
 
 
-def _check(question: Question) -> None:
+def _check(question: ReplayOptions) -> None:
     if question.form == "parquet":
         check_parquet(question.output)
     if question.plot is not None:
@@ -126,7 +128,7 @@ def _check(question: Question) -> None:
 
 
 @contextmanager
-def _output(question: Question, replay: AnyReplay) -> Iterator[Add]:
+def _output(question: ReplayOptions, replay: AnyReplay) -> Iterator[Add]:
     if question.form == "jsonl":
         with text_output(question.output) as write:
             yield lambda document: write(line_of(document) + "\n")
@@ -136,7 +138,7 @@ def _output(question: Question, replay: AnyReplay) -> Iterator[Add]:
         yield lambda document: add(flat_row(document))
 
 
-def _about(question: Question, replay: AnyReplay) -> dict[str, Any]:
+def _about(question: ReplayOptions, replay: AnyReplay) -> dict[str, Any]:
     """The origin of the numbers, for a reader of the table in ten years."""
     header, calibration = replay.recording.header, replay.calibration
     start = None if header.start is None else utc_text(header.start)
@@ -173,7 +175,7 @@ def _drawn(replay: AnyReplay) -> dict[str, Drawn]:
     return drawn
 
 
-def _draw(place: Path, history: History, replay: AnyReplay) -> None:
+def _draw(place: Path, history: PlotHistory, replay: AnyReplay) -> None:
     from altd.answers.plot import svg
 
     header = replay.recording.header

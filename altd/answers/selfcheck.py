@@ -11,10 +11,10 @@ import numpy as np
 from altd.calibration.file import check_recording, load_calibration
 from altd.errors import BadInputError
 from altd.measuring.calibration import TargetCalibration
-from altd.recording.frames_table import Row
+from altd.recording.frames_table import FrameLine
 from altd.recording.reader import Recording, open_recording
 from altd.records import Frame, Origin, Spot
-from altd.selfcheck.records import LedView, Limits
+from altd.selfcheck.records import DriftLimits, LedView
 from altd.selfcheck.verdict import judge
 from altd.status.models import self_check_of
 from altd.vision.localise import locate
@@ -57,10 +57,10 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> dict[str, A
         names = ", ".join(calibration.target_names)
         raise BadInputError(recording_path, f"has no frames with the LEDs on and off of {names}")
     origin = Origin.SIMULATED if simulated else Origin.CAMERA
-    return {**self_check_of(judge(views, calibration, at, Limits())).as_object(), "origin": str(origin)}
+    return {**self_check_of(judge(views, calibration, at, DriftLimits())).as_object(), "origin": str(origin)}
 
 
-def _led_rows(recording: Recording, camera: str) -> tuple[list[Row], list[Row]]:
+def _led_rows(recording: Recording, camera: str) -> tuple[list[FrameLine], list[FrameLine]]:
     """A camera's rows with the LEDs on, and for each the row with them off that is nearest in time.
 
     Rows in which a stage moved the beam are excluded. Of many rows, some evenly distributed ones are used.
@@ -77,13 +77,13 @@ def _led_rows(recording: Recording, camera: str) -> tuple[list[Row], list[Row]]:
     return chosen, dark
 
 
-def _spread(rows: Sequence[Row]) -> list[Row]:
+def _spread(rows: Sequence[FrameLine]) -> list[FrameLine]:
     if len(rows) <= _MAX_PAIRS:
         return list(rows)
     return [rows[int(index)] for index in np.linspace(0, len(rows) - 1, _MAX_PAIRS)]
 
 
-def _frames(recording: Recording, rows: Sequence[Row]) -> tuple[Frame, ...]:
+def _frames(recording: Recording, rows: Sequence[FrameLine]) -> tuple[Frame, ...]:
     return tuple(recording.frame(row) for row in rows)
 
 

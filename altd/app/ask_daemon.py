@@ -29,8 +29,8 @@ from altd.publish.http.guard import REQUEST_HEADER
 from altd.records import Quantities
 from altd.terminal.documents import (
     CalibrationDocument,
-    Reading,
     SelfCheckDocument,
+    ShownBeam,
     StatusDocument,
     TargetsDocument,
     checked,
@@ -56,7 +56,7 @@ class RunningDaemon:
     path: Path
     timeout_s: float
 
-    def reading(self) -> tuple[Reading | None, object]:
+    def reading(self) -> tuple[ShownBeam | None, object]:
         """Request the latest measurement and its document; None: no measurement so far."""
         return self._document(
             "/api/v1/measurement", lambda document: reading_of(document, _quantities_of(document))

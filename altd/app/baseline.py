@@ -21,7 +21,7 @@ from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.instruments.row.displacement import BaselineMeans
 from altd.instruments.row.frames import RowChain
-from altd.instruments.row.places import Place
+from altd.instruments.row.places import BeamPlace
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
 from altd.records import FloatArray, utc_text
@@ -44,7 +44,7 @@ class _Table(BaseModel):
 
 
 class _Spot(_Table):
-    """Mean spot; see ``Place``."""
+    """Mean spot; see ``BeamPlace``."""
 
     mm: tuple[_Number, _Number]
     frames: Annotated[int, Field(ge=1)]
@@ -209,7 +209,7 @@ class BaselineKeeper:
                 return
 
 
-def _spot(place: Place) -> dict[str, Any]:
+def _spot(place: BeamPlace) -> dict[str, Any]:
     return {
         "mm": place.mm.tolist(),
         "frames": place.frames,
@@ -222,9 +222,9 @@ def _spot(place: Place) -> dict[str, Any]:
     }
 
 
-def _place(spot: _Spot) -> Place:
+def _place(spot: _Spot) -> BeamPlace:
     """Return the place of a stored spot; its time is 0, as it has no meaning in another run."""
-    return Place(
+    return BeamPlace(
         t_ns=0,
         frames=spot.frames,
         mm=np.array(spot.mm),

@@ -12,7 +12,7 @@ from altd.calibration.planar_file import check_planar_recording, load_planar_cal
 from altd.config import Measuring
 from altd.instruments.planar.chain import PlanarChain
 from altd.instruments.planar.instrument import QUANTITIES, PlanarCalibration
-from altd.measuring.frame_chain import Place, Provenance
+from altd.measuring.frame_chain import Provenance, RestPlace
 from altd.recording.reader import Recording
 from altd.records import Measurement, Origin, counted, origin_faults
 from altd.status.measurement_json import as_object
@@ -57,7 +57,7 @@ class PlanarReplay:
                 origins=lambda: origin_faults({camera: header.cameras[camera].origin}),
                 identity=lambda name: header.cameras[name].identity,
                 utc=lambda t_ns: utc_of(header.start, t_ns),
-                place=lambda sequence: Place(stay),
+                place=lambda sequence: RestPlace(stay),
             ),
         )
         total, pose = len(self.recording.rows), None

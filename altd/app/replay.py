@@ -17,8 +17,8 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.row.switched_window import SwitchedWindow
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
-from altd.measuring.frame_chain import Place, Provenance
-from altd.recording.frames_table import Row
+from altd.measuring.frame_chain import Provenance, RestPlace
+from altd.recording.frames_table import FrameLine
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording, open_recording
 from altd.records import Measurement, Origin, Quantities, counted, origin_faults
@@ -38,7 +38,7 @@ class _Exposure:
 
     stay: int
     position_mm: tuple[float, float]
-    row: Row
+    row: FrameLine
 
 
 class _Stays:
@@ -48,7 +48,7 @@ class _Stays:
         self.exposures: dict[int, _Exposure] = {}
         self._last: _Exposure | None = None
 
-    def see(self, row: Row) -> _Exposure | None:
+    def see(self, row: FrameLine) -> _Exposure | None:
         """Take a row and return its exposure; None: not at a node, such as an LED reference pair."""
         if row.position_mm is None or row.leds_on:
             return None
@@ -83,17 +83,17 @@ class ScanPositions:
         """Whether all exposures of a stay are averaged."""
         return self._window is None
 
-    def see(self, row: Row) -> bool:
+    def see(self, row: FrameLine) -> bool:
         """Take a row; return whether it is to be measured."""
         return self._stays.see(row) is not None
 
-    def place(self, sequence: int) -> Place | None:
+    def place(self, sequence: int) -> RestPlace | None:
         """Return the place of an exposure whose row was read; None: it has none."""
         exposure = self._stays.exposures.get(sequence)
         if exposure is None:
             return None
         of_all = None if self._lengths is None else min(self._lengths[exposure.stay], MAX_WINDOW)
-        return Place(exposure.stay, of_all)
+        return RestPlace(exposure.stay, of_all)
 
     def known_mm(self, sequence: int) -> tuple[float, float]:
         """Return the mean of the positions (x, y) within a window that ends at this exposure, mm."""
@@ -124,7 +124,7 @@ def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
     """Return the number of exposures in each stay of the stage; raises BadInputError."""
     stays, lengths = _Stays(), list[int]()
     place = recording.path / FRAMES_FILE
-    latest: Row | None = None
+    latest: FrameLine | None = None
     since_latest = 0
     for row in recording.rows:
         if row.camera not in cameras:

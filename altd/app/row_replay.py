@@ -18,7 +18,7 @@ from altd.instruments.row.measurement import quantities_of
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
 from altd.measuring.frame_chain import Provenance
-from altd.recording.frames_table import Row
+from altd.recording.frames_table import FrameLine
 from altd.recording.reader import Recording
 from altd.records import Measurement, Origin, Quantities, origin_faults
 from altd.status.measurement_json import as_object
@@ -99,7 +99,7 @@ class RowReplay:
         yield from chain.flush()
 
 
-def _check_exposure(recording: Recording, row: Row, last: Row | None) -> None:
+def _check_exposure(recording: Recording, row: FrameLine, last: FrameLine | None) -> None:
     """Raise BadInputError if an exposure has two opaque targets, or exposures are out of order of time."""
     if last is None:
         return

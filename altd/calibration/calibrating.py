@@ -13,7 +13,7 @@ from altd.calibration.from_plates import calibrate_plates
 from altd.calibration.from_scans import calibrate_scans
 from altd.calibration.recorded_flat import flats_of
 from altd.calibration.result import CalibrationResult, Progress, TargetsResult, cross_check_doubts
-from altd.calibration.scan_nodes import Job, Node, locate_nodes
+from altd.calibration.scan_nodes import Job, ScanNode, locate_nodes
 from altd.calibration.target_frames import TargetFrames, target_frames
 from altd.errors import BadInputError
 from altd.mapping.tensor_map import TensorMap
@@ -218,7 +218,7 @@ def _reading(target: TargetCalibration, frames: TargetFrames, progress: Progress
     return _Reading(target.z_mm, solution[:2], 2 * max(scatter_mm2, variance_mm2) / len(stage_mm))
 
 
-def _read(target: TargetCalibration, nodes: Sequence[Node]) -> tuple[FloatArray, FloatArray, float]:
+def _read(target: TargetCalibration, nodes: Sequence[ScanNode]) -> tuple[FloatArray, FloatArray, float]:
     """Return stage positions and readings (n, 2) mm of nodes in the area, and the variance of a reading."""
     stage_mm = np.array([node.position_mm for node in nodes]).reshape(-1, 2)
     spots_px = np.array([node.spot_px for node in nodes]).reshape(-1, 2)

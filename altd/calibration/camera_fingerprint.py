@@ -15,7 +15,7 @@ from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixelCount
 from altd.vision.localise import locate_in
 from altd.vision.settings import SpotSettings
-from altd.vision.texture import Sample, Texture, sample_of
+from altd.vision.texture import Texture, TextureSample, sample_of
 
 _MAX_SIGMA = 0.05
 """Maximum relative noise of a pixel whose texture is known: that of a plain plate's grain."""
@@ -77,7 +77,7 @@ class _Ground:
         self._total: FloatArray = np.empty((0, 0))
         self._weight: FloatArray = np.empty((0, 0))
 
-    def add(self, sample: Sample, shape: tuple[int, ...]) -> None:
+    def add(self, sample: TextureSample, shape: tuple[int, ...]) -> None:
         """Add a sample of a frame of this shape."""
         if not self._total.size:
             self._total, self._weight = np.zeros(shape), np.zeros(shape)

@@ -16,15 +16,15 @@ from altd.calibration.result import Progress, TargetEvidence, TargetsResult, res
 from altd.calibration.scan_grid import cut_sides, offset_doubts, refuse_ended, relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import (
     Job,
-    Node,
     ScannedTarget,
+    ScanNode,
     first_frames,
     first_of_nodes,
     locate_nodes,
     printed_nodes,
 )
 from altd.calibration.spot_reference import (
-    Verdict,
+    LocaliserVerdict,
     localiser_agreement,
     refusal,
     spot_reference,
@@ -202,7 +202,7 @@ def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str | None]:
     return known, None if doubt is None else f"{job.name}: {doubt}"
 
 
-def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
+def _verdict(job: Job, made: _Made, pattern_px: float) -> LocaliserVerdict:
     """Compare the two localisers; through a recorded flat, no pattern explains a difference."""
     target = made.target
     agreement = localiser_agreement(first_frames(job), target.localiser, target.flat)
@@ -281,11 +281,11 @@ def _unequal_nodes(evidence: TargetEvidence) -> list[str]:
     ]
 
 
-def _positions_mm(nodes: Sequence[Node]) -> FloatArray:
+def _positions_mm(nodes: Sequence[ScanNode]) -> FloatArray:
     return np.array([node.position_mm for node in nodes])
 
 
-def _spots_px(nodes: Sequence[Node]) -> FloatArray:
+def _spots_px(nodes: Sequence[ScanNode]) -> FloatArray:
     return np.array([node.spot_px for node in nodes])
 
 
@@ -327,7 +327,7 @@ def _evidence(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetEvid
     )
 
 
-def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
+def _scatter(used: Sequence[ScanNode], fitted: TargetFit) -> NodeScatter:
     """Deviations of the used nodes from the map, in mm, for comparison with the other targets'."""
     nodes_px = fitted.fit.map.to_px(_positions_mm(used))
     _, jacobian, _ = InverseMap(fitted.fit.map).to_mm(nodes_px)
@@ -346,7 +346,7 @@ def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     )
 
 
-def _repeatability_px(nodes: Sequence[Node]) -> FloatArray:
+def _repeatability_px(nodes: Sequence[ScanNode]) -> FloatArray:
     """Pooled standard deviation of single exposures at the same node, u and v; 0 if each has only one.
 
     Deviations are from the mean of each recording: a stage does not return exactly to the same place.
@@ -359,7 +359,7 @@ def _repeatability_px(nodes: Sequence[Node]) -> FloatArray:
     return pooled
 
 
-def _scatter_px(node: Node) -> FloatArray:
+def _scatter_px(node: ScanNode) -> FloatArray:
     """Standard deviation (2,) of the exposures at one node; NaN if each recording has only one."""
     if all(len(visit.spots_px) < 2 for visit in node.good):
         return np.full(2, np.nan)

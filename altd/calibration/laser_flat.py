@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.calibration.fitting import fit_nodes
-from altd.calibration.laser_raster import Raster, Shot, SpotSums, true_excess
+from altd.calibration.laser_raster import Exposures, Shot, SpotSums, true_excess
 from altd.calibration.result import Progress
 from altd.calibration.scan_grid import relative_sigmas
 from altd.calibration.scan_nodes import Job, first_of_nodes, locate_nodes
@@ -71,7 +71,7 @@ def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: 
     part of the scan's area, are too dark or too bright, or have no spot at the stage's position.
     """
     first_map, diameter_mm = _first_map(scan, progress)
-    raster = Raster(recording, camera, first_map, diameter_mm)
+    raster = Exposures(recording, camera, first_map, diameter_mm)
     total = recording.rows.count[camera]
     done, passes = 0, _PASSES
 
@@ -133,7 +133,7 @@ def _first_map(scan: TargetFrames, progress: Progress) -> tuple[TensorMap, float
 
 
 def _survey(
-    raster: Raster, exposures: Iterator[tuple[Image, Shot | None]]
+    raster: Exposures, exposures: Iterator[tuple[Image, Shot | None]]
 ) -> tuple[Image, npt.NDArray[np.bool_], Image]:
     """Return the dark level, the clipped pixels and a first spot.
 
@@ -163,7 +163,7 @@ def _survey(
 
 
 def _solved(
-    raster: Raster,
+    raster: Exposures,
     exposures: Iterator[tuple[Image, Shot | None]],
     dark: Image,
     spot: Image,
@@ -184,7 +184,11 @@ def _solved(
 
 
 def _powers(
-    raster: Raster, exposures: Iterator[tuple[Image, Shot | None]], dark: Image, spot: Image, first: _Solution
+    raster: Exposures,
+    exposures: Iterator[tuple[Image, Shot | None]],
+    dark: Image,
+    spot: Image,
+    first: _Solution,
 ) -> FloatArray:
     """Estimate the laser's power in each exposure, (n,): usually 1, 0 for one without a spot.
 

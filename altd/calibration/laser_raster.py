@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.printed.sample import Plane
+from altd.calibration.printed.sample import PolynomialInverse
 from altd.mapping.tensor_map import TensorMap
 from altd.recording.reader import Recording
 from altd.records import FloatArray
@@ -62,7 +62,7 @@ class SpotSums:
         return np.maximum(spot / peak, 0).astype(np.float32), peak
 
 
-class Raster:
+class Exposures:
     """The exposures of one camera; each pass reads them again, and none is kept."""
 
     def __init__(self, recording: Recording, camera: str, first_map: TensorMap, diameter_mm: float) -> None:
@@ -73,7 +73,7 @@ class Raster:
         self._camera = camera
         self.diameter_mm = diameter_mm
         self._to_px = first_map.to_px
-        picture_mm = Plane(first_map).grid_mm(*self.shape).astype(np.float32)
+        picture_mm = PolynomialInverse(first_map).grid_mm(*self.shape).astype(np.float32)
         self.x_mm, self.y_mm = (np.ascontiguousarray(picture_mm[..., axis]) for axis in (0, 1))
         around = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         self._circle_mm = diameter_mm * np.column_stack([np.cos(around), np.sin(around)])

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.calibration.scan_nodes import Job, Node, ScannedTarget
-from altd.mapping.grid import Axis, Block, convex_hull_mm
+from altd.calibration.scan_nodes import Job, ScannedTarget, ScanNode
+from altd.mapping.grid import Axis, GridPart, convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
@@ -31,7 +31,7 @@ class ScanGrid:
     """The grid of a scan: its axes, its usable block, and the positions (n, 2) of the usable nodes."""
 
     axes: tuple[Axis, Axis]
-    block: Block
+    block: GridPart
     usable_mm: FloatArray
 
     def missing_ends(self, margin_mm: float) -> list[str]:
@@ -60,10 +60,10 @@ def scan_grid(scanned: ScannedTarget) -> ScanGrid:
     cells = list(zip(*numbers, strict=True))
     missing = [cell for cell, node in zip(cells, nodes, strict=True) if not node.is_usable]
     usable = np.array([node.is_usable for node in nodes])
-    return ScanGrid(axes, Block.within(cells, missing), positions_mm[usable])
+    return ScanGrid(axes, GridPart.within(cells, missing), positions_mm[usable])
 
 
-def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> FloatArray:
+def relative_sigmas(nodes: Sequence[ScanNode], image_size: tuple[int, int]) -> FloatArray:
     """Scatter of each node (n,) relative to an ordinary one, from the sigmas of its spots.
 
     An ordinary node scatters by the effect of print and speckle on its spot, estimated about a first map. A
@@ -88,7 +88,7 @@ def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> Float
     return relative
 
 
-def offset_doubts(job: Job, nodes: Sequence[Node], fitted: TensorMap) -> tuple[str, ...]:
+def offset_doubts(job: Job, nodes: Sequence[ScanNode], fitted: TensorMap) -> tuple[str, ...]:
     """Describe the scans of a target that deviate from its first one by more than its nodes scatter.
 
     A stage's zero, a camera or a target may have moved between them.
@@ -123,7 +123,7 @@ _MAX_HIDDEN_PX = 0.1
 """Maximum displacement of a node by the hidden part of its spot; print and speckle displace by 0.05."""
 
 
-def refuse_ended(job: Job, flat: Flat, nodes: Sequence[Node]) -> None:
+def refuse_ended(job: Job, flat: Flat, nodes: Sequence[ScanNode]) -> None:
     """Refuse the nodes where the end of the surface hides a part of an asymmetric spot.
 
     A whole spot is displaced by its asymmetry like all others, a part of it is not. A flat shows the end, but

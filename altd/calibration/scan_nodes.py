@@ -72,7 +72,7 @@ _NODE_TOLERANCE_MM = 0.5
 
 
 @dataclass(slots=True)
-class Visit:
+class NodeVisit:
     """One recording's exposures at a node.
 
     Stage positions in mm, spots and their sigmas in px with their frames, and complaints on other frames.
@@ -103,20 +103,20 @@ class Visit:
 
 
 @dataclass(slots=True)
-class Node:
+class ScanNode:
     """The exposures at one node, by the number of the recording."""
 
-    visits: dict[int, Visit] = field(default_factory=dict)
+    visits: dict[int, NodeVisit] = field(default_factory=dict)
     refusal: str | None = None
     """Reason why the node is not used although it has spots; None: not refused."""
 
     @property
-    def good_visits(self) -> dict[int, Visit]:
+    def good_visits(self) -> dict[int, NodeVisit]:
         """The usable visits, by the number of the recording."""
         return {} if self.refusal else {n: visit for n, visit in self.visits.items() if visit.is_usable}
 
     @property
-    def good(self) -> list[Visit]:
+    def good(self) -> list[NodeVisit]:
         """The usable visits."""
         return list(self.good_visits.values())
 
@@ -165,18 +165,18 @@ class Node:
 class ScannedTarget:
     """Spots at nodes, and frame LEDs, from the scans of a target."""
 
-    nodes: dict[tuple[int, int], Node] = field(default_factory=dict)
+    nodes: dict[tuple[int, int], ScanNode] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)
     leds_dropped: tuple[str, ...] = ()
     """Descriptions of the frame LEDs of the last pair that shine but could not be located."""
 
     @property
-    def usable(self) -> list[Node]:
+    def usable(self) -> list[ScanNode]:
         """The usable nodes."""
         return [node for node in self.nodes.values() if node.is_usable]
 
     @property
-    def refused(self) -> list[Node]:
+    def refused(self) -> list[ScanNode]:
         """The nodes that cannot be used."""
         return [node for node in self.nodes.values() if not node.is_usable]
 
@@ -261,8 +261,8 @@ def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot 
 def _add_exposure(
     scanned: ScannedTarget, frame: Frame, frame_row: FrameRow, position_mm: tuple[float, float], job: Job
 ) -> None:
-    node = scanned.nodes.setdefault(node_key(position_mm), Node())
-    visit = node.visits.setdefault(frame_row.number, Visit())
+    node = scanned.nodes.setdefault(node_key(position_mm), ScanNode())
+    visit = node.visits.setdefault(frame_row.number, NodeVisit())
     visit.positions_mm.append(position_mm)
     spot = node_spot(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):

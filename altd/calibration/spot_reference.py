@@ -59,7 +59,7 @@ class Agreement:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class LocaliserVerdict:
     """Remark on the two localisers of a target, and a doubt about them."""
 
     remark: str
@@ -89,21 +89,21 @@ def localiser_agreement(
     )
 
 
-def verdict(name: str, method: str, both: Agreement | None, pattern_px: float | None) -> Verdict:
+def verdict(name: str, method: str, both: Agreement | None, pattern_px: float | None) -> LocaliserVerdict:
     """Compare a target's localisers; they may differ by a pattern of ``pattern_px``, None: by any amount."""
     if both is None:
-        return Verdict(f"{name}: the ellipse found too few spots to compare it with the {method}")
+        return LocaliserVerdict(f"{name}: the ellipse found too few spots to compare it with the {method}")
     remark = (
         f"{name}: {method} and ellipse lie {both.difference_px:.3f} px apart (rms of {both.nodes} nodes), "
         f"scatter {both.scatter_px:.3f} px"
     )
     if pattern_px is None:
-        return Verdict(f"{remark}; print moves them differently")
+        return LocaliserVerdict(f"{remark}; print moves them differently")
     limit_px = both.limit_px(pattern_px)
     remark += f", bound {limit_px:.3f} px"
     if both.scatter_px <= limit_px:
-        return Verdict(remark)
-    return Verdict(
+        return LocaliserVerdict(remark)
+    return LocaliserVerdict(
         remark,
         f"{name}: {method} and ellipse scatter {both.scatter_px:.3f} px about each other, noise explains "
         f"{limit_px:.3f} px: dirt, a reflection, or a flat that is not this target's",

@@ -14,7 +14,7 @@ from typing import Literal
 
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
-from altd.recording.frames_table import Row
+from altd.recording.frames_table import FrameLine
 from altd.recording.header import HEADER_FILE, PlateHeader, TargetHeader
 from altd.recording.reader import Recording
 from altd.records import CameraIdentity, Frame, Glass, Origin
@@ -30,7 +30,7 @@ class FrameRow:
 
     recording: Recording
     number: int
-    row: Row
+    row: FrameLine
 
     def frame(self) -> Frame:
         """Decode the frame; raises BadInputError with the file and the row."""

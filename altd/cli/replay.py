@@ -45,9 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure the recording and write the results."""
-    from altd.answers.replay import Question, answer
+    from altd.answers.replay import ReplayOptions, answer
 
-    question = Question(
+    question = ReplayOptions(
         options.recording,
         options.calibration,
         options.window,

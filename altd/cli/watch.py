@@ -22,13 +22,13 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.ask_daemon import Follower, RunningDaemon
     from altd.cli.watch_terminal import Gone, Terminal, check_terminal, in_terminal
     from altd.terminal.knowledge import Knowledge
-    from altd.terminal.screen import View, draw
+    from altd.terminal.screen import ScreenView, draw
 
     path = socket_of(options)
     check_terminal()
 
     def show(terminal: Terminal) -> None:
-        knowledge, view = Knowledge(), View()
+        knowledge, view = Knowledge(), ScreenView()
         with Follower(RunningDaemon(path, _TIMEOUT_S)) as follower:
             while True:
                 follower.update(knowledge)

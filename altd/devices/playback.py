@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from altd.errors import BadInputError
 from altd.ports import CameraEndedError, CameraError, CameraRefusedError, CameraTimeoutError, Clock
-from altd.recording.frames_table import Row
+from altd.recording.frames_table import FrameLine
 from altd.recording.reader import Recording
 from altd.records import Frame
 
@@ -36,14 +36,14 @@ class Playback:
         self._next_s: dict[str, float] = {}
         self._changed = threading.Condition()
 
-    def t_ns(self, row: Row, playthrough: int) -> int:
+    def t_ns(self, row: FrameLine, playthrough: int) -> int:
         """Exposure time of a row's frame, on the monotonic clock, in a playthrough of the recording, ns."""
         with self._changed:
             if self._started_ns is None:
                 self._started_ns = self.clock.monotonic_ns()
             return self._started_ns + round(self._due_s(row, playthrough) * 1e9)
 
-    def set_next(self, camera: str, row: Row | None, playthrough: int) -> None:
+    def set_next(self, camera: str, row: FrameLine | None, playthrough: int) -> None:
         """Record which frame a camera delivers next; None: it has reached its end."""
         with self._changed:
             self._next_s[camera] = float("inf") if row is None else self._due_s(row, playthrough)
@@ -58,7 +58,7 @@ class Playback:
         with self._changed:
             return self._changed.wait_for(is_abreast, timeout_s)
 
-    def _due_s(self, row: Row, playthrough: int) -> float:
+    def _due_s(self, row: FrameLine, playthrough: int) -> float:
         return row.t_s - self._first_s + playthrough * self._length_s
 
 
@@ -121,7 +121,7 @@ class PlaybackCamera:
         """Stop waiting for a frame that is not due yet."""
         self._closed.set()
 
-    def _due(self) -> tuple[int, Row, int]:
+    def _due(self) -> tuple[int, FrameLine, int]:
         """Playthrough and row of the next frame, and when it is exposed."""
         if self._failure is not None:
             raise CameraError(self._failure)

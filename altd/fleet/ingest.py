@@ -29,7 +29,7 @@ from altd.credentials.certificates import client_context
 from altd.credentials.file import load_login
 from altd.errors import BadInputError, one_line
 from altd.fleet.database import Progress, Writer, connect, identity_of, maintain, migrate
-from altd.fleet.intake import MAX_BYTES, Intake, Refusal
+from altd.fleet.intake import MAX_BYTES, Intake, RefusalReason
 from altd.fleet.settings import FleetSettings
 from altd.status.outbox import Batch, acknowledgement_of
 
@@ -219,7 +219,7 @@ class Ingest:
             self._client.publish(topic, text, qos=0, retain=True)  # if it is lost, the batch is sent again
         self._report(now_s)
 
-    def _refuse(self, unit: str, reason: Refusal) -> None:
+    def _refuse(self, unit: str, reason: RefusalReason) -> None:
         if len(self._refused) < 10_000:
             self._refused[unit, str(reason)] += 1
         else:
@@ -245,7 +245,7 @@ class Ingest:
         now_s = time.monotonic()
         held = [batch for batch in batches if self._intake.is_held(batch.serial, now_s)]
         for batch in held:
-            self._refuse(batch.serial, Refusal.DATABASE)
+            self._refuse(batch.serial, RefusalReason.DATABASE)
         batches = [batch for batch in batches if not self._intake.is_held(batch.serial, now_s)]
         if not batches:
             return []
@@ -256,7 +256,7 @@ class Ingest:
             if middle:
                 return self._isolate(batches[:middle]) + self._isolate(batches[middle:])
             unit = batches[0].serial
-            self._refuse(unit, Refusal.DATABASE)
+            self._refuse(unit, RefusalReason.DATABASE)
             self._intake.note_database_refusal(unit, now_s)
             log.warning("ingest: the database refuses a batch of %s: %s", unit, one_line(str(error).strip()))
             return []

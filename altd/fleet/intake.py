@@ -31,7 +31,7 @@ Each of them costs the other units some transactions more.
 MAX_UNITS = 100_000
 
 
-class Refusal(StrEnum):
+class RefusalReason(StrEnum):
     """Reason why a message is refused."""
 
     RATE = "rate"
@@ -82,22 +82,22 @@ class Intake:
         is_canonical = quote(unit, safe="") == levels[-2]  # an access list compares the written names
         return unit if unit.isprintable() and is_canonical else ""
 
-    def check(self, topic: str, payload: bytes, now_s: float) -> Batch | Refusal:
+    def check(self, topic: str, payload: bytes, now_s: float) -> Batch | RefusalReason:
         """Return the batch of a message, or the reason of its refusal; ``now_s`` is monotonic."""
         unit = self.unit_of(topic)
         if not self._messages.admits(unit, 1, now_s):
-            return Refusal.RATE
+            return RefusalReason.RATE
         if self.is_held(unit, now_s):
-            return Refusal.DATABASE
+            return RefusalReason.DATABASE
         if not is_sealed(payload):
-            return Refusal.CRC
+            return RefusalReason.CRC
         try:
             batch = Batch.model_validate_json(payload)
         except ValidationError:
-            return Refusal.SCHEMA
+            return RefusalReason.SCHEMA
         if batch.serial != unit:
-            return Refusal.UNIT
-        return batch if self._seconds.admits(unit, max(len(batch.rows), 1), now_s) else Refusal.RATE
+            return RefusalReason.UNIT
+        return batch if self._seconds.admits(unit, max(len(batch.rows), 1), now_s) else RefusalReason.RATE
 
     def note_database_refusal(self, unit: str, now_s: float) -> None:
         """Count a batch of the unit that the database refused."""

@@ -27,7 +27,7 @@ _MAX_UNITS = 2**53
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class StoredColumn:
     """A quantity as stored in a file.
 
     ``key`` is the key of a unit's quantity, or ``TARGET.KEY``. ``is_summarised``: the summaries contain it
@@ -58,7 +58,7 @@ class Column:
         return None if steps is None else round(steps / 10**self.decimals, self.decimals)
 
 
-def columns_of(quantities: Quantities, targets: Iterable[str]) -> tuple[Column, ...]:
+def columns_of(quantities: Quantities, targets: Iterable[str]) -> tuple[StoredColumn, ...]:
     """Return the columns of a unit: all of its quantities, then those of its targets.
 
     Summaries contain the displayed quantities: no repetition in another unit and no quantity of a sensor that
@@ -72,8 +72,8 @@ def columns_of(quantities: Quantities, targets: Iterable[str]) -> tuple[Column, 
     return (*of_unit, *of_targets)
 
 
-def _column(quantity: Quantity, prefix: str, is_summarised: bool) -> Column:
-    return Column(
+def _column(quantity: Quantity, prefix: str, is_summarised: bool) -> StoredColumn:
+    return StoredColumn(
         prefix + quantity.key,
         quantity.unit,
         quantity.decimals,
@@ -87,7 +87,7 @@ _KEY = re.compile(r"(?:[a-z][a-z0-9_]*\.)?[a-z][a-z0-9_]*")
 _MAX_CHARACTERS = 80
 
 
-def prepare_columns(connection: sqlite3.Connection, columns: Sequence[Column]) -> list[int]:
+def prepare_columns(connection: sqlite3.Connection, columns: Sequence[StoredColumn]) -> list[int]:
     """Add missing columns to the tables and return the number of each column; call within a transaction.
 
     A quantity whose unit or decimals changed gets a new number. Raises UnusableFileError when there are too
@@ -120,12 +120,12 @@ def prepare_columns(connection: sqlite3.Connection, columns: Sequence[Column]) -
     return numbers
 
 
-def columns_in(connection: sqlite3.Connection) -> dict[int, Column]:
+def columns_in(connection: sqlite3.Connection) -> dict[int, StoredColumn]:
     """Return the quantities of a file by number; if several share a key, only the newest."""
     return {number: column for _, (number, column) in {c.key: (n, c) for n, c in _rows(connection)}.items()}
 
 
-def _rows(connection: sqlite3.Connection) -> Iterator[tuple[int, Column]]:
+def _rows(connection: sqlite3.Connection) -> Iterator[tuple[int, StoredColumn]]:
     rows = connection.execute(
         "SELECT number, key, unit, decimals, label, is_summarised, is_from_sensor "
         "FROM columns ORDER BY number"
@@ -138,7 +138,7 @@ def _rows(connection: sqlite3.Connection) -> Iterator[tuple[int, Column]]:
             raise UnusableFileError(f"has a quantity with the name {key!r}")
         if not isinstance(decimals, int) or not 0 <= decimals <= 12 or not 0 <= number < MAX_COLUMNS:
             raise UnusableFileError(f"has a quantity {key[:40]!r} that cannot be")
-        yield number, Column(key, unit, decimals, label, bool(is_summarised), bool(is_from_sensor))
+        yield number, StoredColumn(key, unit, decimals, label, bool(is_summarised), bool(is_from_sensor))
 
 
 def _add(connection: sqlite3.Connection, table: str, parts: tuple[str, ...], number: int) -> None:

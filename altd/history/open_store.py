@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
-from altd.history.columns import Column, prepare_columns
+from altd.history.columns import StoredColumn, prepare_columns
 from altd.history.facts import Epochs, Reasons, changed_facts
 from altd.history.opening import is_damage, touched, transaction
 from altd.history.records import (
@@ -68,7 +68,7 @@ class OpenStore:
         self._reasons = Reasons(connection)
         self._spans: list[OpenSpans] = []
         self._insert = ""
-        self._summarised: list[Column] = []
+        self._summarised: list[StoredColumn] = []
         self._summarised_numbers: list[int] = []
         self._delay_s = 0.0
         self._last_us = 0

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
-from altd.history.columns import Column, columns_in
+from altd.history.columns import StoredColumn, columns_in
 from altd.history.facts import check_unit, codes_in, fault_in
 from altd.history.opening import open_to_read, typed_damage
 from altd.history.records import (
@@ -79,12 +79,12 @@ class Reader:
         self._connection.close()
 
     @property
-    def summarised(self) -> dict[str, Column]:
+    def summarised(self) -> dict[str, StoredColumn]:
         """Quantities in summaries, by key."""
         return {column.key: column for column in self._columns.values() if column.is_summarised}
 
     @property
-    def recorded(self) -> dict[str, Column]:
+    def recorded(self) -> dict[str, StoredColumn]:
         """Quantities in measurements, by key; those of a target as ``TARGET.KEY``."""
         return {column.key: column for column in self._columns.values()}
 
@@ -240,7 +240,7 @@ class Reader:
         return StoredMeasurement(number, epoch, t_us, sequence, t_ns, frames, bool(valid), status, *parts)
 
     def _summary(
-        self, row: Sequence[Any], table: SummaryTable, columns: Sequence[tuple[int, Column]]
+        self, row: Sequence[Any], table: SummaryTable, columns: Sequence[tuple[int, StoredColumn]]
     ) -> SummaryPoint:
         key, n, n_valid = _whole(row[:3], table.name)
         values = {}
@@ -256,7 +256,7 @@ class Reader:
         return SummaryPoint(t_us, span_us, n, n_valid, *self._faults(row[3], row[4]), values)
 
     def _point(
-        self, row: Sequence[Any], first_s: int, width_s: int, columns: Sequence[tuple[int, Column]]
+        self, row: Sequence[Any], first_s: int, width_s: int, columns: Sequence[tuple[int, StoredColumn]]
     ) -> SummaryPoint:
         point, n, n_valid = _whole(row[:3], "summaries")
         values = {}
@@ -276,7 +276,7 @@ class Reader:
         severity, code = fault_in(worst, self.codes)
         return severity, code, fault_in(lost, self.codes)[1]
 
-    def _chosen(self, keys: Sequence[str] | None) -> list[tuple[int, Column]]:
+    def _chosen(self, keys: Sequence[str] | None) -> list[tuple[int, StoredColumn]]:
         by_key = {
             column.key: (number, column) for number, column in self._columns.items() if column.is_summarised
         }
@@ -304,7 +304,7 @@ class Reader:
         return time.monotonic() > self._deadline
 
 
-def _grouped(number: int, column: Column) -> list[str]:
+def _grouped(number: int, column: StoredColumn) -> list[str]:
     """Return a column's aggregates in SQL: total, weight, variances, their weight, lowest, highest.
 
     A sensor's value is known whether or not the beam is visible, so all measurements count for it.
@@ -334,7 +334,7 @@ def _whole(values: Sequence[Any], table: str) -> list[int]:
     return list(values)
 
 
-def _number(column: Column, steps: object) -> float:
+def _number(column: StoredColumn, steps: object) -> float:
     value = column.value(steps) if isinstance(steps, int | float) else None
     if value is None or not math.isfinite(value):
         raise UnusableFileError(f"is damaged: {column.key[:40]} is not a number")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from altd.history.columns import Column
+from altd.history.columns import StoredColumn
 from altd.history.summary import WorstFault
 from altd.records import Measurement, Value
 from altd.status.event_log import Event, EventKind
@@ -173,7 +173,7 @@ class About:
     A fact's value is text, or a JSON document whose changed keys are reported.
     """
 
-    columns: Sequence[Column]
+    columns: Sequence[StoredColumn]
     facts: Mapping[str, str] = field(default_factory=dict)
 
 

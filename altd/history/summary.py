@@ -10,7 +10,7 @@ import sqlite3
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from altd.history.columns import Column
+from altd.history.columns import StoredColumn
 from altd.history.schema import ROWS_PER_SPAN, SUMMARY_PARTS, SummaryTable, column_name
 from altd.reasons import Signal
 from altd.records import Measurement
@@ -48,7 +48,7 @@ class _Sums:
             self.sigmas += 1
             self.variance_total += sigma * sigma
 
-    def row(self, column: Column) -> tuple[int | None, ...]:
+    def row(self, column: StoredColumn) -> tuple[int | None, ...]:
         """Return mean, sigma, mean − lowest, highest − mean, in steps."""
         low, high = column.steps(self.low), column.steps(self.high)
         if not self.count or low is None or high is None:
@@ -67,7 +67,7 @@ class Summary:
     the worst reason of the invalid measurements.
     """
 
-    columns: Sequence[Column]
+    columns: Sequence[StoredColumn]
     measurements: int = 0
     valid: int = 0
     worst: WorstFault = GOOD
@@ -126,7 +126,7 @@ class OpenSpans:
     """
 
     def __init__(
-        self, table: SummaryTable, columns: Sequence[Column], numbers: Sequence[int], is_queued: bool
+        self, table: SummaryTable, columns: Sequence[StoredColumn], numbers: Sequence[int], is_queued: bool
     ) -> None:
         self.table = table
         self._is_queued = is_queued

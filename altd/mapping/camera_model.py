@@ -48,9 +48,9 @@ _PRIOR = {
     "brown": np.array([*_POSE_PRIOR, 0.5, 0.2, 0.0005, 0.0005]),
     "fisheye": np.array([*_POSE_PRIOR, 0.5, 0.2]),
 }
-"""Standard deviations of the parameters' priors, in their own units: see ``Camera``. Wide compared with the
-variety of lenses, and tight enough to determine what 30 nodes can hardly separate: tilt, principal point and
-decentring."""
+"""Standard deviations of the parameters' priors, in their own units: see ``CameraModel``. Wide compared with
+the variety of lenses, and tight enough to determine what 30 nodes can hardly separate: tilt, principal point
+and decentring."""
 
 _DIFFERENCES = {
     "brown": np.array([*_POSE_DIFFERENCES, 1e-4, 1e-4, 1e-6, 1e-6]),
@@ -85,7 +85,7 @@ class Bend:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class CameraModel:
     """Camera that views a plane.
 
     ``parameters`` (m,): rotation vector; offset of the axis from the plane's origin (x, y) mm; log of the
@@ -116,7 +116,7 @@ class Camera:
             [_PRIOR[self.optics], np.full(2 * self.bend.terms, _BEND_PRIOR_PX * math.sqrt(nodes))]
         )
 
-    def with_bend(self, bend: Bend) -> Camera:
+    def with_bend(self, bend: Bend) -> CameraModel:
         """Return the same camera with a bend of 0."""
         return replace(
             self, parameters=np.concatenate([self.parameters, np.zeros(2 * bend.terms)]), bend=bend

@@ -123,7 +123,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class GridPart:
     """Part of a grid within the rows and columns that remain when incomplete outer ones are dropped."""
 
     columns: range

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from altd.mapping.camera_model import OPTICS, Bend, Camera, Optics
+from altd.mapping.camera_model import OPTICS, Bend, CameraModel, Optics
 from altd.mapping.grid import Axis
 from altd.mapping.nodes import Fiducials, Nodes
 from altd.mapping.tensor_map import Fit, Model, TensorMap, tensor_basis
@@ -34,13 +34,13 @@ _MAX_DENSE_ERROR_PX = 5e-4
 """Maximum deviation of a lens's tensor polynomial from it: a hundredth of the nodes' noise."""
 
 
-def _residuals(nodes: Nodes, camera: Camera) -> FloatArray:
+def _residuals(nodes: Nodes, camera: CameraModel) -> FloatArray:
     """Return seen less projected (2 n,), px, u and v node by node, divided by the relative sigma."""
     residuals: FloatArray = (nodes.px - camera.to_px(nodes.mm)).ravel() / _relative_sigmas(nodes)
     return residuals
 
 
-def _jacobian(nodes: Nodes, camera: Camera) -> FloatArray:
+def _jacobian(nodes: Nodes, camera: CameraModel) -> FloatArray:
     """Return the camera's Jacobian (2 n, m), each row divided by its node's relative sigma."""
     return camera.jacobian(nodes.mm) / _relative_sigmas(nodes)[:, None]
 
@@ -57,7 +57,7 @@ class _State(NamedTuple):
     of the nodes.
     """
 
-    camera: Camera
+    camera: CameraModel
     noise_px: float
     residuals_px: FloatArray
     covariance: FloatArray
@@ -90,7 +90,7 @@ def fit_lens_map(
     return _as_fit(state, nodes, hull_mm)
 
 
-def fit_camera(nodes: Nodes, image_size: tuple[int, int]) -> Camera:
+def fit_camera(nodes: Nodes, image_size: tuple[int, int]) -> CameraModel:
     """Fit a camera with Brown's distortion to nodes; raises ValueError as ``fit_lens_map``."""
     return _fit_with_noise(_initial_camera(nodes.mm, nodes.px, image_size, "brown"), nodes, None).camera
 
@@ -119,7 +119,7 @@ def fit_lens_maps(
     return fits
 
 
-def _bent(camera: Camera, nodes_mm: FloatArray, degree: int) -> Camera:
+def _bent(camera: CameraModel, nodes_mm: FloatArray, degree: int) -> CameraModel:
     return camera.with_bend(Bend(Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1]), degree))
 
 
@@ -142,7 +142,7 @@ def _as_fit(state: _State, nodes: Nodes, hull_mm: FloatArray) -> Fit:
     )
 
 
-def _fit_with_noise(camera: Camera, nodes: Nodes, fiducials: Fiducials | None) -> _State:
+def _fit_with_noise(camera: CameraModel, nodes: Nodes, fiducials: Fiducials | None) -> _State:
     """Fit, estimate the noise, which determines the weight of the priors, and fit again."""
     noise_px, precision = _INITIAL_NOISE_PX, np.diag(1 / camera.prior**2)
     for _ in range(_NOISE_ITERATIONS):
@@ -167,7 +167,7 @@ def _fit_with_noise(camera: Camera, nodes: Nodes, fiducials: Fiducials | None) -
 
 def _initial_camera(
     nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], optics: Optics
-) -> Camera:
+) -> CameraModel:
     """Return a camera square to the plane: scale, turn and side from an affine fit."""
     width, height = image_size
     design = np.column_stack([nodes_mm, np.ones(len(nodes_mm))])
@@ -178,22 +178,22 @@ def _initial_camera(
     mirrored = determinant > 0  # v runs down and y up
     scale = math.sqrt(abs(determinant))
     side = -1.0 if mirrored else 1.0
-    parameters = np.zeros(Camera.optical_parameters(optics))
+    parameters = np.zeros(CameraModel.optical_parameters(optics))
     if len(nodes_mm) < len(parameters):
         raise ValueError(f"{len(nodes_mm)} nodes are too few for a lens model")
     parameters[2] = math.atan2(side * a[1], side * a[0])
     parameters[3] = (origin[0] - (width - 1) / 2) / scale
     parameters[4] = (origin[1] - (height - 1) / 2) / scale
     parameters[5] = math.log(scale)
-    return Camera(optics, parameters, mirrored, width, height)
+    return CameraModel(optics, parameters, mirrored, width, height)
 
 
 def _least_squares(
-    camera: Camera, precision: FloatArray, nodes: Nodes, noise_px: float, fiducials: Fiducials | None
-) -> Camera:
+    camera: CameraModel, precision: FloatArray, nodes: Nodes, noise_px: float, fiducials: Fiducials | None
+) -> CameraModel:
     """Take Levenberg and Marquardt's steps from a camera to the one of minimum cost."""
 
-    def residuals_and_cost(candidate: Camera) -> tuple[FloatArray, float]:
+    def residuals_and_cost(candidate: CameraModel) -> tuple[FloatArray, float]:
         residuals = _residuals(nodes, candidate) / noise_px
         prior = candidate.parameters @ precision @ candidate.parameters
         total = float(np.square(residuals).sum() + prior)
@@ -232,7 +232,7 @@ def _least_squares(
 
 
 def _as_tensor(
-    camera: Camera,
+    camera: CameraModel,
     model: Model,
     nodes_mm: FloatArray,
     parameter_factor: FloatArray,

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from altd.mapping.camera_model import Camera, jacobian_px_per_mm
+from altd.mapping.camera_model import CameraModel, jacobian_px_per_mm
 from altd.records import FloatArray
 
 
@@ -56,7 +56,7 @@ class Fiducials:
     regular_mm: FloatArray
     sigma_mm: float
 
-    def misfit(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    def misfit(self, camera: CameraModel) -> tuple[FloatArray, FloatArray]:
         """Return the fiducials' deviations from the best affine map, and their slopes by the parameters.
 
         (2 n,) and (2 n, m), both in units of sigma; x of all, then y.
@@ -83,6 +83,6 @@ class Fiducials:
         return np.linalg.qr(np.column_stack([np.ones(len(self.px)), self.regular_mm]))[0]
 
     @staticmethod
-    def _unprojected(camera: Camera, mm: FloatArray, px: FloatArray) -> FloatArray:
+    def _unprojected(camera: CameraModel, mm: FloatArray, px: FloatArray) -> FloatArray:
         """Return small changes (n, 2, k) px at points mm, as changes in mm."""
         return np.asarray(np.linalg.solve(jacobian_px_per_mm(camera.to_px, mm, _DIFFERENCE_MM), px))

@@ -9,7 +9,7 @@ from functools import partial
 from altd.config import Measuring
 from altd.measuring.averaging import FrameSetWindow, Window
 from altd.measuring.calibration import Calibration
-from altd.measuring.frame_chain import FrameChain, Place, Provenance
+from altd.measuring.frame_chain import FrameChain, Provenance, RestPlace
 from altd.measuring.instrument import Instrument
 from altd.measuring.light_balance import LightBalance
 from altd.measuring.motion_memory import MotionMemory
@@ -97,7 +97,7 @@ class MeasuringChain(FrameChain[Located]):
         self._window = switched or FrameSetWindow(
             self._targets, measuring.window, measuring.every, self._scatter
         )
-        self._last_place: Place | None = None
+        self._last_place: RestPlace | None = None
         self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
         self._sampling = SamplingCheck()

@@ -19,7 +19,7 @@ _SIMULATED = Fault(Reason.SIMULATED, detail="the calibration was made from simul
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RestPlace:
     """Place at which the beam rested, in a recording that contains it; no window mixes two places.
 
     ``window`` is the number of frame sets averaged there; None: the configured number.
@@ -41,7 +41,7 @@ class Provenance:
     origins: Callable[[], Iterable[Fault]] = tuple
     identity: Callable[[str], CameraIdentity | None] = lambda camera: None
     utc: Callable[[int], datetime | None] = lambda t_ns: None
-    place: Callable[[int], Place | None] = lambda sequence: None
+    place: Callable[[int], RestPlace | None] = lambda sequence: None
 
 
 class Seen(Protocol):

@@ -105,7 +105,7 @@ class TrendFigures:
         return self.recent / self.reference
 
 
-class Trend:
+class MedianTrend:
     """Medians of minutes, by the time of the frames: bounded memory, and outliers have no effect.
 
     ``reference`` is kept indefinitely once it is known. A minute with too few values does not count, so

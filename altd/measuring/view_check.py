@@ -13,7 +13,7 @@ from altd.reasons import Reason
 from altd.records import CameraIdentity, Fault, FaultCause, Frame, NoSpot, Spot
 from altd.vision.fingerprint import MAX_SHIFTS_PX, Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
-from altd.vision.texture import Sample
+from altd.vision.texture import TextureSample
 
 _EXAMINATION_INTERVAL_NS = 190_000_000
 """Every fourth frame at 20 per second: a window of 20 contains at most three frames of a displaced camera."""
@@ -133,7 +133,7 @@ class ViewCheck:
         self._last: Spot | None = None
         self._before_last: Spot | None = None
         self._jumps_px: deque[float] = deque(maxlen=_COMPARED_JUMPS)
-        self._faint: deque[Sample] = deque(maxlen=_STACKED_FRAMES - 1)
+        self._faint: deque[TextureSample] = deque(maxlen=_STACKED_FRAMES - 1)
         """Samples of the last examined frames too dim to decide alone, since the last jump of the spot."""
 
     def compare_with(self, fingerprint: Fingerprint | None) -> None:

@@ -31,7 +31,7 @@ _MAX_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FrameLine:
     """One line of ``frames.csv``; ``position_mm`` is the stage's position of the beam, if known.
 
     ``opaque`` names the target that was switched to show the spot; empty: none. ``pose`` is that of a plate,
@@ -60,8 +60,8 @@ class Rows:
     table: UnchangedFile
     count: Mapping[str, int]
     """Number of frames of each camera, 0 included."""
-    first: Row
-    last: Row
+    first: FrameLine
+    last: FrameLine
     largest_sequence: int
     has_positions: bool
     """Whether any row contains the stage's position of the beam."""
@@ -69,7 +69,7 @@ class Rows:
     """Whether any row names a target that was switched to show the spot."""
 
     @classmethod
-    def checked(cls, path: Path, cameras: Collection[str], check: Callable[[Row], None]) -> Self:
+    def checked(cls, path: Path, cameras: Collection[str], check: Callable[[FrameLine], None]) -> Self:
         """Read all rows of the cameras and ``check`` each; both may raise BadInputError."""
         table = UnchangedFile(path, _MAX_BYTES)
         count = Counter(dict.fromkeys(cameras, 0))
@@ -89,19 +89,19 @@ class Rows:
     def __len__(self) -> int:
         return sum(self.count.values())
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[FrameLine]:
         return _read_rows(self.table, self.count)
 
-    def of(self, camera: str) -> Iterator[Row]:
+    def of(self, camera: str) -> Iterator[FrameLine]:
         """Return an iterator over the rows of one camera."""
         return (row for row in self if row.camera == camera)
 
-    def place(self, row: Row) -> str:
+    def place(self, row: FrameLine) -> str:
         """Return the file and the number of the row, for an error message."""
         return f"{self.table.path}: row {row.number}"
 
 
-def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
+def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[FrameLine]:
     path = table.path
     try:
         reader = csv.DictReader(table.lines(), strict=True)
@@ -114,7 +114,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
                 raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
         if columns.count(OPAQUE) > 1:
             raise BadInputError(f"{path}: row 1", f"column {OPAQUE!r} is repeated")
-        last: dict[str, Row] = {}
+        last: dict[str, FrameLine] = {}
         for record in reader:
             place = f"{path}: row {reader.line_num}"
             row = _read_row(place, reader.line_num, record, cameras)
@@ -126,7 +126,7 @@ def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
         raise BadInputError(path, f"is not CSV: {error}") from error
 
 
-def _check_order(place: str, above: Row, row: Row) -> None:
+def _check_order(place: str, above: FrameLine, row: FrameLine) -> None:
     """Raise unless a camera's rows are in the order of their exposures, without repeated ones."""
     for column, value, before in (
         ("sequence", row.sequence, above.sequence),
@@ -139,7 +139,9 @@ def _check_order(place: str, above: Row, row: Row) -> None:
             )
 
 
-def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras: Collection[str]) -> Row:
+def _read_row(
+    place: str, number: int, record: Mapping[str, str | None], cameras: Collection[str]
+) -> FrameLine:
     if any(record[column] is None for column in COLUMNS) or record.get(OPAQUE, "") is None:
         raise BadInputError(place, f"is torn: {sum(v is not None for v in record.values())} fields")
     text = {column: str(record[column]).strip() for column in COLUMNS}
@@ -160,7 +162,7 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras
         raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
     t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
     leds_on, opaque = text["leds"] == "on", (record.get(OPAQUE) or "").strip()
-    return Row(
+    return FrameLine(
         number,
         int(sequence),
         t_s,

@@ -18,7 +18,7 @@ from pathlib import Path
 from altd.errors import BadInputError, did_you_mean
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
-from altd.recording.frames_table import Row, Rows
+from altd.recording.frames_table import FrameLine, Rows
 from altd.recording.header import FRAMES_FILE, HEADER_FILE, MAX_HEADER_BYTES, RecordingHeader, read_header
 from altd.records import Frame, counted
 
@@ -33,7 +33,7 @@ class Recording:
     header: RecordingHeader
     rows: Rows
 
-    def frame(self, row: Row) -> Frame:
+    def frame(self, row: FrameLine) -> Frame:
         """Decode the frame of a row; raises BadInputError with the file and the row."""
         camera = self.header.cameras[row.camera]
         size = camera.width, camera.height, camera.bits
@@ -74,7 +74,7 @@ def open_recording(path: Path) -> Recording:
     return Recording(path, header, Rows.checked(table, header.cameras, partial(_check_row, path, header)))
 
 
-def _check_row(path: Path, header: RecordingHeader, row: Row) -> None:
+def _check_row(path: Path, header: RecordingHeader, row: FrameLine) -> None:
     """Check the name of a switched target, and the frame's file."""
     names = [target.name for target in header.shown_targets]
     if row.opaque and row.opaque not in names:
@@ -83,7 +83,7 @@ def _check_row(path: Path, header: RecordingHeader, row: Row) -> None:
     _check_png(path, header, row)
 
 
-def _check_png(path: Path, header: RecordingHeader, row: Row) -> None:
+def _check_png(path: Path, header: RecordingHeader, row: FrameLine) -> None:
     """Check signature, size, depth and colour, without decoding the frame."""
     camera, place = header.cameras[row.camera], f"{path / FRAMES_FILE}: row {row.number}"
     try:
@@ -120,7 +120,7 @@ class Gap:
         return f"row {self.row}: {which} {'has' if is_one else 'have'} no row of camera {cameras}"
 
 
-def gaps(rows: Iterable[Row], cameras: Sequence[str]) -> Iterator[Gap]:
+def gaps(rows: Iterable[FrameLine], cameras: Sequence[str]) -> Iterator[Gap]:
     """Yield the gaps of a table in the order of its sequences; ``rows`` is read once per camera, in step.
 
     A camera without any row is left to the caller: it is one fault, not one per exposure.
@@ -170,5 +170,5 @@ def gap_lines(recording: Recording) -> list[str]:
     return lines
 
 
-def _of(camera: str, rows: Iterable[Row]) -> Iterator[Row]:
+def _of(camera: str, rows: Iterable[FrameLine]) -> Iterator[FrameLine]:
     return (row for row in rows if row.camera == camera)

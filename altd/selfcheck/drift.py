@@ -11,8 +11,8 @@ import numpy.typing as npt
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray, Frame, counted
 from altd.selfcheck.lights import Lights, lights_of, pairs
-from altd.selfcheck.matching import MIN_SEEN_SHARE, TOLERANCE_PX, Indices, Seen, match, states_of
-from altd.selfcheck.records import LedState, LedView, Limits, Similarity, TargetDrift, design_rows
+from altd.selfcheck.matching import MIN_SEEN_SHARE, TOLERANCE_PX, Indices, SeenLeds, match, states_of
+from altd.selfcheck.records import DriftLimits, LedState, LedView, Similarity, TargetDrift, design_rows
 
 Chosen = npt.NDArray[np.bool_]
 
@@ -50,7 +50,7 @@ class _Noise:
     common_px2: float
 
 
-def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits) -> TargetDrift:
+def drift_of(name: str, view: LedView, target: TargetCalibration, limits: DriftLimits) -> TargetDrift:
     """Return the drift of one target from its frames; raises ValueError for frames of another size."""
     references = np.asarray(target.leds_px, dtype=np.float64)
     if any(frame.pixels.shape != (target.height, target.width) for frame in (*view.lit, *view.dark)):
@@ -78,7 +78,7 @@ def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits
     peaks = np.full(number, np.nan)
     if seen.any():
         peaks[seen] = np.nanmean(places.peak[:, seen], axis=0)
-    states = states_of(Seen(taken, expected, peaks, share, places.diameter_px))
+    states = states_of(SeenLeds(taken, expected, peaks, share, places.diameter_px))
     used = np.array([state is LedState.USED for state in states])
     if places.rival:
         used[:] = False
@@ -198,7 +198,7 @@ def _is_similarity(
     now_px: FloatArray,
     sigma_px: FloatArray,
     target: TargetCalibration,
-    limits: Limits,
+    limits: DriftLimits,
 ) -> bool:
     """Return whether noise, or slight bending of the motion by a lens, explains the residuals."""
     motion = np.hypot(*(now_px - then_px).T)

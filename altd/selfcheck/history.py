@@ -120,7 +120,7 @@ class TargetHistory:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class CheckHistory:
     """History of all checks by target; a new calibration starts a new one.
 
     ``was_bad``: whether the last check with a verdict was bad.
@@ -209,19 +209,19 @@ def _four(values: np.typing.NDArray[np.float64]) -> Numbers:
     return first, second, third, fourth
 
 
-def document_of(history: History) -> dict[str, Any]:
+def document_of(history: CheckHistory) -> dict[str, Any]:
     """Return the history as plain JSON types: at most some 10 kB for each target."""
     targets = {name: asdict(target) for name, target in history.targets.items()}
     return {"targets": targets, "was_bad": history.was_bad}
 
 
-def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> History:
+def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> CheckHistory:
     """Return the history in a document of ``document_of``; raises ValueError with a one-line message.
 
     ``targets`` are those of the calibration; any other target is an error.
     """
     try:
-        history = TypeAdapter(History).validate_python(document)
+        history = TypeAdapter(CheckHistory).validate_python(document)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise ValueError(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from error

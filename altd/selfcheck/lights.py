@@ -101,7 +101,7 @@ _SPOT_MARGIN_PX = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class FrameFault:
     """Fault of a camera's frames as text; ``spoils``: whether no verdict can be based on them."""
 
     sentence: str
@@ -110,7 +110,7 @@ class Finding:
 
 def findings(
     before: Sequence[Frame], lit: Sequence[Frame], after: Sequence[Frame], leds_px: FloatArray
-) -> tuple[Finding, ...]:
+) -> tuple[FrameFault, ...]:
     """Return the faults of one camera's frames, in the order of their exposure.
 
     ``before`` and ``after`` have the LEDs off, ``lit`` on; ``leds_px`` (n, 2) are their reference positions.
@@ -120,9 +120,9 @@ def findings(
     freshness = FreshnessCheck()
     for frame in frames:
         if repeated := freshness.repeated(frame):
-            return (Finding(f"the camera repeats a picture: {repeated}", spoils=True),)
+            return (FrameFault(f"the camera repeats a picture: {repeated}", spoils=True),)
     if not have_one_exposure(frames):
-        return (Finding("the exposure was changed during the check", spoils=True),)
+        return (FrameFault("the exposure was changed during the check", spoils=True),)
     return tuple(
         finding
         for same in ((*before, *after), lit)
@@ -144,7 +144,7 @@ def _is_about(value: float | None, other: float | None, tolerance: float) -> boo
     return value is other or (value is not None and other is not None and abs(value - other) <= tolerance)
 
 
-def _blinking(same: Sequence[Frame], dark: Sequence[Frame], leds_px: FloatArray) -> list[Finding]:
+def _blinking(same: Sequence[Frame], dark: Sequence[Frame], leds_px: FloatArray) -> list[FrameFault]:
     """Return the lights that change among frames under the same LEDs, except the spot in all dark frames."""
     pixels = np.stack([frame.pixels for frame in same])
     changes = search(pixels.max(axis=0) - pixels.min(axis=0)).regions
@@ -160,7 +160,7 @@ def _blinking(same: Sequence[Frame], dark: Sequence[Frame], leds_px: FloatArray)
         u_px, v_px = (change.left + change.right) / 2, (change.top + change.bottom) / 2
         is_near = any(math.hypot(u_px - u, v_px - v) <= _NEAR_LED_PX for u, v in leds_px)
         found.append(
-            Finding(
+            FrameFault(
                 f"a light at u {u_px:.0f} v {v_px:.0f} px{', near an LED,' if is_near else ''} appeared or "
                 "vanished without the LEDs",
                 spoils=is_near,

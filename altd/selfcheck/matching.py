@@ -44,7 +44,7 @@ _FAR = _Reach(math.inf, 180.0, 0.2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Match:
+class LightOfLeds:
     """Light of each LED, (n,), -1: none. ``rival``: other lights elsewhere match the layout equally well."""
 
     lights: Indices
@@ -60,7 +60,7 @@ class _Candidates:
     cost: FloatArray
 
 
-def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> Match:
+def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> LightOfLeds:
     """Return which of the lights (m, 2), with their peaks (m,), are the LEDs of the references (n, 2).
 
     Each pair of LEDs with each pair of lights proposes a similarity; those no camera can make are dropped. Of
@@ -71,25 +71,25 @@ def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -
     least = min(_MIN_AGREEING, len(references_px))
     candidates = _candidates(references_px, lights_px, _NEAR)
     if candidates is None or candidates.counts.max() < least:
-        return _far_match(references_px, lights_px, peaks) or Match(_in_place(references_px, lights_px))
+        return _far_match(references_px, lights_px, peaks) or LightOfLeds(_in_place(references_px, lights_px))
     return _best_of(candidates, peaks)
 
 
-def _far_match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> Match | None:
+def _far_match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> LightOfLeds | None:
     """Return the layout of the LEDs anywhere among the brightest lights; None if it is not there."""
     brightest = np.argsort(-peaks, kind="stable")[:_MAX_FAR_LIGHTS]
     candidates = _candidates(references_px, lights_px[brightest], _FAR)
     if candidates is None or candidates.counts.max() < _MIN_AGREEING_FAR:
         return None
     found = _best_of(candidates, peaks[brightest])
-    return Match(np.where(found.lights >= 0, brightest[found.lights], -1), found.rival)
+    return LightOfLeds(np.where(found.lights >= 0, brightest[found.lights], -1), found.rival)
 
 
-def _best_of(candidates: _Candidates, peaks: FloatArray) -> Match:
+def _best_of(candidates: _Candidates, peaks: FloatArray) -> LightOfLeds:
     """Return the match of the best candidate."""
     best = int(np.lexsort((candidates.cost, -candidates.counts))[0])
     chosen = candidates.lights[best]
-    return Match(chosen, _has_rival(candidates, best, peaks))
+    return LightOfLeds(chosen, _has_rival(candidates, best, peaks))
 
 
 def _in_place(references_px: FloatArray, lights_px: FloatArray) -> Indices:
@@ -187,7 +187,7 @@ _CLIPPED_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class SeenLeds:
     """LEDs of a target, as seen in the pairs.
 
     ``places_px`` (n, 2) are their positions, seen or expected; ``peaks`` (n,) their brightness, NaN where not
@@ -201,7 +201,7 @@ class Seen:
     diameter_px: float
 
 
-def states_of(seen: Seen) -> tuple[LedState, ...]:
+def states_of(seen: SeenLeds) -> tuple[LedState, ...]:
     """Return the state of each LED, in order."""
     usual = float(np.nanmedian(seen.peaks)) if np.isfinite(seen.peaks).any() else 0.0
     touched = _touched(seen)
@@ -211,7 +211,7 @@ def states_of(seen: Seen) -> tuple[LedState, ...]:
     )
 
 
-def _touched(seen: Seen) -> npt.NDArray[np.bool_]:
+def _touched(seen: SeenLeds) -> npt.NDArray[np.bool_]:
     """Return over which LEDs, (n,), faint light that others do not have brings some pixels to full scale.
 
     Clipping on one side moves the position of an LED: the rim of a spot by 0.1 px.
@@ -234,7 +234,7 @@ def _touched(seen: Seen) -> npt.NDArray[np.bool_]:
     return touched
 
 
-def _state(seen: Seen, index: int, usual: float) -> LedState:
+def _state(seen: SeenLeds, index: int, usual: float) -> LedState:
     u, v = seen.places_px[index].tolist()
     reach = seen.diameter_px / 2 + _MARGIN_PX
     if not seen.pairs:
@@ -255,7 +255,7 @@ def _state(seen: Seen, index: int, usual: float) -> LedState:
     return LedState.DIM if brightness < _DIM_SHARE * usual else LedState.DISPLACED
 
 
-def _foreign_light(seen: Seen, u: float, v: float, reach: float) -> LedState | None:
+def _foreign_light(seen: SeenLeds, u: float, v: float, reach: float) -> LedState | None:
     """Return the state by light at an LED with the LEDs off: the spot, or the LED itself; None: no light."""
     for _, dark in seen.pairs:
         limit = 2 * float(np.median(dark.pixels[::4, ::4])) + _BRIGHT_SHARE * dark.full_scale

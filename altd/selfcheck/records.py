@@ -139,7 +139,7 @@ class TargetDrift:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class DriftLimits:
     """Limits above which a drift matters, in units of the measurement.
 
     A drift counts by its effect on a measurement: ``…_mm`` on the position on any target, ``…_deg`` on yaw

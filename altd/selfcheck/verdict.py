@@ -13,9 +13,9 @@ from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray, MeanSpots, Value
 from altd.selfcheck.drift import drift_of
 from altd.selfcheck.records import (
+    DriftLimits,
     LedState,
     LedView,
-    Limits,
     PartVerdict,
     SelfCheck,
     Similarity,
@@ -100,13 +100,15 @@ class Compensation:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class NotCorrected:
     """Reason why nothing is corrected, as text for people."""
 
     detail: str
 
 
-def compensation_of(check: SelfCheck, calibration: Calibration, limits: Limits) -> Compensation | Refused:
+def compensation_of(
+    check: SelfCheck, calibration: Calibration, limits: DriftLimits
+) -> Compensation | NotCorrected:
     """Return the correction of a check's drift; refused if unknown, no similarity, or beyond the limit.
 
     All targets are corrected or none: half a correction of a direction can be worse than none.
@@ -115,17 +117,17 @@ def compensation_of(check: SelfCheck, calibration: Calibration, limits: Limits) 
     for target in calibration.targets:
         drift = check.targets.get(target.name)
         if drift is None or drift.similarity is None or drift.rms_px is None:
-            return Refused(f"{target.name}: the drift is not known")
+            return NotCorrected(f"{target.name}: the drift is not known")
         if not drift.is_similarity:
-            return Refused(f"{target.name}: the drift is not a shift, rotation and scale")
+            return NotCorrected(f"{target.name}: the drift is not a shift, rotation and scale")
         worst = worst_effect(target, drift.similarity)
         if worst.error_mm > limits.compensate_mm:
-            return Refused(
+            return NotCorrected(
                 f"{target.name}: the picture moved by up to {worst.error_mm:.2f} mm, "
                 f"{limits.compensate_mm:g} mm are corrected at most"
             )
         if worst.sigma_mm > limits.suspect_mm:
-            return Refused(f"{target.name}: the drift is known to {worst.sigma_mm:.3f} mm only")
+            return NotCorrected(f"{target.name}: the drift is known to {worst.sigma_mm:.3f} mm only")
         transforms[target.name] = drift.similarity
         misfit_px[target.name] = drift.rms_px
     return Compensation(transforms, misfit_px)
@@ -178,7 +180,7 @@ def judge(
     views: Mapping[str, LedView],
     calibration: Calibration,
     at: Mapping[str, tuple[float, float]] | None,
-    limits: Limits,
+    limits: DriftLimits,
     *,
     previous: Verdict | None = None,
     reference_plane_mm: float = 0.0,
@@ -248,7 +250,7 @@ def _effects(
 
 
 def _of_target(
-    drift: TargetDrift, worst: WorstEffect | None, limits: Limits, previous: Verdict | None
+    drift: TargetDrift, worst: WorstEffect | None, limits: DriftLimits, previous: Verdict | None
 ) -> Iterator[PartVerdict]:
     """Yield the verdict on one target; if its LEDs contradict each other, that and any unknown verdict."""
     name = drift.target
@@ -271,7 +273,11 @@ def _of_target(
 
 
 def _of_direction(
-    worst: list[WorstEffect], distance_mm: float, significant: bool, limits: Limits, previous: Verdict | None
+    worst: list[WorstEffect],
+    distance_mm: float,
+    significant: bool,
+    limits: DriftLimits,
+    previous: Verdict | None,
 ) -> PartVerdict:
     """Return the verdict on yaw and pitch by all targets' drifts, wherever the beam meets each target."""
     error = sum(effect.error_mm for effect in sorted(worst, key=lambda effect: -effect.error_mm)[:2])
@@ -286,7 +292,7 @@ def _against(
     of: str,
     what: str,
     figures: tuple[str, WorstEffect, float, float],
-    state: tuple[bool, Limits, Verdict | None],
+    state: tuple[bool, DriftLimits, Verdict | None],
 ) -> PartVerdict:
     """Compare an error and its sigma with (suspect, bad); a verdict once reached ends below a share of it."""
     significant, limits, previous = state

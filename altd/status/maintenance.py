@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 
 from altd.config import Maintenance
 from altd.measuring.spot_locator import Located
-from altd.measuring.spot_trend import DustShare, Trend, residual_share
+from altd.measuring.spot_trend import DustShare, MedianTrend, residual_share
 from altd.records import NoSpot, counted
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
@@ -107,8 +107,8 @@ class SpotTrends:
     def __init__(self, targets: Mapping[str, str], limits: Maintenance) -> None:
         self._target_of = targets
         self._targets = tuple(targets.values())
-        self.light = {target: Trend() for target in self._targets}
-        self.residual = {target: Trend() for target in self._targets}
+        self.light = {target: MedianTrend() for target in self._targets}
+        self.residual = {target: MedianTrend() for target in self._targets}
         self.dust = {target: DustShare() for target in self._targets}
         self._limits = limits
         self._warned: set[tuple[Condition, str]] = set()

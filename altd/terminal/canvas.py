@@ -157,7 +157,7 @@ _FREE_SHARE = 1.04
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class PlotCells:
     """Cells of a canvas, and the mm of a target per dot; the unit's zero is in their middle."""
 
     row: int
@@ -167,7 +167,7 @@ class Frame:
     mm_per_dot: float
 
     @classmethod
-    def holding(cls, targets: TargetsDocument, row: int, column: int, rows: int, columns: int) -> Frame:
+    def holding(cls, targets: TargetsDocument, row: int, column: int, rows: int, columns: int) -> PlotCells:
         """Return the frame with the largest scale at which every target fits into these cells."""
         width, height = half_size_mm(targets)
         scale = max(2 * width / (columns * DOTS_ACROSS), 2 * height / (rows * DOTS_DOWN))
@@ -206,7 +206,7 @@ def rows_for(targets: TargetsDocument, columns: int) -> int:
 
 def draw_target(
     canvas: Canvas,
-    frame: Frame,
+    frame: PlotCells,
     targets: TargetsDocument,
     name: str,
     path: Sequence[Place],
@@ -224,7 +224,7 @@ def draw_target(
         canvas.put(*frame.cell_of(spot), SPOT, Style.GOOD)
 
 
-def _dots(canvas: Canvas, frame: Frame, places: Iterable[Place], character: str, style: Style) -> None:
+def _dots(canvas: Canvas, frame: PlotCells, places: Iterable[Place], character: str, style: Style) -> None:
     for place in places:
         if frame.holds(place):
             canvas.dot(*frame.dot_of(place), character, style)

@@ -114,7 +114,7 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ShownBeam:
     """A measurement that was ``age_s`` old when it was sent; ``spots`` are in mm, None: not known."""
 
     sequence: int
@@ -152,7 +152,7 @@ class _Number(BaseModel):
     value: float | None
 
 
-def reading_of(document: object, quantities: Quantities) -> Reading | None:
+def reading_of(document: object, quantities: Quantities) -> ShownBeam | None:
     """Return the measurement; None: nothing was measured since the start.
 
     The numbers are the main ones of the unit and those of a fitted sensor. Raises ValueError that names what
@@ -164,7 +164,7 @@ def reading_of(document: object, quantities: Quantities) -> Reading | None:
     measured = checked(_MeasurementDocument, document, "allow")
     given: Mapping[str, Any] = measured.model_extra or {}
     own = {quantity.key for quantity in quantities.of_unit}
-    return Reading(
+    return ShownBeam(
         sequence=measured.sequence,
         time=measured.time,
         frames=measured.frames,

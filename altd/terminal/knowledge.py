@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from altd.terminal.canvas import Place
-from altd.terminal.documents import Reading, SelfCheckDocument, Shown, StatusDocument, TargetsDocument
+from altd.terminal.documents import SelfCheckDocument, Shown, ShownBeam, StatusDocument, TargetsDocument
 
 HOLD_S = 1.5
 """Time for which an answer is shown when no other follows."""
@@ -22,7 +22,7 @@ class Moment:
     """The present knowledge. ``lost`` is the reason why there is none; empty while the daemon answers."""
 
     lost: str
-    reading: Reading | None
+    reading: ShownBeam | None
     age_s: float | None
     """Current age of the reading."""
     status: StatusDocument | None
@@ -40,14 +40,14 @@ class Knowledge:
 
     def __init__(self) -> None:
         self._lost = "no answer so far"
-        self._reading: Reading | None = None
+        self._reading: ShownBeam | None = None
         self._reading_s = self._status_s = -KEPT_S
         self._status: StatusDocument | None = None
         self._check: SelfCheckDocument | None = None
         self._targets: TargetsDocument | None = None
-        self._past: deque[tuple[float, Reading | None]] = deque()
+        self._past: deque[tuple[float, ShownBeam | None]] = deque()
 
-    def set_reading(self, reading: Reading | None, now_s: float) -> None:
+    def set_reading(self, reading: ShownBeam | None, now_s: float) -> None:
         """Store the latest measurement; None: none has been made yet."""
         self._reading, self._reading_s, self._lost = reading, now_s, ""
         self._past.append((now_s, reading))

@@ -8,14 +8,14 @@ from textwrap import wrap
 
 from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Origin, counted
-from altd.selfcheck.records import Limits
+from altd.selfcheck.records import DriftLimits
 from altd.status.health import duration
 from altd.status.models import Cause
 from altd.terminal.documents import (
     CalibrationDocument,
-    Reading,
     SelfCheckDocument,
     Shown,
+    ShownBeam,
     StatusDocument,
 )
 
@@ -36,7 +36,7 @@ def state_text(signal: str) -> str:
     return text if signal == "good" else text.upper()
 
 
-def verdict_text(reading: Reading) -> str:
+def verdict_text(reading: ShownBeam) -> str:
     """Text about the usability of the numbers: ``VALID``, ``SIMULATED``, ``NOT VALID``."""
     if not reading.valid:
         return "NOT VALID"
@@ -106,13 +106,13 @@ _HEALTHY = ("good", "maintenance_required")
 """States in which the numbers may be used and the unit's own table requires no action now."""
 
 
-def is_healthy(reading: Reading | None, status: StatusDocument) -> bool:
+def is_healthy(reading: ShownBeam | None, status: StatusDocument) -> bool:
     """Whether the unit measures, and its state is good or requires no more than maintenance."""
     return reading is not None and reading.valid and status.state.signal in _HEALTHY
 
 
 def status_text(
-    reading: Reading | None,
+    reading: ShownBeam | None,
     status: StatusDocument,
     check: SelfCheckDocument,
     calibration: CalibrationDocument,
@@ -131,7 +131,7 @@ def _unit(status: StatusDocument) -> Iterator[str]:
         yield from hanging("  -", cause_text(cause), WIDTH, 4)
 
 
-def _measured(reading: Reading | None) -> Iterator[str]:
+def _measured(reading: ShownBeam | None) -> Iterator[str]:
     yield ""
     if reading is None:
         yield from hanging("measuring", "NO: nothing has been measured yet", WIDTH, _INDENT)
@@ -195,8 +195,8 @@ def self_check_table(check: SelfCheckDocument) -> list[str]:
             [f"{target.leds_found} of {target.leds_expected} used"]
             + [f", {number} {state}" for state, number in unused.items()]
         )
-        verdict = "good" if target.leds_found >= Limits().min_leds else "unknown"
-        rows.append((f"LEDs {name}", verdict, f">= {Limits().min_leds}", "", value))
+        verdict = "good" if target.leds_found >= DriftLimits().min_leds else "unknown"
+        rows.append((f"LEDs {name}", verdict, f">= {DriftLimits().min_leds}", "", value))
     for part in check.parts:
         known = part.error is not None and part.sigma is not None
         value = f"{part.error:.4f} +/- {part.sigma:.4f} {part.unit}" if known else "not known"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from altd.records import counted
 from altd.status.health import duration
-from altd.terminal.canvas import Canvas, Frame, Style, draw_target, draw_trend, limits_of, rows_for
+from altd.terminal.canvas import Canvas, PlotCells, Style, draw_target, draw_trend, limits_of, rows_for
 from altd.terminal.documents import Shown, StatusDocument
 from altd.terminal.knowledge import Knowledge, Moment
 from altd.terminal.lines import (
@@ -34,22 +34,22 @@ _KEYS = "tab, arrows: {pages}  h: help  q: quit"
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ScreenView:
     """The view: number of the page, number of its lines above the screen, help or not."""
 
     page: int = 0
     above: int = 0
     help: bool = False
 
-    def pressed(self, key: str) -> View:
+    def pressed(self, key: str) -> ScreenView:
         """Return the view after a key: ``tab``, ``left``, ``right``, ``up``, ``down`` or a character."""
         if self.help or key in ("h", "?"):
             return replace(self, help=not self.help)
         match key:
             case "tab" | "right":
-                return View((self.page + 1) % len(PAGES))
+                return ScreenView((self.page + 1) % len(PAGES))
             case "left":
-                return View((self.page - 1) % len(PAGES))
+                return ScreenView((self.page - 1) % len(PAGES))
             case "up":
                 return replace(self, above=max(self.above - 1, 0))
             case "down":
@@ -57,7 +57,7 @@ class View:
         return self
 
 
-def draw(knowledge: Knowledge, now_s: float, view: View, canvas: Canvas) -> View:
+def draw(knowledge: Knowledge, now_s: float, view: ScreenView, canvas: Canvas) -> ScreenView:
     """Draw the whole screen; return the view, with ``above`` limited to what its page has."""
     moment = knowledge.at(now_s)
     _head(canvas, moment)
@@ -116,7 +116,7 @@ def _number(canvas: Canvas, row: int, moment: Moment, number: Shown, width: int)
     canvas.put(row, 0, text, Style.BOLD if number.value is not None else Style.DIM, width)
 
 
-def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
+def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: ScreenView) -> int:
     """Draw both targets, the numbers with their trends, and as many causes as fit."""
     numbers = moment.numbers
     causes = _cause_lines(moment.status, canvas.columns)
@@ -151,7 +151,7 @@ def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float
     if columns < 1:
         return 0
     rows = min(rows, rows_for(targets, columns))
-    frame = Frame.holding(targets, 3, 0, rows, columns)
+    frame = PlotCells.holding(targets, 3, 0, rows, columns)
     for number, target in enumerate(targets.targets):
         column = number * (columns + 1)
         spot = None if moment.reading is None else moment.reading.spots.get(target.name)
@@ -162,7 +162,7 @@ def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float
     return rows
 
 
-def _trends_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
+def _trends_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: ScreenView) -> int:
     """Draw each number as large as possible, one column per second."""
     rows = (canvas.rows - 4) // max(len(moment.numbers), 1) - 1
     width = canvas.columns - _SCALE_COLUMNS
@@ -186,7 +186,7 @@ def _scale(canvas: Canvas, row: int, rows: int, number: Shown, limits: tuple[flo
         canvas.put(row + rows - 1, 0, f"{low:>11.{number.decimals}f}", Style.DIM, _SCALE_COLUMNS)
 
 
-def _causes_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: View) -> int:
+def _causes_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: ScreenView) -> int:
     """Draw every cause with its remedy."""
     lines = _cause_lines(moment.status, canvas.columns)
     if moment.status is not None and not lines:
@@ -194,7 +194,7 @@ def _causes_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: 
     return _lines(canvas, lines, view.above)
 
 
-def _parts_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: View) -> int:
+def _parts_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: ScreenView) -> int:
     """Draw availability, the last self-check and the components."""
     status, lines = moment.status, list[tuple[str, Style]]()
     if status is None:
@@ -234,7 +234,7 @@ def _lines(canvas: Canvas, lines: list[tuple[str, Style]], above: int) -> int:
     return above
 
 
-Page = Callable[[Canvas, Knowledge, Moment, float, View], int]
+Page = Callable[[Canvas, Knowledge, Moment, float, ScreenView], int]
 """Draws a page; returns the number of its lines above the screen."""
 
 PAGES: tuple[tuple[str, Page], ...] = (

@@ -16,7 +16,7 @@ import numpy as np
 from altd.statistics import MAD_TO_SIGMA
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.image import Image
-from altd.vision.texture import MAX_SHIFT_PX, Sample, Texture, match, sample_of
+from altd.vision.texture import MAX_SHIFT_PX, Texture, TextureSample, match, sample_of
 
 _MIN_LOSS = 0.4
 """Minimum loss as a share of a pixel's light. The error of a print's model at the edges of its dots is
@@ -66,7 +66,7 @@ def count_dust(analysis: FrameAnalysis, texture: Texture) -> DustCount | None:
     return DustCount(int(np.count_nonzero(is_dark & (together >= _MIN_TOGETHER))), looked_at)
 
 
-def _expected(sample: Sample, texture: Texture) -> Image | None:
+def _expected(sample: TextureSample, texture: Texture) -> Image | None:
     """Return each pixel's light expected from the calibration, relative to its surroundings; None: not known.
 
     If nothing matches, a plate counts as even: its surface texture is no dust, but print would be.

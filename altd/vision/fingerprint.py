@@ -16,7 +16,7 @@ from typing import Literal, Self
 from altd.records import FaultCause, FloatArray
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels
-from altd.vision.texture import Match, Sample, Texture, match, sample_of, stacked
+from altd.vision.texture import Texture, TextureMatch, TextureSample, match, sample_of, stacked
 
 TextureSource = Literal["flat", "scan"]
 
@@ -84,7 +84,7 @@ class ViewVerdict:
     displaced_px: float | None = None
     doubled_px: float | None = None
     is_print_seen: bool | None = None
-    faint: Sample | None = None
+    faint: TextureSample | None = None
 
     @classmethod
     def refuted(cls, reason: str, cause: FaultCause) -> Self:
@@ -115,7 +115,9 @@ class Fingerprint:
     usual_doubled_px: float | None = None
     moved: FloatArray | None = None
 
-    def examine(self, analysis: FrameAnalysis, has_spot: bool, earlier: Sequence[Sample] = ()) -> ViewVerdict:
+    def examine(
+        self, analysis: FrameAnalysis, has_spot: bool, earlier: Sequence[TextureSample] = ()
+    ) -> ViewVerdict:
         """Return the verdict on one frame; ``has_spot``: a good spot was found in it.
 
         ``earlier`` are the faint samples of earlier frames that show the same view.
@@ -132,7 +134,7 @@ class Fingerprint:
         view = self._examine_spot(analysis, earlier) if has_spot else ViewVerdict.undecided(_NO_SPOT)
         return replace(view, is_same_sensor=sensor.is_same)
 
-    def _examine_spot(self, analysis: FrameAnalysis, earlier: Sequence[Sample]) -> ViewVerdict:
+    def _examine_spot(self, analysis: FrameAnalysis, earlier: Sequence[TextureSample]) -> ViewVerdict:
         if self.texture is None:
             return ViewVerdict.undecided("the calibration knows nothing of the target's surface")
         sample = sample_of(analysis)
@@ -149,7 +151,7 @@ class Fingerprint:
             verdict = replace(verdict, faint=sample)
         return replace(verdict, is_print_seen=None if is_small else False)
 
-    def _compare(self, sample: Sample, texture: Texture, is_patterned: bool) -> ViewVerdict:
+    def _compare(self, sample: TextureSample, texture: Texture, is_patterned: bool) -> ViewVerdict:
         found = match(sample, texture, self.moved)
         if found is None:
             return ViewVerdict.undecided("nothing is known of the target under the spot")
@@ -178,7 +180,7 @@ class Fingerprint:
             doubled_px=found.doubled_px,
         )
 
-    def _displaced_px(self, found: Match, is_patterned: bool) -> float:
+    def _displaced_px(self, found: TextureMatch, is_patterned: bool) -> float:
         """Return the shift and the effect of a second image, less the part by noise and the model of a print.
 
         The texture of a plate is too faint to show a second image.
@@ -191,7 +193,7 @@ class Fingerprint:
             doubled_px2 = max(found.doubled_px**2 - explained_px**2, 0.0)
         return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + doubled_px2)
 
-    def _interpolated_px(self, found: Match) -> float:
+    def _interpolated_px(self, found: TextureMatch) -> float:
         """Return the doubled image that the interpolated model may cause, px; the maximum if ``moved``."""
         if self.moved is not None:
             return _MODEL_DOUBLED_PX
@@ -203,7 +205,7 @@ def _is_small(analysis: FrameAnalysis) -> bool:
     return patch is not None and patch.outline.area < _MIN_AREA_PX2
 
 
-def _mismatch(found: Match, is_patterned: bool) -> ViewVerdict | None:
+def _mismatch(found: TextureMatch, is_patterned: bool) -> ViewVerdict | None:
     """Return why this cannot be the target as it was calibrated; None if it can."""
     if found.expected * (_MIN_GAIN - found.gain) > _MISMATCH_SIGMAS:
         other = f"the target's surface is not what is seen (gain {max(found.gain, 0):.2f} of 1)"

@@ -66,7 +66,7 @@ _LIMITS = kernel.FitLimits(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class FitState:
     """Converged state, and the matrices of the last iteration.
 
     ``rows`` (14, n) are the derivatives of the light by the parameters, its RESIDUAL, its variances by read
@@ -99,7 +99,7 @@ class Solution:
 
 def solve(
     data: Blocks, state: State, rise: float, order_free_iteration: int = ORDER_FREE_ITERATION
-) -> Solution | None:
+) -> FitState | None:
     """Fit from an initial estimate; None if the fit does not converge.
 
     ``rise`` is the prior standard deviation of the background's slopes, counts per sigma of the initial
@@ -108,10 +108,10 @@ def solve(
     if not kernel.is_compiled():
         return solve_by_numpy(data, state, rise, order_free_iteration)
     found = kernel.fit(_LIMITS, data, state, rise, order_free_iteration)
-    return None if found is None else Solution(*found)
+    return None if found is None else FitState(*found)
 
 
-def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration: int) -> Solution | None:
+def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration: int) -> FitState | None:
     """Fit like ``solve`` without compiled code.
 
     With some three hundred blocks numpy's call overhead dominates: related data is one array, and one product
@@ -157,7 +157,7 @@ def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration
         if is_order_free and _is_converged(change, contrast_is_steady, iteration >= _LATE_ITERATION):
             sensitivities = covariance[U : V + 1] @ weighted
             centre_variance = float((np.square(sensitivities) @ noise_variance).sum()) / 2
-            return Solution(state, rows, centre_variance, contrast2)
+            return FitState(state, rows, centre_variance, contrast2)
     return None
 
 

@@ -113,7 +113,7 @@ _MAX_SIZE_RATIO = 1.4
 
 
 @dataclass(frozen=True, slots=True)
-class Leds:
+class LocatedLeds:
     """Located LEDs by increasing u, and texts on the lights that could not be located."""
 
     spots: tuple[Spot, ...]
@@ -135,7 +135,7 @@ def count_lit_leds(found: Search, leds_px: FloatArray) -> int:
     )
 
 
-def locate_leds(lit: Frame, dark: Frame) -> Leds:
+def locate_leds(lit: Frame, dark: Frame) -> LocatedLeds:
     """Return the positions of the LEDs that are lit in ``lit`` and not in ``dark``.
 
     Light that is the same in both frames cancels. An LED at the border of the picture is fitted on its
@@ -160,7 +160,7 @@ def locate_leds(lit: Frame, dark: Frame) -> Leds:
             spots.append(spot)
         else:
             rejected.append(_rejection_text(region, spot))
-    return Leds(tuple(sorted(spots, key=lambda spot: spot.u_px)), tuple(rejected))
+    return LocatedLeds(tuple(sorted(spots, key=lambda spot: spot.u_px)), tuple(rejected))
 
 
 def _reaches_border(region: Region, frame: Frame) -> bool:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from altd.vision.blocks import Blocks
-    from altd.vision.fit import Solution
+    from altd.vision.fit import FitState
 
 FILE = Path(__file__).with_name("libkernel.so")
 _FIT_ROWS = 14
@@ -102,7 +102,7 @@ def is_compiled() -> bool:
 def fit(
     limits: FitLimits, blocks: Blocks, state: Sequence[float], rise: float, order_free_iteration: int
 ) -> tuple[list[float], FloatArray, float, float] | None:
-    """Run ``fit.solve_by_numpy`` compiled: the values of a ``Solution`` in order, None if not converged."""
+    """Run ``fit.solve_by_numpy`` compiled: the values of a ``FitState`` in order, None if not converged."""
     count = blocks.rows.shape[1]
     given, found = _packed(blocks.rows), np.array(state, np.float64)
     rows = np.empty((_FIT_ROWS + 1, count))
@@ -116,7 +116,7 @@ def fit(
 
 
 def misfit(
-    rings: Rings, blocks: Blocks, solution: Solution, rise: float, order_sigma: float, texture_contrast: float
+    rings: Rings, blocks: Blocks, solution: FitState, rise: float, order_sigma: float, texture_contrast: float
 ) -> FoundMisfit | None:
     """Run ``misfit.misfit_by_numpy`` compiled; None if there are too few blocks."""
     given, state, rows = map(_packed, (blocks.rows, np.array(solution.state), solution.rows))

@@ -17,7 +17,7 @@ from altd.records import FloatArray
 from altd.records.spots import Unexplained
 from altd.vision import kernel
 from altd.vision.blocks import F1, F2, MONOMIALS, Blocks
-from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, RESIDUAL, RISE_X, SPOT, TEXTURE, Solution, U, V
+from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, RESIDUAL, RISE_X, SPOT, TEXTURE, FitState, U, V
 
 _RING_LEVELS = 1.0, 0.7, 0.35, 0.12, 0.02, 0.0
 """Shares of the spot's peak between which the rings are; the last ring holds the surroundings."""
@@ -50,7 +50,7 @@ times stretch the spot too, which the comparison of the targets adds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
+class FitResiduals:
     """Residuals of a spot fitted to its blocks.
 
     The blocks' positions are in units of ``sigma_px``; ``rise`` is the prior standard deviation of the
@@ -58,7 +58,7 @@ class Residuals:
     """
 
     blocks: Blocks
-    solution: Solution
+    solution: FitState
     rise: float
     sigma_px: float
 
@@ -99,7 +99,7 @@ class Misfit:
         return math.sqrt(float(np.linalg.eigvalsh(self.centre_covariance_px2)[-1]))
 
 
-def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misfit | None:
+def misfit_of(residuals: FitResiduals, usual_contrast: float | None = None) -> Misfit | None:
     """Return the misfit of a spot; None if it has too few blocks.
 
     ``usual_contrast`` is the target's texture contrast if the calibration contains it: light that is coarser
@@ -123,7 +123,7 @@ def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misf
     return Misfit(found.chi2, found.degrees_of_freedom, covariance, pattern_px, scores)
 
 
-def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | None:
+def misfit_by_numpy(residuals: FitResiduals, texture_contrast: float) -> Misfit | None:
     """Compute ``misfit_of`` without compiled code, for a texture contrast."""
     solution = residuals.solution
     derivatives, light = solution.derivatives, solution.rows[RESIDUAL]
@@ -195,7 +195,7 @@ def excess_sigmas(chi2: float, degrees_of_freedom: float) -> float:
     return (math.pow(max(chi2, 0.0) / degrees_of_freedom, 1 / 3) - 1 + share) / math.sqrt(share)
 
 
-def _patterns(residuals: Residuals) -> FloatArray:
+def _patterns(residuals: FitResiduals) -> FloatArray:
     """Return rows (patterns, n): the spot's light in each ring times each harmonic of the direction.
 
     The direction from the centre is taken in the frame in which the spot is round.
@@ -233,7 +233,7 @@ _RADIAL_LEVELS = 0.02, 0.05, 0.12, 0.3, 0.5, 0.7, 0.9
 """Shares of the peak between which the rings are."""
 
 
-def radial_chi2(residuals: Residuals, grain: float | None) -> float:
+def radial_chi2(residuals: FitResiduals, grain: float | None) -> float:
     """Return the part of the misfit that depends on the distance from the centre alone, as of a ring."""
     solution, blocks = residuals.solution, residuals.blocks.rows
     weights = 1 / solution.variance(grain**2 if grain else solution.contrast2)

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from altd.records import FloatArray
 from altd.statistics import mad_sigma
 from altd.vision.blocks import blocks_of
-from altd.vision.fit import RESIDUAL, Solution, solve
+from altd.vision.fit import RESIDUAL, FitState, solve
 from altd.vision.flat import BLOCK_PX, Flat
 from altd.vision.frame_analysis import Patch
 from altd.vision.image import Centre, Image, Noise
-from altd.vision.misfit import Residuals
+from altd.vision.misfit import FitResiduals
 from altd.vision.settings import SpotSettings
 
 _NOISE_BLOCK_PX = 4
@@ -109,7 +109,7 @@ class Profile:
     form: tuple[float, float, float]
     order: float
     background_offset: float
-    residuals: Residuals
+    residuals: FitResiduals
 
     @property
     def diameter_px(self) -> float:
@@ -182,11 +182,11 @@ def fit_profile(
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
         offset,
-        Residuals(data, solution, rise, sigma_px),
+        FitResiduals(data, solution, rise, sigma_px),
     )
 
 
-def _clean_blocks(solution: Solution) -> npt.NDArray[np.bool_] | None:
+def _clean_blocks(solution: FitState) -> npt.NDArray[np.bool_] | None:
     """Return the mask (n,) of blocks without dust; None if dust hides no block or too many."""
     sigmas = np.abs(solution.rows[RESIDUAL]) / np.sqrt(solution.variance(solution.contrast2))
     lit: npt.NDArray[np.bool_] = solution.peak_shares > _MIN_SPECK_PEAK_SHARE

@@ -57,7 +57,7 @@ _CORRELATED_PIXELS = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class TextureSample:
     """Relative brightness of the pixels under one spot.
 
     ``relative`` (h, w) is light over smoothed light − 1, ``variance`` (h, w) its variance by photons,
@@ -90,7 +90,7 @@ class Sample:
         return energy, math.sqrt(2 * _CORRELATED_PIXELS * float(noise @ noise))
 
 
-def sample_of(analysis: FrameAnalysis) -> Sample | None:
+def sample_of(analysis: FrameAnalysis) -> TextureSample | None:
     """Return the sample under the brightest spot of a frame; None if there is no spot."""
     patch = analysis.brightest_patch
     if patch is None:
@@ -109,7 +109,7 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
     variance = (noise.read_counts**2 + light / noise.electrons_per_count) / np.square(light)
     variance += np.square(np.square(correction / light))
     variance = np.where(is_used, variance, np.inf)
-    return Sample(
+    return TextureSample(
         patch.left,
         patch.top,
         relative.astype(np.float32),
@@ -118,7 +118,7 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
     )
 
 
-def stacked(samples: Sequence[Sample]) -> Sample:
+def stacked(samples: Sequence[TextureSample]) -> TextureSample:
     """Combine several samples of the same view into one, over all pixels that any of them covers.
 
     The noise of photons and read-out averages out; texture remains, wherever the spot was.
@@ -136,7 +136,7 @@ def stacked(samples: Sequence[Sample]) -> Sample:
     is_covered = weight > 0
     divisor = np.where(is_covered, weight, np.float32(1))
     variance = np.where(is_covered, noise / np.square(divisor), np.float32(np.inf))
-    return Sample(left, top, light / divisor, variance, any(each.is_clipped for each in samples))
+    return TextureSample(left, top, light / divisor, variance, any(each.is_clipped for each in samples))
 
 
 def _curvature_preserving(once: Image) -> tuple[Image, Image]:
@@ -183,7 +183,7 @@ class Texture:
         known = self.relative[self.relative != 0]
         return float(np.sqrt(np.mean(np.square(known)))) if known.size else 0.0
 
-    def around(self, sample: Sample, moved: FloatArray | None = None) -> Image:
+    def around(self, sample: TextureSample, moved: FloatArray | None = None) -> Image:
         """Return the relative brightness under a sample and MAX_SHIFT_PX around it; 0 where unknown.
 
         ``moved`` (2, 3) maps (u, v, 1) of the texture to its position in the sample's frame; None: unmoved.
@@ -200,7 +200,7 @@ class Texture:
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class TextureMatch:
     """Agreement of a sample with a texture.
 
     ``u_px``, ``v_px`` is the shift of the image, ``sigma_px`` the noise of either; ``significance`` is the
@@ -227,7 +227,7 @@ class Match:
         return math.hypot(self.u_px, self.v_px)
 
 
-def match(sample: Sample, texture: Texture, moved: FloatArray | None = None) -> Match | None:
+def match(sample: TextureSample, texture: Texture, moved: FloatArray | None = None) -> TextureMatch | None:
     """Correlate a sample with a texture; None if nothing, or too little, is known under the spot.
 
     The shift counts from the position by ``moved`` (2, 3): see ``Texture.around``. Takes about 0.2 ms for a
@@ -256,7 +256,7 @@ def match(sample: Sample, texture: Texture, moved: FloatArray | None = None) -> 
         if rival_height >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
             chosen, height, gain = nearest.refined(sample, expected), rival_height, rival_gain
     seen, uncertain = sample.energy
-    return Match(
+    return TextureMatch(
         u_px=MAX_SHIFT_PX - chosen.lag[1] - chosen.offset_u,
         v_px=MAX_SHIFT_PX - chosen.lag[0] - chosen.offset_v,
         sigma_px=noise / math.sqrt(max(height * chosen.curvature, 1e-12)),
@@ -295,7 +295,7 @@ class _Peak:
         offset_v, curvature_v = _vertex(score[:, lag[1]], lag[0])
         return cls(lag, offset_u, offset_v, min(curvature_u, curvature_v))
 
-    def refined(self, sample: Sample, expected: Image) -> Self:
+    def refined(self, sample: TextureSample, expected: Image) -> Self:
         """Return the peak with the offsets of best fit of the expected texture, interpolated between lags.
 
         Pixels average texture as fine as they are: its score has straight sides, and the parabola finds as
@@ -333,7 +333,7 @@ class _Peak:
         return np.asarray(cv2.warpAffine(expected, shift, (shape[1], shape[0]), flags=flags), np.float32)
 
 
-def _projected(sample: Sample, shifted: Image) -> tuple[float, float, Image]:
+def _projected(sample: TextureSample, shifted: Image) -> tuple[float, float, Image]:
     """Return score and gain of the expected texture at a peak, and the residual of the sample."""
     energy = max(float(np.sum(sample.weight * np.square(shifted))), _MIN_ENERGY)
     gain = float(np.sum(sample.weight * sample.relative * shifted)) / energy

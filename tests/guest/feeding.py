@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from altd.devices.v4l2 import abi
-from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.node import VideoNode
 
 V4L2_BUF_TYPE_VIDEO_OUTPUT = 2  # as in <linux/videodev2.h>, what altd itself does not use
 V4L2_FIELD_NONE = 1
@@ -27,7 +27,7 @@ class Output:
         self._device = device
         self._rows = rows
         self._columns = columns
-        self._node: Node | None = None
+        self._node: VideoNode | None = None
         self._maps: list[mmap] = []
         self._free: list[int] = []
 
@@ -59,7 +59,7 @@ class Output:
             self._node.call(abi.VIDIOC_STREAMON, ctypes.c_int(V4L2_BUF_TYPE_VIDEO_OUTPUT))
 
     def _open(self) -> None:
-        self._node = node = Node(self._device)
+        self._node = node = VideoNode(self._device)
         wanted = abi.v4l2_format(type=V4L2_BUF_TYPE_VIDEO_OUTPUT)
         wanted.fmt.pix.width, wanted.fmt.pix.height = self._columns, self._rows
         wanted.fmt.pix.pixelformat = abi.v4l2_fourcc("GREY")

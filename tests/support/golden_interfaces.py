@@ -42,7 +42,7 @@ from altd.tables import flat_row, measurement_columns, table_in
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import SelfCheckDocument, StatusDocument, TargetsDocument, checked, reading_of
 from altd.terminal.knowledge import Knowledge
-from altd.terminal.screen import PAGES, View, draw
+from altd.terminal.screen import PAGES, ScreenView, draw
 from support.cli import altd_here
 from support.golden_cases import Case, GoldenUnit
 from support.modbus_rtu_wire import frame
@@ -222,7 +222,7 @@ async def local(unit: GoldenUnit, bench: Bench) -> Parts:
     knowledge.set_status(checked(StatusDocument, documents["status"]), 1.0)
     for page, (name, _) in enumerate(PAGES):
         canvas = Canvas(24, 80, is_utf8=bool(page % 2))
-        draw(knowledge, 1.2, View(page), canvas)
+        draw(knowledge, 1.2, ScreenView(page), canvas)
         yield f"altd watch, {name}", canvas.text()
 
 

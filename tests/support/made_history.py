@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.history.columns import Column, columns_of
+from altd.history.columns import StoredColumn, columns_of
 from altd.history.opening import open_to_write
 from altd.history.records import About, Batch, StateSample
 from altd.history.schema import HOURS, MINUTES, SECONDS, SUMMARY_PARTS, SummaryTable, column_name
@@ -41,7 +41,7 @@ def make_history(path: Path, end_s: int, days: int, unit: str) -> None:
 
 
 def _rows(
-    table: SummaryTable, first_s: int, count: int, columns: Sequence[Column]
+    table: SummaryTable, first_s: int, count: int, columns: Sequence[StoredColumn]
 ) -> Iterator[list[int | None]]:
     """Rows in which the beam wanders over the whole area; every thousandth second is invalid."""
     random = np.random.default_rng(1)

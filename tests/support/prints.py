@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from altd.calibration.printed.lattice import Lattice, find_lattice
-from altd.calibration.printed.sample import Plane, sample_of
+from altd.calibration.printed.sample import PolynomialInverse, sample_of
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import Frame
@@ -83,7 +83,7 @@ class Scene:
 
 def lattice_of(scene: Scene) -> Lattice | None:
     """The measured lattice of a print."""
-    plane = Plane(scene.first_map())
+    plane = PolynomialInverse(scene.first_map())
     samples = [sample_of(frame, plane, SpotSettings(), None) for frame in scene.frames()]
     seen = [sample for sample in samples if sample is not None]
     assert len(seen) == len(NODES_MM)

@@ -19,7 +19,7 @@ from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.config import Measuring, SelfCheckSettings
 from altd.measuring.calibration import Calibration
 from altd.records import Frame, Measurement
-from altd.selfcheck.records import LedView, Limits
+from altd.selfcheck.records import DriftLimits, LedView
 from altd.selfcheck.verdict import judge
 from altd.vision.hot_pixels import HotPixels, places_of
 from hw_sim.beam import BeamPose
@@ -44,7 +44,9 @@ class Bench:
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
+        self._geometry = GeometryState(
+            SelfCheckSettings(compensate=True), DriftLimits(), calibration, FakeClock()
+        )
         self._chain = beam_chain(calibration, Measuring(window=WINDOW), correct=self._geometry.correct)
         self._correction = Correction(self._chain.locators, calibration, {name: name for name in CAMERAS})
         self._sequence = 1000
@@ -59,7 +61,7 @@ class Bench:
             for camera in CAMERAS:
                 frames[camera, on].append(self.exposed(camera, self._sequence))
         seen = {c: LedView(tuple(frames[c, True]), tuple(frames[c, False])) for c in CAMERAS}
-        self._geometry.take(judge(seen, self._calibration, None, Limits()))
+        self._geometry.take(judge(seen, self._calibration, None, DriftLimits()))
         self._correction.apply(self._geometry)
 
     def exposed(self, camera: str, sequence: int) -> Frame:

@@ -36,7 +36,7 @@ from altd.terminal.documents import (
 )
 from altd.terminal.knowledge import HOLD_S, PATH_S, Knowledge
 from altd.terminal.lines import status_text
-from altd.terminal.screen import MIN_COLUMNS, MIN_ROWS, PAGES, View, draw
+from altd.terminal.screen import MIN_COLUMNS, MIN_ROWS, PAGES, ScreenView, draw
 from tools.markdown import wrapped
 from tools.pages.example import AGE_S, MEASURED, STAMP, board
 from tools.pages.serial_examples import unit_that_shows
@@ -248,5 +248,5 @@ def _screen() -> str:
         knowledge.set_reading(_reading(second), float(second))
     knowledge.set_status(checked(StatusDocument, _status()), float(_SECONDS))
     canvas = Canvas(24, 80, is_utf8=True)
-    draw(knowledge, float(_SECONDS), View(), canvas)
+    draw(knowledge, float(_SECONDS), ScreenView(), canvas)
     return canvas.text()

@@ -28,7 +28,7 @@ from altd.acquisition.scan.plan import (
 )
 from altd.config import Config
 from altd.errors import BadInputError
-from altd.mapping.grid import Block
+from altd.mapping.grid import GridPart
 from altd.measuring.pairing import Pair
 from altd.ports import CameraError, Lamps, LampsError, Stage, StageError, StageNotFoundError, Switches
 from altd.recording.header import SelfCheckHeader, note_of, target_headers, unit_header
@@ -212,7 +212,7 @@ class Scanner:
         """Raise ScanStoppedError if the nodes that are not refused cannot suffice."""
         state = self._folder.state
         refused = [n for n in self._nodes if _key(n) in state.refused and _key(n) not in state.nodes]
-        left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
+        left = GridPart.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
         if not left.is_sufficient:
             raise ScanStoppedError(
                 f"{len(refused)} of {len(self._nodes)} nodes are refused, the others do not form a "

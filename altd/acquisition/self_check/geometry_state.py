@@ -9,7 +9,7 @@ from altd.measuring.calibration import Calibration
 from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Fault, Finding, MeanSpots
-from altd.selfcheck.records import Limits, SelfCheck, Similarity, Verdict
+from altd.selfcheck.records import DriftLimits, SelfCheck, Similarity, Verdict
 from altd.selfcheck.verdict import SIGNIFICANT, Compensation, compensated, compensation_of
 from altd.status.health import State
 
@@ -28,7 +28,7 @@ class GeometryState:
     """
 
     def __init__(
-        self, settings: SelfCheckSettings, limits: Limits, calibration: Calibration, clock: Clock
+        self, settings: SelfCheckSettings, limits: DriftLimits, calibration: Calibration, clock: Clock
     ) -> None:
         self._settings = settings
         self._limits = limits

@@ -11,15 +11,15 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
 from altd.records import Value
 from altd.selfcheck.lights import findings
-from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict, unknown
+from altd.selfcheck.records import DriftLimits, LedView, SelfCheck, Verdict, unknown
 from altd.selfcheck.verdict import judge
 
 SpotPx = tuple[float, float]
 
 
-def limits_of(settings: SelfCheckSettings) -> Limits:
+def limits_of(settings: SelfCheckSettings) -> DriftLimits:
     """Return the limits in the settings."""
-    return Limits(
+    return DriftLimits(
         suspect_mm=settings.suspect_mm,
         suspect_deg=settings.suspect_deg,
         bad_mm=settings.bad_mm,
@@ -35,7 +35,7 @@ class CheckJudge:
     """
 
     def __init__(
-        self, views: Sequence[View], calibration: Calibration, limits: Limits, installation: Installation
+        self, views: Sequence[View], calibration: Calibration, limits: DriftLimits, installation: Installation
     ) -> None:
         self._views = views
         self._calibration = calibration

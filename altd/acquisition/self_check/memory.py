@@ -20,7 +20,7 @@ from altd.measuring.calibration import Calibration
 from altd.ports import Clock
 from altd.records import counted
 from altd.runtime.threads import DeviceThread
-from altd.selfcheck.history import History, document_of, history_of
+from altd.selfcheck.history import CheckHistory, document_of, history_of
 from altd.selfcheck.records import SelfCheck, Verdict
 from altd.status.health import Component, State
 
@@ -46,13 +46,13 @@ class HistoryFile:
     path: Path
     calibration: Calibration
 
-    def load(self) -> History:
+    def load(self) -> CheckHistory:
         """Read the file; return an empty history if it is missing or belongs to another calibration.
 
         Raises BadInputError.
         """
         if not os.path.lexists(self.path):
-            return History.empty()
+            return CheckHistory.empty()
         try:
             document = parse_json(read_file(self.path, _MAX_BYTES))
             if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -62,12 +62,12 @@ class HistoryFile:
                 raise ValueError("checksum does not match: the file is damaged or was edited")
             del document["format"]
             if document.pop("references", None) != _references_of(self.calibration):
-                return History.empty()
+                return CheckHistory.empty()
             return history_of(document, self.calibration.target_names)
         except ValueError as error:
             raise BadInputError(self.path, str(error)) from error
 
-    def save(self, history: History) -> None:
+    def save(self, history: CheckHistory) -> None:
         """Write the file completely or not at all; raises BadInputError."""
         references = _references_of(self.calibration)
         document = {"format": FORMAT, "references": references, **document_of(history)}
@@ -95,7 +95,7 @@ class CheckMemory:
         self._clock = clock
         created = calibration.created
         self._earliest = (created if created.tzinfo else created.replace(tzinfo=UTC)) - _MAX_CLOCK_ERROR
-        self._history = History.empty()
+        self._history = CheckHistory.empty()
         self._kept: _Kept | None = None
         self._is_loaded = True
         self._saved_ns: int | None = None
@@ -180,18 +180,18 @@ class _Kept:
         self._thread: DeviceThread | None = None
         component.set_state(State.OK, "no check yet")
 
-    async def load(self) -> History | None:
+    async def load(self) -> CheckHistory | None:
         """Return the contents of the file, empty if it is unusable; None: the disk does not respond."""
         try:
             return await self._on_disk(self._file.load)
         except BadInputError as error:
             self._report_fault(f"starts again: {error}")
-            return History.empty()
+            return CheckHistory.empty()
         except TimeoutError:
             self._report_fault(f"not read: {_NO_ANSWER}")
             return None
 
-    async def save(self, history: History) -> bool:
+    async def save(self, history: CheckHistory) -> bool:
         """Write the history; return whether that succeeded."""
         try:
             await self._on_disk(partial(self._file.save, history))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from altd.calibration.printed.lattice import Lattice, find_lattice
-from altd.calibration.printed.sample import Plane, Sample, sample_of
+from altd.calibration.printed.sample import NodePixels, PolynomialInverse, sample_of
 from altd.calibration.scan_nodes import NodeCache
 from altd.mapping.nodes import Fiducials
 from altd.mapping.tensor_map import TensorMap
@@ -39,7 +39,7 @@ class Series:
     blur_px: float
 
     @classmethod
-    def fit(cls, lattice: Lattice, samples: Iterable[Sample], blurs_px: Sequence[float]) -> Series:
+    def fit(cls, lattice: Lattice, samples: Iterable[NodePixels], blurs_px: Sequence[float]) -> Series:
         """Fit all samples by weighted least squares, with the blur of ``blurs_px`` that fits best.
 
         The samples are read once; their normal equations are summed. A blur weakens a harmonic equally in
@@ -74,7 +74,7 @@ class Series:
         response: FloatArray = self.mean + (waves @ self.amplitudes).real
         return response
 
-    def offset_mm(self, sample: Sample) -> FloatArray:
+    def offset_mm(self, sample: NodePixels) -> FloatArray:
         """Offset (2,) of a node's print from the series: F(x + offset) fits its light best."""
         amplitudes = _dimming(self.lattice, sample.metric[None], self.blur_px) * self.amplitudes
         normal, right = np.zeros((2, 2)), np.zeros(2)
@@ -107,7 +107,7 @@ class _Sums:
         """Return the equations of no sample."""
         return cls(np.zeros((size, size)), np.zeros(size), 0.0)
 
-    def add(self, sample: Sample, waves: ComplexArray) -> None:
+    def add(self, sample: NodePixels, waves: ComplexArray) -> None:
         """Add the pixels of a sample, at which the waves are (n, harmonics)."""
         design = np.column_stack([np.ones(len(waves)), waves.real, -waves.imag])
         weighted = design * sample.weight[:, None]
@@ -174,23 +174,23 @@ class _Model:
     sigma_mm: float
 
     @classmethod
-    def first(cls, lattice: Lattice, samples: NodeCache[Sample], centres_mm: FloatArray) -> _Model:
+    def first(cls, lattice: Lattice, samples: NodeCache[NodePixels], centres_mm: FloatArray) -> _Model:
         """Build the first model, as if the map were true; later models keep its blur, which fits best."""
         series = Series.fit(lattice, samples, _BLURS_PX)
         return cls._through(series, np.zeros((_CUBIC_TERMS, 2)), samples, centres_mm)
 
-    def next(self, samples: NodeCache[Sample], centres_mm: FloatArray) -> _Model:
+    def next(self, samples: NodeCache[NodePixels], centres_mm: FloatArray) -> _Model:
         """Return a better model, from samples that were taken through this one's flat."""
         series = Series.fit(self.series.lattice, self._regular(samples), (self.series.blur_px,))
         return self._through(series, self.bend, self._regular(samples), centres_mm)
 
-    def _regular(self, samples: NodeCache[Sample]) -> Iterator[Sample]:
+    def _regular(self, samples: NodeCache[NodePixels]) -> Iterator[NodePixels]:
         """Yield the samples with their places on the print."""
         return (replace(sample, mm=self.moved(sample.mm)) for sample in samples)
 
     @classmethod
     def _through(
-        cls, series: Series, bend: FloatArray, regular: Iterable[Sample], centres_mm: FloatArray
+        cls, series: Series, bend: FloatArray, regular: Iterable[NodePixels], centres_mm: FloatArray
     ) -> _Model:
         """Build a model: its bend is the cubic part of the nodes' offsets, the rest is their error."""
         cubic = _cubic(centres_mm)
@@ -215,9 +215,9 @@ def find_print(
     ``first_map`` is a map good to a tenth of a dot pitch. Memory is limited: only a part of the samples is
     kept at a time; the rest is made again from the frames.
     """
-    plane = Plane(first_map)
+    plane = PolynomialInverse(first_map)
 
-    def seen_through(flat: Flat | None) -> NodeCache[Sample]:
+    def seen_through(flat: Flat | None) -> NodeCache[NodePixels]:
         """Return samples of the print at the nodes that have one."""
         return NodeCache(
             len(nodes_px),

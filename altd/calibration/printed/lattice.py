@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.printed.sample import Sample
+from altd.calibration.printed.sample import NodePixels
 from altd.records import ComplexArray, FloatArray
 
 _MIN_RADIANS_PER_MM, _MAX_RADIANS_PER_MM = 1.5, 13.0
@@ -87,7 +87,7 @@ class Samples(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, at: int, /) -> Sample: ...
+    def __getitem__(self, at: int, /) -> NodePixels: ...
 
 
 def find_lattice(samples: Samples, centres_mm: FloatArray) -> Lattice | None:
@@ -109,7 +109,7 @@ def find_lattice(samples: Samples, centres_mm: FloatArray) -> Lattice | None:
     return Lattice(np.array(_shortest(*found))) if len(found) == 2 else None
 
 
-def _strongest_two(samples: Sequence[Sample]) -> tuple[FloatArray, FloatArray]:
+def _strongest_two(samples: Sequence[NodePixels]) -> tuple[FloatArray, FloatArray]:
     """Find the strongest wave of the summed spectra, and the strongest one in another direction."""
     along_x = np.arange(-_MAX_RADIANS_PER_MM, _MAX_RADIANS_PER_MM + 1e-9, _STEP_RADIANS_PER_MM)
     along_y = along_x[along_x > -1e-9]
@@ -122,7 +122,7 @@ def _strongest_two(samples: Sequence[Sample]) -> tuple[FloatArray, FloatArray]:
     return first, _at_peak(np.where(np.abs(sine) > _MIN_SINE, power, 0), x, y)
 
 
-def _spectrum(sample: Sample, along_x: FloatArray, along_y: FloatArray) -> ComplexArray:
+def _spectrum(sample: NodePixels, along_x: FloatArray, along_y: FloatArray) -> ComplexArray:
     x, y = (sample.mm - sample.mm.mean(axis=0)).T
     light = _deviation(sample)
     return np.asarray((np.exp(-1j * np.outer(along_y, y)) * light) @ np.exp(-1j * np.outer(x, along_x)))
@@ -133,7 +133,7 @@ def _at_peak(power: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     return np.array([x[peak], y[peak]])
 
 
-def _propagated(vectors: FloatArray, samples: Iterable[Sample], centres_mm: FloatArray) -> FloatArray:
+def _propagated(vectors: FloatArray, samples: Iterable[NodePixels], centres_mm: FloatArray) -> FloatArray:
     """Turn and stretch reciprocal vectors (2, 2) until the nodes agree on their phases.
 
     Nodes are added from the middle outwards, the more are known the more at a time: linear in their number.
@@ -158,7 +158,7 @@ def _propagated(vectors: FloatArray, samples: Iterable[Sample], centres_mm: Floa
     return vectors
 
 
-def _moments(sample: Sample, vector: FloatArray, centre_mm: FloatArray) -> ComplexArray:
+def _moments(sample: NodePixels, vector: FloatArray, centre_mm: FloatArray) -> ComplexArray:
     """Sum of a wave over a sample, and its moments about the node's centre: sum, x, y, xx, xy, yy."""
     x, y = (sample.mm - centre_mm).T
     light = _deviation(sample) * np.exp(-1j * (sample.mm @ vector))
@@ -193,13 +193,13 @@ def _refined(vector: FloatArray, moments: ComplexArray, centres_mm: FloatArray) 
     return np.asarray(vector + turn)
 
 
-def _phasor(sample: Sample, vector: FloatArray) -> complex:
+def _phasor(sample: NodePixels, vector: FloatArray) -> complex:
     """Phase of one wave in a sample, as a number of length 1."""
     total = np.sum(_deviation(sample) * np.exp(-1j * (sample.mm @ vector)))
     return complex(total / max(abs(total), 1e-12))
 
 
-def _deviation(sample: Sample) -> FloatArray:
+def _deviation(sample: NodePixels) -> FloatArray:
     deviation: FloatArray = (sample.ratio - np.average(sample.ratio, weights=sample.weight)) * sample.weight
     return deviation
 

@@ -20,7 +20,7 @@ _POINTS_ACROSS = 50
 _DEGREE = 8
 
 
-class Plane:
+class PolynomialInverse:
     """The inverse of a map as one polynomial, fast for many pixels.
 
     It is accurate to nanometres over the nodes' rectangle and a margin of 8 mm, which spots at the outer
@@ -69,7 +69,7 @@ _TEXTURE_SIGMA = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class NodePixels:
     """The lit pixels of one node.
 
     ``mm`` (n, 2) are their places on the target, ``ratio`` (n,) their light relative to that of the spot on
@@ -86,14 +86,16 @@ class Sample:
         """Size in memory, bytes."""
         return self.mm.nbytes + self.ratio.nbytes + self.weight.nbytes + self.metric.nbytes
 
-    def parts(self) -> Iterator[Sample]:
+    def parts(self) -> Iterator[NodePixels]:
         """Yield the pixels, some thousand at a time: data derived from each is a hundred times as large."""
         for start in range(0, len(self.ratio), _PART_PIXELS):
             part = slice(start, start + _PART_PIXELS)
-            yield Sample(self.mm[part], self.ratio[part], self.weight[part], self.metric)
+            yield NodePixels(self.mm[part], self.ratio[part], self.weight[part], self.metric)
 
 
-def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | None) -> Sample | None:
+def sample_of(
+    frame: Frame, plane: PolynomialInverse, settings: SpotSettings, flat: Flat | None
+) -> NodePixels | None:
     """Take the sample of a frame; None if it has no spot, or with a flat none that a profile fits.
 
     The light is relative to the smoothed spot, with a flat to the fitted profile.
@@ -118,7 +120,7 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
     lit = (even > _MIN_SHARE_OF_PEAK * even.max()) & ~clipped
     variance = (noise.read_counts**2 + even[lit] / noise.electrons_per_count) / even[lit] ** 2
     px = np.stack(np.meshgrid(u, v), axis=-1)[lit]
-    return Sample(
+    return NodePixels(
         plane.to_mm(px),
         light[lit] / even[lit],
         1 / (_TEXTURE_SIGMA**2 + variance),

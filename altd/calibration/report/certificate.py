@@ -13,7 +13,7 @@ from altd.calibration.report.write import Source
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class CertifiedResult:
     """The correction that remains with the calibration file, which is 0, and its uncertainty by the budget.
 
     ``standard`` and ``expanded`` are in the unit at the end of ``key``.
@@ -30,10 +30,10 @@ class Result:
         return f"remaining correction of {name_of(self.key)}"
 
 
-def results_of(budget: Budget) -> tuple[Result, ...]:
+def results_of(budget: Budget) -> tuple[CertifiedResult, ...]:
     """The results for each quantity of the calibrated unit."""
     columns = zip(budget.quantities, budget.combined, budget.expanded, budget.coverage_factors, strict=True)
-    return tuple(Result(*column) for column in columns)
+    return tuple(CertifiedResult(*column) for column in columns)
 
 
 def identifications(source: Source) -> tuple[tuple[str, str], ...]:
@@ -92,7 +92,7 @@ def sections(facts: Facts, source: Source, budget: Budget) -> list[Block]:
     ]
 
 
-def _row(result: Result) -> tuple[str, ...]:
+def _row(result: CertifiedResult) -> tuple[str, ...]:
     unit = unit_of(result.key)
     numbers = f"{result.standard:.4f}{unit}", f"{result.coverage_factor:.2f}", f"{result.expanded:.4f}{unit}"
     return result.name, f"0{unit}", *numbers

@@ -18,8 +18,8 @@ from altd.calibration.report.document import Banner, Block, Document, Heading, P
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
 from altd.calibration.report.prediction import CAUSES, OF_SPOT, Prediction, name_of, predict, unit_of
-from altd.calibration.report.target_plots import Plane, Raster
-from altd.calibration.report.verdict import Level, Verdict, judge
+from altd.calibration.report.target_plots import ShownArea, ValueGrid
+from altd.calibration.report.verdict import Level, ReportVerdict, judge
 from altd.calibration.report.write import Source, target_names_text
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.header import CameraHeader
@@ -32,7 +32,7 @@ _PER_UNIT = 1000
 def beam_section(prediction: Prediction, source: Source) -> list[Block]:
     """Section on the predicted sigma over the area, its causes and the effect of averaging."""
     targets, exposures = source.calibration.targets, prediction.exposures
-    plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
+    plane = ShownArea([target.map.hull_mm for target in targets], around_mm=3.0)
     if prediction.quantities == OF_SPOT:
         caption = (
             "Predicted sigma (1 standard deviation) of one measurement of a spot on the target, "
@@ -79,14 +79,14 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
     ]
 
 
-def _pair(prediction: Prediction, plane: Plane, *quantities: str) -> tuple[Picture, ...]:
+def _pair(prediction: Prediction, plane: ShownArea, *quantities: str) -> tuple[Picture, ...]:
     """Pictures of the sigma of quantities over the area, on one scale."""
     sigmas = [_PER_UNIT * prediction.sigma[prediction.quantities.index(name)] for name in quantities]
     limits = float(np.nanmin(sigmas)), float(np.nanmax(sigmas))
     pictures = []
     for quantity, sigma in zip(quantities, sigmas, strict=True):
         name = name_of(quantity)
-        over = Raster(prediction.x_mm, prediction.y_mm, sigma)
+        over = ValueGrid(prediction.x_mm, prediction.y_mm, sigma)
         draw = target_plots.contours(plane, f"sigma of {name}", over, limits, _unit(quantity))
         pictures.append(Picture(f"predicted sigma of {name} over the area", plane.height_in(bar=True), draw))
     return tuple(pictures)
@@ -144,7 +144,7 @@ def _origin(calibration: Calibration) -> list[Block]:
     return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
 
 
-def _verdict(verdict: Verdict, prediction: Prediction) -> Block:
+def _verdict(verdict: ReportVerdict, prediction: Prediction) -> Block:
     angles_first = sorted(prediction.quantities, key=lambda key: key in OF_SPOT)
     *others, last = (f"{prediction.rms(key):.4f}{unit_of(key)} in {name_of(key)}" for key in angles_first)
     promise = (
@@ -156,7 +156,7 @@ def _verdict(verdict: Verdict, prediction: Prediction) -> Block:
     )
 
 
-def _criteria(verdict: Verdict) -> list[Block]:
+def _criteria(verdict: ReportVerdict) -> list[Block]:
     return [
         Heading("Criteria"),
         Table(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from altd.calibration.report.verdict import Level
 
 if TYPE_CHECKING:
-    from altd.calibration.report.target_plots import Canvas
+    from altd.calibration.report.target_plots import SizedFigure
 
 
 WIDTH_IN = 3.45
@@ -58,7 +58,7 @@ class Picture:
 
     words: str
     height_in: float
-    draw: Callable[[Canvas], None] = field(repr=False)
+    draw: Callable[[SizedFigure], None] = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from altd.calibration.report.document import (
     Table,
     Words,
 )
-from altd.calibration.report.target_plots import Canvas, report_style
+from altd.calibration.report.target_plots import SizedFigure, report_style
 from altd.calibration.report.verdict import Level
 from altd.calibration.report.write import meta_line
 
@@ -110,7 +110,7 @@ def html_page(document: Document) -> bytes:
 def svg(picture: Picture) -> bytes:
     """Render one drawing as SVG; call it within ``report_style()``."""
     figure = Figure(figsize=(WIDTH_IN, picture.height_in))
-    picture.draw(Canvas(figure, WIDTH_IN, picture.height_in))
+    picture.draw(SizedFigure(figure, WIDTH_IN, picture.height_in))
     file = io.BytesIO()
     figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return file.getvalue()

@@ -16,8 +16,8 @@ from altd.calibration.report.target_plots import (
     ORANGE,
     QUIET,
     VERMILION,
-    Canvas,
     Draw,
+    SizedFigure,
     colour_scale,
 )
 from altd.calibration.result import Candidate
@@ -46,7 +46,7 @@ def candidates(
     tensors = sum(c.model == "tensor" for c in tried)
     names = [name_of(c).replace(" × ", "×").replace("+", " + ") for c in tried]
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = canvas.axes(0.5, 0.92, 0.08, 0.42)
         places = np.array([n + (0.6 if n >= tensors else 0.0) for n in range(len(tried))])
         if chosen is not None:
@@ -91,7 +91,7 @@ def candidates(
 def covariance(title: str, matrix_px2: FloatArray, largest_px2: float, symlog: bool, axis: str) -> Draw:
     """A covariance matrix as an image, zero white (Fig. 3.19)."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = canvas.axes(0.48, 0.42, 0.62, 0.28)
         norm: Normalize
         if symlog:
@@ -134,7 +134,7 @@ def _decades(largest: float) -> list[float]:
 def budget(title: str, names: Sequence[str], shares: FloatArray, causes: Sequence[str]) -> Draw:
     """Shares (quantities, causes) of the causes in the variance of each quantity."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = canvas.axes(0.62, 0.62, 0.12, 0.28)
         down = np.arange(len(names))[::-1]
         before = np.zeros(len(names))
@@ -169,7 +169,7 @@ def averaging(
 ) -> Draw:
     """Effect of averaging: sigma over the number of exposures."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = canvas.axes(0.5, 0.62, 0.12, 0.28)
         for (name, values), colour, line in zip(sigmas, (BLUE, VERMILION), ("-", "--"), strict=True):
             axes.plot(exposures, values, line, color=colour, linewidth=1.2, label=name)

@@ -18,7 +18,7 @@ from altd.calibration.report.prediction import (
     own_noise_px,
     spectrum_covariance_px2,
 )
-from altd.calibration.report.target_plots import Plane, Raster, nice_length
+from altd.calibration.report.target_plots import ShownArea, ValueGrid, nice_length
 from altd.calibration.report.write import Source, target_names_text
 from altd.calibration.result import Candidate, TargetEvidence
 from altd.mapping.grid import contains
@@ -32,7 +32,7 @@ _MIN_MM, _MIN_PX2 = 1e-4, 1e-12
 
 def residuals(source: Source) -> list[Block]:
     """Section with residual vectors of all targets on one scale, and the numbers that summarise them."""
-    plane = Plane([target.map.hull_mm for target in source.calibration.targets])
+    plane = ShownArea([target.map.hull_mm for target in source.calibration.targets])
     offsets = [offsets_mm(target, seen.nodes_mm, seen.residuals_px) for target, seen in source.targets()]
     longest_mm = max(_MIN_MM, *(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets))
     scale = nice_length(_MAX_ARROW_MM / longest_mm)
@@ -154,7 +154,7 @@ def _noise_px(target: TargetCalibration, seen: TargetEvidence) -> float:
 def cross_checks(source: Source) -> list[Block]:
     """Section on the distance between the map and the second, independent one over the area."""
     targets = source.calibration.targets
-    plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
+    plane = ShownArea([target.map.hull_mm for target in targets], around_mm=3.0)
     x_mm, y_mm = common_area(targets)
     places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1)
     apart = []
@@ -167,7 +167,7 @@ def cross_checks(source: Source) -> list[Block]:
     pictures, said = [], []
     for target, off_mm in zip(targets, apart, strict=True):
         other = target.cross_check
-        over = Raster(x_mm, y_mm, off_mm)
+        over = ValueGrid(x_mm, y_mm, off_mm)
         draw = target_plots.differences(plane, target.name, over, longest_mm, scale)
         pictures.append(
             Picture(f"cross-check difference over target {target.name}", plane.height_in(bar=True), draw)

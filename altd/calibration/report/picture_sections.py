@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 
 from altd.calibration.report.document import WIDTH_IN, Block, Heading, Picture, Row, Table, Words
-from altd.calibration.report.target_plots import BLUE, INK, QUIET, VERMILION, Canvas, Draw, nice_length
+from altd.calibration.report.target_plots import BLUE, INK, QUIET, VERMILION, Draw, SizedFigure, nice_length
 from altd.calibration.report.write import Source
 from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.records import FloatArray, PixelArray
@@ -67,7 +67,7 @@ def height_in(size_px: tuple[int, int]) -> float:
     return (WIDTH_IN - _LEFT_IN - _RIGHT_IN) * size_px[1] / size_px[0] + _BOTTOM_IN + _TOP_IN
 
 
-def _axes(canvas: Canvas, title: str, size_px: tuple[int, int]) -> Axes:
+def _axes(canvas: SizedFigure, title: str, size_px: tuple[int, int]) -> Axes:
     axes = canvas.axes(_LEFT_IN, _BOTTOM_IN, _RIGHT_IN, _TOP_IN)
     width, height = size_px
     axes.set_xlim(-0.5, width - 0.5)
@@ -91,7 +91,7 @@ def picture(
 ) -> Draw:
     """The scan in one picture, dark where there was light, with the nodes' spots and the frame LEDs."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = _axes(canvas, title, size_px)
         width, height = size_px
         if negative is not None:
@@ -132,7 +132,7 @@ def scatter(
 ) -> Draw:
     """Repeatability at each node: an ellipse of 1 sigma, enlarged ``scale`` times (Fig. 3.22)."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = _axes(canvas, title, size_px)
         axes.grid()
         single = ~np.isfinite(scatter_px).all(axis=1)

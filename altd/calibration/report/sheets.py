@@ -27,7 +27,7 @@ from altd.calibration.report.document import (
     Words,
 )
 from altd.calibration.report.html import MARKS
-from altd.calibration.report.target_plots import FAINT, INK, QUIET, Canvas, report_style
+from altd.calibration.report.target_plots import FAINT, INK, QUIET, SizedFigure, report_style
 from altd.calibration.report.verdict import Level
 
 _WIDTH_IN, _HEIGHT_IN = 8.27, 11.69
@@ -216,7 +216,7 @@ class _Setter:
             width_ratios=(left_in, WIDTH_IN, right_in),
             height_ratios=(_HEIGHT_IN - self._y_in, picture.height_in, below_in),
         )  # fmt: skip
-        picture.draw(Canvas(self._sheets[-1].add_subfigure(grid[1, 1]), WIDTH_IN, picture.height_in))
+        picture.draw(SizedFigure(self._sheets[-1].add_subfigure(grid[1, 1]), WIDTH_IN, picture.height_in))
 
 
 def _mark(sheet: Figure, mark: str) -> None:

@@ -71,7 +71,7 @@ def report_style() -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True)
-class Canvas:
+class SizedFigure:
     """A figure, or a part of one, with its size."""
 
     figure: FigureBase
@@ -97,11 +97,11 @@ _AROUND_MM = 12.0
 _MIN_SPAN_SHARE = 0.05
 """Minimum span of a colour scale, as a share of its largest value."""
 
-Draw = Callable[[Canvas], None]
+Draw = Callable[[SizedFigure], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Raster:
+class ValueGrid:
     """Values (rows, columns, …) over a target's plane: one row per y, one column per x."""
 
     x_mm: FloatArray
@@ -109,7 +109,7 @@ class Raster:
     values: FloatArray
 
 
-class Plane:
+class ShownArea:
     """The part of a target's plane that all its drawings show; it determines their height."""
 
     def __init__(self, hulls_mm: Sequence[FloatArray], around_mm: float = _AROUND_MM) -> None:
@@ -122,7 +122,7 @@ class Plane:
         across, up = self.high - self.low
         return float(width_in * up / across) + _BOTTOM_IN + _TOP_IN
 
-    def axes(self, canvas: Canvas, title: str, bar: bool = False) -> Axes:
+    def axes(self, canvas: SizedFigure, title: str, bar: bool = False) -> Axes:
         """Add axes in mm of the unit frame."""
         axes = canvas.axes(_LEFT_IN, _BOTTOM_IN, _RIGHT_IN + (_BAR_IN if bar else 0), _TOP_IN)
         axes.set_xlim(self.low[0], self.high[0])
@@ -145,11 +145,11 @@ def nice_length(longest: float) -> float:
 
 
 def arrows(
-    plane: Plane, target: TargetCalibration, seen: TargetEvidence, offsets_mm: FloatArray, scale: float
+    plane: ShownArea, target: TargetCalibration, seen: TargetEvidence, offsets_mm: FloatArray, scale: float
 ) -> Draw:
     """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets (n, 2), with a scale arrow."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = plane.axes(canvas, target.name)
         axes.add_patch(
             Polygon(target.map.hull_mm, fill=False, edgecolor=QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
@@ -163,14 +163,14 @@ def arrows(
 
 
 def vectors(
-    plane: Plane, title: str, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
+    plane: ShownArea, title: str, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
 ) -> Draw:
     """Arrows (n, 2) at places (n, 2), in drawn length; ``key`` is the scale arrow's length and its words."""
     return lambda canvas: _vectors(plane.axes(canvas, title), plane, places_mm, arrows_mm, key)
 
 
 def _vectors(
-    axes: Axes, plane: Plane, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
+    axes: Axes, plane: ShownArea, places_mm: FloatArray, arrows_mm: FloatArray, key: tuple[float, str]
 ) -> None:
     axes.grid()
     axes.plot(places_mm[:, 0], places_mm[:, 1], "o", color=QUIET, markersize=1.8)
@@ -178,10 +178,10 @@ def _vectors(
     _key(axes, plane, *key)
 
 
-def differences(plane: Plane, title: str, over: Raster, largest_mm: float, scale: float) -> Draw:
+def differences(plane: ShownArea, title: str, over: ValueGrid, largest_mm: float, scale: float) -> Draw:
     """Offsets (rows, columns, 2) in mm of another map: colour for length, and some arrows."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = plane.axes(canvas, title, bar=True)
         x_mm, y_mm, offsets_mm = over.x_mm, over.y_mm, over.values
         length_um = 1000 * np.linalg.norm(offsets_mm, axis=2)
@@ -197,10 +197,10 @@ def differences(plane: Plane, title: str, over: Raster, largest_mm: float, scale
     return draw
 
 
-def contours(plane: Plane, title: str, over: Raster, limits: tuple[float, float], unit: str) -> Draw:
+def contours(plane: ShownArea, title: str, over: ValueGrid, limits: tuple[float, float], unit: str) -> Draw:
     """A value (rows, columns) over the area, NaN where there is none, on the given scale."""
 
-    def draw(canvas: Canvas) -> None:
+    def draw(canvas: SizedFigure) -> None:
         axes = plane.axes(canvas, title, bar=True)
         low, high = limits
         # a very small difference must not look large
@@ -221,7 +221,7 @@ def _quiver(axes: Axes, places_mm: FloatArray, arrows_mm: FloatArray, colour: st
     )  # fmt: skip
 
 
-def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
+def _key(axes: Axes, plane: ShownArea, length_mm: float, words: str) -> None:
     """Draw a scale arrow in the title's line, where there are no other arrows."""
     right = plane.high[0]
     top = plane.high[1] + 0.045 * (plane.high[1] - plane.low[1])
@@ -232,7 +232,7 @@ def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
     _quiver(axes, np.array([[right - length_mm, top]]), np.array([[length_mm, 0.0]]), INK)
 
 
-def colour_scale(canvas: Canvas, axes: Axes, coloured: ContourSet | AxesImage, unit: str) -> Colorbar:
+def colour_scale(canvas: SizedFigure, axes: Axes, coloured: ContourSet | AxesImage, unit: str) -> Colorbar:
     """Add a colour scale at the right edge, as high as the axes."""
     box = axes.get_position()
     inch = 1 / canvas.width_in

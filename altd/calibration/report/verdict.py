@@ -56,7 +56,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ReportVerdict:
     """The calibration's level, the checks behind it and what limits the measurement."""
 
     checks: tuple[Check, ...]
@@ -83,7 +83,9 @@ class Verdict:
         return tuple(dict.fromkeys(check.remedy for check in self.checks if check.level > Level.GOOD))
 
 
-def judge(calibration: Calibration, evidence: Sequence[TargetEvidence], prediction: Prediction) -> Verdict:
+def judge(
+    calibration: Calibration, evidence: Sequence[TargetEvidence], prediction: Prediction
+) -> ReportVerdict:
     """Judge a calibration by its maps, its evidence and its predicted sigma."""
     limit, advice = _limit(prediction, calibration.targets)
     checks = [
@@ -93,7 +95,7 @@ def judge(calibration: Calibration, evidence: Sequence[TargetEvidence], predicti
         *_of_nodes(evidence),
         _of_leds(calibration.targets),
     ]
-    return Verdict(tuple(checks), limit, advice)
+    return ReportVerdict(tuple(checks), limit, advice)
 
 
 def _predictions(prediction: Prediction, targets: Sequence[TargetCalibration]) -> list[Check]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from altd.calibration.report.document import Banner, Block, Document, Heading, Picture, Row, Table, Words
-from altd.calibration.report.target_plots import Plane, nice_length, vectors
+from altd.calibration.report.target_plots import ShownArea, nice_length, vectors
 from altd.calibration.report.verdict import Level
 from altd.records import FloatArray, counted
 
@@ -188,7 +188,7 @@ def _residuals(residuals: Sequence[Mapping[str, Any]]) -> list[Block]:
     if not residuals:
         return []
     places = np.array([[one["x_mm"], one["y_mm"]] for one in residuals])
-    plane = Plane([places])
+    plane = ShownArea([places])
     pictures = []
     for title, keys, unit, scale in (
         ("x, y", ("dx_mm", "dy_mm"), "µm", 1000.0),
@@ -200,7 +200,7 @@ def _residuals(residuals: Sequence[Mapping[str, Any]]) -> list[Block]:
     return [Heading("Residuals"), Row(tuple(pictures), caption)]
 
 
-def _picture(plane: Plane, title: str, places_mm: FloatArray, left: FloatArray, unit: str) -> Picture:
+def _picture(plane: ShownArea, title: str, places_mm: FloatArray, left: FloatArray, unit: str) -> Picture:
     longest = float(np.linalg.norm(left, axis=1).max())
     mm_per_unit = _ARROW_MM / longest if longest > 0 else 1.0
     key = nice_length(_ARROW_MM / mm_per_unit)

@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 
 from altd.config import GrblStageSettings
-from altd.devices.grbl.line import Line
+from altd.devices.grbl.line import GrblPort
 from altd.devices.grbl.protocol import (
     HOLD,
     HOMING_OFF,
@@ -20,12 +20,12 @@ from altd.devices.grbl.protocol import (
     RESET,
     STATUS,
     Alarm,
+    GrblSetting,
     Ok,
     Point,
     Refusal,
     Reply,
-    Setting,
-    Status,
+    StatusReport,
     Welcome,
 )
 from altd.ports import (
@@ -63,7 +63,7 @@ _MIN_VERSION = (1, 1)
 class _Session:
     """State of the controller between opening and closing. ``offset_mm``: machine minus work coordinates."""
 
-    line: Line
+    line: GrblPort
     offset_mm: Point | None = None
     is_homing: bool = False
 
@@ -82,11 +82,11 @@ class GrblController:
 
     def open(self) -> None:
         """Open the port, let a movement finish and reset the controller, which keeps its position."""
-        self._session = _Session(Line(self._settings.device, self._settings.baud))
+        self._session = _Session(GrblPort(self._settings.device, self._settings.baud))
         try:
             self._let_finish()
             self._reset()
-            settings = {s.number: s.value for s in self.command("$$") if isinstance(s, Setting)}
+            settings = {s.number: s.value for s in self.command("$$") if isinstance(s, GrblSetting)}
             if settings.get(_INCHES_SETTING):
                 raise StageRefusedError("the stage's controller reports in inches: set $13=0 in it")
         except BaseException:
@@ -135,18 +135,18 @@ class GrblController:
         """Write raw bytes without waiting for a reply."""
         self._open_session.line.send(data)
 
-    def status(self) -> Status:
+    def status(self) -> StatusReport:
         """Request a report and return it."""
         for _ in range(_MAX_REPORT_TRIES):
             self.send(STATUS)
             deadline = time.monotonic() + _REPORT_TIMEOUT_S
             while (left_s := deadline - time.monotonic()) > 0:
                 reply = self._next_reply(left_s)
-                if isinstance(reply, Status):
+                if isinstance(reply, StatusReport):
                     return reply
         raise StageTimeoutError("the stage's controller does not report its position")
 
-    def position_mm(self, status: Status | None = None) -> Point:
+    def position_mm(self, status: StatusReport | None = None) -> Point:
         """Return the position in the configured coordinates, from ``status`` or from a new report.
 
         Repeats the request until the offset of the work coordinates is known.
@@ -189,7 +189,7 @@ class GrblController:
             self._check_stop()
             self.send(STATUS)
             reply = self._receive(_REPORT_TIMEOUT_S)
-            if not isinstance(reply, Status) or reply.state not in ("Run", "Jog"):
+            if not isinstance(reply, StatusReport) or reply.state not in ("Run", "Jog"):
                 return
             if reply != last:
                 last, since = reply, time.monotonic()
@@ -229,7 +229,7 @@ class GrblController:
             reply = self._receive(POLL_INTERVAL_S)
             if isinstance(reply, Alarm):
                 return
-            if isinstance(reply, Status):
+            if isinstance(reply, StatusReport):
                 if reply.state != "Run" and reply == last:
                     return
                 last = reply
@@ -253,7 +253,7 @@ class GrblController:
     def _receive(self, timeout_s: float) -> Reply | None:
         session = self._open_session
         reply = session.line.receive(timeout_s)
-        if isinstance(reply, Status) and reply.offset_mm is not None:
+        if isinstance(reply, StatusReport) and reply.offset_mm is not None:
             session.offset_mm = reply.offset_mm
         return reply
 

@@ -17,7 +17,7 @@ _MAX_UNFINISHED_BYTES = 4096
 """Maximum length without the end of a line; more bytes cannot become a reply."""
 
 
-class Line:
+class GrblPort:
     """One open port, used from one thread at a time."""
 
     def __init__(self, device: Path, baud: int) -> None:

@@ -111,7 +111,7 @@ class Welcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class GrblSetting:
     """One line of the response to ``$$``."""
 
     number: int
@@ -129,7 +129,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class StatusReport:
     """``<State|…>``: status report, with the positions x, y in mm that it contains.
 
     A report has the machine or the work position, and occasionally the offset: work = machine − offset.
@@ -141,7 +141,7 @@ class Status:
     offset_mm: Point | None = None
 
 
-Reply = Ok | Refusal | Alarm | Welcome | Setting | Message | Status
+Reply = Ok | Refusal | Alarm | Welcome | GrblSetting | Message | StatusReport
 
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
 _NUMBER = r"-?\d{1,9}\.\d{1,6}"  # up to nine digits of mm: longer numbers are noise, and might not be finite
@@ -165,13 +165,13 @@ def parse(line: str) -> Reply | None:
     if welcome := _WELCOME.fullmatch(line):
         return Welcome((int(welcome[1]), int(welcome[2])), line)
     if setting := _SETTING.fullmatch(line):
-        return Setting(int(setting[1]), float(setting[2]))
+        return GrblSetting(int(setting[1]), float(setting[2]))
     if (line.startswith("[") and line.endswith("]")) or line.startswith(">"):
         return Message(line)
     return None
 
 
-def _status(line: str) -> Status | None:
+def _status(line: str) -> StatusReport | None:
     report = _STATUS.fullmatch(line)
     if report is None:
         return None
@@ -185,4 +185,4 @@ def _status(line: str) -> Status | None:
             points[name] = float(axes[1]), float(axes[2])
     if ("MPos" in points) == ("WPos" in points):  # a report has exactly one of them
         return None
-    return Status(report[1], points.get("MPos"), points.get("WPos"), points.get("WCO"))
+    return StatusReport(report[1], points.get("MPos"), points.get("WPos"), points.get("WCO"))

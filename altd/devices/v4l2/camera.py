@@ -15,7 +15,7 @@ from altd.devices.counting import FrameCounter
 from altd.devices.v4l2 import abi
 from altd.devices.v4l2.controls import Control, controls_of, set_controls
 from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
-from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.node import VideoNode
 from altd.devices.v4l2.stream import Stream, set_format, set_rate
 from altd.ports import (
     CameraBusyError,
@@ -62,13 +62,13 @@ class ExposureTime:
             max(1, self.time.minimum) * _EXPOSURE_UNIT_MS, self.time.maximum * _EXPOSURE_UNIT_MS, 0.0, 0.0
         )
 
-    def now_ms(self, node: Node) -> float | None:
+    def now_ms(self, node: VideoNode) -> float | None:
         """Current exposure, ms; None while the camera chooses it automatically. Raises OSError."""
         if self.automatic is not None and self.automatic.value(node) != _MANUAL:
             return None
         return self.time.value(node) * _EXPOSURE_UNIT_MS
 
-    def set(self, node: Node, exposure_ms: float) -> float:
+    def set(self, node: VideoNode, exposure_ms: float) -> float:
         """Set the nearest possible exposure and return it, ms; raises CameraRefusedError, OSError."""
         if self.automatic is not None and self.automatic.value(node) != _MANUAL:
             self.automatic.set(node, _MANUAL)
@@ -101,7 +101,7 @@ _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = 
 class _Running:
     """Parts of an open camera."""
 
-    node: Node
+    node: VideoNode
     layout: Layout
     stream: Stream
     exposure: ExposureTime | None
@@ -131,7 +131,7 @@ class V4l2Camera:
         """Open the camera and start it with the format, rate and controls of the config."""
         self.close()
         with self._typed_opening_failures():
-            node = Node(self._settings.device)
+            node = VideoNode(self._settings.device)
             try:
                 self._running = self._start(node)
             except BaseException:
@@ -170,7 +170,7 @@ class V4l2Camera:
             running.stream.close()
             running.node.close()
 
-    def _start(self, node: Node) -> _Running:
+    def _start(self, node: VideoNode) -> _Running:
         settings = self._settings
         if not node.streams:
             raise CameraRefusedError("is not a camera: it streams no frames")

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from altd.devices.v4l2 import abi
-from altd.devices.v4l2.node import Node, text
+from altd.devices.v4l2.node import VideoNode, text
 from altd.ports import CameraRefusedError
 
 _KINDS = {
@@ -36,11 +36,11 @@ class Control:
     reads: bool
     writes: bool
 
-    def value(self, node: Node) -> int:
+    def value(self, node: VideoNode) -> int:
         """Current value; raises OSError."""
         return int(node.call(abi.VIDIOC_G_CTRL, abi.v4l2_control(self.number)).value)
 
-    def set(self, node: Node, value: int) -> None:
+    def set(self, node: VideoNode, value: int) -> None:
         """Set exactly this value; raises CameraRefusedError when the camera rejects it, or OSError."""
         beyond = self.kind != "button" and not self.minimum <= value <= self.maximum
         if beyond or not self.writes:  # the kernel would take the nearest
@@ -63,12 +63,12 @@ class Control:
         return f"it takes {self.minimum} to {self.maximum}{step}"
 
 
-def controls_of(node: Node) -> dict[str, Control]:
+def controls_of(node: VideoNode) -> dict[str, Control]:
     """Controls of the camera by name, in its own order; those without a simple numeric value are left out."""
     return {control.name: control for control in _controls(node)}
 
 
-def set_controls(node: Node, wanted: Mapping[str, int]) -> None:
+def set_controls(node: VideoNode, wanted: Mapping[str, int]) -> None:
     """Set controls one after the other; raises CameraRefusedError that names the control, or OSError."""
     if not wanted:
         return
@@ -79,7 +79,7 @@ def set_controls(node: Node, wanted: Mapping[str, int]) -> None:
         controls[name].set(node, value)
 
 
-def _controls(node: Node) -> Iterator[Control]:
+def _controls(node: VideoNode) -> Iterator[Control]:
     query = abi.v4l2_query_ext_ctrl(id=abi.V4L2_CTRL_FLAG_NEXT_CTRL)
     while True:
         try:

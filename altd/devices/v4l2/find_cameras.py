@@ -8,7 +8,7 @@ from pathlib import Path
 
 from altd.devices.v4l2.controls import Control, controls_of
 from altd.devices.v4l2.image import PIXEL_FORMATS, Size, fourccs, sizes
-from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.node import VideoNode
 
 _DEVICES = Path("/dev")
 _BY_PATH = Path("/dev/v4l/by-path")
@@ -54,7 +54,7 @@ def find_cameras() -> Iterator[FoundCamera | UnreadableCamera]:
 
 def _camera_at(device: Path, path: Path) -> FoundCamera | None:
     """Camera behind a device; None for another device, such as an output. Raises OSError."""
-    node = Node(device)
+    node = VideoNode(device)
     try:
         if not node.streams:
             return None

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.devices.v4l2 import abi
-from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.node import VideoNode
 from altd.records import PixelArray
 
 
@@ -32,19 +32,19 @@ class Size:
         return f"{smallest} to {self.max_width} × {self.max_height}"
 
 
-def fourccs(node: Node) -> list[str]:
+def fourccs(node: VideoNode) -> list[str]:
     """Pixel formats of the camera by their four characters; raises OSError."""
     asked = abi.v4l2_fmtdesc(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     return [_characters(entry.pixelformat) for entry in node.entries(abi.VIDIOC_ENUM_FMT, asked)]
 
 
-def sizes(node: Node, fourcc: str) -> list[Size]:
+def sizes(node: VideoNode, fourcc: str) -> list[Size]:
     """Frame sizes in a format; raises OSError."""
     asked = abi.v4l2_frmsizeenum(pixel_format=abi.v4l2_fourcc(fourcc))
     return [_size(entry) for entry in node.entries(abi.VIDIOC_ENUM_FRAMESIZES, asked)]
 
 
-def rates(node: Node, fourcc: str, width: int, height: int) -> list[float]:
+def rates(node: VideoNode, fourcc: str, width: int, height: int) -> list[float]:
     """Rates of such frames, frames/s, or the ends of their range; raises OSError."""
     asked = abi.v4l2_frmivalenum(pixel_format=abi.v4l2_fourcc(fourcc), width=width, height=height)
     found = [rate for entry in node.entries(abi.VIDIOC_ENUM_FRAMEINTERVALS, asked) for rate in _rates(entry)]

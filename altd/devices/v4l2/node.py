@@ -18,7 +18,7 @@ Argument = TypeVar("Argument", bound=ctypes.Structure | ctypes.c_int)
 Entry = TypeVar("Entry", bound=ctypes.Structure)
 
 
-class Node:
+class VideoNode:
     """An open device. Every call may raise OSError; ENOTTY when it is not a Video4Linux device."""
 
     def __init__(self, path: Path) -> None:

@@ -18,7 +18,7 @@ from altd.devices.v4l2.image import (
     rates,
     sizes,
 )
-from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.node import VideoNode
 from altd.ports import CameraRefusedError
 
 _BUFFER_COUNT = 4
@@ -32,7 +32,7 @@ _RATE_TOLERANCE = 1e-4
 """Maximum relative difference of equal rates: the kernel uses fractions, the config decimals."""
 
 
-def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -> Layout:
+def set_format(node: VideoNode, width: int, height: int, pixel_format: PixelFormat) -> Layout:
     """Set exactly this format; raises CameraRefusedError that lists the available ones, or OSError."""
     wanted = abi.v4l2_format(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     wanted.fmt.pix.width = width
@@ -54,7 +54,7 @@ def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -
     return layout
 
 
-def set_rate(node: Node, fps: float, layout: Layout) -> None:
+def set_rate(node: VideoNode, fps: float, layout: Layout) -> None:
     """Set this rate where the camera allows it; raises CameraRefusedError or OSError."""
     asked = abi.v4l2_streamparm(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     capture = asked.parm.capture
@@ -81,7 +81,7 @@ def set_rate(node: Node, fps: float, layout: Layout) -> None:
 class Stream:
     """A running camera, used from one thread; every method raises OSError when the camera is gone."""
 
-    def __init__(self, node: Node, fps: float) -> None:
+    def __init__(self, node: VideoNode, fps: float) -> None:
         self._node = node
         wanted = min(_BUFFER_COUNT + math.ceil(fps * _STALL_S), _MAX_BUFFER_COUNT)
         self._poll = select.poll()

@@ -13,7 +13,7 @@ import numpy as np
 from altd.config import Measuring
 from altd.instruments.planar.instrument import QUANTITIES, Leds, PlanarCalibration, PlanarInstrument
 from altd.instruments.planar.leds import find_leds, led_image
-from altd.measuring.frame_chain import FrameChain, Place, Provenance
+from altd.measuring.frame_chain import FrameChain, Provenance, RestPlace
 from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.instrument import NO_SOLUTION, Solution
 from altd.measuring.pairing import Pair
@@ -100,7 +100,7 @@ class PlanarChain(FrameChain[PlateFrame]):
         self._exposures: deque[_Exposure] = deque()
         self._still: list[Leds] = []
         """LEDs of the exposures at this pose, the newest last."""
-        self._place: Place | None = None
+        self._place: RestPlace | None = None
         self._last: PlateFrame | None = None
         self._since = 0
 

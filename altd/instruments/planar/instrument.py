@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from altd.instruments.planar.fitting import PlaneFit
-from altd.instruments.planar.layout import Match, placed_mm, rigid_matches, wrapped_deg
+from altd.instruments.planar.layout import PlateMatch, placed_mm, rigid_matches, wrapped_deg
 from altd.instruments.planar.plane import Model
 from altd.instruments.planar.pose import solve_pose
 from altd.mapping.grid import edge_lines
@@ -173,7 +173,9 @@ class PlanarInstrument:
         sigma_mm = np.sqrt(np.trace(variance_mm2, axis1=1, axis2=2) / 2 + fit.sigma_led_mm**2)
         return np.asarray(np.maximum(_TOLERANCE_SIGMAS * sigma_mm, _MIN_TOLERANCE_MM))
 
-    def _of_two(self, ways: Sequence[Match], points_px: FloatArray, before: Leds | None) -> Match | Fault:
+    def _of_two(
+        self, ways: Sequence[PlateMatch], points_px: FloatArray, before: Leds | None
+    ) -> PlateMatch | Fault:
         """Return the only way in which two lights can be LEDs, or a fault."""
         if len(points_px) > MIN_LEDS:
             detail = (
@@ -189,7 +191,7 @@ class PlanarInstrument:
         detail = "two LEDs look the same when the plate is turned; a third is needed"
         return Fault(Reason.LEDS_MISFIT, detail=detail)
 
-    def _is_followed(self, way: Match, points_px: FloatArray, before: Leds) -> bool:
+    def _is_followed(self, way: PlateMatch, points_px: FloatArray, before: Leds) -> bool:
         """Whether the LEDs were close to these positions in the frame before."""
         if not {led for led, _ in way.pairs} <= set(before.numbers):
             return False
@@ -209,7 +211,7 @@ class PlanarInstrument:
         return float((points_mm @ self._edges[:, :2].T - self._edges[:, 2]).max())
 
 
-def _of_three_or_more(ways: Sequence[Match], lights: int, leds: int) -> Match | Fault:
+def _of_three_or_more(ways: Sequence[PlateMatch], lights: int, leds: int) -> PlateMatch | Fault:
     """Return the best match, or a fault if other lights could be the plate or most lights are not its LEDs.
 
     Two lights at the distance of two LEDs may belong to a plate whose other LEDs are dark. This is excluded

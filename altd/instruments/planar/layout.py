@@ -58,7 +58,7 @@ def rigid_pose(leds_mm: FloatArray, points_mm: FloatArray) -> Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class PlateMatch:
     """An assignment of lights to LEDs, and the pose that follows."""
 
     pairs: Pairs
@@ -66,13 +66,13 @@ class Match:
     rms_mm: float
 
 
-def rigid_matches(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: FloatArray) -> list[Match]:
+def rigid_matches(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: FloatArray) -> list[PlateMatch]:
     """Find all assignments of two or more lights to LEDs of a rigid plate, the most lights first.
 
     ``points_mm`` (n, 2) are the lights in the fixed frame, ``tolerance_mm`` (n,) limits each one's deviation
     from its LED. An assignment that is part of another one is dropped.
     """
-    found: dict[Pairs, Match] = {}
+    found: dict[Pairs, PlateMatch] = {}
     for pose in _poses_by_pairs(leds_mm, points_mm, tolerance_mm):
         pairs: Pairs = ()
         for _ in range(3):  # two close lights determine the turn poorly: refine with all that fit
@@ -87,7 +87,7 @@ def rigid_matches(leds_mm: FloatArray, points_mm: FloatArray, tolerance_mm: Floa
         led, light = (list(column) for column in zip(*pairs, strict=True))
         off_mm = np.linalg.norm(placed_mm(leds_mm[led], pose) - points_mm[light], axis=1)
         if np.all(off_mm <= tolerance_mm[light]):
-            found[pairs] = Match(pairs, pose, float(np.sqrt(np.mean(off_mm**2))))
+            found[pairs] = PlateMatch(pairs, pose, float(np.sqrt(np.mean(off_mm**2))))
     ways = sorted(found.values(), key=lambda match: (-len(match.pairs), match.rms_mm))
     return [way for way in ways if not any(set(way.pairs) < set(other.pairs) for other in ways)]
 

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from altd.instruments.planar.homography import apply_homography, with_slopes
-from altd.mapping.camera_model import Camera, jacobian_px_per_mm
+from altd.mapping.camera_model import CameraModel, jacobian_px_per_mm
 from altd.mapping.lens import fit_camera
 from altd.mapping.nodes import Nodes
 from altd.records import FloatArray
@@ -27,7 +27,7 @@ class PlaneCamera:
     """Places (n, 2) mm of the plane ↔ (n, 2) px, through a homography or a lens with Brown's distortion.
 
     Both are relative to ``origin_mm``. ``parameters`` of the homography are h1 … h8 of mm → px with h9 = 1,
-    those of the lens are ``Camera.parameters``.
+    those of the lens are ``CameraModel.parameters``.
     """
 
     model: Model
@@ -84,8 +84,8 @@ class PlaneCamera:
         return np.where((off_px < 1e-3)[:, None], points_mm, np.nan)
 
     @property
-    def _camera(self) -> Camera:
-        return Camera("brown", self.parameters, False, self.width, self.height)
+    def _camera(self) -> CameraModel:
+        return CameraModel("brown", self.parameters, False, self.width, self.height)
 
     @property
     def _homography(self) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from altd.instruments.row.places import Place
+from altd.instruments.row.places import BeamPlace
 from altd.records import FloatArray
 
 _MIN_JUMP_SIGMAS = 3.0
@@ -18,7 +18,7 @@ _JUMP_VARIANCE = 1.3
 """Variance of a parabola through three visits, per f (1 − f) of the square of a jump between two of them."""
 
 
-def at_instant(places: Sequence[Place], t_ns: int) -> Place | None:
+def at_instant(places: Sequence[BeamPlace], t_ns: int) -> BeamPlace | None:
     """Spot of a target at ``t_ns``, on the parabola through three visits around it; None without a visit.
 
     With two visits, or before or after all of three, it is on the line through two. Where the next visit
@@ -45,7 +45,7 @@ def at_instant(places: Sequence[Place], t_ns: int) -> Place | None:
     return replace(nearest, t_ns=t_ns, mm=mm, random_mm2=random)
 
 
-def _on_curve(places: Sequence[Place], t_ns: int) -> tuple[FloatArray, FloatArray]:
+def _on_curve(places: Sequence[BeamPlace], t_ns: int) -> tuple[FloatArray, FloatArray]:
     """Point (2,) at ``t_ns`` on the polynomial through all these places, with its covariance."""
     mm, random = np.zeros(2), np.zeros((2, 2))
     for place in places:
@@ -55,7 +55,7 @@ def _on_curve(places: Sequence[Place], t_ns: int) -> tuple[FloatArray, FloatArra
     return mm, random
 
 
-def _jump_mm2(places: Sequence[Place]) -> FloatArray:
+def _jump_mm2(places: Sequence[BeamPlace]) -> FloatArray:
     """Squared deviation (2,) of the last place from the curve through the others; 0: scatter explains it."""
     mm, random = _on_curve(places[:-1], places[-1].t_ns)
     off_mm = places[-1].mm - mm

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.instruments.row.beam import at_instant, gain_at, moved_stable
-from altd.instruments.row.places import Place, systematic_mm2
+from altd.instruments.row.places import BeamPlace, systematic_mm2
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
 
@@ -59,8 +59,8 @@ class Displaced:
 class _Epoch:
     """Spot of a target in a round, and the spots of the stable targets at that instant."""
 
-    place: Place
-    stable: Mapping[str, Place]
+    place: BeamPlace
+    stable: Mapping[str, BeamPlace]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +86,8 @@ class BaselineMeans:
     instants of the target's visits. ``simulated``: the means were stored, and made from simulated frames.
     """
 
-    own: Mapping[str, Place]
-    stable: Mapping[str, Mapping[str, Place]]
+    own: Mapping[str, BeamPlace]
+    stable: Mapping[str, Mapping[str, BeamPlace]]
     simulated: bool = False
 
 
@@ -105,7 +105,7 @@ class Baseline:
         self._limits = calibration.limits
         self._stable = tuple(stable)
         self._rounds = rounds
-        self._seen: deque[Mapping[str, Place]] = deque(maxlen=_PATIENCE * rounds)
+        self._seen: deque[Mapping[str, BeamPlace]] = deque(maxlen=_PATIENCE * rounds)
         self.means = means
         """Means of the baseline; None while it is not complete."""
 
@@ -118,7 +118,7 @@ class Baseline:
         """Whether a target was measured in at least half of the baseline's rounds."""
         return self.means is not None and target in self.means.own
 
-    def take(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> None:
+    def take(self, places: Mapping[str, BeamPlace], history: Mapping[str, Sequence[BeamPlace]]) -> None:
         """Add a round; complete the baseline with the first rounds in which all stable targets were measured.
 
         If there are too few in ``_PATIENCE`` times as many rounds, the stable targets that were measured
@@ -149,7 +149,7 @@ class Baseline:
             },
         )
 
-    def _mean_of_place(self, name: str, epochs: Sequence[_Epoch], stable: Sequence[str]) -> Place:
+    def _mean_of_place(self, name: str, epochs: Sequence[_Epoch], stable: Sequence[str]) -> BeamPlace:
         """Mean of a place. Its variance contains steady motion of the place, but not of the beam.
 
         A displacement counts from the baseline's start, middle or end alike: their mean square is twice that
@@ -174,7 +174,9 @@ class Baseline:
         moved_mm2 = (rate**2 - variance) * (rate**2 > _MIN_CREEP_SIGMAS**2 * variance)
         return replace(mean, random_mm2=mean.random_mm2 + np.diag(moved_mm2) * 2.0 * square_s2 / len(epochs))
 
-    def displaced(self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]) -> Displaced:
+    def displaced(
+        self, places: Mapping[str, BeamPlace], history: Mapping[str, Sequence[BeamPlace]]
+    ) -> Displaced:
         """Displacements of a round; ``history`` holds each target's visits, before and after it too."""
         epochs = {name: epoch for name, epoch in self._epochs_of(places, history).items() if self.has(name)}
         stable = [name for name in self._stable if name in epochs]
@@ -234,7 +236,7 @@ class Baseline:
         return Displacement(epoch.place.t_ns, mm, random + baseline + lasting, random, lasting)
 
     def _epochs_of(
-        self, places: Mapping[str, Place], history: Mapping[str, Sequence[Place]]
+        self, places: Mapping[str, BeamPlace], history: Mapping[str, Sequence[BeamPlace]]
     ) -> dict[str, _Epoch]:
         epochs = {}
         for name, place in places.items():
@@ -251,7 +253,7 @@ class Baseline:
         assert self.means is not None  # noqa: S101  checked before
         return self._since(stable, self.means.stable[name][stable], epoch.stable[stable])
 
-    def _since(self, name: str, mean: Place, now: Place) -> _Movement:
+    def _since(self, name: str, mean: BeamPlace, now: BeamPlace) -> _Movement:
         lasting = systematic_mm2(self._targets[name], self._limits, now, mean)
         return _Movement(now.mm - mean.mm, now.random_mm2, mean.random_mm2, lasting)
 
@@ -265,7 +267,7 @@ def _is_enough(rounds: int, of_rounds: int) -> bool:
     return rounds >= _MIN_BASELINE_SHARE * of_rounds
 
 
-def _mean(places: Sequence[Place]) -> Place:
+def _mean(places: Sequence[BeamPlace]) -> BeamPlace:
     """Mean place of several visits, with the variance of the mean."""
     return replace(
         places[0],

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from altd.config import RowSettings
 from altd.instruments.row.displacement import Baseline, BaselineMeans, Displaced, Displacement
 from altd.instruments.row.glass import INVALIDATING, Diagnosis, GlassCheck
-from altd.instruments.row.places import Place, place_of
-from altd.instruments.row.rate import Rate, Trend, alarms
+from altd.instruments.row.places import BeamPlace, place_of
+from altd.instruments.row.rate import DailyRate, DailyTrend, alarms
 from altd.instruments.row.rounds import Observation, Round, RoundWindow
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
@@ -38,10 +38,10 @@ _BEAM_KNOWN = {
 class TargetResult:
     """Result of one target in a round; invalid without ``place``. ``status`` holds faults and warnings."""
 
-    place: Place | None
+    place: BeamPlace | None
     status: tuple[Fault, ...] = ()
     displacement: Displacement | None = None
-    rate: Rate | None = None
+    rate: DailyRate | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class _Measured:
     sequence: int
     last_ns: int
     t_ns: int
-    places: Mapping[str, Place]
+    places: Mapping[str, BeamPlace]
     faults: Mapping[str, tuple[Fault, ...]]
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
 
@@ -88,7 +88,7 @@ class RowInstrument:
         self._window = RoundWindow(self._targets)
         self._glasses = GlassCheck(self._targets, settings.exposures)
         self._baseline = Baseline(calibration, settings.stable, settings.baseline_rounds, means)
-        self._trends = {name: Trend() for name in self._targets}
+        self._trends = {name: DailyTrend() for name in self._targets}
         self._history: deque[_Measured] = deque(maxlen=_MAX_ROUNDS)
         self._pending: _Measured | None = None
 
@@ -126,7 +126,7 @@ class RowInstrument:
         return None if before is None else self._result(before, is_open=False)
 
     def _measured(self, round_: Round) -> _Measured:
-        places: dict[str, Place] = {}
+        places: dict[str, BeamPlace] = {}
         faults: dict[str, tuple[Fault, ...]] = {}
         for name in self._targets:
             visit, target = round_.visits.get(name), self._calibration.target(name)
@@ -134,7 +134,7 @@ class RowInstrument:
                 faults[name] = (Fault(Reason.CAMERA_SILENT, name),)
                 continue
             place = place_of(visit, target, self._calibration.limits, self._settings.exposures)
-            if isinstance(place, Place):
+            if isinstance(place, BeamPlace):
                 places[name] = place
             else:
                 faults[name] = place

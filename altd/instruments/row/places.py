@@ -37,7 +37,7 @@ _FALL_OFF_REACH_MM = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class BeamPlace:
     """Intersection of the beam with a target at ``t_ns``, (2,) mm.
 
     ``random_mm2`` (2, 2) is the part that scatters from visit to visit, ``covariance_mm2`` the whole
@@ -59,7 +59,7 @@ class Place:
 
 def place_of(
     visit: Visit, calibration: TargetCalibration, limits: Limits, exposures: int
-) -> Place | tuple[Fault, ...]:
+) -> BeamPlace | tuple[Fault, ...]:
     """Return the place of a visit, or the faults that prevent it."""
     name = visit.target
     frame_sets = [FrameSet(one.sequence, one.t_ns, {name: one.spot}) for one in visit.own(exposures)]
@@ -85,7 +85,7 @@ def place_of(
     return replace(_place(mean, point, calibration, limits), stretch=stretch)
 
 
-def _place(mean: MeanSpots, point: TargetPoint, calibration: TargetCalibration, limits: Limits) -> Place:
+def _place(mean: MeanSpots, point: TargetPoint, calibration: TargetCalibration, limits: Limits) -> BeamPlace:
     jacobian = point.jacobian_mm_per_px
     mm_per_px = float(np.sqrt(abs(np.linalg.det(jacobian))))
     excess_px = mean.excess_px[0] if mean.excess_px else 0.0
@@ -105,7 +105,7 @@ def _place(mean: MeanSpots, point: TargetPoint, calibration: TargetCalibration, 
     fall_off_mm = BIAS_PER_MM2 * wider_mm2 * math.hypot(1.0, *mm / _FALL_OFF_REACH_MM)
     doubts_mm2 = excess_mm2 + fall_off_mm**2
     total = random + point.covariance_mm2 + doubts_mm2 * np.eye(2) + of_stage
-    return Place(mean.t_ns, mean.frames, mm, random, total, excess_mm2, radius_mm, jacobian)
+    return BeamPlace(mean.t_ns, mean.frames, mm, random, total, excess_mm2, radius_mm, jacobian)
 
 
 def _wider_mm2(calibration: TargetCalibration, spot_sigma_mm: float) -> float:
@@ -128,7 +128,9 @@ def stage_variances_mm2(limits: Limits, mm: FloatArray) -> FloatArray:
     return variances
 
 
-def systematic_mm2(calibration: TargetCalibration, limits: Limits, now: Place, before: Place) -> FloatArray:
+def systematic_mm2(
+    calibration: TargetCalibration, limits: Limits, now: BeamPlace, before: BeamPlace
+) -> FloatArray:
     """Covariance (2, 2) mm² of the part of a spot's movement between two places that is not random.
 
     The map's error cancels as far as it is the same at both places, and the target's texture as far as the
@@ -155,7 +157,7 @@ def systematic_mm2(calibration: TargetCalibration, limits: Limits, now: Place, b
     return covariance
 
 
-def _stretched_mm2(calibration: TargetCalibration, now: Place, before: Place, shared: float) -> float:
+def _stretched_mm2(calibration: TargetCalibration, now: BeamPlace, before: BeamPlace, shared: float) -> float:
     """Variance (mm²) by light that has stretched a spot since; ``shape_agreement`` compares two targets so.
 
     The texture stretches a spot too, and alike where the spot stays.

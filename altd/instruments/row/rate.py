@@ -22,7 +22,7 @@ _LASTING_LEVER = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rate:
+class DailyRate:
     """Speed (x, y), mm/day, with its standard deviation (2,)."""
 
     mm_per_day: FloatArray
@@ -34,14 +34,14 @@ class Rate:
         return float(np.linalg.norm(self.mm_per_day / self.sigma))
 
 
-class Trend:
+class DailyTrend:
     """Displacements of a place in the last day; neighbours are merged when there are too many."""
 
     def __init__(self) -> None:
         self._points: list[FloatArray] = []
         """Rows of t (days), x, y (mm), their random variances and their lasting variances (mm²)."""
 
-    def add(self, displacement: Displacement) -> Rate | None:
+    def add(self, displacement: Displacement) -> DailyRate | None:
         """Add a displacement; return the rate, or None while there are too few."""
         day = displacement.t_ns / DAY_NS
         variances = np.diag(displacement.random_mm2), np.diag(displacement.lasting_mm2)
@@ -51,7 +51,7 @@ class Trend:
             self._points = _merged(self._points)
         return self._rate()
 
-    def _rate(self) -> Rate | None:
+    def _rate(self) -> DailyRate | None:
         if len(self._points) < _MIN_POINTS:
             return None
         points = np.array(self._points)
@@ -64,7 +64,7 @@ class Trend:
         length = day[-1] - day[0]
         lasting_mm = np.sqrt(points[:, 5:7].mean(axis=0))
         sigma = np.hypot(1.0 / np.sqrt(square), _LASTING_LEVER * lasting_mm / length)
-        return Rate(rate, sigma)
+        return DailyRate(rate, sigma)
 
 
 def _merged(points: Sequence[FloatArray]) -> list[FloatArray]:
@@ -79,7 +79,7 @@ def _merged(points: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def alarms(
-    displacement: Displacement, rate: Rate | None, alarm_mm: float | None, alarm_mm_per_day: float | None
+    displacement: Displacement, rate: DailyRate | None, alarm_mm: float | None, alarm_mm_per_day: float | None
 ) -> tuple[Reason, ...]:
     """``alarm_displacement`` and ``alarm_rate`` where a limit is reached with sufficient significance."""
     raised = list[Reason]()

@@ -5,7 +5,7 @@ import math
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
-from altd.devices.grbl.protocol import Setting, Status, Welcome, parse
+from altd.devices.grbl.protocol import GrblSetting, StatusReport, Welcome, parse
 
 NAME = "grbl"
 
@@ -22,11 +22,11 @@ def check(example: bytes) -> None:
     """A number that is understood is finite: the stage is driven by it."""
     reply = parse(example.decode("ascii", "replace"))
     numbers: list[float] = []
-    if isinstance(reply, Status):
+    if isinstance(reply, StatusReport):
         points = (reply.machine_mm, reply.work_mm, reply.offset_mm)
         numbers = [value for point in points if point is not None for value in point]
         assert (reply.machine_mm is None) != (reply.work_mm is None)
-    elif isinstance(reply, Setting):
+    elif isinstance(reply, GrblSetting):
         numbers = [reply.value]
     elif isinstance(reply, Welcome):
         numbers = [float(part) for part in reply.version]

@@ -7,7 +7,7 @@ from fuzz.spoil import spoilt_document
 from hypothesis import strategies as st
 
 from altd.fleet.database import copied_lines
-from altd.fleet.intake import Intake, Refusal
+from altd.fleet.intake import Intake, RefusalReason
 from altd.status.proof import sealed
 
 _ROW = [5, 2, 1_795_161_600, 20, 19, 1, "front_dim", "front_spot_missing", [[10.0, 0.004, 9.9, 10.1], None]]
@@ -36,7 +36,7 @@ def check(example: Any) -> None:
     except (ValueError, RecursionError):
         return
     found = Intake("altd").check("altd/ALT-7/outbox", payload, 0.0)
-    if isinstance(found, Refusal):
+    if isinstance(found, RefusalReason):
         return
     assert found.serial == "ALT-7"
     lines = copied_lines(found, 1, 1).split("\n")

@@ -12,14 +12,14 @@ from support import evidence
 
 from altd.acquisition.self_check.memory import HistoryFile
 from altd.errors import BadInputError
-from altd.selfcheck.history import DAY_S, History
+from altd.selfcheck.history import DAY_S, CheckHistory
 from altd.selfcheck.records import SelfCheck, Similarity, TargetDrift, Verdict
 
 NAME = "self_check_history"
 NOW_S = 1.8e9
 
 
-def _with_a_check(history: History, time_s: float, shift_px: float) -> History:
+def _with_a_check(history: CheckHistory, time_s: float, shift_px: float) -> CheckHistory:
     moved = Similarity((376.0, 240.0), (shift_px, 0.0), 0.0, 0.0, np.diag([1e-5, 1e-5, 1e-6, 1.0]), 330.0)
     drift = TargetDrift("front", 6, 6, (), similarity=moved, rms_px=0.0)
     return history.with_check(SelfCheck(Verdict.GOOD, {"front": drift}, {}), time_s)
@@ -27,7 +27,7 @@ def _with_a_check(history: History, time_s: float, shift_px: float) -> History:
 
 @cache
 def _valid() -> dict[str, Any]:
-    path, history = folder(NAME) / "valid.json", History.empty()
+    path, history = folder(NAME) / "valid.json", CheckHistory.empty()
     for day in range(12):
         history = _with_a_check(history, NOW_S + (day - 12) * DAY_S, 0.02 * day)
     HistoryFile(path, evidence.calibration()).save(history)

@@ -6,7 +6,7 @@ from support.prints import NODES_MM, Dots, Scene, lattice_of, steps
 
 from altd.calibration.printed.find import Print, Series, find_print
 from altd.calibration.printed.lattice import Lattice
-from altd.calibration.printed.sample import Sample
+from altd.calibration.printed.sample import NodePixels
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
@@ -98,7 +98,7 @@ BLUR_PX = 0.5
 RIDGE = 1e-6
 
 
-def samples(lattice: Lattice, truth: np.ndarray, noise: float) -> list[Sample]:
+def samples(lattice: Lattice, truth: np.ndarray, noise: float) -> list[NodePixels]:
     """Spots of 12 mm on a grid of 6 × 5 whose light follows a series; the scale falls over the picture."""
     rng = np.random.default_rng(3)
     disc = np.stack(np.meshgrid(*[np.arange(-6, 6, 1 / PX_PER_MM)] * 2), axis=-1).reshape(-1, 2)
@@ -109,7 +109,7 @@ def samples(lattice: Lattice, truth: np.ndarray, noise: float) -> list[Sample]:
             mm = np.array([x_mm, y_mm]) + disc * (1 + 1e-3 * x_mm) + rng.uniform(-0.1, 0.1, 2)
             metric = np.diag([(1 + 1e-3 * x_mm) ** 2, 1.0]) / PX_PER_MM**2
             ratio = design(lattice, mm, metric, BLUR_PX) @ truth + noise * rng.normal(size=len(mm))
-            seen.append(Sample(mm, ratio, rng.uniform(10, 44, len(mm)), metric))
+            seen.append(NodePixels(mm, ratio, rng.uniform(10, 44, len(mm)), metric))
     return seen
 
 
@@ -151,7 +151,7 @@ def test_large_spots_go_in_by_parts() -> None:
     mm = np.random.default_rng(2).uniform(-17, 17, (100_000, 2))
     metric = np.eye(2) / 100.0
     ratio = design(lattice, mm, metric, BLUR_PX) @ truth
-    whole = Sample(mm, ratio, np.ones(len(mm)), metric)
+    whole = NodePixels(mm, ratio, np.ones(len(mm)), metric)
     parts = list(whole.parts())
     assert len(parts) > 10
     assert np.array_equal(np.concatenate([part.ratio for part in parts]), ratio)
@@ -159,5 +159,5 @@ def test_large_spots_go_in_by_parts() -> None:
     found = np.concatenate([[series.mean], series.amplitudes.real, series.amplitudes.imag])
     assert found == pytest.approx(truth, abs=1e-7)
     shift_mm = np.array([0.003, -0.002])
-    aside = Sample(mm - shift_mm, ratio, np.ones(len(mm)), metric)
+    aside = NodePixels(mm - shift_mm, ratio, np.ones(len(mm)), metric)
     assert series.offset_mm(aside) == pytest.approx(shift_mm, abs=2e-5)

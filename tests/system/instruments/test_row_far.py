@@ -13,7 +13,7 @@ from support import optics
 from support.made_once import loaded_once
 
 from altd.calibration.calibrating import calibrate
-from altd.instruments.row.places import Place, place_of, systematic_mm2
+from altd.instruments.row.places import BeamPlace, place_of, systematic_mm2
 from altd.instruments.row.rounds import Observation, Visit
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.reasons import Reason
@@ -69,7 +69,7 @@ def visited(
     rng: np.random.Generator,
     film: optics.Light = optics.even,
     exposures: int = 2,
-) -> Place | tuple[Fault, ...]:
+) -> BeamPlace | tuple[Fault, ...]:
     """Some exposures of the beam on the target."""
     observations = []
     for number in range(exposures):
@@ -90,8 +90,8 @@ def test_a_spot_that_has_widened_over_100_m_is_measured(target: TargetCalibratio
             mm = rng.uniform(-1.0, 1.0, 2) * (55.0, 40.0)
             to_mm = mm + rng.normal(0.0, 1.5, 2)
             before, now = (visited(target, at(place, z_m), rng) for place in (mm, to_mm))
-            assert isinstance(before, Place)
-            assert isinstance(now, Place)
+            assert isinstance(before, BeamPlace)
+            assert isinstance(now, BeamPlace)
             off_mm.append(now.mm - to_mm)
             sigmas_mm.append(np.sqrt(now.covariance_mm2.diagonal()))
             moved_mm.append(now.mm - before.mm - (to_mm - mm))
@@ -137,7 +137,7 @@ def test_a_wide_spot_that_is_partly_shaded_is_in_sigma_or_refused(target: Target
         place = mm + rng.normal(0.0, d_mm / 3, 2)
         film = optics.patch(*place, rng.uniform(1.0, d_mm), rng.uniform(0.05, 0.9))
         found = visited(target, at(mm, z_m), rng, film)
-        if isinstance(found, Place):
+        if isinstance(found, BeamPlace):
             assert (np.abs(found.mm - mm) < 5.0 * np.sqrt(found.covariance_mm2.diagonal())).all()
 
 
@@ -148,7 +148,7 @@ def test_a_reflection_that_appears_beside_the_spot_is_in_the_displacements_sigma
     """0.6 radii and more aside; one that is much nearer does not stretch the spot, and is not detected."""
     rng = np.random.default_rng(64)
     before = visited(target, at((5.0, 3.0), z_m), rng)
-    assert isinstance(before, Place)
+    assert isinstance(before, BeamPlace)
     for share, aside in ((0.05, 0.6), (0.1, 0.6), (0.3, 0.6), (0.1, 0.8), (0.4, 0.8)):
 
         def twice(
@@ -158,7 +158,7 @@ def test_a_reflection_that_appears_beside_the_spot_is_in_the_displacements_sigma
             return main + share * second
 
         now = visited(target, at((5.0, 3.0), z_m, field_of=twice), rng)
-        if isinstance(now, Place):
+        if isinstance(now, BeamPlace):
             covariance_mm2 = (
                 now.random_mm2 + before.random_mm2 + systematic_mm2(target, NO_LIMITS, now, before)
             )

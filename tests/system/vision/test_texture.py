@@ -6,7 +6,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 from altd.records import Frame
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.settings import SpotSettings
-from altd.vision.texture import Match, Sample, Texture, match, sample_of
+from altd.vision.texture import Texture, TextureMatch, TextureSample, match, sample_of
 
 SPOT = Blob(360.0, 250.0, 60.0)
 
@@ -28,13 +28,13 @@ def shown(
     return frame(light(spot) * (1 + moved), np.random.default_rng([1, seed]), noise=1.0)
 
 
-def sampled(seen: Frame) -> Sample:
+def sampled(seen: Frame) -> TextureSample:
     sample = sample_of(FrameAnalysis(seen, SpotSettings()))
     assert sample is not None
     return sample
 
 
-def matched(seen: Frame, surface: np.ndarray) -> Match:
+def matched(seen: Frame, surface: np.ndarray) -> TextureMatch:
     found = match(sampled(seen), Texture(surface.astype(np.float32)))
     assert found is not None
     return found

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from altd.answers.history import MAX_BINS, Drawn, History
+from altd.answers.history import MAX_BINS, Drawn, PlotHistory
 
 
 def line(t_s: float, x_mm: float | None, *status: str, sigma_mm: float = 0.5) -> tuple[float, dict[str, Any]]:
@@ -11,14 +11,14 @@ def line(t_s: float, x_mm: float | None, *status: str, sigma_mm: float = 0.5) ->
     return t_s, {"valid": valid, "status": list(status), "x_mm": x_mm, "sigma": sigma}
 
 
-def history(*lines: tuple[float, dict[str, Any]]) -> History:
-    of = History({"x_mm": Drawn("x, mm", "x_mm")})
+def history(*lines: tuple[float, dict[str, Any]]) -> PlotHistory:
+    of = PlotHistory({"x_mm": Drawn("x, mm", "x_mm")})
     for each in lines:
         of.add(*each)
     return of
 
 
-def runs(of: History) -> list[list[float]]:
+def runs(of: PlotHistory) -> list[list[float]]:
     return [[each.mean("x_mm") for each in run] for run in of.runs()]
 
 

@@ -23,7 +23,7 @@ from altd.errors import BadInputError
 from altd.files.documents import checksum_of
 from altd.instruments.row.displacement import BaselineMeans
 from altd.instruments.row.frames import RowChain
-from altd.instruments.row.places import Place
+from altd.instruments.row.places import BeamPlace
 from altd.measuring.calibration import Calibration, CalibrationFile
 from altd.reasons import Reason
 from altd.records import Fault
@@ -35,9 +35,9 @@ NAMES = ("t1", "t2", "t3", "t4", "t5")
 SETTINGS = RowSettings(stable=("t1", "t5"))
 
 
-def place(x_mm: float) -> Place:
+def place(x_mm: float) -> BeamPlace:
     matrix = np.array([[4e-6, 1e-6], [1e-6, 9e-6]])
-    return Place(
+    return BeamPlace(
         77, 4, np.array([x_mm, -2.5]), matrix, 3.0 * matrix, 1e-6, 2.5, 0.28 * np.eye(2), (0.01, -0.02)
     )
 

@@ -16,7 +16,7 @@ from support.places import ROOT
 
 from altd.errors import BadInputError
 from altd.fleet import intake as limits
-from altd.fleet.intake import BURST, RATE_HZ, Intake, Refusal
+from altd.fleet.intake import BURST, RATE_HZ, Intake, RefusalReason
 from altd.fleet.settings import load_fleet_settings
 from altd.status.outbox import Batch
 from altd.status.proof import sealed
@@ -176,7 +176,7 @@ def message(**changes: object) -> bytes:
     return sealed(json.dumps({**BATCH, **changes})).encode()
 
 
-def check(payload: bytes, topic: str = TOPIC) -> Batch | Refusal:
+def check(payload: bytes, topic: str = TOPIC) -> Batch | RefusalReason:
     return Intake("plant/line-4").check(topic, payload, 0.0)
 
 
@@ -195,7 +195,7 @@ def test_each_damaged_byte_is_found() -> None:
     for place in range(len(good)):
         damaged = bytearray(good)
         damaged[place] ^= 1
-        assert check(bytes(damaged)) is Refusal.CRC, place
+        assert check(bytes(damaged)) is RefusalReason.CRC, place
 
 
 @pytest.mark.parametrize(
@@ -231,12 +231,12 @@ def test_each_damaged_byte_is_found() -> None:
     ],
 )
 def test_what_no_unit_sends_is_refused_with_the_right_crc(changes: dict[str, object]) -> None:
-    assert check(message(**changes)) is Refusal.SCHEMA
+    assert check(message(**changes)) is RefusalReason.SCHEMA
 
 
 @pytest.mark.parametrize("payload", [b"", b"{}", b"\xff\x00", sealed("{" + "[" * 9000 + "}").encode()])
 def test_garbage(payload: bytes) -> None:
-    assert check(payload) in (Refusal.CRC, Refusal.SCHEMA)
+    assert check(payload) in (RefusalReason.CRC, RefusalReason.SCHEMA)
 
 
 @pytest.mark.parametrize(
@@ -250,17 +250,17 @@ def test_garbage(payload: bytes) -> None:
     ],
 )
 def test_a_batch_on_the_topic_of_another_unit(topic: str) -> None:
-    assert check(message(), topic) is Refusal.UNIT
+    assert check(message(), topic) is RefusalReason.UNIT
 
 
 def test_a_flood_is_refused_before_it_is_read_and_others_are_not() -> None:
     intake = Intake("plant/line-4")
     found = [intake.check(TOPIC, b"flood", 10.0) for _ in range(1000)]
-    assert found.count(Refusal.CRC) == BURST
-    assert found[-1] is Refusal.RATE
+    assert found.count(RefusalReason.CRC) == BURST
+    assert found[-1] is RefusalReason.RATE
     assert isinstance(intake.check(TOPIC.replace("7", "8"), message(serial="ALT/8"), 10.0), Batch)
     later = [intake.check(TOPIC, b"flood", 12.0) for _ in range(1000)]
-    assert later.count(Refusal.CRC) == 2 * RATE_HZ
+    assert later.count(RefusalReason.CRC) == 2 * RATE_HZ
 
 
 def test_seconds_that_no_unit_can_have_measured_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,7 +271,7 @@ def test_seconds_that_no_unit_can_have_measured_are_refused(monkeypatch: pytest.
     batch = message(rows=[[number, *ROW[1:]] for number in range(1, 11)], first=1, last=10)
     found = [intake.check(TOPIC, batch, 10.0) for _ in range(12)]
     assert [isinstance(each, Batch) for each in found] == 10 * [True] + 2 * [False]
-    assert found[-1] is Refusal.RATE
+    assert found[-1] is RefusalReason.RATE
     assert isinstance(intake.check(TOPIC.replace("7", "8"), message(serial="ALT/8"), 10.0), Batch)
     empty = message(rows=[], first=6)
     later = [intake.check(TOPIC, empty, 15.0) for _ in range(20)]

@@ -5,7 +5,7 @@ import pytest
 from support.gram import equidistant_nodes
 from support.lenses import TABLE_3_2, LensKind, grid, make_lens, seen
 
-from altd.mapping.grid import Axis, Block, Cell, convex_hull_mm
+from altd.mapping.grid import Axis, Cell, GridPart, convex_hull_mm
 from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 
@@ -119,7 +119,7 @@ def column(number: int) -> list[Cell]:
 def test_a_grid_without_outer_rows_that_are_missing_is_sufficient(
     missing: list[Cell], columns: int, rows: int, left: int
 ) -> None:
-    block = Block.within(GRID, missing)
+    block = GridPart.within(GRID, missing)
     assert (len(block.columns), len(block.rows), block.missing) == (columns, rows, left)
     assert block.is_sufficient
 
@@ -134,7 +134,7 @@ def test_a_grid_without_outer_rows_that_are_missing_is_sufficient(
     ],
 )
 def test_too_little_is_not_sufficient(missing: list[Cell]) -> None:
-    assert not Block.within(GRID, missing).is_sufficient
+    assert not GridPart.within(GRID, missing).is_sufficient
 
 
 def test_an_axis_goes_through_a_row_that_is_missing() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.plates import View, grid_mm, tilted
 
-from altd.mapping.camera_model import Camera, disc_moment_mm2, light_centre_shift_px, spot_moment_mm2
+from altd.mapping.camera_model import CameraModel, disc_moment_mm2, light_centre_shift_px, spot_moment_mm2
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Fiducials, Nodes
@@ -24,12 +24,12 @@ def seen(lens: Lens, mm: np.ndarray) -> np.ndarray:
     return np.stack(lens.project(*mm.T), axis=1)
 
 
-def camera(seed: int = 1) -> Camera:
+def camera(seed: int = 1) -> CameraModel:
     rng = np.random.default_rng(seed)
-    parameters = np.zeros(Camera.optical_parameters("brown"))
+    parameters = np.zeros(CameraModel.optical_parameters("brown"))
     parameters[:3] = rng.normal(0, 0.1, 3)
     parameters[5] = np.log(4.5)
-    return Camera("brown", parameters, True, WIDTH_PX, HEIGHT_PX)
+    return CameraModel("brown", parameters, True, WIDTH_PX, HEIGHT_PX)
 
 
 def test_marks_that_lie_as_the_camera_sees_them_are_satisfied_however_the_print_is_laid() -> None:

@@ -6,7 +6,7 @@ import pytest
 from support.lenses import TABLE_3_2, LensKind, make_lens
 from support.plates import View, tilted
 
-from altd.mapping.camera_model import Camera, Optics
+from altd.mapping.camera_model import CameraModel, Optics
 from altd.mapping.grid import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
 from altd.mapping.nodes import Nodes
@@ -164,7 +164,7 @@ def test_projection_and_derivatives_are_opencvs(optics: Optics) -> None:
         bent = rng.normal(0, (0.2, 0.05, 3e-4, 3e-4)[: 4 if optics == "brown" else 2])
         pose = [*rng.normal(0, 0.2, 3), *rng.normal(0, 5, 2), np.log(4.4) + rng.normal(0, 0.1)]
         parameters = np.array([*pose, *rng.normal(0, 0.05, 3), *bent])
-        mine = Camera(optics, parameters, False, *SIZE)
+        mine = CameraModel(optics, parameters, False, *SIZE)
         px, slopes = by_opencv(optics, parameters, NODES)
         assert np.abs(mine.to_px(NODES) - px).max() < 1e-11
         assert mine.jacobian(NODES) == pytest.approx(slopes, rel=1e-5, abs=1e-6 * np.abs(slopes).max())

@@ -14,8 +14,8 @@ from altd.measuring.spot_trend import (
     BUCKET_NS,
     RECENT_BUCKETS,
     REFERENCE_BUCKETS,
+    MedianTrend,
     SuddenResidual,
-    Trend,
     residual_share,
 )
 from altd.records import FloatArray, Frame, MeanSpots, Spot, SpotShape
@@ -76,7 +76,7 @@ def test_residuals_are_a_share_of_what_makes_a_spot_distorted() -> None:
     assert residual_share(Spot(0.0, 0.0, 0.01, 40.0, 100.0, excess_px=0.3)) == pytest.approx(0.5)
 
 
-def fed(trend: Trend, minutes: int, value: float, begin_minute: int = 0, per_s: int = 20) -> int:
+def fed(trend: MedianTrend, minutes: int, value: float, begin_minute: int = 0, per_s: int = 20) -> int:
     """Samples of so many minutes; returns the minute that follows."""
     period_ns = SECOND // per_s
     for number in range(minutes * 60 * per_s):
@@ -85,7 +85,7 @@ def fed(trend: Trend, minutes: int, value: float, begin_minute: int = 0, per_s: 
 
 
 def test_a_trend_knows_its_reference_after_half_an_hour_and_what_is_now_after_ten_minutes() -> None:
-    trend = Trend()
+    trend = MedianTrend()
     minute = fed(trend, RECENT_BUCKETS, 5.0)
     assert trend.figures.recent is None  # the tenth minute is not over
     minute = fed(trend, REFERENCE_BUCKETS - RECENT_BUCKETS, 5.0, minute)
@@ -96,7 +96,7 @@ def test_a_trend_knows_its_reference_after_half_an_hour_and_what_is_now_after_te
 
 
 def test_outliers_do_not_count() -> None:
-    trend = Trend()
+    trend = MedianTrend()
     minute = fed(trend, 31, 5.0)
     for number in range(60 * 15):
         trend.add(minute * BUCKET_NS + number * SECOND, 5.0 if number % 3 else 0.1)
@@ -104,7 +104,7 @@ def test_outliers_do_not_count() -> None:
 
 
 def test_what_is_not_a_number_and_minutes_with_few_spots_count_for_nothing() -> None:
-    trend = Trend()
+    trend = MedianTrend()
     minute = fed(trend, 31, 5.0)
     for _ in range(30):
         minute += 1
@@ -115,13 +115,13 @@ def test_what_is_not_a_number_and_minutes_with_few_spots_count_for_nothing() -> 
 
 
 def test_a_reference_that_is_given_is_kept() -> None:
-    trend = Trend(reference=10.0)
+    trend = MedianTrend(reference=10.0)
     fed(trend, 40, 5.0)
     assert trend.figures.share == pytest.approx(0.5)
 
 
 def test_memory_is_bounded() -> None:
-    trend = Trend()
+    trend = MedianTrend()
     minute = fed(trend, 40, 5.0, per_s=2)
     before = len(pickle.dumps(trend))
     fed(trend, 2000, 5.0, minute, per_s=1)

@@ -18,7 +18,7 @@ from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.settings import SpotSettings
-from altd.vision.texture import Sample
+from altd.vision.texture import TextureSample
 
 PICTURE = frame(light(Blob(300, 200)))
 SPOT = Spot(300.0, 200.0, 0.01, 44.0, 150.0)
@@ -30,7 +30,7 @@ DOUBT = ViewVerdict.undecided("nothing is known of the target under the spot")
 NOTHING_KNOWN = Fingerprint(HotPixels(places_of([]), places_of([])), None, None)
 FAINT = replace(
     ViewVerdict.undecided("too little is seen of the target"),
-    faint=Sample(0, 0, np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32)),
+    faint=TextureSample(0, 0, np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32)),
 )
 WRONG = ViewVerdict.refuted("another print is seen", FaultCause.OTHER_TARGET)
 OTHER_SENSOR = replace(
@@ -100,7 +100,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     )
 
     def examine(
-        _: Fingerprint, seen: FrameAnalysis, has_spot: bool, earlier: Sequence[Sample]
+        _: Fingerprint, seen: FrameAnalysis, has_spot: bool, earlier: Sequence[TextureSample]
     ) -> ViewVerdict:
         made.examined.append(seen.frame.sequence)
         made.stacked.append(len(earlier))

@@ -5,23 +5,23 @@ import pytest
 from support.cli import altd_here
 from support.played_unit import PlayedUnit
 
-from altd.recording.frames_table import Row
+from altd.recording.frames_table import FrameLine
 from altd.recording.reader import gaps
 
 CAMERAS = ("front", "rear")
 
 
-def table(*exposures: tuple[int, str]) -> list[Row]:
+def table(*exposures: tuple[int, str]) -> list[FrameLine]:
     """Rows of (sequence, cameras by their first letters), numbered from 2."""
-    rows: list[Row] = []
+    rows: list[FrameLine] = []
     for sequence, letters in exposures:
         for camera in CAMERAS:
             if camera[0] in letters:
-                rows.append(Row(len(rows) + 2, sequence, sequence / 20, camera, "x.png", False, None))
+                rows.append(FrameLine(len(rows) + 2, sequence, sequence / 20, camera, "x.png", False, None))
     return rows
 
 
-def said(rows: list[Row], cameras: tuple[str, ...] = CAMERAS) -> list[str]:
+def said(rows: list[FrameLine], cameras: tuple[str, ...] = CAMERAS) -> list[str]:
     return [str(gap) for gap in gaps(rows, cameras)]
 
 

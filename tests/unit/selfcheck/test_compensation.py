@@ -7,8 +7,8 @@ from support.led_frames import LEVEL, Motion, Scene, unit
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.records import MeanSpots
-from altd.selfcheck.records import Limits, SelfCheck
-from altd.selfcheck.verdict import Compensation, Refused, compensated, compensation_of, flat_now, judge
+from altd.selfcheck.records import DriftLimits, SelfCheck
+from altd.selfcheck.verdict import Compensation, NotCorrected, compensated, compensation_of, flat_now, judge
 from altd.vision.flat import Flat
 
 TRUE_PX = np.array([[300.0, 150.0], [500.0, 320.0]])
@@ -16,7 +16,7 @@ TRUE_PX = np.array([[300.0, 150.0], [500.0, 320.0]])
 
 def check(front: Scene, rear: Scene | None = None, seed: int = 1) -> SelfCheck:
     rng = np.random.default_rng(seed)
-    return judge({"front": front.view(rng), "rear": (rear or Scene()).view(rng)}, unit(), None, Limits())
+    return judge({"front": front.view(rng), "rear": (rear or Scene()).view(rng)}, unit(), None, DriftLimits())
 
 
 def mean_spots(px: np.ndarray) -> MeanSpots:
@@ -27,7 +27,7 @@ def mean_spots(px: np.ndarray) -> MeanSpots:
 
 def test_moved_spots_are_brought_back_to_where_they_would_have_been() -> None:
     front, rear = Motion(0.6, -0.2, 0.1, 200), Motion(-0.3, 0.4, -0.05)
-    found = compensation_of(check(Scene(front), Scene(rear)), unit(), Limits())
+    found = compensation_of(check(Scene(front), Scene(rear)), unit(), DriftLimits())
     now = np.concatenate([front.of(TRUE_PX[:1]), rear.of(TRUE_PX[1:])])
     assert np.abs(now - TRUE_PX).max() > 0.4
     corrected = compensated(mean_spots(now), found)
@@ -35,7 +35,7 @@ def test_moved_spots_are_brought_back_to_where_they_would_have_been() -> None:
 
 
 def test_the_sigma_of_what_is_measured_grows_by_that_of_the_transform_and_no_more() -> None:
-    found = compensation_of(check(Scene(Motion(0.6))), unit(), Limits())
+    found = compensation_of(check(Scene(Motion(0.6))), unit(), DriftLimits())
     before = mean_spots(TRUE_PX)
     after = compensated(before, found)
     grown = after.covariance_px2 - before.covariance_px2
@@ -50,7 +50,7 @@ def test_the_transforms_own_error_is_as_large_as_it_says() -> None:
     off, sigma = [], []
     for seed in range(12):
         motion = Motion(0.6, 0.1, 0.1)
-        found = compensation_of(check(Scene(motion, noise=6.0), seed=seed), unit(), Limits())
+        found = compensation_of(check(Scene(motion, noise=6.0), seed=seed), unit(), DriftLimits())
         corrected = compensated(mean_spots(np.concatenate([motion.of(TRUE_PX[:1]), TRUE_PX[1:]])), found)
         off.append(corrected.px - TRUE_PX)
         grown = corrected.covariance_px2 - mean_spots(TRUE_PX).covariance_px2
@@ -62,7 +62,7 @@ def test_the_transforms_own_error_is_as_large_as_it_says() -> None:
 def test_yaw_and_pitch_are_right_again() -> None:
     motion = Motion(0.6, 0.3, 0.1)
     instrument = BeamInstrument(unit(), Measuring())
-    found = compensation_of(check(Scene(motion)), unit(), Limits())
+    found = compensation_of(check(Scene(motion)), unit(), DriftLimits())
     now = np.concatenate([motion.of(TRUE_PX[:1]), TRUE_PX[1:]])
     truth, wrong, right = (
         instrument.solve(mean)
@@ -82,17 +82,17 @@ def test_yaw_and_pitch_are_right_again() -> None:
     ],
 )
 def test_what_is_too_far_or_not_known_is_not_corrected(scene: Scene, why: str) -> None:
-    refused = compensation_of(check(scene), unit(), Limits())
-    assert isinstance(refused, Refused)
+    refused = compensation_of(check(scene), unit(), DriftLimits())
+    assert isinstance(refused, NotCorrected)
     assert why in refused.detail
     assert refused.detail.startswith("front")
 
 
 def test_the_limit_is_stated_and_holds_where_the_motion_is_largest() -> None:
     """2 px are 0.5 mm of the straight map: the turn adds at the border what the limit does not allow."""
-    allowed = Limits(compensate_mm=0.55)
+    allowed = DriftLimits(compensate_mm=0.55)
     assert isinstance(compensation_of(check(Scene(Motion(1.9))), unit(), allowed), Compensation)
-    assert isinstance(compensation_of(check(Scene(Motion(1.9, turn_deg=0.2))), unit(), allowed), Refused)
+    assert isinstance(compensation_of(check(Scene(Motion(1.9, turn_deg=0.2))), unit(), allowed), NotCorrected)
 
 
 def test_a_flat_moves_with_the_picture() -> None:
@@ -103,7 +103,7 @@ def test_a_flat_moves_with_the_picture() -> None:
     def waves(at_u: np.ndarray, at_v: np.ndarray) -> np.ndarray:
         return 150 + 60 * np.sin(0.73 * at_u) * np.cos(0.88 * at_v)
 
-    found = compensation_of(check(Scene(motion)), unit(), Limits())
+    found = compensation_of(check(Scene(motion)), unit(), DriftLimits())
     flat = Flat(np.rint(waves(u, v)).astype(np.uint8), "recorded")
     then = Motion(-0.6, 0.4, -0.1).of(np.column_stack([u.ravel(), v.ravel()]))  # to first order its inverse
     expected = waves(then[:, 0].reshape(u.shape), then[:, 1].reshape(u.shape))

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from altd.selfcheck.history import DAY_S, History
+from altd.selfcheck.history import DAY_S, CheckHistory
 from altd.selfcheck.records import LedState, SelfCheck, Similarity, TargetDrift, Verdict
 
 RADIUS_PX = 330.0
@@ -28,7 +28,7 @@ def days_until_told(
     rng = np.random.default_rng(seed)
     each = noise_px / math.sqrt(6)
     reference = rng.normal(0, each, 4)
-    history = History.empty()
+    history = CheckHistory.empty()
     for number in range(days * checks_a_day):
         day = number / checks_a_day
         found = reference + rng.normal(0, each, 4) + px_a_day * day
@@ -61,7 +61,7 @@ def test_a_noisier_unit_needs_more_and_tells_no_more_often() -> None:
 
 
 def test_a_warm_afternoon_is_no_drift() -> None:
-    history = History.empty()
+    history = CheckHistory.empty()
     for hour in range(24 * 20):
         warmth = 0.08 * math.sin(2 * math.pi * hour / 24)
         history = history.with_check(check(np.array([warmth, 0, 0, 0]), 0.003), hour * 3600.0)
@@ -69,7 +69,7 @@ def test_a_warm_afternoon_is_no_drift() -> None:
 
 
 def test_what_is_told_is_how_far_and_how_fast_and_of_which_target() -> None:
-    history = History.empty()
+    history = CheckHistory.empty()
     for day in range(12):
         shifted = np.array([0.03 * day, -0.04 * day, 0, 0])
         history = history.with_check(check(shifted, 0.003, "rear"), day * DAY_S)
@@ -81,7 +81,7 @@ def test_what_is_told_is_how_far_and_how_fast_and_of_which_target() -> None:
 
 
 def test_a_drift_that_was_mended_is_told_no_more() -> None:
-    history = History.empty()
+    history = CheckHistory.empty()
     for day in range(60):
         shift = 0.02 * day if day < 15 else 0.0
         history = history.with_check(check(np.array([shift, 0, 0, 0]), 0.003), day * DAY_S)
@@ -91,13 +91,13 @@ def test_a_drift_that_was_mended_is_told_no_more() -> None:
 
 
 def test_a_check_that_knows_nothing_leaves_the_history_as_it_is() -> None:
-    known = History.empty().with_check(check(np.zeros(4), 0.003), 0.0)
+    known = CheckHistory.empty().with_check(check(np.zeros(4), 0.003), 0.0)
     nothing = SelfCheck(Verdict.UNKNOWN, {"front": TargetDrift("front", 6, 2, (LedState.DARK,) * 6)}, {})
     assert known.with_check(nothing, DAY_S) == known
 
 
 def test_a_clock_that_is_set_back_closes_no_day() -> None:
-    history = History.empty().with_check(check(np.zeros(4), 0.003), 10 * DAY_S)
+    history = CheckHistory.empty().with_check(check(np.zeros(4), 0.003), 10 * DAY_S)
     back = history.with_check(check(np.zeros(4), 0.003), 3 * DAY_S)
     assert back.targets["front"].days == ()
     assert back.targets["front"].today.checks == 2

@@ -13,9 +13,9 @@ from support.led_frames import LEDS, Motion
 from altd.records import Frame
 from altd.selfcheck import drift
 from altd.selfcheck.drift import Fitted, chi2_limit, fit_similarity
-from altd.selfcheck.lights import Finding, Lights, findings
+from altd.selfcheck.lights import FrameFault, Lights, findings
 from altd.selfcheck.matching import match
-from altd.selfcheck.records import LedView, Limits, Similarity
+from altd.selfcheck.records import DriftLimits, LedView, Similarity
 
 LEDS_PX = np.array([(120.0, 80.0), (640.0, 80.0), (640.0, 400.0), (120.0, 400.0)])
 DRAWN = tuple(Blob(u, v, 14.0, peak=120.0) for u, v in LEDS_PX)
@@ -34,7 +34,7 @@ def shots(alter: Callable[[int], tuple[Blob, ...]] = lambda number: (SPOT,)) -> 
     return taken
 
 
-def found(taken: list[Frame]) -> tuple[Finding, ...]:
+def found(taken: list[Frame]) -> tuple[FrameFault, ...]:
     return findings(taken[:COUNT], taken[COUNT : 2 * COUNT], taken[2 * COUNT :], LEDS_PX)
 
 
@@ -86,7 +86,7 @@ def test_a_picture_that_comes_again_is_no_exposure() -> None:
 def test_frames_of_two_exposures_are_not_compared(change: dict[str, float | None]) -> None:
     taken = shots()
     taken[7] = replace(taken[7], **change)  # type: ignore[arg-type]
-    assert found(taken) == (Finding("the exposure was changed during the check", spoils=True),)
+    assert found(taken) == (FrameFault("the exposure was changed during the check", spoils=True),)
 
 
 def bright(lights: np.ndarray) -> np.ndarray:
@@ -234,7 +234,7 @@ def test_three_leds_on_the_pixel_raster_do_not_feign_a_motion(monkeypatch: pytes
             return Lights(places, np.full(3, 0.001), np.full(3, 180.0), np.full(3, 18.0))
 
         monkeypatch.setattr(drift, "lights_of", lights)
-        found = drift.drift_of("front", view, calibrated, Limits())
+        found = drift.drift_of("front", view, calibrated, DriftLimits())
         assert found.significance is not None
         squares.append(found.significance**2)
     assert max(squares) < 18.5

@@ -6,7 +6,7 @@ import pytest
 from support.frames import Blob
 from support.led_frames import LEDS, LEVEL, Motion, Scene, unit
 
-from altd.selfcheck.records import LedState, LedView, Limits, SelfCheck, Verdict
+from altd.selfcheck.records import DriftLimits, LedState, LedView, SelfCheck, Verdict
 from altd.selfcheck.verdict import judge
 
 MIDDLE = (375.0, 240.0)
@@ -23,7 +23,7 @@ def check(
         for name, scene in (("front", front), ("rear", rear))
     }
     calibration = options.pop("calibration", None) or unit()
-    limits = options.pop("limits", Limits())
+    limits = options.pop("limits", DriftLimits())
     return judge(views, calibration, {"front": MIDDLE, "rear": MIDDLE}, limits, **options)  # type: ignore[arg-type]
 
 
@@ -100,14 +100,14 @@ def test_a_camera_that_stands_quite_otherwise_is_bad_and_not_unknown(motion: Mot
 
 
 def test_wider_limits_in_mm_and_degrees_let_the_same_drift_pass() -> None:
-    wide = Limits(suspect_mm=0.2, suspect_deg=0.05, bad_mm=0.5, bad_deg=0.1)
+    wide = DriftLimits(suspect_mm=0.2, suspect_deg=0.05, bad_mm=0.5, bad_deg=0.1)
     assert check(Scene(Motion(0.25)), limits=wide).verdict is Verdict.GOOD
     of_direction = replace(wide, suspect_deg=0.01)
     assert check(Scene(Motion(0.25)), limits=of_direction).verdict is Verdict.SUSPECT
 
 
 def test_a_verdict_ends_only_below_a_share_of_its_limit() -> None:
-    only_mm = Limits(suspect_deg=9, bad_deg=9)
+    only_mm = DriftLimits(suspect_deg=9, bad_deg=9)
     just_below = Scene(Motion(0.11))  # 0.0275 mm of 0.030
     assert check(just_below, limits=only_mm).verdict is Verdict.GOOD
     for previous in (Verdict.SUSPECT, Verdict.BAD):
@@ -157,7 +157,7 @@ def test_an_led_that_is_elsewhere_does_not_hide_that_the_others_tell_too_little(
 
 
 def test_leds_so_dim_in_noise_that_the_limit_is_not_known_are_unknown_not_good() -> None:
-    tight = Limits(suspect_mm=0.0005)
+    tight = DriftLimits(suspect_mm=0.0005)
     assert check(Scene(), limits=tight).verdict is Verdict.UNKNOWN
 
 
@@ -261,7 +261,7 @@ def test_a_target_without_references_or_without_frames_is_unknown() -> None:
     found = check(Scene(), calibration=replace(known, targets=none))
     assert found.verdict is Verdict.UNKNOWN
     assert "the calibration knows 0 LEDs" in found.reasons[0]
-    rear_only = judge({"rear": Scene().view(np.random.default_rng(1))}, known, None, Limits())
+    rear_only = judge({"rear": Scene().view(np.random.default_rng(1))}, known, None, DriftLimits())
     assert rear_only.verdict is Verdict.UNKNOWN
     assert rear_only.targets["front"].leds_found == 0
 

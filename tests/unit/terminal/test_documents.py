@@ -31,7 +31,7 @@ from altd.terminal.documents import (
 )
 from altd.terminal.knowledge import Knowledge
 from altd.terminal.lines import WIDTH, self_check_table, status_text
-from altd.terminal.screen import PAGES, View, draw
+from altd.terminal.screen import PAGES, ScreenView, draw
 
 
 def test_a_measurement_is_read_by_the_units_own_quantities() -> None:
@@ -92,7 +92,7 @@ def test_control_characters_do_not_reach_a_terminal() -> None:
     shown = [status_text(reading, state, check, calibration)]
     for page in range(len(PAGES)):
         canvas = Canvas(24, 80, is_utf8=True)
-        draw(knowledge, 0.0, View(page), canvas)
+        draw(knowledge, 0.0, ScreenView(page), canvas)
         shown.append(canvas.text())
     for text in shown:
         assert all(line.isprintable() for line in text.split("\n"))
@@ -165,7 +165,7 @@ def test_ten_thousand_spoilt_documents_are_refused_or_shown_within_the_screen() 
         knowledge.set_status(told[1], float(number))
         knowledge.set_documents(told[2], told[3])
         canvas = Canvas(24, 80, is_utf8=number % 2 == 0)
-        draw(knowledge, float(number), View(number % len(PAGES)), canvas)
+        draw(knowledge, float(number), ScreenView(number % len(PAGES)), canvas)
         lines = canvas.text().split("\n")
         assert all(len(line) <= 80 and line.isprintable() for line in lines)
         text = status_text(told[0], told[1], told[2], told[4])

@@ -4,11 +4,11 @@ import pytest
 from support.daemon_documents import CALIBRATION, CHECK, TARGETS, measurement, status
 
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.terminal.canvas import Canvas, Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
+from altd.terminal.canvas import Canvas, PlotCells, draw_target, draw_trend, half_size_mm, limits_of, rows_for
 from altd.terminal.documents import (
     CalibrationDocument,
-    Reading,
     SelfCheckDocument,
+    ShownBeam,
     StatusDocument,
     TargetsDocument,
     checked,
@@ -25,7 +25,7 @@ def targets() -> TargetsDocument:
 class TestPicture:
     def test_it_is_to_scale_in_both_directions(self, targets: TargetsDocument) -> None:
         """A cell is twice as high as wide: 10 mm to the right are as far as 10 mm upwards."""
-        frame = Frame.holding(targets, 0, 0, 40, 100)
+        frame = PlotCells.holding(targets, 0, 0, 40, 100)
         zero, right, up = (frame.dot_of(place) for place in ((0.0, 0.0), (50.0, 0.0), (0.0, 50.0)))
         assert right[0] - zero[0] == pytest.approx(zero[1] - up[1], abs=1)  # a dot is a whole one
         assert right[0] - zero[0] == pytest.approx(50.0 / frame.mm_per_dot, abs=1)
@@ -34,7 +34,7 @@ class TestPicture:
 
     @pytest.mark.parametrize("cells", [(40, 100), (10, 39), (24, 20), (3, 200)])
     def test_every_corner_lies_inside(self, targets: TargetsDocument, cells: tuple[int, int]) -> None:
-        frame = Frame.holding(targets, 5, 7, *cells)
+        frame = PlotCells.holding(targets, 5, 7, *cells)
         assert half_size_mm(targets) == (72 * 1.04, 55 * 1.04)
         assert all(frame.holds(corner) for target in targets.targets for corner in target.valid_mm)
         assert all(frame.holds((x, y)) for x in (-70, 70) for y in (-55, 55))
@@ -46,13 +46,15 @@ class TestPicture:
         shown = []
         for spot in (None, (500.0, 0.0), (0.0, -1e300)):
             canvas = Canvas(20, 60, is_utf8=True)
-            draw_target(canvas, Frame.holding(targets, 2, 2, 16, 50), targets, "front", [(1e9, 0.0)], spot)
+            draw_target(
+                canvas, PlotCells.holding(targets, 2, 2, 16, 50), targets, "front", [(1e9, 0.0)], spot
+            )
             shown.append(canvas.text())
         assert shown[0] == shown[1] == shown[2]
         assert "O" not in shown[0]
 
     def test_up_is_up_and_right_is_right(self, targets: TargetsDocument) -> None:
-        frame = Frame.holding(targets, 0, 0, 20, 60)
+        frame = PlotCells.holding(targets, 0, 0, 20, 60)
         row, column = frame.cell_of((30.0, 20.0))
         assert (row < 10, column > 30) == (True, True)
 
@@ -87,7 +89,7 @@ class TestTrend:
         assert canvas.text().strip()
 
 
-def reading(**changes: object) -> Reading:
+def reading(**changes: object) -> ShownBeam:
     found = reading_of(measurement(**changes), QUANTITIES)
     assert found is not None
     return found

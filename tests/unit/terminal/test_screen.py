@@ -20,7 +20,7 @@ from altd.terminal.documents import (
 )
 from altd.terminal.knowledge import HOLD_S, Knowledge
 from altd.terminal.lines import status_text
-from altd.terminal.screen import PAGES, View, draw
+from altd.terminal.screen import PAGES, ScreenView, draw
 
 LAST_S = 1059.0
 
@@ -55,7 +55,7 @@ def screen(
     page: int = 0,
 ) -> str:
     canvas = Canvas(rows, columns, is_utf8=utf8)
-    draw(knowledge, now_s, View(page), canvas)
+    draw(knowledge, now_s, ScreenView(page), canvas)
     return canvas.text()
 
 
@@ -188,7 +188,7 @@ def test_numbers_that_are_not_of_now_are_not_called_valid(code: str) -> None:
     knowledge = after_a_minute()
     hear(knowledge, measurement(status=["exposures_lost", code]), LAST_S)
     canvas = Canvas(24, 80, is_utf8=False)
-    draw(knowledge, LAST_S, View(), canvas)
+    draw(knowledge, LAST_S, ScreenView(), canvas)
     (text, style), *_ = canvas.runs()[1]
     assert text.startswith(f"{code.upper()}, 0.5 s old, mean of 20 exposures; exposures_lost, {code}")
     assert style is Style.WARNING
@@ -218,18 +218,18 @@ def test_a_value_of_a_sensor_is_shown_though_the_beam_is_lost() -> None:
 
 class TestView:
     def test_tab_and_arrows_go_round(self) -> None:
-        view = View()
+        view = ScreenView()
         for key in ("tab", "right", "right"):
             view = view.pressed(key)
-        assert view == View(3)
-        assert view.pressed("tab") == View(0) == View(1).pressed("left")
-        assert View(0).pressed("left") == View(3)
+        assert view == ScreenView(3)
+        assert view.pressed("tab") == ScreenView(0) == ScreenView(1).pressed("left")
+        assert ScreenView(0).pressed("left") == ScreenView(3)
 
     def test_help_is_left_by_any_key(self) -> None:
-        helped = View(2).pressed("h")
+        helped = ScreenView(2).pressed("h")
         assert helped.help
         for key in ("h", "x", "tab", "?"):
-            assert helped.pressed(key) == View(2)
+            assert helped.pressed(key) == ScreenView(2)
 
     def test_a_list_is_moved_no_further_than_its_last_screen(self) -> None:
         parts: dict[str, Any] = {
@@ -239,7 +239,7 @@ class TestView:
         hear(knowledge, measurement(), 0.0)
         knowledge.set_documents(checked(SelfCheckDocument, CHECK), checked(TargetsDocument, TARGETS))
         knowledge.set_status(checked(StatusDocument, status(**parts)), 0.0)
-        view = View(3)
+        view = ScreenView(3)
         for _ in range(500):
             view = draw(knowledge, 0.0, view.pressed("down"), Canvas(24, 80, is_utf8=False))
         canvas = Canvas(24, 80, is_utf8=False)

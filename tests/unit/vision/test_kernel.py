@@ -17,7 +17,7 @@ from altd.vision import blocks, fit, kernel, misfit, profile
 from altd.vision.blocks import Blocks
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile, locate
-from altd.vision.misfit import Misfit, Residuals
+from altd.vision.misfit import FitResiduals, Misfit
 from altd.vision.settings import SpotReference, SpotSettings
 
 CLOSE = 1e-9
@@ -61,7 +61,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Blocks, fit.State, floa
 
     def solve(
         data: Blocks, state: fit.State, rise: float, order_free_iteration: int = fit.ORDER_FREE_ITERATION
-    ) -> fit.Solution | None:
+    ) -> fit.FitState | None:
         taken.append((data, state, rise, order_free_iteration))
         return fit.solve_by_numpy(data, state, rise, order_free_iteration)
 
@@ -77,7 +77,7 @@ def is_close(one: object, other: object, scale: float = 0.0) -> bool:
     return bool(np.allclose(one, other, rtol=CLOSE, atol=CLOSE * scale))  # type: ignore[arg-type]
 
 
-def assert_same_fit(one: fit.Solution | None, other: fit.Solution | None) -> None:
+def assert_same_fit(one: fit.FitState | None, other: fit.FitState | None) -> None:
     assert (one is None) is (other is None)
     if one is None or other is None:
         return
@@ -141,7 +141,7 @@ def test_misfits_are_the_same() -> None:
     assert compared > 40
 
 
-def some_of(residuals: Residuals, kept: slice) -> Residuals:
+def some_of(residuals: FitResiduals, kept: slice) -> FitResiduals:
     given, solution = residuals.blocks, residuals.solution
     return replace(
         residuals,
@@ -150,7 +150,7 @@ def some_of(residuals: Residuals, kept: slice) -> Residuals:
     )
 
 
-def assert_same_misfit(residuals: Residuals, usual_contrast: float | None) -> bool:
+def assert_same_misfit(residuals: FitResiduals, usual_contrast: float | None) -> bool:
     found = misfit.misfit_of(residuals, usual_contrast)
     known = by_numpy(residuals, usual_contrast)
     assert (found is None) is (known is None)
@@ -163,7 +163,7 @@ def assert_same_misfit(residuals: Residuals, usual_contrast: float | None) -> bo
     return True
 
 
-def by_numpy(residuals: Residuals, usual_contrast: float | None) -> Misfit | None:
+def by_numpy(residuals: FitResiduals, usual_contrast: float | None) -> Misfit | None:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(kernel, "_library", None)
         return misfit.misfit_of(residuals, usual_contrast)

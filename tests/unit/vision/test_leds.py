@@ -7,7 +7,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 from support.plates import COLUMNS, ROWS, View, add_disc, grid_mm, plate_light, tilted
 
 from altd.mapping.camera_model import disc_moment_mm2, light_centre_shift_px
-from altd.vision.frame_leds import Leds, locate_leds
+from altd.vision.frame_leds import LocatedLeds, locate_leds
 from altd.vision.led_discs import disc_centres_px, find_discs
 from altd.vision.led_grid import match_grid
 
@@ -209,7 +209,7 @@ def test_all_leds_are_found_at_their_places_with_and_without_the_laser(laser: bo
 def test_lamps_that_stay_dark_give_no_led() -> None:
     rng = np.random.default_rng(2)
     scene = light(Blob(340, 230))
-    assert locate_leds(frame(scene, rng), frame(scene, rng)) == Leds((), ())
+    assert locate_leds(frame(scene, rng), frame(scene, rng)) == LocatedLeds((), ())
 
 
 @pytest.mark.parametrize("edge_px", [12.0, 9.0, 6.0, 3.0])

@@ -5,18 +5,20 @@ import pytest
 from support.evidence import calibration, evidence, target
 
 from altd.calibration.report.prediction import predict
-from altd.calibration.report.verdict import Check, Level, Verdict, judge
+from altd.calibration.report.verdict import Check, Level, ReportVerdict, judge
 from altd.calibration.result import TargetEvidence
 from altd.measuring.calibration import Calibration
 from altd.vision.flat import Flat
 
 
-def verdict_of(made: Calibration | None = None, seen: tuple[TargetEvidence, ...] | None = None) -> Verdict:
+def verdict_of(
+    made: Calibration | None = None, seen: tuple[TargetEvidence, ...] | None = None
+) -> ReportVerdict:
     made = made or calibration()
     return judge(made, seen or (evidence("front"), evidence("rear", seed=2)), predict(made))
 
 
-def not_good(verdict: Verdict) -> list[Check]:
+def not_good(verdict: ReportVerdict) -> list[Check]:
     return [check for check in verdict.checks if check.level > Level.GOOD]
 
 

@@ -18,7 +18,7 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.records import Measurement
-from altd.selfcheck.records import Limits, SelfCheck
+from altd.selfcheck.records import DriftLimits, SelfCheck
 from altd.selfcheck.verdict import judge
 
 CAMERAS = {"left": "front", "right": "rear"}
@@ -50,7 +50,9 @@ class Bench:
         measuring = Measuring(window=2)
         instrument = BeamInstrument(calibration, measuring)
         self.calibration = calibration
-        self.geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
+        self.geometry = GeometryState(
+            SelfCheckSettings(compensate=True), DriftLimits(), calibration, FakeClock()
+        )
         self.chain = MeasuringChain(views, calibration, measuring, instrument, correct=self.geometry.correct)
         self.correction = Correction(self.chain.locators, calibration, CAMERAS)
         self._rng = np.random.default_rng(3)
@@ -60,7 +62,7 @@ class Bench:
         """The check's report and correction while the front camera's picture is displaced so."""
         rng = np.random.default_rng(seed)
         views = {"front": Scene(motion).view(rng), "rear": Scene().view(rng)}
-        found = judge(views, self.calibration, None, Limits())
+        found = judge(views, self.calibration, None, DriftLimits())
         self.correction.prepare(self.geometry.transforms_after(found))
         self.geometry.take(found)
         self.correction.apply(self.geometry)

@@ -20,7 +20,7 @@ from altd.config import Installation, Measuring, SelfCheckSettings
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
 from altd.records import Frame
-from altd.selfcheck.records import Limits
+from altd.selfcheck.records import DriftLimits
 from altd.status.event_log import EventLog
 from altd.status.health import Health
 from altd.status.services import SelfCheckService
@@ -43,7 +43,7 @@ class Bench:
         self._chain = MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring))
         self._clock = FakeClock()
         self._leds = LedLog(self._clock, dict.fromkeys(CAMERAS, PERIOD_NS))
-        settings, limits = SelfCheckSettings(enabled=False), Limits()
+        settings, limits = SelfCheckSettings(enabled=False), DriftLimits()
         parts = CheckParts(
             self._leds,
             Schedule(self._clock, 600.0, automatic=False),

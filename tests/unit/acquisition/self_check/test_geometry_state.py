@@ -14,7 +14,7 @@ from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.config import SelfCheckSettings
 from altd.reasons import Reason
 from altd.records import MeanSpots, Measurement
-from altd.selfcheck.records import Limits, SelfCheck, Similarity, TargetDrift, Verdict
+from altd.selfcheck.records import DriftLimits, SelfCheck, Similarity, TargetDrift, Verdict
 
 
 def check(verdict: Verdict, *reasons: str, shift_px: float = 0.0, significance: float = 1.0) -> SelfCheck:
@@ -44,7 +44,7 @@ calibration = cache(evidence.calibration)
 
 def state_of(clock: FakeClock | None = None, **settings: object) -> GeometryState:
     checked = SelfCheckSettings.model_validate(settings)
-    return GeometryState(checked, Limits(), calibration(), clock or FakeClock())
+    return GeometryState(checked, DriftLimits(), calibration(), clock or FakeClock())
 
 
 def codes(state: GeometryState, of: Measurement | None = None) -> tuple[bool, list[str]]:

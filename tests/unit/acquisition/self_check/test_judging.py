@@ -11,7 +11,7 @@ from altd.acquisition.self_check.judging import CheckJudge
 from altd.config import Installation
 from altd.measuring.chain import View
 from altd.records import Frame
-from altd.selfcheck.records import Limits, SelfCheck, Verdict
+from altd.selfcheck.records import DriftLimits, SelfCheck, Verdict
 
 PER_LIGHT = 2
 NEAR_LED = ((float(LEDS[0, 0]) + 14.0, float(LEDS[0, 1])),)
@@ -35,7 +35,7 @@ def judged(
 ) -> SelfCheck:
     views = [View(name, name) for name in ("front", "rear")]
     by_light = (dict(zip(("front", "rear"), of, strict=True)) for of in zip(front, rear, strict=True))
-    judge = CheckJudge(views, unit(), Limits(), Installation.model_validate(installed))
+    judge = CheckJudge(views, unit(), DriftLimits(), Installation.model_validate(installed))
     return judge.judge(CheckFrames(*by_light), {}, previous)
 
 

@@ -21,7 +21,7 @@ from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import FIRST_REPEAT_S, REST_S, Cause, Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
 from altd.config import SelfCheckSettings
-from altd.selfcheck.records import Limits, SelfCheck, Verdict
+from altd.selfcheck.records import DriftLimits, SelfCheck, Verdict
 from altd.status.event_log import EventLog
 from altd.status.health import Component
 from altd.status.services import SelfCheckService
@@ -51,7 +51,7 @@ class Running:
         self.clock = FakeClock()
         self.service = SelfCheckService(EventLog(self.clock))
         checked = SelfCheckSettings.model_validate(settings)
-        geometry = GeometryState(checked, Limits(), evidence.calibration(), self.clock)
+        geometry = GeometryState(checked, DriftLimits(), evidence.calibration(), self.clock)
         parts = CheckParts(
             LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000)),
             Schedule(self.clock, checked.interval_s, checked.enabled),

@@ -14,7 +14,7 @@ from altd.instruments.planar.chain import PlanarChain, PlateFrame, PlateLocator
 from altd.instruments.planar.fitting import PlateView, fit_plane
 from altd.instruments.planar.instrument import Leds, PlanarCalibration, PlanarInstrument
 from altd.mapping.grid import convex_hull_mm
-from altd.measuring.frame_chain import Place, Provenance
+from altd.measuring.frame_chain import Provenance, RestPlace
 from altd.measuring.pairing import Pair
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Fault, Frame, Measurement, Origin, Value
@@ -255,7 +255,7 @@ def test_gaps_and_other_places_begin_a_window(calibration: PlanarCalibration) ->
     assert row.frames(6, late_ns=silent_ns - PERIOD_NS) == 2
     assert row.frames(7, late_ns=2 * silent_ns) == 1
     assert row.frames(3) == 1  # numbers that begin again
-    placed_ = Row(calibration, place=lambda sequence: Place(sequence // 3))
+    placed_ = Row(calibration, place=lambda sequence: RestPlace(sequence // 3))
     assert [placed_.frames(n) for n in range(7)] == [1, 2, 3, 1, 2, 3, 1]
 
 

@@ -10,8 +10,8 @@ from altd.config import RowSettings
 from altd.instruments.row.beam import at_instant, gain_at, moved_stable
 from altd.instruments.row.budget import powers_mw
 from altd.instruments.row.displacement import Baseline, Displacement
-from altd.instruments.row.places import Place
-from altd.instruments.row.rate import DAY_NS, Trend, alarms
+from altd.instruments.row.places import BeamPlace
+from altd.instruments.row.rate import DAY_NS, DailyTrend, alarms
 from altd.instruments.row.rounds import Observation, RoundWindow
 from altd.measuring.calibration import Calibration
 from altd.reasons import Reason
@@ -20,9 +20,9 @@ from altd.records import NoSpot, Spot
 SIGMA_MM = 0.01
 
 
-def place(t_s: float, x_mm: float, y_mm: float = 0.0) -> Place:
+def place(t_s: float, x_mm: float, y_mm: float = 0.0) -> BeamPlace:
     random = SIGMA_MM**2 * np.eye(2)
-    return Place(round(t_s * 1e9), 4, np.array([x_mm, y_mm]), random, random, 0.0, 2.5, np.eye(2) * 0.3)
+    return BeamPlace(round(t_s * 1e9), 4, np.array([x_mm, y_mm]), random, random, 0.0, 2.5, np.eye(2) * 0.3)
 
 
 def test_a_parabola_in_time_is_met_exactly_between_visits() -> None:
@@ -90,7 +90,7 @@ def test_the_rate_is_that_of_the_last_day_with_its_sigma() -> None:
     rng = np.random.default_rng(2)
     errors = []
     for _ in range(60):
-        trend = Trend()
+        trend = DailyTrend()
         for day in np.arange(0.0, 1.5, 0.002):
             rate = trend.add(displacement(day, 0.05 * day + rng.normal(0.0, SIGMA_MM)))
         errors.append((rate.mm_per_day[0] - 0.05) / rate.sigma[0])
@@ -103,7 +103,7 @@ def test_alarms_need_the_limit_and_significance() -> None:
     assert alarms(displacement(0.0, 0.3), None, 0.4, None) == ()
     assert alarms(displacement(0.0, 0.5, lasting_mm=0.3), None, 0.4, None) == ()
     assert alarms(displacement(0.0, 0.5), None, None, 0.1) == ()
-    trend = Trend()
+    trend = DailyTrend()
     for day in np.arange(0.0, 1.0, 0.01):
         rate = trend.add(displacement(day, 0.2 * day))
     assert alarms(displacement(1.0, 0.2), rate, None, 0.1) == ("alarm_rate",)
@@ -165,13 +165,13 @@ def row_calibration() -> Calibration:
     return calibration(*targets)
 
 
-def visits(rng: np.random.Generator, round_number: int, sigmas_mm: dict[str, float]) -> dict[str, Place]:
+def visits(rng: np.random.Generator, round_number: int, sigmas_mm: dict[str, float]) -> dict[str, BeamPlace]:
     """A round at rest: each place off by its own sigma, all at one instant."""
     found = {}
     for name, sigma_mm in sigmas_mm.items():
         random = sigma_mm**2 * np.eye(2)
         mm = rng.normal(0.0, sigma_mm, 2)
-        found[name] = Place(round_number * 10**9, 4, mm, random, random, 0.0, 2.5, np.eye(2) * 0.25)
+        found[name] = BeamPlace(round_number * 10**9, 4, mm, random, random, 0.0, 2.5, np.eye(2) * 0.25)
     return found
 
 
@@ -186,7 +186,7 @@ def test_a_displacements_covariance_is_that_of_monte_carlo_with_few_rounds_in_th
     row, squares = row_calibration(), []
     for _ in range(100):
         baseline = Baseline(row, ("t1", "t3"), baseline_rounds)
-        history: dict[str, list[Place]] = {name: [] for name in sigmas_mm}
+        history: dict[str, list[BeamPlace]] = {name: [] for name in sigmas_mm}
         for number in range(baseline_rounds + 1):
             taken = visits(rng, number, sigmas_mm)
             for name, place_ in taken.items():
@@ -207,10 +207,10 @@ class Row:
     rng: np.random.Generator
     sigmas_mm: dict[str, float]
     creep_mm: float = 0.0
-    history: dict[str, list[Place]] = field(default_factory=dict)
+    history: dict[str, list[BeamPlace]] = field(default_factory=dict)
     rounds: int = 0
 
-    def taken(self, baseline: Baseline) -> dict[str, Place]:
+    def taken(self, baseline: Baseline) -> dict[str, BeamPlace]:
         """One more round, with t2 where its creep has brought it."""
         found = visits(self.rng, self.rounds, self.sigmas_mm)
         found["t2"].mm[0] -= self.rounds * self.creep_mm
