@@ -107,7 +107,7 @@ class FramePairs:
             count = len(self._pairs) if most is None else min(most, len(self._pairs))
             pairs = [self._pairs.popleft() for _ in range(count)]
             if self._changing:
-                pairs = [pair.of(self._with_mark) for pair in pairs]
+                pairs = [pair.converted(self._with_mark) for pair in pairs]
             self._changed.notify_all()
         return pairs
 

@@ -157,7 +157,9 @@ class Locating(Generic[Item]):
             if frame.camera in beside:
                 helpers[frame.camera].begin(frame)
         own = iter([self._locate(frame) for frame in pair.all_items if frame.camera not in beside])
-        return pair.of(lambda frame: helpers[frame.camera].located() if frame.camera in beside else next(own))
+        return pair.converted(
+            lambda frame: helpers[frame.camera].located() if frame.camera in beside else next(own)
+        )
 
     def _locate(self, frame: Frame) -> Item:
         self._in_hand[frame.camera], began_ns = frame, time.perf_counter_ns()

@@ -118,7 +118,7 @@ def _too_small(analysis: FrameAnalysis) -> NoSpot | None:
     pixels, settings = analysis.frame.pixels, replace(analysis.settings, smoothing_px=_SMALL_SMOOTHING_PX)
     if pixels.size > _MAX_SMALL_PX:
         return None
-    excess = without_hot_pixels(pixels) - analysis.found.background.at((0.0, 0.0), pixels.shape)
+    excess = without_hot_pixels(pixels) - analysis.found.background.levels((0.0, 0.0), pixels.shape)
     excess = gaussian_blur(excess, settings.smoothing_px)
     _, peak, _, (u, v) = cv2.minMaxLoc(excess)
     lights, _ = cv2.connectedComponents((excess > peak / 2).view(np.uint8))

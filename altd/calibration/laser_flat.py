@@ -104,7 +104,9 @@ def laser_flat(recording: Recording, camera: str, scan: TargetFrames, progress: 
         )
     usable = ~clipped & (found.light >= _MIN_LIGHT)
     usable &= dark < np.median(dark) + _MIN_HOT_SHARE * raster.full_scale
-    return Flat.of(np.where(usable, found.response, 0), "laser", recording.header.cameras[camera].origin)
+    return Flat.from_response(
+        np.where(usable, found.response, 0), "laser", recording.header.cameras[camera].origin
+    )
 
 
 def _first_map(scan: TargetFrames, progress: Progress) -> tuple[TensorMap, float]:

@@ -134,7 +134,7 @@ def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
         raise ValueError(
             f"too uneven to be a flat: half the picture gets {uniformity:.0%} of the light or less"
         )
-    return Flat.of(np.where(usable, light, 0.0), "recording", header.origin)
+    return Flat.from_response(np.where(usable, light, 0.0), "recording", header.origin)
 
 
 def _mean(recording: Recording, camera: str, taken: Sequence[bool], progress: Progress) -> _Mean:

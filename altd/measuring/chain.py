@@ -159,7 +159,7 @@ class MeasuringChain(FrameChain[Located]):
         oldest_ns = self._now_ns - self._silent_after_ns
         return {camera for camera in self.locators if self._last_frame_ns.get(camera, oldest_ns) <= oldest_ns}
 
-    def take(self, pair: Pair[Located]) -> Measurement | None:
+    def measure(self, pair: Pair[Located]) -> Measurement | None:
         """Process the spots of one frame set; return the measurement that it completes, if any."""
         for located in pair.all_items:
             self._last_frame_ns[located.camera] = located.t_ns

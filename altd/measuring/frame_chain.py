@@ -70,7 +70,7 @@ class Locator(Protocol[Found]):
 class FrameChain(ABC, Generic[Item]):
     """Pairs frames, detects silence, and checks and finishes measurements; an instrument supplies the rest.
 
-    ``locators`` return the content of a frame, by camera; ``take`` turns the contents of a frame set into a
+    ``locators`` return the content of a frame, by camera; ``measure`` turns those of a frame set into a
     measurement. Every measurement reports the origin of the frames, from ``provenance``, and whether the
     calibration is of simulated frames.
 
@@ -115,7 +115,7 @@ class FrameChain(ABC, Generic[Item]):
         """Return figures for health; None: not known."""
 
     @abstractmethod
-    def take(self, pair: Pair[Item]) -> Measurement | None:
+    def measure(self, pair: Pair[Item]) -> Measurement | None:
         """Process the contents of a frame set; return the measurement that it completes, if any."""
 
     @abstractmethod
@@ -131,7 +131,7 @@ class FrameChain(ABC, Generic[Item]):
         return self._measured(self.pairer.flush())
 
     def _measured(self, pairs: Sequence[Pair[Frame]]) -> list[Measurement]:
-        measurements = (self.add(pair.of(self.located)) for pair in pairs)
+        measurements = (self.add(pair.converted(self.located)) for pair in pairs)
         return [measurement for measurement in measurements if measurement is not None]
 
     def located(self, frame: Frame) -> Item:
@@ -145,7 +145,7 @@ class FrameChain(ABC, Generic[Item]):
         if not 0 < since_last_ns <= self._silent_after_ns:
             self.forget()
         self.frame_sets += since_last_ns > 0
-        measurement = self.take(pair)
+        measurement = self.measure(pair)
         self._last_sequence, self._last_ns = pair.sequence, pair.t_ns
         return measurement
 

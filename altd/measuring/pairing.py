@@ -53,7 +53,7 @@ class Pair(Generic[Item]):
         """All items of the cameras, paired or not, in order within each camera; at least one."""
         return (*self.unpaired, *self.items.values())
 
-    def of(self, make: Callable[[Item], Made]) -> Pair[Made]:
+    def converted(self, make: Callable[[Item], Made]) -> Pair[Made]:
         """Return the same frame set with ``make`` applied to each item, in the order of ``all_items``."""
         unpaired = tuple(make(item) for item in self.unpaired)
         items = {camera: make(item) for camera, item in self.items.items()}

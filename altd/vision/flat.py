@@ -46,7 +46,9 @@ class Flat:
     origin: Origin = Origin.CAMERA
 
     @classmethod
-    def of(cls, response: npt.NDArray[np.floating], source: Source, origin: Origin = Origin.CAMERA) -> Self:
+    def from_response(
+        cls, response: npt.NDArray[np.floating], source: Source, origin: Origin = Origin.CAMERA
+    ) -> Self:
         """Return the flat of a response (rows, columns) in any unit; negative values become 0."""
         brightest = max(float(np.percentile(response, _BRIGHTEST_PERCENT)), 1e-12)
         levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL_SCALE).astype(np.uint8)

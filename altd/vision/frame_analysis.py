@@ -74,7 +74,7 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         right, bottom = min(region.right + margin, columns), min(region.bottom + margin, rows)
         pixels = frame.pixels[top:bottom, left:right]
         excess = without_hot_pixels(pixels)
-        background = found.background.at((left, top), excess.shape)
+        background = found.background.levels((left, top), excess.shape)
         excess -= background
         smooth = gaussian_blur(excess, settings.smoothing_px)
         _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)

@@ -48,7 +48,7 @@ class Background:
         """Background in the middle of the frame."""
         return float(self.by_power[0, 0])
 
-    def at(
+    def levels(
         self, first_px: tuple[float, float], shape: tuple[int, int], step_px: tuple[int, int] = (1, 1)
     ) -> Image:
         """Return the background: ``shape`` (rows, columns) points by ``step_px`` (u, v) from ``first_px``."""
@@ -153,7 +153,7 @@ def _tile_design(
 def excess_over(coarse: Image, background: Background) -> Image:
     """Return the coarse image less the background, counts."""
     middle = (CELL_PX - 1) / 2
-    return np.subtract(coarse, background.at((middle, middle), coarse.shape, (CELL_PX, CELL_PX)))
+    return np.subtract(coarse, background.levels((middle, middle), coarse.shape, (CELL_PX, CELL_PX)))
 
 
 def robust_sigma(values: Image) -> float:
@@ -171,7 +171,7 @@ def pixel_noise(pixels: PixelArray, background: Background) -> float:
     """
     step_v, step_u = max(pixels.shape[0] // 40, 1), max(pixels.shape[1] // 50, 1)
     sample = pixels[::step_v, ::step_u].astype(np.float32)
-    sample -= background.at((0.0, 0.0), sample.shape, (step_u, step_v))
+    sample -= background.levels((0.0, 0.0), sample.shape, (step_u, step_v))
     limit = 4.0 * (robust_sigma(sample) + 0.5)
     inner = sample[np.abs(sample) <= limit]
     return math.sqrt(float(inner @ inner) / inner.size + 1 / 12) if inner.size else limit

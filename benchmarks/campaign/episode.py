@@ -249,7 +249,7 @@ async def _read(
             if not stamps[one.camera].refusal(frame, clock.monotonic_ns()):
                 pairs.put(frame, wait=False)
             for pair in pairs.take():
-                located.put(pair.of(chain.located))
+                located.put(pair.converted(chain.located))
             await clock.settle()
         await clock.pass_to(now_ns, at_one_blow=was_held)
         await clock.settle()

@@ -195,7 +195,7 @@ def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
 def _measured(chain: MeasuringChain, frame: Frame, count: Count) -> Iterator[Measurement]:
     """Measurement that a frame completes; located and refused spots are added to ``count``."""
     for pair in chain.pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
-        located = pair.of(chain.located)
+        located = pair.converted(chain.located)
         for one in located.all_items:
             count.frames += one.found is not None
             if isinstance(one.found, NoSpot):

@@ -50,7 +50,7 @@ class DottedPrint:
 
     def flat(self) -> Flat:
         """As it was calibrated."""
-        return Flat.of(self.response(), "print")
+        return Flat.from_response(self.response(), "print")
 
     def fingerprint(self, hot: HotPixels = NO_HOT_PIXELS) -> Fingerprint:
         """Of a camera that was calibrated before it."""

@@ -71,7 +71,7 @@ class Loop:
                     assert not isinstance(exposure.apply(camera), Refused)
                 taken = exposure.mark(self._next(camera.name))
                 for pair in self.chain.pairer.add(taken.camera, taken.sequence, taken.t_ns, taken):
-                    measurement = self.chain.add(pair.of(self.located))
+                    measurement = self.chain.add(pair.converted(self.located))
                     self.measured += [(self.number, measurement)] if measurement else []
             self.number += 1
         return first

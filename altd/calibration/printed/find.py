@@ -67,7 +67,7 @@ class Series:
         fundamental = np.abs(self.lattice.harmonics).sum(axis=1) == 1
         return float(np.abs(self.amplitudes[fundamental]).min() / self.mean)
 
-    def at(self, mm: FloatArray, metrics: FloatArray) -> FloatArray:
+    def values(self, mm: FloatArray, metrics: FloatArray) -> FloatArray:
         """F at points (n, 2) mm with their metrics (n, 2, 2) mm²/px²."""
         waves = self.lattice.waves(mm)
         waves *= _dimming(self.lattice, metrics, self.blur_px)
@@ -259,4 +259,4 @@ def _flat(model: _Model, picture_mm: FloatArray) -> Flat:
     response = np.empty(picture_mm.shape[:2], np.float32)
     for row, (mm, metric) in enumerate(zip(picture_mm, metrics, strict=True)):  # a row fits the cache
         response[row] = model.series.at(model.moved(mm), metric)
-    return Flat.of(response, "print")
+    return Flat.from_response(response, "print")

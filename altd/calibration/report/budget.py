@@ -216,7 +216,7 @@ def budget_of(
             terms.append(Term(key, stated, _UNITS[key], "normal, stated", math.inf, contributions))
     known = (term for term in terms if max(term.contributions) > _MIN_CONTRIBUTION)
     not_stated = list(calibration.limits.not_stated)
-    if len(calibration.targets) > 1 and Refraction.of(calibration) is None:
+    if len(calibration.targets) > 1 and Refraction.from_calibration(calibration) is None:
         not_stated.append("glass_mm")
     return Budget(quantities, tuple(known), tuple(not_stated), exposures)
 

@@ -128,7 +128,7 @@ def variances_of(
     slopes = (gain @ places_mm.ravel())[2:] if len(z_mm) > 1 else np.zeros(2)
     gain[2:] *= np.degrees(1 / (1 + np.square(slopes)))[: len(gain) - 2, None]
     effects = effects_mm(calibration.limits, z_mm, places_mm, (slopes[0], slopes[1]))
-    if (refraction := Refraction.of(calibration)) is not None:
+    if (refraction := Refraction.from_calibration(calibration)) is not None:
         effects |= refraction.effects_mm(slopes, z_mm)
     for key, columns in effects.items():
         parts[key] = columns @ columns.T

@@ -190,7 +190,7 @@ class BeamInstrument:
         self.quantities = quantities_of(self._installation)
         if has_inclinometer:
             self.quantities = self.quantities.with_sensor("roll_deg")
-        self._refraction = Refraction.of(calibration)
+        self._refraction = Refraction.from_calibration(calibration)
         self._vibration = measuring.vibration_mm, measuring.vibration_mrad
 
     def solve(self, mean: MeanSpots) -> Solution | Fault:

@@ -55,7 +55,7 @@ class Refraction:
     panes: tuple[tuple[float, Glass], ...]
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Self | None:
+    def from_calibration(cls, calibration: Calibration) -> Self | None:
         """Glass of a unit as stated by its calibration; None where there is none."""
         panes = tuple((target.z_mm, target.glass) for target in calibration.targets if target.glass)
         return cls(panes) if panes else None

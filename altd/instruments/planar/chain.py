@@ -113,7 +113,7 @@ class PlanarChain(FrameChain[PlateFrame]):
         newest = self._exposures[-1].leds if self._exposures else None
         return {"leds": len(newest.numbers) if isinstance(newest, Leds) else 0}
 
-    def take(self, pair: Pair[PlateFrame]) -> Measurement | None:
+    def measure(self, pair: Pair[PlateFrame]) -> Measurement | None:
         """Process the lights of a frame; return the measurement that it completes, if any."""
         sequence, seen = pair.sequence, pair.items[self._camera]
         place, self._place = self._place, self._provenance.place(sequence)

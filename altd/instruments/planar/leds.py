@@ -22,7 +22,7 @@ _REACH = 1.8
 def led_image(pixels: PixelArray | Image) -> Image:
     """Subtract the smooth background from a frame or a mean of frames, counts."""
     background = fit_background(coarse_image(pixels))
-    return np.asarray(pixels.astype(np.float32) - background.at((0.0, 0.0), pixels.shape))
+    return np.asarray(pixels.astype(np.float32) - background.levels((0.0, 0.0), pixels.shape))
 
 
 def find_leds(image: Image) -> tuple[Disc, ...]:

@@ -118,7 +118,7 @@ class Baseline:
         """Whether a target was measured in at least half of the baseline's rounds."""
         return self.means is not None and target in self.means.own
 
-    def take(self, places: Mapping[str, BeamPlace], history: Mapping[str, Sequence[BeamPlace]]) -> None:
+    def collect(self, places: Mapping[str, BeamPlace], history: Mapping[str, Sequence[BeamPlace]]) -> None:
         """Add a round; complete the baseline with the first rounds in which all stable targets were measured.
 
         If there are too few in ``_PATIENCE`` times as many rounds, the stable targets that were measured

@@ -73,7 +73,7 @@ class RowChain(FrameChain[Observation]):
         """Opaque target, for health; None while none has settled."""
         return {"opaque": next((one.opaque for one in self._last.values() if one.opaque), None)}
 
-    def take(self, pair: Pair[Observation]) -> Measurement | None:
+    def measure(self, pair: Pair[Observation]) -> Measurement | None:
         """Process the findings of one frame set; return the measurement of the round that it ends, if any."""
         if pair.sequence <= self._last_sequence:
             self.forget()

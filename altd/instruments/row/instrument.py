@@ -160,7 +160,7 @@ class RowInstrument:
             status += [Reason.STABLE_DISAGREE] if displaced.disagree else _BEAM_KNOWN[displaced.beam]
             status += [Reason.BEAM_NOT_CLOSED] if is_open else []
         else:
-            self._baseline.take(of.places, history)
+            self._baseline.collect(of.places, history)
             status.append(Reason.BASELINE_INCOMPLETE)
         if of.diagnosis.beam_lost:
             status.append(Reason.BEAM_LOST)

@@ -74,7 +74,7 @@ def test_maps_that_lie_too_far_apart_are_doubted(scan: Path, monkeypatch: pytest
 
 
 def test_a_flat_of_another_target_is_doubted(scan: Path) -> None:
-    strange = Flat.of(np.random.default_rng(1).uniform(0.7, 1, (480, 752)), "recording")
+    strange = Flat.from_response(np.random.default_rng(1).uniform(0.7, 1, (480, 752)), "recording")
     result = calibrate_scans(target_frames([open_recording(scan)]), {"front": strange}, lambda *_: None)
     assert result.remarks[:2] == ("front: localised through its recorded flat", "rear: plain, no print")
     of_flat, of_view = result.doubts

@@ -78,7 +78,7 @@ class LivedIn:
                 for camera in CAMERAS:
                     frame = self.unit.expose(camera, t_ns // PERIOD_NS, t_ns)
                     for pair in chain.pairer.add(camera, frame.sequence, t_ns, frame):
-                        located = pair.of(chain.located)
+                        located = pair.converted(chain.located)
                         for one in located.all_items:
                             trends.add(one)
                         last = chain.add(located) or last

@@ -77,7 +77,9 @@ def test_on_a_clean_target_the_error_is_the_bound() -> None:
 
 def test_on_print_with_a_flat_the_error_is_near_the_bound() -> None:
     response = dots()
-    rms_px, bound_px, failures = rms_and_bound_px(300, response, Flat.of(response, "recording"), 45.0, 2)
+    rms_px, bound_px, failures = rms_and_bound_px(
+        300, response, Flat.from_response(response, "recording"), 45.0, 2
+    )
     assert failures == 0
     assert 0.9 * bound_px <= rms_px <= 1.5 * bound_px
 
@@ -130,7 +132,7 @@ def test_through_the_flat_neither_print_nor_grain_moves_it(surface: str) -> None
         if surface == "print"
         else np.maximum(1 + 0.2 * rng.standard_normal((SIZE, SIZE)), 0.1)
     )
-    flat = Flat.of(response, "recording")
+    flat = Flat.from_response(response, "recording")
     with_flat, without, sigmas = [], [], []
     for _ in range(250):
         at_u, at_v = rng.uniform(74, 94, 2)

@@ -243,7 +243,7 @@ def test_a_table_of_the_file_has_all_keys_no_others_and_its_limits(file: Path) -
 def with_flat(calibration: Calibration, tmp_path: Path) -> Path:
     """A calibration whose front target has a flat."""
     response = np.random.default_rng(1).uniform(0, 1, (480, 752))
-    front = replace(calibration.targets[0], flat=Flat.of(response, "recording"))
+    front = replace(calibration.targets[0], flat=Flat.from_response(response, "recording"))
     save_calibration(replace(calibration, targets=(front, calibration.targets[1])), tmp_path / "flat.json")
     return tmp_path / "flat.json"
 

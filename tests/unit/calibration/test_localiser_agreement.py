@@ -50,9 +50,9 @@ def test_on_a_clean_target_they_agree_as_noise_lets_them() -> None:
 
 def test_through_the_right_flat_they_agree_through_another_ones_they_do_not() -> None:
     pictures = frames(surface(2))
-    right = both(pictures, Flat.of(surface(2), "recording"))
+    right = both(pictures, Flat.from_response(surface(2), "recording"))
     assert right.scatter_px < right.limit_px(0.0) / 2
-    wrong = verdict("front", "profile", both(pictures, Flat.of(surface(3), "recording")), 0.0)
+    wrong = verdict("front", "profile", both(pictures, Flat.from_response(surface(3), "recording")), 0.0)
     assert "\n" not in wrong.doubt
     assert "a flat that is not this target's" in wrong.doubt
 

@@ -56,7 +56,7 @@ def test_breaks_told_of_by_frames_that_got_lost_keep_the_window_apart(calibratio
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
     frames = [replace(f, changing=f.camera == "left" and f.sequence == 6) for f in frames]
     pairs = [pair for f in frames for pair in measured.pairer.add(f.camera, f.sequence, f.t_ns, f)]
-    located = [pair.of(measured.located) for pair in pairs]
+    located = [pair.converted(measured.located) for pair in pairs]
     after = [measured.add(pair) for pair in located if not 5 <= pair.sequence <= 7]
     means = {m.sequence: beam_of(m).x_mm for m in after if m is not None and beam_of(m) is not None}
     assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
@@ -158,7 +158,7 @@ def test_no_window_holds_spots_that_were_located_through_two_flats(calibration: 
     measured = chain(calibration)
     frames = shots([(10.0, 5.0)] * 8)
     assert last(measured, frames[:8]).valid
-    even = Flat.of(np.ones((480, 752)), "print")
+    even = Flat.from_response(np.ones((480, 752)), "print")
     measured.locators["left"].appearance = Appearance(even, None)
     after = [m for frame in frames[8:] for m in measured.push(frame)]
     assert [m.frames for m in after] == [0, 2, 3, 4]

@@ -67,7 +67,7 @@ def seen(
 
 
 def texture_of(response: Image) -> Texture:
-    return Texture.of_flat(Flat.of(response, "recording"))
+    return Texture.of_flat(Flat.from_response(response, "recording"))
 
 
 def share(count: DustCount | None) -> float:
@@ -149,7 +149,7 @@ def test_a_spot_behind_an_even_slope_of_transmission_is_the_same_spot_elsewhere(
     middle_u = 371.3
     clean = light(Blob(middle_u, 240.7, DIAMETER_PX))
     passes = np.exp(-slope_per_px * (np.arange(WIDTH) - middle_u))
-    even = Flat.of(np.ones((HEIGHT, WIDTH)), "recording")
+    even = Flat.from_response(np.ones((HEIGHT, WIDTH)), "recording")
     spots = []
     for image in (clean, clean * passes):
         found = locate(frame(image, np.random.default_rng(6), 0.5), flat=even, reference=CLEAN_PLATE)

@@ -130,7 +130,7 @@ def test_a_small_shift_since_then_is_uncertainty(moved: Fingerprint, beside_px: 
 def test_a_small_shift_of_texture_as_fine_as_the_pixels_is_found_whole(shift_px: tuple[float, float]) -> None:
     """A parabola through three lags found a third of these."""
     grain = np.random.default_rng(7).normal(1.0, 0.12, (HEIGHT, WIDTH))
-    fingerprint = replace(PRINT.fingerprint(), texture=Texture.of_flat(Flat.of(grain, "plate")))
+    fingerprint = replace(PRINT.fingerprint(), texture=Texture.of_flat(Flat.from_response(grain, "plate")))
     aside = grain
     for axis, part in zip((1, 0), shift_px, strict=True):  # each pixel averages the two that it lies on
         aside = (1 - abs(part)) * aside + abs(part) * np.roll(aside, int(np.sign(part)), axis)

@@ -87,7 +87,7 @@ def test_a_flat_that_is_dark_under_the_spot_leaves_no_ellipse() -> None:
     response = np.ones((SIZE, SIZE))
     response[40:130, 40:130] = 0
     picture = frame(light(Blob(84.0, 84.0), width=SIZE, height=SIZE), np.random.default_rng(6), 0.7)
-    assert locate_ellipse(picture, flat=Flat.of(response, "recording")) is None
+    assert locate_ellipse(picture, flat=Flat.from_response(response, "recording")) is None
 
 
 SHAPES = [(1.0, 1.0, 0.0), (1.2, 0.7, 0.4), (1.3, 0.5, 2.5), (0.6, 1.6, 1.0)]
@@ -186,7 +186,7 @@ def test_a_flat_that_is_black_where_the_spot_lies_gives_a_reason_or_the_spot(rad
     v, u = np.mgrid[:SIZE, :SIZE]
     response = np.where(np.hypot(u - 84, v - 80) < radius_px, 0.0, 1.0)
     shot = photographed(light(Blob(84.3, 80.7), width=SIZE, height=SIZE), np.random.default_rng(5))
-    spot = locate(shot, flat=Flat.of(response, "recording"))
+    spot = locate(shot, flat=Flat.from_response(response, "recording"))
     if isinstance(spot, Spot):
         assert radius_px < 10  # the rim tells enough
         assert (spot.u_px, spot.v_px) == pytest.approx((84.3, 80.7), abs=0.15)
@@ -202,7 +202,7 @@ def test_deep_pictures_of_any_size_are_fitted_through_their_flat(width: int, hei
     for u, v in ((84.0, 80.0), (width - 36.0, height - 36.0), (37.5, 35.5)):
         counts = response * light(Blob(u, v, peak=45.0), width=width, height=height) * scale
         shot = frame(counts, rng, READ_COUNTS * scale, background=8 * scale, bits=bits)
-        spot = locate(shot, flat=Flat.of(response, "recording"))
+        spot = locate(shot, flat=Flat.from_response(response, "recording"))
         assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.06)
 
 

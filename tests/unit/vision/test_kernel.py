@@ -33,7 +33,7 @@ def frames() -> Iterator[tuple[Frame, Flat | None]]:
     """Spots on plain and printed targets: small, cut by the edge, clipped, dusty, doubled, dim."""
     rng = np.random.default_rng(7)
     printed = dots()
-    flat = Flat.of(printed, "recording")
+    flat = Flat.from_response(printed, "recording")
     blobs = [
         *(Blob(*rng.uniform(70, 100, 2), peak=peak) for peak in (20, 60, 120, 200, 262)),
         *(Blob(84.3, 80.7, diameter) for diameter in (8.0, 16.0, 28.0, 64.0)),
@@ -51,7 +51,7 @@ def frames() -> Iterator[tuple[Frame, Flat | None]]:
     dusty[76:83, 70:78] *= 0.3
     yield photographed(dusty, rng), flat
     radius_px = np.hypot(*np.mgrid[-80 : SIZE - 80, -84 : SIZE - 84])
-    black = Flat.of(np.where(radius_px < 25, 0.0, 1.0), "recording")
+    black = Flat.from_response(np.where(radius_px < 25, 0.0, 1.0), "recording")
     yield photographed(spot, rng), black
 
 

@@ -215,7 +215,7 @@ def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
     from_axis = np.hypot(u - WIDTH / 2 + 4, v - HEIGHT / 2 - 3) / 900.0  # in focal lengths
     falling = 60 / (1 + from_axis**2) ** 2 * (1 + 0.3 * u / WIDTH - 0.2 * v / HEIGHT)
     seen = frame(light() + falling, np.random.default_rng(1), noise=1.0, background=4.0)
-    background = fit_background(coarse_image(seen.pixels)).at((0.0, 0.0), (HEIGHT, WIDTH))
+    background = fit_background(coarse_image(seen.pixels)).levels((0.0, 0.0), (HEIGHT, WIDTH))
     off = background - falling - 4.0
     assert np.sqrt(np.mean(np.square(off))) < 0.15
     assert np.abs(off).max() < 0.8  # in a corner
@@ -227,11 +227,11 @@ def test_a_flat_tells_how_much_of_a_spot_lies_at_the_end_of_a_print() -> None:
     v, u = np.mgrid[:480, :752].astype(float)
     dots = (np.hypot(u % 9 - 4, v % 9 - 4) < 3) & (u < 400)
     fall_off = 1 - 0.5 * ((u - 375) ** 2 + (v - 240) ** 2) / (375**2 + 240**2)
-    flat = Flat.of((0.1 + dots) * fall_off, "recording")
+    flat = Flat.from_response((0.1 + dots) * fall_off, "recording")
     at = {inside: flat.hidden(400.0 - inside, 200.0, 56.0) for inside in (300, 45, 28, 14, 4, -20)}
     assert at[300] == at[45] == 0
     assert at[28] == pytest.approx(0.35, abs=0.2)
     assert at[14] == pytest.approx(0.85, abs=0.3)
     assert at[4] == at[-20] == 1
-    whole = Flat.of((0.1 + (np.hypot(u % 9 - 4, v % 9 - 4) < 3)) * fall_off, "recording")
+    whole = Flat.from_response((0.1 + (np.hypot(u % 9 - 4, v % 9 - 4) < 3)) * fall_off, "recording")
     assert not any(whole.hidden(*place, 56.0) for place in ((0, 0), (400, 200), (751, 479)))

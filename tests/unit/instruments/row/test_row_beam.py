@@ -192,7 +192,7 @@ def test_a_displacements_covariance_is_that_of_monte_carlo_with_few_rounds_in_th
             for name, place_ in taken.items():
                 history[name].append(place_)
             if not baseline.is_complete:
-                baseline.take(taken, history)
+                baseline.collect(taken, history)
         one = baseline.displaced(taken, history).places["t2"]
         squares.append(one.significance**2)
     assert one.covariance_mm2 == pytest.approx(now_mm2 * (1 + 1 / baseline_rounds) * np.eye(2), rel=1e-9)
@@ -218,7 +218,7 @@ class Row:
         for name, place_ in found.items():
             self.history.setdefault(name, []).append(place_)
         if not baseline.is_complete:
-            baseline.take(found, self.history)
+            baseline.collect(found, self.history)
         return found
 
 
