@@ -18,10 +18,10 @@ import aiomqtt
 import numpy as np
 
 from altd.records import FloatArray
-from altd.telegram import Reader, Reading
 from benchmarks.harness import HOST, KEYS
 from benchmarks.interfaces import Interfaces, raw_terminal
 from benchmarks.poller import ANSWER_BYTES, READ
+from examples.python.altd_telegram import Reader, Reading
 
 DAY = date(2026, 11, 20)
 """Date of every run, which is shorter than a day: a telegram has a time and no date."""

@@ -16,7 +16,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Why a reading is refused; altd.telegram.Reading.fault in Python. */
+/* Why a reading is refused; Reading.fault of altd_telegram.py in Python. */
 enum altd_fault {
     ALTD_NO_FAULT,
     ALTD_FOREIGN,   /* of another unit */

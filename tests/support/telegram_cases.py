@@ -22,7 +22,7 @@ from typing import Any
 
 import pynmea2
 
-from altd.telegram import Reader, Reading
+from examples.python.altd_telegram import Reader, Reading
 from support.foreign import need_program
 from support.places import EXAMPLES
 

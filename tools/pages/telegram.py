@@ -120,8 +120,8 @@ its own age reaches 1 s ([rule 10](integrate.md#rules)).
 
 ## Readers in Python and C
 
-Both follow these rules and may be used as they are. [altd/telegram.py](../altd/telegram.py) needs the
-standard library alone; the file may be copied:
+Both follow these rules and may be used as they are. [altd_telegram.py](../examples/python/altd_telegram.py)
+needs the standard library alone:
 
 ```python
 {PYTHON}```
@@ -144,7 +144,7 @@ PYTHON = """\
 import time
 
 import serial
-from altd.telegram import Reader
+from altd_telegram import Reader
 
 reader, valid_s = Reader(unit="ALT-0007", max_age_s=1.0), time.monotonic()
 with serial.Serial("/dev/ttyUSB0", 9600, timeout=0.1) as port:

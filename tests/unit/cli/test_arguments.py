@@ -15,7 +15,7 @@ from support.places import ROOT
 from altd.cli import main as cli
 from altd.config import HwmonThermometerSettings, LiveCameraSettings, Measuring, Scan
 from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
-from altd.telegram import Reader
+from examples.python.altd_telegram import Reader
 from hw_sim.__main__ import command_parser
 from hw_sim.__main__ import main as simulate
 

@@ -11,7 +11,7 @@ from altd.instruments.beam.solver import Beam
 from altd.publish.serial.telegram import MAX_SENTENCE_BYTES, SENTENCES, encode
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
-from altd.telegram import Reader
+from examples.python.altd_telegram import Reader
 
 MEASURED = measured(
     Beam(10.012, -4.987, 1.1459, -1.7184, 0.004, 0.0041, 0.0011, 0.0012),

@@ -19,7 +19,7 @@ from altd.records import Measurement
 from altd.serial_port.port import Port
 from altd.status.board import Board
 from altd.status.health import Component, State
-from altd.telegram import Reader, Reading
+from examples.python.altd_telegram import Reader, Reading
 from tools.pages.example import NAMEPLATE
 
 

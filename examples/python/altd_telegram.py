@@ -1,6 +1,6 @@
 """Reads the serial telegram of an Active Laser Target (``docs/telegram.md``), for programs that receive it.
 
-It needs the standard library alone, and no other file of altd::
+It needs the standard library alone: copy this file::
 
     reader = Reader(unit="ALT-0007")
     while True:
