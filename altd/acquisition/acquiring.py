@@ -10,7 +10,7 @@ import asyncio
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.camera_report import CameraReport, Deliveries
@@ -27,8 +27,8 @@ from altd.ports import (
     Clock,
 )
 from altd.records import Frame
-from altd.runtime.supervision import NO_LIMIT_S, Limits, Works, keep_device
-from altd.runtime.threads import DeviceThread
+from altd.runtime.supervision import Limits, Works, keep_device
+from altd.runtime.threads import NO_LIMIT_S, DeviceThread
 from altd.status.health import CameraTrouble, Component
 
 _MAX_AHEAD_NS = 100_000_000
@@ -71,12 +71,12 @@ _LIMITS = Limits(0.2, 0.5, close_s=3.0)
 The end waits up to 3 s for its thread: the service manager kills after 10 s, and the interfaces end too.
 """
 
-_TROUBLES: tuple[tuple[type[CameraError], str, CameraTrouble], ...] = (
-    (CameraNotFoundError, "not found", CameraTrouble.NOT_FOUND),
-    (CameraBusyError, "busy", CameraTrouble.BUSY),
-    (CameraLostError, "lost", CameraTrouble.LOST),
-    (CameraRefusedError, "refused", CameraTrouble.REFUSED),
-)
+_TROUBLES: dict[type[Exception], tuple[str, CameraTrouble]] = {
+    CameraNotFoundError: ("not found: ", CameraTrouble.NOT_FOUND),
+    CameraBusyError: ("busy: ", CameraTrouble.BUSY),
+    CameraLostError: ("lost: ", CameraTrouble.LOST),
+    CameraRefusedError: ("refused: ", CameraTrouble.REFUSED),
+}
 
 
 class FrameSink(Protocol):
@@ -122,14 +122,6 @@ async def acquire(
         report.ended(acquirer.deliveries, str(error))
 
 
-def _trouble_of(error: CameraError) -> tuple[str, CameraTrouble | None]:
-    """Return the error as a sentence, and the trouble as far as it is known."""
-    for known, word, trouble in _TROUBLES:
-        if isinstance(error, known):
-            return f"{word}: {error}", trouble
-    return str(error), None
-
-
 class _Acquirer:
     """The thread's part. It replaces ``deliveries``; other reports go through ``call_soon_threadsafe``."""
 
@@ -163,17 +155,15 @@ class _Acquirer:
     def fail(self, error: Exception, _: int) -> str:
         if isinstance(error, CameraEndedError) or not isinstance(error, CameraError):
             raise error
-        sentence, trouble = _trouble_of(error)
-        self._report.failed(self.deliveries, sentence, trouble)
+        word, trouble = _TROUBLES.get(type(error), ("", None))
+        self._report.failed(self.deliveries, sentence := f"{word}{error}", trouble)
         return sentence
 
     def _deliver(self, works: Works) -> None:
         """Open the camera and deliver its frames, until it fails or its source ends."""
         self._camera.open()
         exposure = self._exposure
-        self.deliveries = replace(
-            self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=False
-        )
+        self._note(is_fresh=False, is_late=False)
         self._call_in_loop(self._report.opened)
         last: int | None = None
         stamps = StampCheck()
@@ -185,51 +175,39 @@ class _Acquirer:
             try:
                 frame = self._camera.next_frame(FRAME_TIMEOUT_S)
             except CameraTimeoutError:
-                self.deliveries = replace(
-                    self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=True
-                )
+                self._note(is_fresh=False, is_late=True)
                 self._call_in_loop(self._report.update, self.deliveries)
                 continue
             except CameraMistimedError as error:
                 last = error.sequence
-                self._count_mistimed(str(error))
+                self._count(mistimed=1, remark=str(error))
                 continue
             lost = 0 if last is None else max(frame.sequence - last - 1, 0)
             last = frame.sequence
             works()
             if not self._camera.waits and (sentence := stamps.refusal(frame, self._clock.monotonic_ns())):
-                self._count_mistimed(sentence)
+                self._count(mistimed=1, remark=sentence)
                 continue
             if exposure is not None:
                 frame = exposure.mark(frame)
-            self._count(lost)
+            self._count(frames=1, lost=lost, remark=self.deliveries.remark)
             self._sink.put(frame, wait=self._camera.waits)
 
-    def _count(self, lost: int) -> None:
-        """Count a delivered frame and the ``lost`` frames before it."""
-        now_ns, before = self._clock.monotonic_ns(), self.deliveries
-        self.deliveries = Deliveries(
-            frame_ns=now_ns,
-            returned_ns=now_ns,
-            frames=before.frames + 1,
+    def _count(self, *, frames: int = 0, lost: int = 0, mistimed: int = 0, remark: str) -> None:
+        """Count a frame and the ``lost`` ones before it; a mistimed one is not measured."""
+        before = self.deliveries
+        self._note(
+            frame_ns=self._clock.monotonic_ns(),
+            frames=before.frames + frames,
             lost=before.lost + lost,
-            mistimed=before.mistimed,
-            remark=before.remark,
-            is_fresh=True,
-        )
-
-    def _count_mistimed(self, sentence: str) -> None:
-        """Count a frame whose time cannot be true; it is not measured."""
-        now_ns = self._clock.monotonic_ns()
-        self.deliveries = replace(
-            self.deliveries,
-            frame_ns=now_ns,
-            returned_ns=now_ns,
-            mistimed=self.deliveries.mistimed + 1,
-            remark=sentence,
+            mistimed=before.mistimed + mistimed,
+            remark=remark,
             is_fresh=True,
             is_late=False,
         )
+
+    def _note(self, **changes: Any) -> None:
+        self.deliveries = replace(self.deliveries, returned_ns=self._clock.monotonic_ns(), **changes)
 
     def _call_in_loop(self, function: Callable[..., object], *arguments: object) -> None:
         try:

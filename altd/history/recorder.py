@@ -16,7 +16,7 @@ from altd.history.summary import WorstFault
 from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Measurement
-from altd.runtime.threads import DeviceThread
+from altd.runtime.threads import NO_LIMIT_S, DeviceThread
 from altd.status.cause import StateReport
 from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Component, State, duration
@@ -36,7 +36,6 @@ CLOCK_STEP_US = 500_000
 SLOW_S = 3.0
 _MAX_BACKOFF_S = 10.0
 _END_TIMEOUT_S = 2.0
-_NO_LIMIT_S = 1e9
 
 
 class HistoryRecorder:
@@ -97,7 +96,7 @@ class HistoryRecorder:
         if now_ns >= self._retry_ns and self._thread is not None:
             batch = self._written = self._next_batch(now_ns)
             self._begun_ns = now_ns
-            call = self._thread.call(self._store.write, batch, within_s=_NO_LIMIT_S)
+            call = self._thread.call(self._store.write, batch, within_s=NO_LIMIT_S)
             self._writing = asyncio.create_task(call, name="history's disk")
 
     def _settle(self, writing: asyncio.Task[Written]) -> bool:
@@ -218,17 +217,10 @@ class HistoryRecorder:
             if not self._settle(self._writing):
                 self._writing.cancel()
                 await asyncio.gather(self._writing, return_exceptions=True)
-                await thread.end(lambda: _end_store(self._store, None), 0.0)
+                await thread.end(lambda: self._store.end(None), 0.0)
                 return
         last = self._next_batch(self._clock.monotonic_ns())
-        await thread.end(lambda: _end_store(self._store, last), _END_TIMEOUT_S)
-
-
-def _end_store(store: Store, last: Batch | None) -> None:
-    try:
-        store.end(last)
-    except Exception:  # there is no caller left to handle it
-        log.exception("history: a defect")
+        await thread.end(lambda: self._store.end(last), _END_TIMEOUT_S)
 
 
 def _worst_fault(report: StateReport) -> WorstFault:

@@ -12,7 +12,7 @@ from typing import NoReturn, Protocol
 
 from altd.errors import BadInputError
 from altd.ports import Clock, Device
-from altd.runtime.threads import DeviceThread
+from altd.runtime.threads import NO_LIMIT_S, DeviceThread
 from altd.status.health import Component, Message, State
 
 log = logging.getLogger("altd")
@@ -27,8 +27,6 @@ MIN_STEADY_S = 10.0
 
 _MAX_LOGGED = 8
 """Maximum number of different failures in the log until then: some texts contain numbers that change."""
-
-NO_LIMIT_S = 1e9
 
 Works = Callable[[], None]
 """Reports, from any thread, that what is kept works."""

@@ -22,6 +22,8 @@ log = logging.getLogger("altd")
 
 Result = TypeVar("Result")
 
+NO_LIMIT_S = 1e9
+
 
 def call_in_thread(call: Callable[[], Result], name: str) -> asyncio.Future[Result]:
     """Make a call in a new thread, which ends with it; return the future of its result or exception."""
@@ -100,7 +102,7 @@ class DeviceThread:
 
     async def end(self, last: Callable[[], None], within_s: float) -> bool:
         """Call ``last`` after the pending calls and end the thread; return whether it ended in time."""
-        self._calls.put(last)
+        self._calls.put(partial(_without_caller, last))
         self._calls.put(None)
         await asyncio.shield(call_in_thread(partial(self._thread.join, within_s), self._thread.name))
         return not self._thread.is_alive()
@@ -114,7 +116,7 @@ class DeviceThread:
     def _undo(self, undo: Callable[[Result], object], result: asyncio.Future[Result]) -> None:
         """Undo a call whose caller has left, before the next one."""
         if not result.cancelled() and result.exception() is None:
-            self._calls.put(partial(_undone, undo, result.result()))
+            self._calls.put(partial(_without_caller, partial(undo, result.result())))
 
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
@@ -149,11 +151,12 @@ def _settle(
         del result, call, give  # breaks the cycle with an exception, which refers to this frame
 
 
-def _undone(undo: Callable[[Result], object], result: Result) -> None:
+def _without_caller(call: Callable[[], object]) -> None:
+    """Make a call that ends or undoes; log what it raises."""
     try:
-        undo(result)
-    except Exception:  # there is no caller left to handle it
-        log.exception("%s: a call that came too late is not undone", threading.current_thread().name)
+        call()
+    except Exception:
+        log.exception("%s: a defect", threading.current_thread().name)
 
 
 def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> None:

@@ -113,7 +113,10 @@ class LampController(Generic[Setpoint]):
         while True:
             self._changed.clear()
             setpoint, count = self._setpoint, len(self._waiting)
-            await thread.call(self._show, setpoint, within_s=CALL_TIMEOUT_S, undo=self._close_late)
+            # a call that comes back too late was reported as failed
+            await thread.call(
+                self._show, setpoint, within_s=CALL_TIMEOUT_S, undo=lambda _: self._driver.close()
+            )
             works()
             self._component.set_state(State.OK)
             for wanted, applied in self._waiting[:count]:
@@ -127,10 +130,6 @@ class LampController(Generic[Setpoint]):
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(REFRESH_INTERVAL_S):
                     await self._changed.wait()
-
-    def _close_late(self, _: None) -> None:
-        """Close the lamps after a call that came back too late: it was reported as failed."""
-        self._driver.close()
 
     def _fail(self, error: Exception, _: int) -> str:
         late = f"the driver does not answer within {CALL_TIMEOUT_S:g} s"

@@ -221,7 +221,7 @@ async def test_a_call_that_comes_back_after_its_caller_left_is_undone_before_the
     assert await thread.end(lambda: None, LONG_S)
 
 
-async def test_a_call_that_cannot_be_undone_is_logged_and_the_next_is_made(
+async def test_a_call_that_cannot_be_undone_or_a_last_one_that_fails_is_logged_and_the_thread_goes_on(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     thread, gate = DeviceThread("device"), Gate()
@@ -229,8 +229,9 @@ async def test_a_call_that_cannot_be_undone_is_logged_and_the_next_is_made(
         await thread.call(gate, within_s=0.01, undo=lambda _: raise_it())
     gate.may_end.set()
     assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
-    assert caplog.messages == ["device: a call that came too late is not undone"]
-    assert await thread.end(lambda: None, LONG_S)
+    assert caplog.messages == ["device: a defect"]
+    assert await thread.end(raise_it, LONG_S)
+    assert caplog.messages == ["device: a defect"] * 2
 
 
 async def test_of_many_calls_that_are_cancelled_at_any_time_what_was_told_is_what_happened() -> None:
